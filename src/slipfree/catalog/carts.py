@@ -39,14 +39,17 @@ def differential_drive(
     Parameters
     ----------
     half_track, caster_ahead, trail : float
-        Distances from the centre to a driven wheel, from the axle to the caster's pivot, and from
-        the pivot back to the caster's contact. [m]
+        Distance from the platform's centre to a driven wheel, from the driven axle forward to the
+        caster's pivot, and from the pivot back to the centre of the caster's wheel. [m]
     r1, r2 : float
-        Radii of the tube and of the circle of tube centres of the driven wheels. [m]
+        Radius of the driven wheels' tube, and radius of the circle of tube centres. [m]
     caster_scale : float
         Size of the caster's wheel relative to the driven wheels. [1]
-    mass, center_of_mass, wheel_mass, grip
-        As in `three_wheeler`.
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
 
     Raises
     ------
@@ -94,13 +97,16 @@ def ackermann(
     Parameters
     ----------
     half_track, wheelbase : float
-        Distances from the middle to a wheel, and between the axles. [m]
+        Distance from the vehicle's centre line to a wheel, and distance between the axles. [m]
     r1, r2 : float
-        Radii of the tube and of the circle of tube centres of the wheels. [m]
+        Radius of the wheels' tube, and radius of the circle of tube centres. [m]
     steer_stop : float
         Largest steering angle, to either side. [rad]
-    mass, center_of_mass, wheel_mass, grip
-        As in `three_wheeler`.
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
 
     Raises
     ------
@@ -163,16 +169,20 @@ def skid_steer(
     wheel_mass: float = 2.0,
     grip: float = 1.0,
 ) -> Vehicle:
-    """Return a cart with four driven wheels, the right ones on a rocker.
+    """Return a cart with four driven wheels; the two right wheels are on a rocker.
 
     Parameters
     ----------
     half_track, wheelbase : float
-        Distances from the middle to a wheel, and between front and rear wheels. [m]
+        Distance from the vehicle's centre line to a wheel, and distance between front and rear
+        wheels. [m]
     r1, r2 : float
-        Radii of the tube and of the circle of tube centres of the wheels. [m]
-    mass, center_of_mass, wheel_mass, grip
-        As in `three_wheeler`.
+        Radius of the wheels' tube, and radius of the circle of tube centres. [m]
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
 
     Raises
     ------
@@ -228,11 +238,15 @@ def rigid_skid_steer(
     axles : int
         Number of axles: two for a four-wheeler, three for a six-wheeler.
     half_track, wheelbase : float
-        Distances from the middle to a wheel, and between the first and the last axle. [m]
+        Distance from the vehicle's centre line to a wheel, and distance between the first and the
+        last axle. [m]
     r1, r2 : float
-        Radii of the tube and of the circle of tube centres of the wheels. [m]
-    mass, center_of_mass, wheel_mass, grip
-        As in `three_wheeler`.
+        Radius of the wheels' tube, and radius of the circle of tube centres. [m]
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
 
     Raises
     ------
@@ -241,7 +255,7 @@ def rigid_skid_steer(
     """
     _positive("rigid_skid_steer", half_track=half_track, wheelbase=wheelbase)
     if axles not in AXLE_NAMES:
-        raise ModelError(f"rigid_skid_steer: expected axles = 2 or 3, found {axles}")
+        raise ModelError(f"rigid_skid_steer: expected axles = 2 or 3, found {axles}; use 2 or 3")
     names, section = AXLE_NAMES[axles], section_of_radii(r1, r2)
     wheels = [
         wheel
@@ -280,15 +294,17 @@ def articulated(
     Parameters
     ----------
     half_track, front, rear : float
-        Distances from the middle to a wheel, and from the joint to the front and the rear axle. [m]
+        Distance from the vehicle's centre line to a wheel, and distances from the steering joint to
+        the front and the rear axle. [m]
     r1, r2 : float
-        Radii of the tube and of the circle of tube centres of the wheels. [m]
+        Radius of the wheels' tube, and radius of the circle of tube centres. [m]
     bend_stop : float
         Largest angle between the halves, to either side. [rad]
     mass, center_of_mass : float, tuple of 3 floats
         Mass of each half, and its centre in the half's frame, from the middle of its axle. [kg, m]
-    wheel_mass, grip
-        As in `three_wheeler`.
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
 
     Raises
     ------
@@ -345,4 +361,6 @@ def _pair(
 def _positive(name: str, **lengths: float) -> None:
     for key, length in lengths.items():
         if not 0 < length < inf:
-            raise ModelError(f"{name}: {key} must be a positive length, found {length} m")
+            raise ModelError(
+                f"{name}: {key} must be a positive length, found {length} m; change it"
+            )

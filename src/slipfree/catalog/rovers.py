@@ -23,7 +23,7 @@ class Station(NamedTuple):
     Attributes
     ----------
     half_track, ahead, above : float
-        Position of the wheels' centres relative to the platform's centre.
+        Position of the wheels' centres to the sides of, ahead of and above the platform's centre.
     on_bogie : bool
         Whether the bogies carry the wheels; otherwise the rockers do.
     steered : bool
@@ -63,8 +63,11 @@ def rocker_bogie(
         platform's centre, at rest on level ground. [m]
     radius, r1 : float
         Rolling radius of the wheels, and radius of their tubes. [m]
-    mass, center_of_mass, wheel_mass, grip
-        As in `three_wheeler`.
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
 
     Raises
     ------
@@ -145,8 +148,11 @@ def rocky7(
         Steered wheels: the front pair, as built, or the front and rear pairs.
     r1 : float
         Radius of the wheels' tubes; zero for thin discs. [m]
-    mass, center_of_mass, wheel_mass, grip
-        As in `three_wheeler`.
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
 
     Raises
     ------
@@ -162,7 +168,9 @@ def rocky7(
            (N. Seegmiller).
     """
     if steered not in ("front", "corners"):
-        raise ModelError(f"rocky7: steered must be 'front' or 'corners', found {steered!r}")
+        raise ModelError(
+            f"rocky7: steered must be 'front' or 'corners', found {steered!r}; choose one"
+        )
     ahead, above, down, half_track = 0.12075, 0.105, 0.125, 0.2
     arm, angle, half, drop = 0.16, radians(49), 0.069, 0.02
     bogie = (ahead - arm * sin(angle), above - arm * cos(angle))
@@ -206,8 +214,11 @@ def open_source_rover(
     ----------
     r1 : float
         Radius of the wheels' tubes. [m]
-    mass, center_of_mass, wheel_mass, grip
-        As in `three_wheeler`.
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
 
     Raises
     ------

@@ -43,8 +43,8 @@ def seven_wheels(
         Distance from the middle to a wheel of a pair. [m]
     stiffness, preload : float
         Stiffness of the springs, and their force on level ground. [N/m, N]
-    grip
-        As in `three_wheeler`.
+    grip : float
+        Factor that multiplies the ground's coefficient of friction at each wheel. [1]
 
     Raises
     ------
@@ -60,7 +60,7 @@ def seven_wheels(
     if not 0 < stiffness < inf:
         raise ModelError(
             "seven_wheels: expected a positive stiffness of the springs, since seven rigid "
-            f"contacts are too many for five degrees of freedom; found {stiffness} N/m"
+            f"contacts are too many for five degrees of freedom; found {stiffness} N/m; increase it"
         )
     radius, behind, ahead, lengths, above = 0.066, 0.215, 0.255, (0.400, 0.195), 0.05
     pressed = [

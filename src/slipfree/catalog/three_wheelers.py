@@ -59,17 +59,17 @@ def three_wheeler(
     tilt_stop, slide_stop : float
         Largest lateral tilt, and largest sliding of half an axle, to either side. [rad, m]
     stiffness, damping, bump : float
-        Stiffness of a spring, constant of a damper, and stiffness of the stops (zero: rigid) in
-        every free joint of the axle. A tilting wheel is an inverted pendulum: only a spring with
-        a stiffness above the wheel load times ``r2`` keeps it upright; where the rates force a
-        tilt, a stiffer spring needs more friction.
-        [N m/rad or N/m, and the same times s]
+        Stiffness of a spring [N m/rad or N/m], constant of a damper [N m s/rad or N s/m], and
+        stiffness of the stops [N m/rad or N/m] (zero for rigid stops) in every free joint of the
+        axle. A tilting wheel is an inverted pendulum: only a spring with a stiffness above the
+        wheel load times ``r2`` keeps it upright. Where the rates cause a tilt, a stiffer spring
+        needs more friction.
     mass, center_of_mass : float, tuple of 3 floats
         Mass of the platform, and its centre in the platform's frame; the paper gives neither.
         [kg, m]
     wheel_mass, grip : float
-        Mass of every wheel [kg], and the factor of its tread on the ground's friction
-        coefficient [1].
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
 
     Raises
     ------
@@ -83,10 +83,13 @@ def three_wheeler(
     """
     for key, length in (("half_track", half_track), ("wheelbase", wheelbase)):
         if not 0 < length < inf:
-            raise ModelError(f"three_wheeler: {key} must be a positive length, found {length} m")
+            raise ModelError(
+                f"three_wheeler: {key} must be a positive length, found {length} m; change it"
+            )
     if axle not in get_args(Axle):
         raise ModelError(
-            f"three_wheeler: axle must be one of {', '.join(get_args(Axle))}, found {axle!r}"
+            f"three_wheeler: axle must be one of {', '.join(get_args(Axle))}, found {axle!r}; "
+            "choose one of these names"
         )
     rear, front, section = -wheelbase / 3, 2 * wheelbase / 3, section_of_radii(r1, r2)
     ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}

@@ -32,8 +32,10 @@ class Setup:
 
     Attributes
     ----------
-    ground, terrain, vehicle : Ground, Bicubic, Vehicle
-        Ground as heights on a grid and as a smooth surface; vehicle.
+    ground, terrain : Ground, Bicubic
+        Ground as heights on a grid, and as a smooth surface.
+    vehicle : Vehicle
+        Vehicle of the problem.
     model, dae : Dae
         Model that settles the vehicle at its start, and model to integrate.
     start : Trajectory
@@ -58,7 +60,7 @@ class Setup:
 
     @property
     def facts(self) -> Facts:
-        """Names and texts that describe ground, vehicle and inputs."""
+        """Facts about ground, vehicle and inputs: pairs of name and description."""
         drive = ("driven by", self.driven)
         return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), drive]
 
@@ -77,13 +79,14 @@ def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
         if not nodes[0] <= place <= nodes[-1]:
             raise ProblemError(
                 f"{problem.source.where(('start', axis))}: expected a start on the map, which "
-                f"extends from {nodes[0]:.10g} to {nodes[-1]:.10g} m, found {axis} = {place:.10g} m"
+                f"extends from {nodes[0]:.10g} to {nodes[-1]:.10g} m, found {axis} = "
+                f"{place:.10g} m; move the start, or use a larger part of the map"
             )
     return Bicubic(grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
 
 
 def heading_offset(problem: Problem[S]) -> float:
-    """Return the offset from headings of the problem's frame to headings from the y axis [rad]."""
+    """Return the angle to add to a heading of the problem to get one from the y axis [rad]."""
     return -OFFSET[getattr(problem.spec, "frame", "paper")]
 
 
@@ -103,7 +106,7 @@ def samples(
     Returns
     -------
     t : ndarray, shape (n,)
-        From zero to the duration. [s]
+        Times from zero to the duration. [s]
     rates : dict of str to float or ndarray of shape (n - 1,)
         Constant rates, or rates per interval of `t`. [rad/s, m/s]
     """
@@ -144,7 +147,7 @@ def _names(labels: Iterable[Any]) -> list[str]:
 
 
 def vehicle_facts(vehicle: Vehicle) -> Facts:
-    """Return the facts about a vehicle: wheels, mass and notes of its file."""
+    """Return facts about a vehicle, pairs of name and text: wheels, mass and notes of its file."""
     wheels = ", ".join(
         f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
     )
@@ -157,7 +160,7 @@ def vehicle_facts(vehicle: Vehicle) -> Facts:
 
 
 def wheel_angles_at(run: Trajectory, t: Array) -> Column:
-    """Return the wheel angles of a motion, interpolated at given times [s]."""
+    """Return the column of wheel angles of a motion, interpolated at times ``t`` [s]."""
     turns = run.columns["wheel_angle"]
     values = [np.interp(t, run.t, each) for each in turns.values.T]
     return Column(turns.label, np.stack(values, axis=1))

@@ -26,7 +26,7 @@ def build_law(
     vehicle: Vehicle,
     start: Trajectory,
 ) -> Any:
-    """Return the inputs of the driving law of a problem, as functions of state and time."""
+    """Return inputs by the driving law of a problem, as functions of state and time."""
     with at(problem, ("driver",)):
         if driver.name == "straight":
             if driver.path is not None or driver.file is not None:
@@ -42,7 +42,7 @@ def path_points(problem: Problem[S], driver: Driver) -> Array:
     """Return the points of the path that a driving law follows, shape (n, 2) [m]."""
     if (driver.path is None) == (driver.file is None):
         raise ModelError(
-            "driver: expected either path, an array of [x, y], or file for name = "
-            "'follow', found both or none"
+            "driver: expected either path, an array of [x, y], or file for name = 'follow', found "
+            + ("none; give one of them" if driver.path is None else "both; remove one")
         )
     return np.array(driver.path or read_columns(problem.folder / str(driver.file), "xy"))

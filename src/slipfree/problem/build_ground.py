@@ -28,24 +28,24 @@ OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys onl
 
 
 class Ground(NamedTuple):
-    """The ground of a problem.
+    """Ground of a problem with its friction, and facts about them.
 
     Attributes
     ----------
     grid : Grid
-        Heights of the ground under the wheels.
+        Heights of the ground under the wheels, after all changes. [m]
     source : str
-        Description of its origin.
+        Description of the origin of the heights: file name, synthetic or sample.
     rolled : Rolled or None
-        Ground changed by the key ``rolled``, and the change; None without this key.
+        Ground changed by the key ``rolled``, and the change of heights; None without this key.
     mu : float, Grid or None
         Coefficient of friction, or a map of it. [1]
     friction : str
         Description of the friction; empty without friction.
     facts : list of (str, str)
-        Further facts: the map, the changes, and the transformation to coordinates of the map.
+        Facts about map file, changes and map coordinates: pairs of name and description.
     coordinates : tuple of MapCoordinate
-        Coordinates of the map file; empty if they are those of motions.
+        Coordinates of the map file as functions of those of motions; empty if they are equal.
     """
 
     grid: Grid
@@ -59,7 +59,7 @@ class Ground(NamedTuple):
 
 @contextmanager
 def at(problem: Problem[A], place: Place) -> Iterator[None]:
-    """Convert ModelError and DataError of the block to ProblemError with the line of a key."""
+    """Raise ModelError and DataError of the block as ProblemError, with file and line of a key."""
     try:
         yield
     except (ModelError, DataError) as error:
@@ -106,12 +106,13 @@ def _check_keys(problem: Problem[S]) -> None:
         if not read and getattr(spec, key) is not None:
             where = problem.source.where(("terrain", key))
             raise ProblemError(
-                f"{where}: expected this key only with a map file, found none; remove the key"
+                f"{where}: expected this key only with a map file, found no map file; remove the "
+                "key, or give a file in [terrain]"
             )
 
 
 def _scales(spec: schema.Terrain) -> tuple[float, float]:
-    """Return the scale of x and y, and that of heights."""
+    """Return the scale factor of x and y, and that of heights [1]."""
     return spec.scale * spec.horizontal_scale, spec.scale * spec.vertical_scale
 
 
@@ -202,7 +203,7 @@ def _source(problem: Problem[S]) -> tuple[Map, str]:
 
 
 def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, str]:
-    """Return the friction of the ground, and its description."""
+    """Return the coefficient of friction, a number or a map, and its description."""
     spec = problem.spec.terrain
     name, (horizontal, _) = spec.friction, _scales(spec)
     if not isinstance(name, str):
@@ -236,7 +237,7 @@ def _synthetic(spec: schema.Synthetic) -> Grid:
 
 
 def filled_words(grid: Grid, run: Trajectory) -> str:
-    """Return the distances of the wheels on filled ground, as text; empty without filled ground."""
+    """Return a text on the lengths of wheel paths over filled holes; empty without filled holes."""
     if grid.filled is None:
         return ""
     on = grid.touches_filled(run["contact_x"], run["contact_y"])
@@ -256,7 +257,7 @@ def filled_words(grid: Grid, run: Trajectory) -> str:
 
 
 def ground_facts(ground: Ground) -> Facts:
-    """Return the facts about a ground."""
+    """Return facts about a ground, pairs of name and text: origin, size, heights and friction."""
     grid = ground.grid
     (n_x, n_y), (h_x, h_y) = grid.z.shape, grid.spacing
     facts = [

@@ -36,20 +36,20 @@ def build_model(
 
 
 def slip_law(problem: Problem[S], spec: schema.Modelled) -> SlipLaw:
-    """Return the slip law of a problem with the kinematic model."""
+    """Return the slip law, with its parameters, of a problem with the kinematic model."""
     for name in spec.law.model_fields_set - {spec.slip}:
         expected = (
             "model = 'quasi-static', where this law applies"
             if name in GROUND_LAWS
             else f"slip = {name!r}, where this law applies"
         )
-        found = f"model = 'kinematics', slip = {spec.slip!r}"
+        found = f"model = 'kinematics', slip = {spec.slip!r}; change them, or remove the table"
         raise problem_error(problem.source, [Fault(("law", name), expected, found)])
     return _with_parameters(problem, spec, SLIP_LAWS[spec.slip])
 
 
 def law_name(spec: schema.Modelled) -> str:
-    """Return the name of the law of a problem."""
+    """Return the name of the slip law or wheel-ground law of a problem."""
     if spec.model == "kinematics":
         return spec.slip
     return next(iter(sorted(spec.law.model_fields_set)), DEFAULT_LAW)
@@ -64,13 +64,13 @@ def ground_law(problem: Problem[S], spec: schema.Modelled) -> GroundLaw:
         raise problem_error(problem.source, [Fault(("slip",), expected, found)])
     for other in spec.law.model_fields_set - ({name} & set(GROUND_LAWS)):
         expected = f"one wheel-ground law with model = 'quasi-static', of {', '.join(GROUND_LAWS)}"
-        found = ", ".join(sorted(spec.law.model_fields_set))
+        found = f"{', '.join(sorted(spec.law.model_fields_set))}; remove the other tables"
         raise problem_error(problem.source, [Fault(("law", other), expected, found)])
     return _with_parameters(problem, spec, GROUND_LAWS[name])
 
 
 def _with_parameters(problem: Problem[S], spec: schema.Modelled, law: Callable[..., L]) -> L:
-    """Return a law with the parameters of a problem and defaults for the others."""
+    """Return a law with the parameters that a problem gives; other parameters have defaults."""
     name = law_name(spec)
     given = spec.law.parameters(name)
     for key, parameter in signature(law).parameters.items():

@@ -32,7 +32,7 @@ from slipfree.vehicle.tree import Vehicle, actuated
 
 
 class JointTable(Record):
-    """Kind of a joint of a URDF, and keys of its coordinate."""
+    """Table of a joint in a file that completes a URDF: its kind, and keys of its coordinate."""
 
     kind: Literal["commanded", "passive", "suspension", "fixed"]
     words: str | None = None
@@ -46,7 +46,7 @@ class JointTable(Record):
 
 
 class WheelTable(Record):
-    """Properties of a wheel that URDF does not have."""
+    """Table of a wheel in a file that completes a URDF: properties that URDF does not have."""
 
     driven: bool | None = None
     radius: Annotated[Positive, AfterValidator(meters)] | None = None
@@ -60,7 +60,7 @@ def _expanded_kind(value: Any) -> Any:
 
 
 class UrdfTable(Record):
-    """A vehicle file that completes a URDF."""
+    """Vehicle file with the key ``urdf``, which completes a URDF."""
 
     urdf: Annotated[str, Field(min_length=1)]
     name: Annotated[str, Field(min_length=1)] | None = None
@@ -97,7 +97,7 @@ def read_vehicle(path: str | Path) -> Vehicle:
     Raises
     ------
     VehicleError
-        With all errors by file and line, and a draft of the known parts.
+        If the vehicle is invalid; it has all errors by file and line, and a draft of valid parts.
     DataError
         If the file name does not end in .toml or .urdf.
     """
@@ -131,7 +131,7 @@ def _draft(path: Path) -> Draft:
 
 
 def _completed(file: File) -> Draft:
-    """Return the draft of a URDF that a vehicle file completes."""
+    """Return the draft of the vehicle in a URDF that a vehicle file completes."""
     tables: Tables = {"joints": lambda _: JointTable, "wheels": lambda _: WheelTable}
     table: UrdfTable = validated(UrdfTable, tables, file)
     joints = {
@@ -146,7 +146,10 @@ def _completed(file: File) -> Draft:
 
 
 def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
-    """Return the draft of a URDF; errors in the roles name the file of the roles."""
+    """Return the draft of the vehicle in a URDF.
+
+    ``file`` is the vehicle file with the roles, if any; errors in the roles name this file.
+    """
     by = f" (urdf of {file.source.path})" if file else ""
     try:
         data = read_bytes(path, f"a URDF{by}")

@@ -28,7 +28,7 @@ OWN = ("catalog", "file", "actuated", "name")  # keys that are not keywords of t
 
 @dataclass(frozen=True)
 class Found:
-    """Text that replaces the value in an error of pydantic."""
+    """Description of a found value, which replaces the value in an error of pydantic."""
 
     words: str
 
@@ -37,7 +37,7 @@ class Found:
 
 
 def fault(place: str | None, expected: str, found: str, hint: str = "") -> InitErrorDetails:
-    """Return an error of pydantic in a key of a table, or in the table itself."""
+    """Return an error of pydantic about a key of a table; about the table if ``place`` is None."""
     kind = PydanticCustomError("expected", "{words}", {"words": expected, "hint": hint})
     return InitErrorDetails(type=kind, loc=(place,) if place else (), input=Found(found))
 
@@ -81,7 +81,7 @@ def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel
     Raises
     ------
     ValidationError
-        With all errors; for unknown keys it lists the known ones.
+        If the table is invalid: all errors, for unknown keys with the list of known keys.
     """
     if not isinstance(data, dict) or not set(base.model_fields) <= set(OWN):
         return read(data)
@@ -102,7 +102,10 @@ def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel
 
 
 def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
-    """Return an error of pydantic in the words of the package, with the known keys."""
+    """Return a validation error of pydantic with expected and found value in this package's form.
+
+    For an unknown key, the expected value is the list of ``known`` keys.
+    """
     if error["type"] == "extra_forbidden":
         name = str(error["loc"][-1])
         expected, found = f"one of {', '.join(known)}", f"the unknown key {name!r}"

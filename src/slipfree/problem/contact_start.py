@@ -32,7 +32,7 @@ def settle_contact(
     wheel : str
         Name of the wheel.
     contact_x, contact_y : float
-        Contact point on the map. [m]
+        Contact point of the wheel, in map coordinates. [m]
     options : SolverOptions
         Options of the solvers.
     **start : float
@@ -46,7 +46,9 @@ def settle_contact(
     known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
     if wheel not in known:
         names = ", ".join(sorted(filter(None, known))) or "none"
-        raise ModelError(f"settle_contact: expected a wheel in contact ({names}), found {wheel!r}")
+        raise ModelError(
+            f"settle_contact: expected one of the wheels {names}, found {wheel!r}; correct the name"
+        )
     fixed = {name: start.pop(name) for name in ("x", "y") if name in start}
     if fixed:
         raise ModelError(

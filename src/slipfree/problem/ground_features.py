@@ -62,8 +62,10 @@ class PowerLaw(Feature):
 class Craters(Feature):
     """Craters scattered over the ground."""
 
-    count: Count = Field(description="number; a larger number keeps those of a smaller one")
-    diameters: Pair = Field(description="smallest and largest diameter of the crests [m]")
+    count: Count = Field(
+        description="number of craters; a larger number adds craters to those of a smaller number"
+    )
+    diameters: Pair = Field(description="smallest and largest diameter of the rim crests [m]")
     seed: Count = Field(description=SEED)
 
     def added(self, grid: Grid) -> Grid:
@@ -74,9 +76,11 @@ class Craters(Feature):
 class Rocks(Feature):
     """Rocks scattered over the ground."""
 
-    count: Count = Field(description="number; a larger number keeps those of a smaller one")
-    diameters: Pair = Field(description="smallest and largest diameter [m]")
-    height_ratio: Positive = Field(description="height over diameter [1]")
+    count: Count = Field(
+        description="number of rocks; a larger number adds rocks to those of a smaller number"
+    )
+    diameters: Pair = Field(description="smallest and largest diameter of the rocks [m]")
+    height_ratio: Positive = Field(description="height of a rock divided by its diameter [1]")
     seed: Count = Field(description=SEED)
 
     def added(self, grid: Grid) -> Grid:

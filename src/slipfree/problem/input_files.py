@@ -20,7 +20,10 @@ MISSING = "missing"
 
 
 def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
-    """Return the names of input files in tables of a problem, as written there."""
+    """Return the file names in the keys ``file`` and ``friction`` of tables, as written there.
+
+    With the default tables, further input files of the verb are included.
+    """
     found = [getattr(spec, name, None) for name in tables]
     names: list[Any] = [getattr(table, "file", None) for table in found]
     names += [getattr(table, "friction", None) for table in found]
@@ -30,7 +33,7 @@ def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, 
 
 
 def input_files(problem: Problem[Any]) -> dict[str, Path]:
-    """Return all input files of a problem by name, including those of its vehicle file."""
+    """Return the paths of all input files by name, including the URDF of a vehicle file."""
     names = list(input_names(problem.spec))
     for name in input_names(problem.spec, ["vehicle"]):
         names += _named_urdf(problem.folder, name)
@@ -50,7 +53,7 @@ def digest(file: Path) -> str:
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:
-    """Return the name of the URDF in a vehicle file, relative to the problem's folder, if any."""
+    """Return the URDF of a vehicle file, relative to the problem's folder; empty list without."""
     with suppress(DataError):  # build_vehicle reports errors in the file
         urdf = open_file(folder / name).data.get("urdf")
         if isinstance(urdf, str):

@@ -70,12 +70,12 @@ def load_variants(
 
 
 def load_again(path: Path, text: str, settings: Sequence[str]) -> Problem[Any]:
-    """Return a problem from the text that its file had; see `load_problem`."""
+    """Return the problem in a text, as if ``path`` contained it; see `load_problem`."""
     return _from_text(verbs_of("run"), path, text, settings)
 
 
 def load_earlier(path: str | Path, settings: Sequence[str] = ()) -> Problem[Any]:
-    """Return a problem that this or an earlier version has run; see `load_problem`."""
+    """Return the problem in a file of this or an earlier version; see `load_problem`."""
     return _load(verbs_of("run"), path, settings, earlier=True)
 
 
@@ -103,7 +103,10 @@ def _from_text(
     *,
     earlier: bool = False,
 ) -> Problem[Any]:
-    """Return the problem in a text; see `_load` and `load_variants`."""
+    """Return the problem in the text of a TOML file, by the schema of its verb.
+
+    ``settings`` and ``varied`` are those of the options ``--set`` and ``--vary``.
+    """
 
     def schema_of(data: Mapping[str, Any], source: Source) -> type[CommonKeys]:
         return _by_verb(verbs, data, source).schema
@@ -112,13 +115,19 @@ def _from_text(
 
 
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:
-    """Return the verb of a problem, the first by default; raise for verbs of other commands."""
+    """Return the verb of a problem, by default the first of ``verbs``.
+
+    Raises
+    ------
+    ProblemError
+        If the verb is unknown, or if another command solves it.
+    """
     if "verb" not in data:
         return verbs[0]
     for verb in verbs:
         if data["verb"] == verb.name:
             return verb
     other = find_verb(data["verb"])
-    hint = f"; use slipfree {other.commands[0]} {source.path}" if other else ""
+    hint = f"; use slipfree {other.commands[0]} {source.path}" if other else "; correct the verb"
     expected = f"{' or '.join(repr(verb.name) for verb in verbs)} for this command"
     raise problem_error(source, [Fault(("verb",), expected, format_value(data["verb"]) + hint)])

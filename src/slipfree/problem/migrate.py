@@ -22,9 +22,9 @@ class Migrated(NamedTuple):
     text : str
         Text with current keys.
     changes : tuple of str
-        Line, old and new key of each change; empty if no change is needed.
+        Description of each change, with line, old and new key; empty without changes.
     note : str
-        Change of meaning that the text does not show; empty if there is none.
+        Note on keys whose meaning has changed; empty without such keys.
     """
 
     text: str
@@ -52,7 +52,7 @@ def migrate_text(path: Path, text: str) -> Migrated:
     if not {"verb", "wheels"} & set(data):
         raise ProblemError(
             f"{path}: expected a problem file, with the key 'verb', or a vehicle file, with "
-            "'wheels', found neither key"
+            "'wheels', found neither key; check the name of the file"
         )
     source = Source(path, text, key_lines(text))
     found = old_keys(data)
@@ -96,7 +96,7 @@ def _note(source: Source, data: dict[str, Any]) -> str:
 
 
 def _rename(document: tomlkit.TOMLDocument, change: KeyChange) -> None:
-    """Replace a key, and its value if it changes, at its position."""
+    """Replace an old key and its value in a document, at the same position."""
     for index, (key, item) in enumerate(document.body):
         if key is None or key.key != change.old:
             continue
@@ -111,7 +111,7 @@ def _rename(document: tomlkit.TOMLDocument, change: KeyChange) -> None:
 
 
 def _key(old: Key, name: str) -> SingleKey:
-    """Return a key, possibly dotted, with the spaces and the equals sign of another key."""
+    """Return a key, possibly dotted, with spaces and equals sign as those of the key ``old``."""
     text = old.as_string()
     spaces = text[len(text.rstrip()) :]
     new = SingleKey(name, t=KeyType.Bare, sep=old.sep, original=name + spaces)

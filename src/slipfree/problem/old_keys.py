@@ -16,17 +16,17 @@ class KeyChange(NamedTuple):
     Attributes
     ----------
     old : str
-        The old key.
+        Old key at the top level of a problem file.
     value : str or None
-        Old value that is replaced; None if every value is.
+        Old value that is replaced; None if every value is replaced.
     new : tuple of str
-        Names of the tables and of the key that replace it.
+        Names of the tables and of the key that replace the old key.
     new_value : str or None
         New value; None to keep the old value.
     words : tuple of str
-        New and old key, as written in a problem file.
+        New key and old key, as written in a problem file.
     found : str
-        Description of the old key, for errors.
+        Description of the old key in error messages.
     """
 
     old: str
@@ -74,7 +74,7 @@ def upgrade_keys(data: dict[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
     Parameters
     ----------
     data : dict
-        Tables of the file. A new key takes precedence over the old one.
+        Tables of the file. If it has both keys, the new key takes precedence.
     """
     found, faults = dict(data), list[Fault]()
     for change in old_keys(data):

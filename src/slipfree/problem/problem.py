@@ -33,5 +33,5 @@ class Problem(Generic[A]):
 
     @property
     def folder(self) -> Path:
-        """Folder to which the names of input files are relative."""
+        """Folder of the problem file, to which the names of input files are relative."""
         return self.source.path.parent

@@ -40,7 +40,7 @@ ELSEWHERE = (  # attributes reported in other sections
 
 
 class _Drawn(NamedTuple):
-    """Figures, and a note on omitted samples or on the reason why there are no figures."""
+    """Figures of a result, and a note on omitted samples or the reason for missing figures."""
 
     figures: Sequence[Plot]
     note: str
@@ -86,7 +86,7 @@ def report(file: Path, folder: Path | None = None) -> Report:
 
 
 def _lead(run: Trajectory, verb: MotionVerb | None) -> str:
-    """Return a sentence on the outcome of a motion."""
+    """Return a sentence on the outcome of a motion, as lead of its report."""
     words = outcome_words(run)
     if run.stop is None and verb is not None:
         words = verb.describe_end(run) or words
@@ -134,7 +134,7 @@ def _drawn(result: Result, count: int) -> _Drawn:
     """Return the figures of ``slipfree run``, or the reason why they cannot be drawn."""
     if "problem" not in result.trajectory.attributes:
         return _Drawn(
-            (), "None: the result contains no problem file, so that its ground is unknown."
+            (), "No figures: the result contains no problem file, so that its ground is unknown."
         )
     try:
         shown = result.trajectory.t.size
@@ -143,4 +143,4 @@ def _drawn(result: Result, count: int) -> _Drawn:
         figures = verb_of(result.problem).figures(result)
         return _Drawn(figures, note if shown < count else "")
     except ProblemError as error:
-        return _Drawn((), f"None: {error}")
+        return _Drawn((), f"No figures: {error}")

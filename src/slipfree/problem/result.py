@@ -56,7 +56,7 @@ def open_result(
 
 
 def motion_facts(run: Trajectory) -> Facts:
-    """Return the summary of a motion as pairs of a name and a text."""
+    """Return the summary of a motion as pairs of name and text."""
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
     return plain_facts(run) if verb is None else verb.facts(run)
 
@@ -129,7 +129,10 @@ def problem_of(
 
 
 def _folder(file: Path, spec: Runnable, recorded: str, folder: Path | None) -> Path:
-    """Return the folder of the input files of a problem."""
+    """Return the first of several folders that contains all input files of a problem.
+
+    ``recorded`` is the folder in the result file; ``folder``, if given, is the only one tried.
+    """
     needed = input_names(spec, DRAWN)
     here, beside = Path.cwd(), file.absolute().parent
     usual = [*(resolve_links(each / recorded) for each in (here, beside) if recorded), beside, here]

@@ -99,7 +99,7 @@ class Solver(Record):
 
     @property
     def options(self) -> SolverOptions:
-        """Options of the solvers."""
+        """Options of the solvers, as a `SolverOptions` record."""
         return SolverOptions(**dict(self))
 
 
@@ -124,7 +124,7 @@ class CommonKeys(Record):
 
     @property
     def named_files(self) -> tuple[str, ...]:
-        """Names of input files in other keys than 'file' and 'friction' of tables."""
+        """Names of input files other than those in the keys ``file`` and ``friction`` of tables."""
         return ()
 
     def faults(self) -> Iterator[Fault]:
@@ -139,7 +139,7 @@ class CommonKeys(Record):
 
 
 class Runnable(CommonKeys):
-    """Keys of the problems that ``slipfree run`` solves."""
+    """Common keys of the problems that ``slipfree run`` solves."""
 
     output: Output | None = Field(default=None, description="destination of the result")
 

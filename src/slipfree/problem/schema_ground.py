@@ -21,8 +21,8 @@ from slipfree.problem.ground_features import FEATURES, SEED, Feature
 class MadeGround(Record):
     """A synthetic ground: a level grid, to which features are added in the order of these keys."""
 
-    x: Pair = Field(description="first and last node [m]")
-    y: Pair = Field(description="first and last node [m]")
+    x: Pair = Field(description="x of the first and the last node [m]")
+    y: Pair = Field(description="y of the first and the last node [m]")
     spacing: Positive = Field(description="distance between nodes [m]")
     base: float = Field(default=0.0, description="height of the level grid [m]")
     placed_rocks: Annotated[tuple[Rock, ...], Field(strict=False)] = Field(
@@ -36,7 +36,7 @@ class MadeGround(Record):
 
 
 def _description(feature: type[Feature]) -> str:
-    """Return the first line of a docstring as the description of a key."""
+    """Return the description of a feature's key: the first line of its docstring."""
     words = (feature.__doc__ or "").partition("\n")[0].rstrip(".")
     return words[:1].lower() + words[1:]
 

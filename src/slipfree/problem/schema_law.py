@@ -29,7 +29,7 @@ def known_slip(name: str) -> str:
 
 
 def registered_laws() -> dict[str, Any]:
-    """Return the laws with parameters: wheel-ground laws and some slip laws."""
+    """Return by name the laws that have parameters: wheel-ground laws and some slip laws."""
     slip_laws: dict[str, Any] = dict(SLIP_LAWS)
     return {name: law for name, law in slip_laws.items() if fields(law)} | GROUND_LAWS
 
@@ -53,7 +53,7 @@ def law_record(law: type) -> type[Record]:
 
 
 def _description(hint: Any) -> str:
-    """Return the description of a parameter, with its unit."""
+    """Return the description and unit in the annotation of a parameter."""
     metadata = getattr(hint, "__metadata__", ())
     words = [each.documentation for each in metadata if isinstance(each, DocInfo)]
     return " ".join([*words, *(f"[{each.unit}]" for each in metadata if isinstance(each, Unit))])
@@ -65,7 +65,7 @@ class Law(Record):
     @model_validator(mode="wrap")
     @classmethod
     def _by_name(cls, data: Any, handler: ModelWrapValidatorHandler[Law]) -> Law:
-        """Read the tables of the registered laws."""
+        """Validate the tables by the records of the registered laws."""
         if cls is not Law or not isinstance(data, dict):
             return handler(data)
         try:

@@ -43,14 +43,14 @@ def run_problem(
     tell: Callable[[str, str], None] | None = None,
     resume: SavedPlan | None = None,
 ) -> Result:
-    """Solve a problem.
+    """Solve a problem and return its motion.
 
     Parameters
     ----------
     problem : Problem
         Result of `load_problem`.
     progress : callable, optional
-        Called with the time reached. [s]
+        Called with the time reached by the integrator. [s]
     tell : callable, optional
         Called for every iterate of a plan with the phase of the search and a line of text.
     resume : SavedPlan, optional
@@ -95,7 +95,7 @@ def cross_check(result: Result) -> CrossCheck:
 
 
 def _attributes(problem: Problem[Any], verb: MotionVerb, setup: Setup) -> dict[str, str]:
-    """Return the attributes by which a result file describes its problem."""
+    """Return the attributes of a result file that describe its problem."""
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
     found = {

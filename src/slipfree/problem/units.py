@@ -12,7 +12,7 @@ UNIT = re.compile(r"\[([^\],]+)\]$")  # a single unit at the end of a descriptio
 
 
 def unit_of(spec: CommonKeys, key: str) -> str:
-    """Return the unit of a dotted key of a problem, as in ``m/s``; empty if it has none."""
+    """Return the unit of a dotted key of a problem, as in ``m/s``; empty for a key without unit."""
     table: Any = spec
     words = ""
     for part in key_path(key):

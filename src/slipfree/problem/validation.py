@@ -33,9 +33,9 @@ def validated_problem(
     Parameters
     ----------
     schema_of : callable
-        ``schema_of(data, source)`` returns the schema of the data.
+        ``schema_of(data, source)`` returns the schema of a file with the given data.
     path, text : Path and str
-        The file and its text.
+        Path and text of the file.
     settings, varied : sequence of str
         Settings of the options ``--set`` and ``--vary``.
     earlier : bool
@@ -66,7 +66,7 @@ def validated_problem(
 
 @lru_cache(maxsize=1)
 def _parsed(path: Path, text: str) -> dict[str, Any]:
-    """Return the data in a text; variants of one problem share it."""
+    """Return the data in a TOML text, cached since variants of a problem share it."""
     return parse_toml(path, text)
 
 
@@ -78,14 +78,14 @@ def _copy(value: Any) -> Any:
 
 
 def _with_remedy(source: Source, faults: Sequence[Fault]) -> Iterator[Fault]:
-    """Yield errors of old keys with the command that rewrites the file, if they are in the file."""
+    """Yield errors of old keys; for keys in the file, add the command that rewrites it."""
     remedy = f"; rewrite the file: slipfree migrate {shlex.quote(str(source.path))}"
     for fault in faults:
         yield fault if source.is_set(fault.place) else fault._replace(found=fault.found + remedy)
 
 
 def _alternatives(schema: type[CommonKeys], data: dict[str, Any]) -> Iterator[Fault]:
-    """Yield an error for a table with none or several of mutually exclusive keys."""
+    """Yield an error for each table that does not have exactly one of its alternative keys."""
     for place, keys in schema.alternatives.items():
         table: Any = data
         for part in place:

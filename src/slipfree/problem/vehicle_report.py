@@ -39,9 +39,9 @@ class Description(NamedTuple):
     Attributes
     ----------
     tree : list of str
-        Lines of text: the name and the tree of the parts.
+        Lines of text: the name of the vehicle, and the tree of its parts.
     facts : list of pairs of str
-        Names and texts on unknowns, equations and conditioning.
+        Facts about unknowns, equations and conditioning: pairs of name and text.
     faults : tuple of str
         Reasons why the vehicle cannot be built or cannot rest on its ground; empty if it can.
     """
@@ -157,7 +157,7 @@ def _kind(c: Coordinate | None) -> str:
 
 
 def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
-    """Yield the fact about the contact forces; nothing for a vehicle without mass."""
+    """Yield the fact about the number of contact forces; nothing for a vehicle without mass."""
     if not vehicle.mass:
         return
     count = 3 * len(vehicle.wheels)
@@ -176,7 +176,7 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
 
 
 def counts(vehicle: Vehicle, dae: Dae) -> Facts:
-    """Return the facts about unknowns and equations of a vehicle's motion."""
+    """Return the facts about the numbers of unknowns and equations of a vehicle's motion."""
     wheels = len(vehicle.wheels)
     position, rates, _ = dae.labels.z
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
@@ -236,7 +236,7 @@ def _equations(dae: Dae) -> str:
 
 
 def _shares(draft: Draft) -> Facts:
-    """Return the facts about wheels and joints of an incomplete vehicle."""
+    """Return the facts about wheels and joints of a vehicle that may be invalid."""
 
     def listed(names: list[str]) -> str:
         return f"{len(names)}: {', '.join(names) or 'none'}"
@@ -254,7 +254,7 @@ def _shares(draft: Draft) -> Facts:
 
 
 def conditioning(dae: Dae, start: Trajectory) -> Facts:
-    """Return the facts about condition numbers of a start and its weakest motions.
+    """Return the facts about condition numbers of a start, and the least determined motions.
 
     The condition numbers are those of the Jacobians in metres and radians, separately for position
     and rates; the weakest motions are the large entries of the right singular vector of the

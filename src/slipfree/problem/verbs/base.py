@@ -52,7 +52,7 @@ class Setup(Protocol):
 
     @property
     def facts(self) -> Facts:
-        """Names and texts that describe ground, vehicle and inputs."""
+        """Facts about ground, vehicle and inputs: pairs of name and text."""
 
 
 class Watch(NamedTuple):
@@ -141,7 +141,7 @@ class Result:
 
     @property
     def problem(self) -> Problem[Any]:
-        """The problem.
+        """Problem of the result, read from the result file when it is needed.
 
         Raises
         ------
@@ -175,9 +175,9 @@ class Verb(ABC):
     Attributes
     ----------
     schema : type
-        Record type of its problem files.
+        Record type of the verb's problem files.
     commands : tuple of str
-        Names of the commands that accept it; the first one solves it.
+        Names of the commands that accept the verb; the first one solves its problems.
     """
 
     schema: ClassVar[type[CommonKeys]]
@@ -217,7 +217,7 @@ class MotionVerb(Verb):
         Raises
         ------
         ProblemError
-            If they cannot be built.
+            If the problem cannot be set up.
         """
 
     @abstractmethod
@@ -246,7 +246,7 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def describe_start(self, problem: Problem[Any], setup: Any) -> tuple[Trajectory, Facts]:
-        """Return the start in the frame of the problem, and facts about start and samples."""
+        """Return the start, with headings in the frame of the problem, and facts about it."""
 
     @abstractmethod
     def facts(self, run: Trajectory) -> Facts:
@@ -254,10 +254,10 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
-        """Return the metrics of a motion for sweeps by name, without its statistics."""
+        """Return the metrics of a motion for sweeps, by name; its statistics are not included."""
 
     def describe_end(self, run: Trajectory) -> str:
-        """Return how a complete motion ended, as text; empty by default."""
+        """Return a description of the end of a complete motion; empty by default."""
         return ""
 
     @abstractmethod
@@ -270,7 +270,7 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def shown(self, result: Result, name: str) -> Any:
-        """Return the motion of a result with ground and vehicle, for the viewer.
+        """Return the motion of a result with ground and vehicle, as input of the viewer.
 
         Raises
         ------
@@ -279,7 +279,7 @@ class MotionVerb(Verb):
         """
 
     def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:
-        """Return the attributes of a result file that this verb needs when reading it."""
+        """Return the attributes of the result file that are specific to this verb."""
         return {}
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
@@ -344,7 +344,7 @@ class Extremes(NamedTuple):
 
 
 def _shared(names: Sequence[str], run: Trajectory) -> list[str]:
-    """Return those names that are quantities of a motion."""
+    """Return the given names that are quantities of a motion."""
     return [name for name in names if name in run.columns]
 
 
@@ -360,7 +360,7 @@ def differences(run: Trajectory, *prefixes: str) -> dict[str, Quantity]:
 
 
 def largest_tilt(run: Trajectory) -> dict[str, Quantity]:
-    """Return the metric of the largest tilt of all tilting parts; empty without such parts."""
+    """Return the largest tilt of all tilting parts as a metric; empty without such parts."""
     rates = ("_rate", "_stop", "_torque")
     names = [name for name in run if name.startswith("tilt_") and not name.endswith(rates)]
     sizes = [float(np.abs(run[name]).max()) for name in names]

@@ -90,17 +90,17 @@ class Climbing:
     control : Control or Tracking
         Controller of the wheels.
     dae : Dae
-        The model.
+        Dynamic model of the climb.
     start : Trajectory
         One sample: the vehicle on the floor, in front of the obstacle.
     inputs : record
-        Reference speed, and torques of a sampled controller.
+        Reference speed of the vehicle, and torque laws of a sampled controller.
     t : ndarray, shape (n,)
         Times of the samples. [s]
     every : int
         Number of controller samples per sample of the result; zero for continuous control.
     facts : Facts
-        Names and texts that describe ground, vehicle and control.
+        Facts about ground, vehicle and control: pairs of name and text.
     plan : Trajectory or None
         Plan to track; None without a plan.
     """
@@ -201,7 +201,7 @@ class ClimbVerb(MotionVerb):
         return [*climb_facts(run)]
 
     def metrics(self, run: Trajectory, spec: climb_schema.Climb) -> dict[str, Quantity]:
-        """Return last values, extremes, and means over the axles by name."""
+        """Return last values, extremes, and means over the axles of a climb, by name."""
         found = EXTREMES.of(run) | largest_tilt(run)
         for mean in MEANS:
             names = [f"{mean}_{axle}" for axle in run.wheels]
@@ -238,7 +238,7 @@ class ClimbVerb(MotionVerb):
 
 
 def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
-    """Return vehicle and ground of a result, from its solution or rebuilt."""
+    """Return vehicle and ground of a result; they are rebuilt if the result is from a file."""
     if result.setup is not None:
         return result.setup.climber, result.setup.profile
     problem = result.problem
@@ -261,7 +261,15 @@ def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
 
 
 class _Times(NamedTuple):
-    """Times of the computation [s], and their number per stored sample (0 if all are stored)."""
+    """Times of a computation.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times of the samples, or of the samples of a sampled controller. [s]
+    every : int
+        Number of controller samples per sample of the result; zero for continuous control.
+    """
 
     t: Array
     every: int
@@ -275,7 +283,8 @@ def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Clim
     with at(problem, ("control", "period")):
         check_period(period, control, climber)
     if problem.spec.solver.method == "idas":
-        fault = Fault(("solver", "method"), "'cvodes' for a sampled controller", "'idas'")
+        expected, found = "'cvodes' for a sampled controller", "'idas'; change it"
+        fault = Fault(("solver", "method"), expected, found)
         raise problem_error(problem.source, [fault])
     every = round(time.step / period)
     if every < 1 or abs(every * period - time.step) > EVEN * period:
@@ -288,7 +297,7 @@ def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Clim
 
 
 def _profile(problem: Problem[climb_schema.Climb]) -> Profile:
-    """Return the ground; errors give the line of an invalid polygon."""
+    """Return the ground of a climb; errors contain the line of an invalid polygon."""
     spec = problem.spec.profile
     for name, make in OBSTACLES.items():
         given = getattr(spec, name)
@@ -315,7 +324,7 @@ def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, 
         if numbers.count(number) > 1:
             raise ModelError(
                 f"{name}: solid {number:g}: expected its corners in consecutive rows, "
-                "found rows of another solid between them"
+                "found rows of another solid between them; sort the rows"
             )
     for number, corners in groupby(rows, key=lambda row: row[0]):
         try:
@@ -326,7 +335,7 @@ def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, 
 
 
 def _climber(spec: climb_schema.Climber) -> Climber:
-    """Return a vehicle of the catalogue with the values of the problem."""
+    """Return the vehicle of the catalogue, with the dimensions that the problem gives."""
     plain = seven_wheels(spec.joint, spec.torque)
     parts = {
         name: getattr(plain, name)._replace(**getattr(spec, name).model_dump(exclude_none=True))
@@ -383,7 +392,7 @@ def _sunk(
             Fault(
                 ("vehicle",),
                 "centres of mass such that all axles bear load on a level floor",
-                f"{loads[axle]:.3g} N on the {AXLES[axle]} axle",
+                f"{loads[axle]:.3g} N on the {AXLES[axle]} axle; move the centres of mass",
             )
         )
     elif contact.stiffness < softest:
@@ -425,7 +434,11 @@ def _first_contact(climber: Climber, profile: Profile) -> float:
 
 
 def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault | None:
-    """Return the error of wheels inside solid k or off the floor (k = 0); None without."""
+    """Return the error of wheels inside solid k, or not on the floor (k = 0).
+
+    The result is None if the wheels are placed correctly. ``sunk`` are the depths of the axles'
+    wheels at rest, shape (3,) [m].
+    """
     gap = start[f"gap_{k}"][0]
     off = gap + sunk
     wrong = np.abs(off) > SLACK if k == 0 else off < -SLACK
@@ -439,7 +452,7 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
         return Fault(
             place,
             "as first solid a floor, level at height 0 under the vehicle",
-            f"{wheels} {1e3 * abs(off[axle]):.3g} mm {side}",
+            f"{wheels} {1e3 * abs(off[axle]):.3g} mm {side}; extend or level the first solid",
         )
     inside = f"{wheels} {-1e3 * gap[axle]:.3g} mm inside solid {k}"
     if AXLES[axle] == "front":
@@ -448,11 +461,12 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
             "at least 0 m, so that the vehicle starts outside all solids",
             f"{distance:g} m: {inside}",
         )
-    return Fault(("start",), "a vehicle that starts outside all solids", inside)
+    remedy = "move the solid"
+    return Fault(("start",), "a vehicle that starts outside all solids", f"{inside}; {remedy}")
 
 
 def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Planned) -> Climbing:
-    """Return the set-up of a climb that tracks its plan."""
+    """Return the set-up of a climb with the controller that tracks a plan."""
     given = problem.spec.control.model_dump(exclude_none=True, include={"proportional"})
     with at(problem, ("plan",)):
         control = Tracking(tracked_plan(plan.parts), **given)
@@ -494,7 +508,7 @@ def _simulated(spec: climb_schema.Climb, setup: Climbing, watch: Watch) -> Traje
 
 
 def _averages(run: Trajectory, setup: Climbing) -> dict[str, float]:
-    """Return averages over the climb by name; empty if the vehicle does not reach the obstacle."""
+    """Return averages over the climb by name; empty if the wheels do not touch an obstacle."""
     try:
         window = climb_window(run, setup.climber, setup.profile)
     except ModelError:

@@ -59,11 +59,11 @@ def plan_climb(
     climber, profile : Climber, Profile
         Vehicle and ground.
     spec : Legs
-        Specification of the plan.
+        Table ``[plan]`` of the problem.
     static : float
-        Coefficient of friction for a specification without one. [1]
+        Coefficient of friction if ``spec.friction`` is None. [1]
     speed : float
-        Largest speed of an axle for a specification without one. [m/s]
+        Largest speed of an axle if ``spec.speed`` is None. [m/s]
 
     Raises
     ------
@@ -108,9 +108,9 @@ def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
     Parameters
     ----------
     plan : Planned
-        The plan.
+        Plan of the climb.
     run : Trajectory
-        The motion that tracks it.
+        Motion that tracks the plan.
     """
     begin, end = plan.run[PROGRESS.name][[0, -1]]
     progress = (run["axle_x"] + run["axle_z"]).mean(axis=1)

@@ -169,38 +169,43 @@ class Control(Record):
     law: Law | None = Field(default=None, description="law of the axles' reference speeds")
     directions: Directions | None = Field(
         default=None,
-        description="directions of motion of the axles: estimated by sensors, or of the contacts",
+        description="directions of the axles' motion: estimated from sensors, or true directions "
+        "of the contacts",
     )
     smoothing: Positive | None = Field(
         default=None, description="time constant of the sensors' low-pass filter [s]"
     )
     share: NonNegative | None = Field(
-        default=None, description="factor on the contacts' directions in the law [1]"
+        default=None, description="factor that multiplies the true directions of the contacts [1]"
     )
     cap: Annotated[float, Field(ge=1)] | None = Field(
-        default=None, description="largest reference speed relative to the vehicle's [1]"
+        default=None,
+        description="largest reference speed of an axle relative to the vehicle's speed [1]",
     )
     proportional: Positive | None = Field(
-        default=None, description="gain on the error of the wheel rate [N m s/rad]"
+        default=None, description="proportional gain of the wheel-rate control [N m s/rad]"
     )
     integral: Positive | None = Field(
-        default=None, description="gain on the integral of the error [N m/rad]"
+        default=None, description="integral gain of the wheel-rate control [N m/rad]"
     )
     derivative: NonNegative | None = Field(
-        default=None, description="gain on the derivative of the error [N m s2/rad]"
+        default=None, description="derivative gain of the wheel-rate control [N m s2/rad]"
     )
     lag: Positive | None = Field(
-        default=None, description="time constant of the derivative's filter [s]"
+        default=None, description="time constant of the filter of the derivative term [s]"
     )
     unwinding: NonNegative | None = Field(
         default=None,
-        description="anti-windup: rate of removal of excess torque from the integral [1/s]",
+        description="anti-windup: rate at which torque above the limit is removed from the "
+        "integral term [1/s]",
     )
     period: Positive | None = Field(
         default=None,
-        description="sample time of the controller; by default it is continuous [s]",
+        description="sample time of the controller; by default the control is continuous [s]",
     )
-    noise: Noise | None = Field(default=None, description="noise of the sensors; none by default")
+    noise: Noise | None = Field(
+        default=None, description="noise of the sensors; without this table, exact measurements"
+    )
 
 
 class Approach(Record):

@@ -65,13 +65,13 @@ class Drive(NamedTuple):
     Attributes
     ----------
     along, across, measured : ndarray, shape (n_wheels,)
-        Largest slip of every wheel along and across its plane in the model, and in total computed
-        from the wheel poses alone. [m/s]
+        Largest slip velocity of every wheel: along and across the wheel in the model, and in total,
+        computed from the wheel poses alone. [m/s]
     friction : float
         Largest coefficient of friction that a wheel needs, load-weighted where forces are
         indeterminate; NaN for a vehicle without mass. [1]
     tilt : float
-        Largest passive tilt; zero if nothing tilts. [rad]
+        Largest absolute angle of the passive tilting joints; zero without such joints. [rad]
     width : tuple of 2 floats
         Smallest and largest distance between the centres of the first two wheels. [m]
     stop : Stop or None

@@ -76,7 +76,7 @@ class DirectVerb(DriveVerb):
                 if spec.model != "kinematics":
                     raise ModelError(
                         f"expected model = 'kinematics' with formulation = 'montana', found "
-                        f"{spec.model!r}"
+                        f"{spec.model!r}; change one of them"
                     )
                 dae = montana_kinematics(vehicle, terrain, slip=slip_law(problem, spec))
         if spec.driver is None:
@@ -91,7 +91,7 @@ class DirectVerb(DriveVerb):
     def drive(
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion, complete or up to its stop, and an empty mapping."""
+        """Return the motion, complete or up to its stop; there are no further arrays."""
         return integrate(setup, problem.spec.solver.options, watch), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:

@@ -47,7 +47,7 @@ def is_quasi_static(run: Trajectory) -> bool:
 
 
 def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield depths, wheels in the air and rocks of a motion with pressed wheels."""
+    """Yield facts about a motion with pressed wheels: depths, wheels in the air and rocking."""
     if not has_pressed_wheels(run):
         return
     depth = run["depth"]
@@ -75,7 +75,7 @@ def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def start_facts(poses: Sequence[Trajectory]) -> Iterator[tuple[str, str]]:
-    """Yield the lightest wheel of a start with pressed wheels, and its other stable poses.
+    """Yield facts about a start with pressed wheels: its wheel of least load, other stable poses.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def certificate(run: Trajectory) -> str:
-    """Return the text on whether every wheel has only one contact point, with the margins."""
+    """Return the description of the contact certificate: one contact point per wheel, margins."""
     clearance, curvature = (run[name].min() for name in UNIQUE)
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"
     if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:

@@ -180,7 +180,7 @@ class DriveVerb(MotionVerb):
         return Driven(name, run, terrain, vehicle)
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
-        """Return the names of the inputs, the frames, and the coordinates of the map file."""
+        """Return attributes of the result: input names, frames, coordinates of the map file."""
         coordinates = setup.ground.coordinates
         return {
             "inputs": " ".join(label.full for label in leaves(setup.model.labels.u)),
@@ -210,12 +210,12 @@ def model_attributes(spec: Modelled) -> dict[str, str]:
 
 
 def ground_of(result: Result) -> Ground:
-    """Return the ground of a result, from its solution or rebuilt."""
+    """Return the ground of a result; it is rebuilt if the result is from a file."""
     return build_ground(result.problem) if result.setup is None else result.setup.ground
 
 
 def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:
-    """Return the motion, or the part that the integrator reached."""
+    """Return the motion, or its part up to a failure of the integrator."""
     try:
         return simulate(
             setup.dae, setup.start, setup.inputs, setup.t, options=options, progress=watch.time
@@ -249,7 +249,7 @@ def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
 
 
 def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
-    """Return a motion with the distances that its wheels roll on filled ground as a text."""
+    """Return a motion with the attribute ``filled_ground``, the wheels' paths over filled holes."""
     words = filled_words(grid, run)
     return replace(run, attributes={**run.attributes, "filled_ground": words}) if words else run
 

@@ -125,7 +125,7 @@ class InverseVerb(DriveVerb):
     def drive(
         self, problem: Problem[Inverse], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion with its differences from the direct model, and an empty mapping."""
+        """Return the motion with its differences from the direct model; no further arrays."""
         spec, options, inputs = problem.spec, problem.spec.solver.options, None
         if _is_collocated(spec, setup):
             run, inputs = _collocate(setup, options, watch)
@@ -221,7 +221,7 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
             f"either rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = "
             f"'rep103' also {', '.join(ROBOT)}) or other rates, not both"
         )
-        yield Fault(("given", ours[0]), expected, ", ".join(given))
+        yield Fault(("given", ours[0]), expected, f"{', '.join(given)}; remove one kind")
     for name, value in given.items():
         if not isinstance(value, float):
             yield Fault(
@@ -235,7 +235,7 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
     angular = [name for name in given if name in (*OMEGA, *EULER)]
     if set(angular) & set(OMEGA) and set(angular) & set(EULER):
         expected = f"either rates of {', '.join(OMEGA)} or rates of {', '.join(EULER)}, not both"
-        yield Fault(("given",), expected, ", ".join(angular))
+        yield Fault(("given",), expected, f"{', '.join(angular)}; remove one kind")
 
 
 def _points(problem: Problem[S], spec: Inverse) -> Array | None:
@@ -339,7 +339,7 @@ def _is_collocated(spec: Inverse, setup: Setup) -> bool:
 def _forward_inputs(
     direct: Dae, vehicle: Vehicle, start: Trajectory, given: Mapping[str, Any]
 ) -> Any:
-    """Return inputs of the direct model that drive forward at about the given speed."""
+    """Return inputs of the direct model that drive straight ahead at about the given speed."""
     heading, speed = float(start["heading"][-1]), GUESS_SPEED
     if "velocity_x" in given and "velocity_y" in given:
         speed = given["velocity_y"] * np.cos(heading) - given["velocity_x"] * np.sin(heading)
@@ -362,7 +362,7 @@ def _collocate(setup: Setup, options: SolverOptions, watch: Watch) -> tuple[Traj
 
 
 def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
-    """Return a motion with its steering slip, or with the cause of a failure in its stop."""
+    """Return a motion with its steering slip, or after a failure with the cause in its stop."""
     if "steering_lever" in run.columns:
         return steering_slip(vehicle, run)
     if run.stop is None or run.stop.name != "solver" or "steering_growth" not in run.columns:

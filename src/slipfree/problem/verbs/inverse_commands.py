@@ -26,7 +26,7 @@ ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_
 
 
 def are_commands(given: Collection[str]) -> bool:
-    """Return whether given rates, or those of their file, are in the platform's heading frame."""
+    """Return whether given rates are commands: rates in the heading frame, or a file of them."""
     names = set(given)
     return FILE in names or (bool(names) and (names <= set(COMMANDS) or names <= set(ROBOT)))
 
@@ -43,7 +43,10 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     if (file := given.pop(FILE, None)) is not None:
         with at(problem, ("given", FILE)):
             if not isinstance(file, str):
-                raise DataError("expected the name of a CSV file in quotes, found another value")
+                raise DataError(
+                    "expected the name of a CSV file in quotes, found another value; put the name "
+                    "in quotes"
+                )
             columns = _read_file(problem.folder / file)
         words = [f"{', '.join(columns)} of {file}"]
     if faults := [*_faults(spec, given, columns)]:
@@ -71,14 +74,18 @@ def _read_file(file: Path) -> dict[str, Piecewise]:
         )
     rows = read_columns(file, ["t", *rates], "commands")
     if not rows:
-        raise DataError(f"{file}: expected one or more rows of numbers, found only names")
+        raise DataError(f"{file}: expected one or more rows of numbers, found only names; add rows")
     t, *columns = zip(*rows, strict=True)
     if t[0] != 0:
-        raise DataError(f"{file}: expected increasing times, the first 0, found {t[0]:g} first")
+        raise DataError(
+            f"{file}: expected increasing times, the first 0, found {t[0]:g} first; shift the times"
+        )
     for before, after in pairwise(t):
         if after <= before:
             found = f"{after:g} after {before:g}"
-            raise DataError(f"{file}: expected increasing times, the first 0, found {found}")
+            raise DataError(
+                f"{file}: expected increasing times, the first 0, found {found}; sort the rows"
+            )
     return {
         name: tuple(zip(t, rate, strict=True)) for name, rate in zip(rates, columns, strict=True)
     }
@@ -97,7 +104,8 @@ def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -
                 repr(name),
             )
         elif name in columns:
-            yield Fault(("given", name), "only rates that are not in the CSV file", repr(name))
+            expected, found = "only rates that are not in the CSV file", f"{name!r}; remove it"
+            yield Fault(("given", name), expected, found)
     if spec.frame != "rep103" and (robot := [n for n in (*columns, *given) if n in ROBOT]):
         place = ("given", robot[0] if robot[0] in given else FILE)
         expected = f"{', '.join(COMMANDS)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
@@ -114,7 +122,10 @@ def _check_formula(text: str, time: Time) -> None:
     rates = np.array(ca.Function("rate", [symbol], [value])(t[None])).ravel()
     if not np.isfinite(rates).all():
         k = int(np.flatnonzero(~np.isfinite(rates))[0])
-        raise ModelError(f"expected finite values, found {rates[k]:g} of {text!r} at {t[k]:g} s")
+        raise ModelError(
+            f"expected finite values, found {rates[k]:g} of {text!r} at {t[k]:g} s; change the "
+            "formula"
+        )
 
 
 def _negative(value: Any) -> Any:

@@ -23,7 +23,7 @@ CHECKS = (
 
 
 def is_collocated(run: Trajectory) -> bool:
-    """Return whether collocation determined the steering of a motion."""
+    """Return whether the steering of a motion was computed by collocation."""
     return run.attributes.get(METHOD) == COLLOCATION
 
 
@@ -85,7 +85,7 @@ def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
-    """Return the text of the largest error, its time, and a second error.
+    """Return a text with the largest error of a command, its time, and a second error.
 
     The second error is the last one for errors along a path (`is_turning` is None), which
     accumulate; else the largest one while the steering is at its target.

@@ -53,12 +53,12 @@ class Inverse(Motion):
 
     @property
     def named_files(self) -> tuple[str, ...]:
-        """Name of the CSV file of commands; empty without one."""
+        """Name of the CSV file of commands; empty without such a file."""
         file = (self.given or {}).get(FILE)
         return (file,) if isinstance(file, str) else ()
 
     def faults(self) -> Iterator[Fault]:
-        """Yield the errors of values that do not fit each other, including the arrays of a path."""
+        """Yield the errors of values that contradict each other, such as arrays of a path."""
         yield from super().faults()
         path = self.path
         if path is None:

@@ -43,7 +43,7 @@ def verb_of(problem: Problem[Runnable]) -> MotionVerb:
 
 
 def check_option(problem: Problem[Any], option: str) -> None:
-    """Check that the verb of a problem supports an option of ``slipfree run``.
+    """Raise ProblemError if the verb of a problem does not support an option of ``slipfree run``.
 
     Raises
     ------
