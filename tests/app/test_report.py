@@ -190,7 +190,7 @@ def test_a_result_without_a_problem_has_no_figures(tmp_path: Path) -> None:
     netcdf.write(file, replace(motion, attributes=kept))
     result = _invoke(str(file), "-o", str(tmp_path / "bare.html"))
     assert result.exit_code == 0
-    assert "warning: figures: None: the result contains no problem file" in result.stderr
+    assert "warning: No figures: the result contains no problem file" in result.stderr
     text = (tmp_path / "bare.html").read_text()
     assert "<img" not in text
     assert "its ground is unknown" in text
@@ -203,7 +203,7 @@ def test_a_problem_of_another_version_has_no_figures(tmp_path: Path) -> None:
     changed = motion.attributes | {"problem": 'verb = "direct"\nfuture = 1\n'}
     netcdf.write(file, replace(motion, attributes=changed))
     found = report(file)
-    assert found.note.startswith("None: ")
+    assert found.note.startswith("No figures: ")
     assert "future" in found.note
     assert not found.figures
     assert found.tables["Checks"]

@@ -37,7 +37,7 @@ def report(
         found = made(file, folder)
         detail(f"made {len(found.figures)} figures of {file}")
         if found.note and not found.figures:
-            warn(f"figures: {found.note}")
+            warn(found.note)
         text = page(found)
         replace_file(target, lambda part: _write(part, text))
         add_json_file(target)
