@@ -141,9 +141,16 @@ def test_parts_of_a_motion_join_to_the_motion(found):
     assert_allclose(twice.algebraic(at[1:] / 2), first.algebraic(at[1:]), atol=1e-9)
 
 
-@pytest.mark.parametrize("change", [{"overlap": 1.8}, {"overlap": 0.0}, {"speed": 0.0}])
-def test_lengths_that_do_not_fit_are_refused(case, change):
-    with pytest.raises(ModelError, match="overlap shorter than the window"):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"overlap": 1.8}, "overlap shorter than the window"),
+        ({"overlap": 0.0}, "overlap shorter than the window"),
+        ({"speed": 0.0}, "expected a positive speed, found 0 m/s"),
+    ],
+)
+def test_lengths_and_speeds_that_do_not_fit_are_refused(case, change, words):
+    with pytest.raises(ModelError, match=words):
         windows(case, **change)
 
 

@@ -194,7 +194,10 @@ class _RouteLaw(NamedTuple):
             return error.trajectory
 
     def gate(self, guess: Trajectory, half: float) -> tuple[Limit, Limit]:
-        """Return conditions for an end on a line across a motion's end, of a half-width in m."""
+        """Return the conditions at the end of a window: a line across the route, where a guess ends.
+
+        ``half`` is half of the length of the line. [m]
+        """
         dae = self.dae
         x, y, heading = (float(guess[name][-1]) for name in ("x", "y", "heading"))
         right, forward = dae.x.x - (x - dae.shift[0][0]), dae.x.y - (y - dae.shift[0][1])
@@ -206,7 +209,7 @@ class _RouteLaw(NamedTuple):
         )
 
     def nearest(self, run: Trajectory, low: float, high: float) -> float:
-        """Return the arc length between two that is nearest to the end of a motion."""
+        """Return the arc length, in a range, of the route's point nearest to a motion's end [m]."""
         x, y = (float(run[name][-1]) for name in "xy")
         s = np.linspace(low, high, int((high - low) * POINTS_PER_METRE) + 2)
         at = self.route.at(s)
@@ -277,10 +280,12 @@ def plan_windows(
     SolverError
         If no motion along the route can be simulated from the start.
     """
-    if not (0 < overlap < length and speed > 0):
+    if not speed > 0:
+        raise ModelError(f"speed: expected a positive speed, found {speed:g} m/s; change it")
+    if not 0 < overlap < length:
         raise ModelError(
-            "plan_windows: expected a positive speed and a positive overlap shorter than the "
-            f"window, found {speed:g} m/s, a window of {length:g} m, an overlap of {overlap:g} m"
+            "plan_windows: expected a positive overlap shorter than the window, found a window of "
+            f"{length:g} m and an overlap of {overlap:g} m; change one of them"
         )
     guide, task, stop = _RouteLaw(dae, law, route, speed, step, overlap), None, None
     here, parts = _HandOver(start, {}, 0.0), list[_Part]()

@@ -124,7 +124,7 @@ def references(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
 
 
 def slip(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Draw the slip ratio of every axle over time, equation (20) of the paper."""
+    """Draw the slip ratio of every axle over time, equation (20) of Chugo et al. (2009)."""
     return _ratios(run, slip_ratio(run, climber), "slip (20) [%]", ax)
 
 
@@ -141,7 +141,7 @@ def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> 
 
 
 def disturbance(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the error of the wheels' rates over time, equation (21) of the paper."""
+    """Draw the error of the wheels' rates over time, equation (21) of Chugo et al. (2009)."""
     return _ratios(run, disturbance_ratio(run), "disturbance (21) [%]", ax)
 
 

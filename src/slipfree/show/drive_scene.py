@@ -205,7 +205,7 @@ def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
 def _actor(
     drive: Driven, run: Trajectory, name: str, k: int, origin: Array, ghost: bool = False
 ) -> Actor:
-    """Return the actor of a motion."""
+    """Return body and wheels of a vehicle with their motion, as an actor of the scene."""
     vehicle, color = drive.vehicle, color_of(k)
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)

@@ -55,7 +55,7 @@ class Row(NamedTuple):
     figures : mapping of str to (float, str)
         Values and units of its metrics, by name.
     seconds : float
-        Wall time.
+        Wall time of the run. [s]
     """
 
     run: int
