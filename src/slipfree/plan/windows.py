@@ -194,7 +194,7 @@ class _RouteLaw(NamedTuple):
             return error.trajectory
 
     def gate(self, guess: Trajectory, half: float) -> tuple[Limit, Limit]:
-        """Return the conditions at the end of a window: a line across the route, where a guess ends.
+        """Return the conditions at the end of a window: a line across the end of a guess.
 
         ``half`` is half of the length of the line. [m]
         """
