@@ -37,7 +37,10 @@ class Pool(Protocol[T_contra, D_co]):
     """Interface of the pools, which execute several tasks at the same time."""
 
     def room(self) -> int:
-        """Return the largest number of open tasks, at least 1; raise SlipfreeError if lost."""
+        """Return the largest number of unfinished tasks, at least 1.
+
+        Raise SlipfreeError if the connection to the pool is lost.
+        """
 
     def submit(self, task: T_contra) -> Any:
         """Start a task; return its future, with the interface of `concurrent.futures`."""

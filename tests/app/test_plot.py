@@ -425,7 +425,7 @@ def test_files_are_written(run, grid, tmp_path):
 
 
 def test_unknown_formats_are_refused_before_anything_is_drawn(run, grid, tmp_path):
-    with pytest.raises(sf.ModelError, match=r"formats: 'gifx' is not known; known: .*png"):
+    with pytest.raises(sf.ModelError, match=r"formats: expected some of .*png.*, found 'gifx'"):
         save_figures(run, grid, tmp_path / "none", formats=("gifx",))
     assert not (tmp_path / "none").exists()
 

@@ -256,7 +256,9 @@ def _cost(
 def _slow_climb(
     climber: Climber, middles: PathSamples, mu: float | None
 ) -> tuple[Array, Array, Array]:
-    """Return the forces and the friction coefficient of a slow climb, as initial guess.
+    """Return normal and tangential forces [N] and the friction coefficient [1] of a slow climb.
+
+    They are the initial guess of a plan: forces wheel by wheel at each sample, shape (3 n,).
 
     The minimisation of friction is quasi-convex, not convex: from a poor initial guess IPOPT may
     stop at a point that is not a minimum.

@@ -131,7 +131,9 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     ends at (-0.01, 3.98)
     """
     if not np.isfinite(speed) or speed == 0:
-        raise ModelError(f"speed: expected a finite speed other than zero, found {speed} m/s")
+        raise ModelError(
+            f"speed: expected a finite speed other than zero, found {speed} m/s; change it"
+        )
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
     plan = _planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
     v, wanted = _guidance_rates(dae, path, plan, speed)
@@ -251,7 +253,7 @@ def _planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeome
     if not steered and not {-1.0, 1.0} <= sides:
         raise ModelError(
             f"driver: expected a vehicle with steered wheels, or with driven wheels on both sides; "
-            f"{vehicle.name} has neither"
+            f"{vehicle.name} has neither; give inputs instead"
         )
     lengths = [abs(now(f.forward)) for f in steered] or [abs(now(f.right)) for f in planar]
     gain = 1.0

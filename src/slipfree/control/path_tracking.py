@@ -65,7 +65,9 @@ def path_inputs(
     if t is None:
         path = ca.vertcat(x, y, heading)
         if not all(ca.is_equal(symbol, dae.t) for symbol in ca.symvar(path)):
-            raise ModelError(f"path: expected expressions of dae.t only, found {path}")
+            raise ModelError(
+                f"path: expected expressions of dae.t only, found {path}; replace the other symbols"
+            )
         first = np.array(ca.Function("first", [dae.t], [path])(begin)).ravel()
         velocity = ca.jacobian(path, dae.t)
     else:
@@ -138,7 +140,8 @@ def _checked_points(t: Any, x: Any, y: Any, heading: Any) -> tuple[Array, Array]
     if t.size <= DEGREE or any(each.shape != (t.size,) for each in values):
         raise ModelError(
             f"path: expected {DEGREE + 1} or more times and as many values of x, y and heading, "
-            f"found {t.size} times and values of shapes {', '.join(str(v.shape) for v in values)}"
+            f"found {t.size} times and values of shapes {', '.join(str(v.shape) for v in values)}; "
+            "add points, or give one value of each for every time"
         )
     if not (np.isfinite(values).all() and np.isfinite(t).all() and (np.diff(t) > 0).all()):
         raise ModelError(

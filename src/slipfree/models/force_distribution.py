@@ -1,4 +1,4 @@
-"""Contact forces of least utilisation, where equilibrium does not determine them."""
+"""Distribute contact forces with the least utilisation, where equilibrium leaves them free."""
 
 from __future__ import annotations
 

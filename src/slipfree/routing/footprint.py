@@ -25,7 +25,7 @@ def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
     if not 0 < spacing <= extent / 2:
         raise ModelError(
             "traversability: spacing must be positive and at most half the map's extent, "
-            f"{extent / 2:.4g} m, found {spacing:.4g} m"
+            f"{extent / 2:.4g} m, found {spacing:.4g} m; change it or use a larger map"
         )
     axes = []
     for axis, h in zip((grid.x, grid.y), grid.spacing, strict=True):

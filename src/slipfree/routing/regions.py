@@ -114,9 +114,13 @@ class _Disc(Region):
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.x) and math.isfinite(self.y)):
-            raise ModelError(f"disc: its centre must be finite, found ({self.x}, {self.y})")
+            raise ModelError(
+                f"disc: its centre must be finite, found ({self.x}, {self.y}); correct it"
+            )
         if not 0 < self.radius < math.inf:
-            raise ModelError(f"disc: its radius must be positive, found {self.radius} m")
+            raise ModelError(
+                f"disc: its radius must be positive, found {self.radius} m; correct it"
+            )
 
     @property
     def words(self) -> str:
@@ -171,11 +175,14 @@ class _Polygon(Region):
         points = np.asarray(self.points, dtype=float)
         if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3:
             raise ModelError(
-                f"polygon: expected three or more points (x, y), found shape {points.shape}"
+                f"polygon: expected three or more points (x, y), found shape {points.shape}; "
+                "give one pair for each corner"
             )
         if not np.isfinite(points).all():
             k = int(np.argmin(np.isfinite(points).all(axis=1)))
-            raise ModelError(f"polygon: point {k + 1} must be finite, found {tuple(points[k])}")
+            raise ModelError(
+                f"polygon: point {k + 1} must be finite, found {tuple(points[k])}; correct it"
+            )
         # tuples make equal polygons compare equal and have the same hash
         object.__setattr__(self, "points", tuple((float(x), float(y)) for x, y in points))
         _check_simple(points - points[0])

@@ -166,7 +166,8 @@ def traversability(
         steepest = MAX_SLOPE if held is None else math.atan(held.max())
     if not 0 < steepest < math.pi / 2:
         raise ModelError(
-            f"traversability: steepest must lie between 0 and pi/2 radians, found {steepest}"
+            f"traversability: steepest must lie between 0 and pi/2 radians, found {steepest}; "
+            "give it in radians, or give no value for the slope that friction can hold"
         )
     used = None if held is None else np.tan(slope) / held
     limits = Limits(steepest, radius, reach, half, terrain.domain, tuple(keep_out))

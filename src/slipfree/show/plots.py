@@ -142,7 +142,10 @@ def save(
     known = FigureCanvasBase.get_supported_filetypes()
     for name in formats:
         if name not in known:
-            raise ModelError(f"formats: {name!r} is not known; known: {', '.join(sorted(known))}")
+            raise ModelError(
+                f"formats: expected some of {', '.join(sorted(known))}, found {name!r}; choose "
+                "another format"
+            )
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -103,7 +103,9 @@ def figure(swept: Swept) -> Figure:
         If more keys were varied, or no run has a value.
     """
     if not np.isfinite(swept.values).any():
-        raise ModelError(f"{swept.name}: expected a value in at least one run, found none")
+        raise ModelError(
+            f"{swept.name}: expected a value in at least one run, found none; choose another metric"
+        )
     draw = {0: distribution, 1: curve, 2: heat_map}.get(len(swept.axes))
     if draw is None:
         raise ModelError(

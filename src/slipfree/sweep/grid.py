@@ -234,17 +234,21 @@ def axis_of(text: str) -> Axis:
     if not (spelled and equals and rest.strip()):
         raise DataError(
             f"--vary {text}: expected key=a:b:n for n numbers from a to b, or key=v1,v2,..., "
-            f"found {text!r}"
+            f"found {text!r}; write it in one of these forms"
         )
     found = RANGE.fullmatch(rest)
     values = _range(text, *found.groups()) if found else _values(rest)
     if "" in values:
-        raise DataError(f"--vary {text}: expected values between commas, found an empty value")
+        raise DataError(
+            f"--vary {text}: expected values between commas, found an empty value; remove a comma"
+        )
     meant: dict[object, str] = {}
     for value in values:
         if (same := meant.setdefault(_comparison_key(value), value)) is not value:
             also = "twice" if same == value else f"and {value}, which are equal"
-            raise DataError(f"--vary {text}: expected values that differ, found {same} {also}")
+            raise DataError(
+                f"--vary {text}: expected values that differ, found {same} {also}; remove one"
+            )
     return Axis(spelled, values)
 
 
@@ -280,7 +284,9 @@ def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
         for other in paths[:k]:
             if path == other:
                 key = axes[k].key
-                raise DataError(f"--vary {key}: expected every key once, found {key} twice")
+                raise DataError(
+                    f"--vary {key}: expected every key once, found {key} twice; remove one"
+                )
             short, long = sorted((path, other), key=len)
             if long[: len(short)] == short:
                 raise DataError(
@@ -306,7 +312,7 @@ def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
     if not (2 <= n <= MOST_RUNS and low != high and isfinite(low) and isfinite(high)):
         raise DataError(
             f"--vary {text}: expected two different ends and 2 to {MOST_RUNS} values, "
-            f"all finite, found {first}:{last}:{count}"
+            f"all finite, found {first}:{last}:{count}; correct the range"
         )
     numbers = [float(f"{value:.{DIGITS}g}") for value in np.linspace(low, high, n)]
     whole = WHOLE.fullmatch(first) and WHOLE.fullmatch(last) and (high - low) % (n - 1) == 0

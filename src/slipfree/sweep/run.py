@@ -61,7 +61,9 @@ def run_sweep(
     """
     check_name(folder)
     if folder.exists() and not folder.is_dir():
-        raise DataError(f"{folder}: expected a folder for the sweep, found a file")
+        raise DataError(
+            f"{folder}: expected a folder for the sweep, found a file; choose another folder"
+        )
     with Log(folder / NAME, sweep.head, again=again) as log:
         try:
             progress(log.rows)

@@ -77,7 +77,7 @@ def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str,
     for name in names:
         if name not in known:
             raise DataError(
-                f"--figure {name}: expected a figure of these runs, one of "
+                f"--figure {name}: expected a metric of these runs, one of "
                 f"{', '.join(sorted(known)) or 'none'}; repeat the command with one of "
                 "these; finished runs are not repeated"
             )

@@ -384,7 +384,9 @@ def _vector(element: Element, key: str, default: Vector, faults: Faults, who: st
         return default
     values = [_float(part) for part in text.split()]
     if len(values) != 3 or not all(map(math.isfinite, values)):
-        faults.add(element.line, f"{who}: expected three numbers in {key}, found {text!r}")
+        faults.add(
+            element.line, f"{who}: expected three numbers in {key}, found {text!r}; correct them"
+        )
         return default
     return values[0], values[1], values[2]
 
@@ -454,7 +456,7 @@ def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) 
     if not links or loose:
         line = parent_of[loose[0]].line if loose else 1
         found = f"links in a loop: {', '.join(map(repr, loose))}" if loose else "no link"
-        faults.add(line, f"expected a tree of links, found {found}")
+        faults.add(line, f"expected a tree of links, found {found}; correct the joints")
     return root
 
 
