@@ -292,7 +292,7 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
         (
             ["verb=drive"],
             "--set verb: expected 'direct' or 'inverse' or 'plan' or 'climb' for this "
-            "command, found 'drive'\n",
+            "command, found 'drive'; correct the verb\n",
         ),
         (["verb=compare"], "found 'compare'; use slipfree compare p.toml"),
     ],
