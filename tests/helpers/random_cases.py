@@ -369,7 +369,9 @@ FAULTS = {
         _set("start", x=np.nan), "start: expected a finite number for 'x', found nan"
     ),
     "unknown start": Fault(_set("start", yaw=0.1), r"start: expected x, .*; found the unknown yaw"),
-    "unknown guess": Fault(_set("start", guess={"height": 1.0}), r"guess: 'height' is not known"),
+    "unknown guess": Fault(
+        _set("start", guess={"height": 1.0}), r"guess: expected names .*found 'height'"
+    ),
     "input not finite": Fault(_first_input(np.inf), r"input \w+_rate: expected finite numbers"),
     "short input": Fault(_first_input(np.ones(2)), r"input \w+: expected .* found shape \(2,\)"),
     "missing input": Fault(lambda r: r["inputs"].pop(next(iter(r["inputs"]))), r"missing: \w+"),
