@@ -50,7 +50,10 @@ AFTER = {
         "show real_dem_direct.nc --html real_dem_direct_scene.html",
     ],
     "plan_rigid_hills": [
-        "run problems/plan_rigid_hills.toml --resume plan_rigid_hills.nc -o again.nc"
+        "run problems/plan_rigid_hills.toml --resume plan_rigid_hills.nc -o again.nc",
+        "track plan_rigid_hills.nc --set terrain.error.rms=0.01 --set terrain.error.correlation=1"
+        " --set terrain.error.seed=1",
+        "pareto problems/plan_rigid_hills.toml --against effort --points 3",
     ],
     "plan_tilt_limits": ["export plan_tilt_limits.nc --rates plan_rates.csv"],
 }

@@ -115,6 +115,15 @@ def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
     resumed = windows(case, resume=kept.saved)
     assert resumed.accurate
     assert_allclose([resumed.replay["x"][-1], resumed.replay["y"][-1]], [0.3, 4.5], atol=1e-3)
+    around = kept.motion.duration / resumed.motion.duration + np.array([-1e-9, 1e-9])
+    before, after = resumed.motion.inputs(around).T
+    assert_allclose(before, after, atol=1e-6)
+    dae, _, start, _ = case
+    again = simulate_plan(
+        dae, start, resumed.motion, step=0.25, options=SolverOptions(tolerance=1e-9)
+    )
+    for name in ("x", "y", "heading"):
+        assert_allclose(again[name][-1], resumed.replay[name][-1], atol=1e-5)
     shared = kept.replay.t.size - 1
     assert_allclose(resumed.replay["y"][:shared], kept.replay["y"][:shared], atol=1e-6)
 

@@ -26,11 +26,11 @@ from slipfree.plan.polynomial_motion import (
     joined_motions,
     transfer_motion,
 )
-from slipfree.plan.problem import Range
+from slipfree.plan.problem import Range, bounds_of
 from slipfree.plan.transcription import PlanTask, transcribe
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_motion
-from slipfree.records import Label, field_overview, leaves, overview
+from slipfree.records import Array, Label, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Stop, Trajectory, joined
@@ -57,9 +57,9 @@ class Window(NamedTuple):
     duration : float
         Duration of the part before the hand-over. [s]
     iterations : int
-        Number of iterations of all its programs.
+        Number of iterations of all its programs, including those of attempts without solution.
     seconds : float
-        Wall time of the search. [s]
+        Wall time of these programs. [s]
     accurate : bool
         Whether differences and violations of its simulation are within the accuracy.
     """
@@ -95,7 +95,7 @@ class LongPlan:
     success, accurate : bool
         Whether all windows were solved, and whether all of them are accurate.
     stages : tuple of SolvedStage
-        Programs of all windows that were solved, in order.
+        Programs of all windows in order, including attempts at windows of other lengths.
     compiled : bool
         Whether the functions of the programs are compiled.
     saved : SavedPlan
@@ -161,30 +161,62 @@ class _HandOver(NamedTuple):
     reached: float
 
 
-class _RouteLaw(NamedTuple):
-    """Driving law along a route, for initial guesses.
-
-    ``speed`` is in m/s, the largest step of samples in s; a motion that begins beside the route
-    approaches it over the length ``approach`` in m.
-    """
+class _WindowSearch(NamedTuple):
+    """Search for the plans of the windows along a route; arguments as for `plan_windows`."""
 
     dae: Dae
     law: Callable[[Path], Any]
     route: Path
     speed: float
-    step: float
-    approach: float
+    length: float
+    overlap: float
+    goal: Mapping[str, float | Range]
+    progress: PlanProgress | None
+    arguments: Mapping[str, Any]
+
+    def solve(self, here: _HandOver) -> tuple[Plan, float, tuple[SolvedStage, ...]]:
+        """Return the plan of a window, the arc length at its end [m], and all solved programs.
+
+        Other lengths are tried if the window has no solution; then the last plan is an iterate.
+        """
+        stages: tuple[SolvedStage, ...] = ()
+        for change in (0.0, *OTHER_LENGTHS):
+            end = here.reached + self.length + change * self.overlap
+            end = self.route.length if self.route.length - end < self.overlap else end
+            found = self.attempt(here, end)
+            stages += found.stages
+            if found.success or found.run.outcome is Outcome.INTERRUPTED:
+                break
+        return found, end, stages
+
+    def attempt(self, here: _HandOver, end: float) -> Plan:
+        """Return the plan of a window from a hand-over to an arc length in m."""
+        guess, progress = self.guess(here, end), self.progress
+        of = f"{here.reached:.0f} to {end:.0f} m of {self.route.length:.0f} m"
+        return plan(
+            self.dae,
+            here.run,
+            guess,
+            goal=self.goal if end == self.route.length else self.gate(guess),
+            duration=float(guess.t[-1]),
+            initial_inputs=here.inputs,
+            progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
+            **self.arguments,
+        )
 
     def guess(self, here: _HandOver, end: float) -> Trajectory:
-        """Return the motion along the route from a hand-over to an arc length."""
+        """Return the motion along the route from a hand-over to an arc length in m.
+
+        A motion that begins beside the route approaches it over the length of an overlap.
+        """
         s = np.linspace(here.reached, end, WINDOW_POINTS)
         at = self.route.at(s)
         points = np.column_stack([at.x, at.y])
         away = np.array([float(here.run[name][-1]) for name in "xy"]) - points[0]
-        left = np.clip(1 - (s - here.reached) / min(self.approach, end - here.reached), 0, 1)
+        left = np.clip(1 - (s - here.reached) / min(self.overlap, end - here.reached), 0, 1)
         path = Path(points + away * (left**2 * (3 - 2 * left))[:, None])
         duration = (end - here.reached) / self.speed
-        t = np.linspace(0, duration, max(int(np.ceil(duration / self.step)), 1) + 1)
+        t = np.linspace(0, duration, max(int(np.ceil(duration / self.arguments["step"])), 1) + 1)
         rough = SolverOptions(tolerance=GUESS_TOLERANCE)
         try:
             return simulate(self.dae, here.run, self.law(path), t, options=rough)
@@ -193,12 +225,9 @@ class _RouteLaw(NamedTuple):
                 raise
             return error.trajectory
 
-    def gate(self, guess: Trajectory, half: float) -> tuple[Limit, Limit]:
-        """Return the conditions at the end of a window: a line across the end of a guess.
-
-        ``half`` is half of the length of the line. [m]
-        """
-        dae = self.dae
+    def gate(self, guess: Trajectory) -> tuple[Limit, Limit]:
+        """Return the conditions at the end of a window: a line across the end of a guess."""
+        dae, half = self.dae, ASIDE * self.overlap
         x, y, heading = (float(guess[name][-1]) for name in ("x", "y", "heading"))
         right, forward = dae.x.x - (x - dae.shift[0][0]), dae.x.y - (y - dae.shift[0][1])
         ahead = forward * np.cos(heading) - right * np.sin(heading)
@@ -245,8 +274,8 @@ def plan_windows(
     start : Trajectory
         Trajectory whose last sample is the start of the plan.
     route : Path
-        Route from the start to the goal. At the end of each window but the last, the position is
-        that of the driving law; between these ends the motion may leave the route.
+        Route from the start to the goal. Each window but the last ends on a line across the route,
+        at most a quarter of the overlap beside it; before, the motion may leave the route.
     speed : float
         Mean speed along the route. [m/s]
     length, overlap : float
@@ -287,45 +316,25 @@ def plan_windows(
             "plan_windows: expected a positive overlap shorter than the window, found a window of "
             f"{length:g} m and an overlap of {overlap:g} m; change one of them"
         )
-    guide, task, stop = _RouteLaw(dae, law, route, speed, step, overlap), None, None
-    here, parts = _HandOver(start, {}, 0.0), list[_Part]()
+    own = {"step": step, "options": options, **arguments}
+    search = _WindowSearch(dae, law, route, speed, length, overlap, goal, progress, own)
+    bounds = bounds_of(dae, arguments.get("inputs") or {})
+    here, parts, task, stop = _HandOver(start, {}, 0.0), list[_Part](), None, None
     if resume is not None:
         former = _former_part(dae, start, resume, step, options)
-        reached = guide.nearest(former.replay, 0.0, route.length)
+        reached = search.nearest(former.replay, 0.0, route.length)
         parts.append(former._replace(window=former.window._replace(end=reached)))
-        here = here._replace(run=former.replay, reached=reached)
-
-    def attempt(here: _HandOver, end: float) -> Plan:
-        guess = guide.guess(here, end)
-        of = f"{here.reached:.0f} to {end:.0f} m of {route.length:.0f} m"
-        return plan(
-            dae,
-            here.run,
-            guess,
-            goal=goal if end == route.length else guide.gate(guess, ASIDE * overlap),
-            duration=float(guess.t[-1]),
-            initial_inputs=here.inputs,
-            step=step,
-            options=options,
-            progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
-            **arguments,
-        )
-
+        here = _HandOver(former.replay, _end_inputs(dae, former.motion, bounds), reached)
     while stop is None and here.reached < route.length - MIN_REST:
-        for length_now in (length, *(length + part * overlap for part in OTHER_LENGTHS)):
-            end = here.reached + length_now
-            end = route.length if route.length - end < overlap else end
-            found = attempt(here, end)
-            if found.success or found.run.outcome is Outcome.INTERRUPTED:
-                break
+        found, end, stages = search.solve(here)
         stop, task = _stop_of(found, here, end), found.program.task
         if found.success or not parts:
             t = sum(part.window.duration for part in parts)
             rest = 0.0 if end == route.length or stop else overlap / speed
-            part, inputs = _first_part(found, here.reached, end, t, rest)
+            part = _first_part(found, (here.reached, end), t, rest, stages)
             parts.append(part)
-            reached = guide.nearest(part.replay, here.reached, end) if rest else end
-            here = _HandOver(part.replay, inputs, reached)
+            reached = search.nearest(part.replay, here.reached, end) if rest else end
+            here = _HandOver(part.replay, _end_inputs(dae, part.motion, bounds), reached)
     return _join(parts, task, stop, dae, options)
 
 
@@ -339,25 +348,30 @@ def _stop_of(found: Plan, here: _HandOver, end: float) -> Stop | None:
 
 
 def _first_part(
-    found: Plan, begin: float, end: float, t: float, rest: float
-) -> tuple[_Part, dict[str, float]]:
-    """Return the part of a window before its hand-over, and the inputs at the hand-over.
+    found: Plan,
+    span: tuple[float, float],
+    t: float,
+    rest: float,
+    stages: tuple[SolvedStage, ...],
+) -> _Part:
+    """Return the part of a window before its hand-over.
 
     Parameters
     ----------
     found : Plan
         Plan of the window.
-    begin, end : float
+    span : tuple of 2 floats
         Arc lengths of the route at the beginning and at the end of the window. [m]
     t : float
         Time at the beginning of the window since the start. [s]
     rest : float
         Smallest duration of the motion after the hand-over. [s]
+    stages : tuple of SolvedStage
+        All programs that were solved for the window.
     """
     motion, run = found.motion, found.replay
     times = motion.ends
-    count = int(np.searchsorted(times, times[-1] - rest + TIME_TOLERANCE)) - 1
-    count = max(count, 1)
+    count = max(int(np.searchsorted(times, times[-1] - rest + TIME_TOLERANCE)) - 1, 1)
     last = min(int(np.searchsorted(run.t, times[count] - TIME_TOLERANCE)), run.t.size - 1)
     own = run.part(slice(last + 1))
     violation = {
@@ -365,25 +379,27 @@ def _first_part(
         for name, size in found.violation.items()
         if not (rest and name.endswith(GOAL_SUFFIX))
     }
-    iterations = sum(stage.iterations for stage in found.stages)
-    seconds = sum(stage.seconds["total"] for stage in found.stages)
-    duration = float(own.t[-1])
-    part = _Part(
-        Window(begin, end, t, duration, iterations, seconds, found.accurate),
+    iterations = sum(stage.iterations for stage in stages)
+    seconds = sum(stage.seconds["total"] for stage in stages)
+    return _Part(
+        Window(*span, t, float(own.t[-1]), iterations, seconds, found.accurate),
         first_intervals(motion, count),
         own,
         found.difference,
         violation,
         found.units,
-        found.stages,
+        stages,
         found.compiled,
     )
-    if not motion.continuous:  # the inputs may jump
-        return part, {}
-    names = [label.full for label in leaves(found.program.task.dae.labels.u)]
-    values = motion.inputs(motion.mesh.ends[[count]]).ravel()
-    values = np.clip(values, *found.program.task.inputs.T)  # IPOPT relaxes bounds
-    return part, dict(zip(names, values.tolist(), strict=True))
+
+
+def _end_inputs(dae: Dae, motion: PolynomialMotion, bounds: Array) -> dict[str, float]:
+    """Return the inputs at the end of a motion by name; empty if inputs may jump."""
+    if not motion.continuous:
+        return {}
+    names = [label.full for label in leaves(dae.labels.u)]
+    values = np.clip(motion.inputs(np.ones(1)).ravel(), *bounds.T)  # IPOPT relaxes bounds
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _former_part(

@@ -32,7 +32,7 @@ SLIP, TIME, DURATION, ENERGY = "slip", "time", "duration", "energy"
 USUAL = (DURATION, "effort", ENERGY)  # second objectives of every planning problem
 SHORTEST = 0.01  # smallest duration in the search for the least one [largest duration]
 LineCallback = Callable[[str, str], None]
-T = tuple[str, ...]
+SettingTexts = tuple[str, ...]
 
 
 class FrontPlan(NamedTuple):
@@ -216,12 +216,12 @@ def _key(table: str, name: str) -> str:
     return f"{table}.{json.dumps(name)}"
 
 
-def _without(problem: Problem[Plan], *kept: str) -> T:
+def _without(problem: Problem[Plan], *kept: str) -> SettingTexts:
     """Return the settings that remove all costs except some."""
     return tuple(f"{_key('costs', name)}=" for name in problem.spec.costs if name not in kept)
 
 
-def _measured(problem: Problem[Plan], against: str) -> T:
+def _measured(problem: Problem[Plan], against: str) -> SettingTexts:
     """Return the settings by which a plan reports its second objective."""
     weight = problem.spec.costs.get(against, 0.0)
     return () if against == DURATION else (f"{_key('costs', against)}={weight!r}",)
@@ -234,7 +234,7 @@ def _longest(problem: Problem[Plan]) -> tuple[float, float]:
     return (low, high) if low < high else (SHORTEST * high, high)
 
 
-def _least_settings(problem: Problem[Plan], against: str) -> T:
+def _least_settings(problem: Problem[Plan], against: str) -> SettingTexts:
     """Return the settings of the plan of least second objective."""
     # Smoothness would increase the second objective.
     smooth = "plan.smooth=0.0"
@@ -246,7 +246,9 @@ def _least_settings(problem: Problem[Plan], against: str) -> T:
     return (*_without(problem, against), f"{_key('costs', against)}={weight!r}", smooth)
 
 
-def _slip_settings(problem: Problem[Plan], against: str, bound: float | None = None) -> T:
+def _slip_settings(
+    problem: Problem[Plan], against: str, bound: float | None = None
+) -> SettingTexts:
     """Return the settings of the plan of least slip, with a bound on the second objective."""
     if against == DURATION:
         longest = _longest(problem)[1] if bound is None else bound
@@ -260,7 +262,7 @@ def _solve_one(
     against: str,
     report: LineCallback | None,
     name: str,
-    settings: T,
+    settings: SettingTexts,
     start: FrontPoint | None,
     *,
     is_needed: bool = True,
@@ -291,7 +293,7 @@ def _named(name: str, report: LineCallback | None) -> LineCallback | None:
 
 
 def _task(
-    problem: Problem[Plan], against: str, settings: T, task: FrontTask, index: int = 0
+    problem: Problem[Plan], against: str, settings: SettingTexts, task: FrontTask, index: int = 0
 ) -> _PointTask:
     source, found = problem.source, task.start.solution
     return _PointTask(
@@ -388,7 +390,7 @@ class _PointSolver:
 
     def _points(self, tasks: Sequence[FrontTask]) -> Iterator[tuple[int, FrontPoint]]:
         """Yield indices of tasks and their points in the order of completion."""
-        asked = [
+        point_tasks = [
             _task(
                 self._problem,
                 self._against,
@@ -399,9 +401,9 @@ class _PointSolver:
             for index, task in enumerate(tasks)
         ]
         if self._pool is not None:
-            yield from finish_tasks(asked, self._pool, self._poll)
+            yield from finish_tasks(point_tasks, self._pool, self._poll)
             return
-        for task in asked:
+        for task in point_tasks:
             name = f"point {task.number + 1} of {self._count}"
             index, point = _solve_point(task, _named(name, self._report))
             if point.outcome is Outcome.INTERRUPTED:

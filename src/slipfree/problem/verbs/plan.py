@@ -66,7 +66,12 @@ from slipfree.problem.verbs.plan_starts import (
     start_result,
     starts_words,
 )
-from slipfree.problem.verbs.plan_windows import check_windows, long_plan, windows_words
+from slipfree.problem.verbs.plan_windows import (
+    check_windows,
+    long_plan,
+    search_arguments,
+    windows_words,
+)
 from slipfree.records import Array, Label, leaves
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.regions import Region
@@ -552,12 +557,8 @@ def find_plan(
                     (dae, setup.vehicle, setup.terrain),
                     setup.between,
                 ),
+                **search_arguments(spec),
                 duration=spec.plan.duration or (length, length),
-                intervals=spec.plan.intervals,
-                degree=spec.plan.degree,
-                accuracy=spec.plan.accuracy,
-                options=spec.solver.options,
-                step=spec.time.step,
                 resume=saved,
                 progress=progress,
             )

@@ -97,6 +97,17 @@ def _overlap(spec: Plan, window: float) -> float:
     return OVERLAP * window if spec.plan.overlap is None else spec.plan.overlap
 
 
+def search_arguments(spec: Plan) -> dict[str, Any]:
+    """Return the arguments of `plan` about mesh, accuracy, solver and sampling of a problem."""
+    return {
+        "intervals": spec.plan.intervals,
+        "degree": spec.plan.degree,
+        "accuracy": spec.plan.accuracy,
+        "options": spec.solver.options,
+        "step": spec.time.step,
+    }
+
+
 def long_plan(
     problem: Problem[Plan],
     setup: Setup,
@@ -136,13 +147,9 @@ def long_plan(
             speed=abs(speed),
             length=window,
             overlap=_overlap(spec, window),
-            intervals=spec.plan.intervals,
-            degree=spec.plan.degree,
-            accuracy=spec.plan.accuracy,
-            step=spec.time.step,
-            options=spec.solver.options,
             resume=resume,
             progress=progress,
+            **search_arguments(spec),
             **options,
         )
 
