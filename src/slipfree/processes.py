@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from itertools import islice
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
@@ -145,6 +145,36 @@ class Processes(Generic[T, D]):
         """Kill all processes."""
         for process in (*self._idle, *self._busy.values()):
             process.end()
+
+
+@contextmanager
+def local_tasks(
+    function: Callable[[T], D], most: int
+) -> Iterator[Callable[[Iterable[T], Poll], Iterator[D]]]:
+    """Yield a function that executes tasks in processes, for several calls.
+
+    It takes tasks and ``poll`` as `finish_tasks` does, and yields results as they are completed.
+    In a process of a pool, or if one process suffices, it executes them one after the other.
+
+    Parameters
+    ----------
+    function : callable
+        Function at module level of a task.
+    most : int
+        Largest number of processes.
+    """
+    count = min(available_cores(), most)
+
+    def one_by_one(tasks: Iterable[T], poll: Poll) -> Iterator[D]:
+        for task in tasks:
+            poll()
+            yield function(task)
+
+    if parent_process() is not None or count == 1:
+        yield one_by_one
+        return
+    with closing(Processes(count, function)) as pool:
+        yield lambda tasks, poll: finish_tasks(tasks, pool, poll)
 
 
 class _SpawnOne(SpawnContext):

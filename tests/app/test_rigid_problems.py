@@ -13,7 +13,7 @@ from slipfree.cli import app
 from slipfree.files.netcdf import read
 from slipfree.outcome import Outcome
 from slipfree.plan.plan import Plan
-from slipfree.problem.verbs import plan as module
+from slipfree.problem.verbs import plan_search as module
 from slipfree.trajectory import PLAN, Stop
 
 DRIVE = """\

@@ -159,14 +159,14 @@ def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
     assert re.search(r"^starts +\d local optim\w+ from 2 starts$", result.stdout, re.MULTILINE)
     assert re.search(r"^  inputs +verified, cost 0\.\d+ \(slip ", result.stdout, re.MULTILINE)
     stored = netcdf.read(out)
-    monkeypatch.setattr("slipfree.problem.verbs.plan_starts.available_cores", lambda: 1)
+    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
     alone = run_problem(load_problem(PROBLEM, FEW)).trajectory
     assert table(stored.attributes["plan_starts"]) == table(alone.attributes["plan_starts"])
     assert_array_equal(stored["x"], alone["x"])
 
 
 def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
-    monkeypatch.setattr("slipfree.problem.verbs.plan_starts.available_cores", lambda: 1)
+    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
 
     def interrupt(phase, line):
         if phase == "starts" and "1 of 2" in line:
@@ -179,12 +179,12 @@ def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
 
 
 def test_starts_that_cannot_be_simulated_are_an_error(monkeypatch):
-    monkeypatch.setattr("slipfree.problem.verbs.plan_starts.available_cores", lambda: 1)
+    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
 
     def fail(*_args, **_options):
         raise ModelError("no guess")
 
     problem = load_problem(PROBLEM, FEW)
-    monkeypatch.setattr("slipfree.problem.verbs.plan.find_plan", fail)
+    monkeypatch.setattr("slipfree.problem.verbs.plan_starts.find_plan", fail)
     with pytest.raises(ProblemError, match="the first one failed: no guess"):
         run_problem(problem)

@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
-from multiprocessing import parent_process
 from operator import itemgetter
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from slipfree.errors import ModelError
-from slipfree.plan.plan import Plan
-from slipfree.plan.starts import NOT_SOLVED, LocalOptimum, count_distinct, optima_words
+from slipfree.errors import ModelError, SlipfreeError
+from slipfree.plan.ipopt import Iterate
+from slipfree.plan.plan import Plan as FoundPlan
+from slipfree.plan.problem import bounds_of
+from slipfree.plan.starts import (
+    NOT_SOLVED,
+    LocalOptimum,
+    count_distinct,
+    further_guesses,
+    optima_words,
+)
 from slipfree.plan.warm_start import SavedPlan
+from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
-from slipfree.processes import Processes, available_cores, finish_tasks
-
-
-class StartTask(NamedTuple):
-    """A start for a process: the problem file with its text and settings, and the number."""
-
-    path: Path
-    text: str
-    settings: tuple[str, ...]
-    number: int
+from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_search import find_plan, guess_motion
+from slipfree.problem.verbs.plan_setup import (
+    Planning,
+    PlanSource,
+    build_planning,
+    problem_from,
+    source_of,
+)
+from slipfree.processes import local_tasks
 
 
 class StartResult(NamedTuple):
@@ -47,24 +53,17 @@ class StartResult(NamedTuple):
     words: str = ""
 
 
-def solve_starts(
-    problem: Problem[Any],
-    count: int,
-    solve: Callable[[StartTask], StartResult],
-    report: Callable[[str, str], None] | None,
-) -> tuple[list[StartResult], bool]:
-    """Return the plans of all starts, the best first, and whether Ctrl-C ended the search.
+def best_start(
+    problem: Problem[Plan], setup: Planning, report: Callable[[str, str], None] | None
+) -> tuple[SavedPlan | None, str, bool]:
+    """Return the best plan of several starts, their table, and whether Ctrl-C ended the search.
 
-    A process that is one of a sweep solves them one after the other.
+    The plan is None if no start is solved.
 
     Parameters
     ----------
-    problem : Problem
-        The problem.
-    count : int
-        Number of starts.
-    solve : callable
-        Function of a module that solves a start.
+    problem, setup : Problem, Planning
+        The problem and its set-up.
     report : callable or None
         Called several times a second with the phase and a line; may raise KeyboardInterrupt, after
         which the plans found so far are returned if there are any.
@@ -74,9 +73,17 @@ def solve_starts(
     SlipfreeError
         If a process dies, or no start can be simulated.
     """
-    source = problem.source
-    settings = tuple(dict.fromkeys(source.settings.values()))
-    tasks = [StartTask(source.path, source.text, settings, number) for number in range(count)]
+    count = max(problem.spec.plan.starts, len(setup.starts))
+    with at(problem, ("plan",)):
+        found, is_interrupted = _solve_starts(source_of(problem), count, report)
+    saved = found[0].saved if is_solved(found[0]) else None
+    return saved, starts_words(found), is_interrupted
+
+
+def _solve_starts(
+    source: PlanSource, count: int, report: Callable[[str, str], None] | None
+) -> tuple[list[StartResult], bool]:
+    """Return the plans of all starts, the best first, and whether Ctrl-C ended the search."""
     found: list[StartResult] = []
     is_interrupted = False
 
@@ -85,14 +92,9 @@ def solve_starts(
             report("starts", f"starts: {len(found)} of {count} are solved")
 
     try:
-        if parent_process() is not None or min(available_cores(), count) == 1:
-            for task in tasks:
-                poll()
-                found.append(solve(task))
-        else:
-            with closing(Processes(min(available_cores(), count), solve)) as pool:
-                for result in finish_tasks(tasks, pool, poll):
-                    found.append(result)
+        with local_tasks(solve_start, count) as finish:
+            for result in finish([(source, number) for number in range(count)], poll):
+                found.append(result)
     except KeyboardInterrupt:
         if not any(is_solved(each) for each in found):
             raise
@@ -106,7 +108,40 @@ def solve_starts(
     return [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))], is_interrupted
 
 
-def start_result(number: int, name: str, found: Plan) -> StartResult:
+def solve_start(task: tuple[PlanSource, int]) -> StartResult:
+    """Return the plan of one of several starts, given by its number, of a problem."""
+    source, number = task
+    try:
+        problem = problem_from(source)
+        setup = build_planning(problem)
+        first = guess_motion(setup, setup.starts[0])
+        missing = problem.spec.plan.starts - len(setup.starts)
+        if number < len(setup.starts):
+            name, guess = _start_name(setup, number), guess_motion(setup, setup.starts[number])
+        else:
+            bounds = bounds_of(setup.dae, problem.spec.bounds)
+            seed = problem.spec.plan.seed
+            further = [*further_guesses(setup.dae, setup.start, first, bounds, missing, seed)]
+            if number - len(setup.starts) >= len(further):
+                return StartResult(number, None, None, "a perturbed guess cannot be simulated")
+            name, guess = further[number - len(setup.starts)]
+        found = find_plan(problem, setup, [guess], None, _going_on, float(first.t[-1]))
+    except SlipfreeError as error:
+        return StartResult(number, None, None, str(error))
+    return _start_result(number, name, found)
+
+
+def _start_name(setup: Planning, number: int) -> str:
+    """Return the name of an initial guess: its driving law, or ``inputs``, numbered if several."""
+    name = setup.spec.driver.name if setup.spec.driver else "inputs"
+    return name if len(setup.starts) == 1 else f"{name} {number + 1}"
+
+
+def _going_on(_words: str, _iterate: Iterate) -> bool:
+    return True
+
+
+def _start_result(number: int, name: str, found: FoundPlan) -> StartResult:
     """Return the plan of a start as it is sent to the parent."""
     return StartResult(number, found.optima[0]._replace(start=name), found.saved)
 

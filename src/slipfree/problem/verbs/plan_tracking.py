@@ -23,7 +23,8 @@ from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import problem_of
-from slipfree.problem.verbs.plan import PlanVerb, find_plan
+from slipfree.problem.verbs.plan import PlanVerb
+from slipfree.problem.verbs.plan_search import find_plan
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory, path_length

@@ -1,0 +1,108 @@
+"""Search for the plan of a planning problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from slipfree.contact.closure import has_exact_closure
+from slipfree.dae import Dae
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.outcome import Outcome
+from slipfree.plan.ipopt import Iterate
+from slipfree.plan.plan import Plan as FoundPlan
+from slipfree.plan.plan import plan
+from slipfree.plan.warm_start import SavedPlan
+from slipfree.problem.build_ground import at
+from slipfree.problem.build_model import slip_law
+from slipfree.problem.problem import Problem
+from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_setup import Planning, plan_arguments, settled_start
+from slipfree.problem.verbs.plan_windows import search_arguments
+from slipfree.solve.simulate import simulate
+from slipfree.trajectory import SolverError, Trajectory
+
+SMOOTHINGS = (1.0, 0.3)  # widths of the load law of the first plans [static depths]
+ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
+
+
+def guess_motion(setup: Planning, start: tuple[Any, float]) -> Trajectory:
+    """Return the motion at the inputs of an initial guess, simulated with a rough tolerance.
+
+    If the guess follows a path and the goal has x and y, the motion ends at its sample nearest to
+    the goal; ranges of x and y are represented by their middle. If the integrator fails after the
+    first sample, the motion ends where the integrator stopped.
+    """
+    law, lasts = start
+    t = setup.t[: max(int((setup.t <= lasts).sum()), 2)]  # not beyond the end of the path
+    try:
+        rough = replace(setup.spec.solver.options, tolerance=ROUGH)
+        run = simulate(setup.dae, setup.start, law, t, options=rough)
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        run = error.trajectory
+    if not setup.paths or setup.places[-1][0] != "goal":
+        return run
+    _, x, y = setup.places[-1]
+    away = np.hypot(run["x"] - x, run["y"] - y)
+    return run.part(slice(max(int(away.argmin()), 1) + 1))
+
+
+def find_plan(
+    problem: Problem[Plan],
+    setup: Planning,
+    guesses: list[Trajectory],
+    resume: SavedPlan | None,
+    progress: Callable[[str, Iterate], bool],
+    length: float,
+) -> FoundPlan:
+    """Return the plan of a problem; pressed wheels start from smoother load laws.
+
+    Each plan starts from the one before. If a sharper law fails, the plan before it is returned.
+    """
+    spec, found, saved = problem.spec, None, resume
+    for dae in (*([] if resume else _smoothed_models(problem, setup)), setup.dae):
+        start = setup.start if dae is setup.dae else settled_start(dae, setup)
+        with at(problem, ("plan",)):
+            now = plan(
+                dae,
+                start,
+                [] if saved else guesses,
+                **plan_arguments(
+                    problem,
+                    spec,
+                    setup.keep_out,
+                    (dae, setup.vehicle, setup.terrain),
+                    setup.between,
+                ),
+                **search_arguments(spec),
+                duration=spec.plan.duration or (length, length),
+                resume=saved,
+                progress=progress,
+            )
+        if found is not None:
+            if not now.success and now.run.outcome is not Outcome.INTERRUPTED:
+                return found
+            now = replace(now, stages=(*found.stages, *now.stages))
+        if not now.success or dae is setup.dae:
+            break
+        found, saved = now, now.saved
+    return now
+
+
+def _smoothed_models(problem: Problem[Plan], setup: Planning) -> list[Dae]:
+    """Return models of a rigid vehicle whose wheels lose their load over wider depths.
+
+    The list is empty for a vehicle with exact contact.
+    """
+    if has_exact_closure(setup.vehicle):
+        return []
+    slip = slip_law(problem, problem.spec)
+    return [
+        direct_kinematics(setup.vehicle, setup.terrain, slip=slip, smoothing=width)
+        for width in SMOOTHINGS
+    ]

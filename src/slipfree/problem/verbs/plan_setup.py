@@ -1,0 +1,253 @@
+"""Set-up of planning problems: model, start, arguments of the search, initial guesses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path as File
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.control.path_following import follow
+from slipfree.dae import Dae, Limit
+from slipfree.files.toml.errors import ProblemError
+from slipfree.geometry.path import Path
+from slipfree.plan.problem import limits_of, task_of
+from slipfree.problem.build_common import (
+    Setup,
+    build_start,
+    build_terrain,
+    build_vehicle,
+    check_names,
+    samples,
+)
+from slipfree.problem.build_driver import build_law
+from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.build_model import build_model
+from slipfree.problem.problem import Problem, S
+from slipfree.problem.validation import validated_problem
+from slipfree.problem.verbs.plan_goals import (
+    Place,
+    Ranges,
+    facing,
+    initial_paths,
+    key_of,
+    places_of,
+    regions,
+    spelled,
+    way_points_of,
+)
+from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_windows import check_windows
+from slipfree.records import Array, Label, leaves
+from slipfree.routing.reachability import unreachable
+from slipfree.routing.regions import Region
+from slipfree.routing.traversability import Traversability, extents, traversability
+from slipfree.solve.settle import settle
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Vehicle
+
+RUNS = count()
+
+
+@dataclass(frozen=True, eq=False)
+class Planning(Setup):
+    """Set-up of the search for a plan.
+
+    Attributes
+    ----------
+    layers : Traversability
+        Traversability of the map.
+    places : tuple of (str, float, float)
+        Names and map coordinates of start, way-points and goal. [m]
+    keep_out : tuple of Region
+        Keep-out regions.
+    paths : tuple of ndarray, shape (n, 2)
+        Paths of the initial guesses; empty if the guesses follow no path. [m]
+    starts : tuple of (record, float)
+        Inputs and duration of each initial guess. [rad/s, s]
+    spec : Plan
+        Record of the problem file.
+    between : mapping of float to mapping
+        Ranges of quantities at the way-points, by fraction of the duration.
+    """
+
+    layers: Traversability
+    places: tuple[Place, ...]
+    keep_out: tuple[Region, ...]
+    paths: tuple[Array, ...]
+    starts: tuple[tuple[Any, float], ...]
+    spec: Plan
+    between: Mapping[float, Ranges]
+
+
+def build_planning(problem: Problem[Plan]) -> Planning:
+    """Return the set-up of a planning problem.
+
+    Raises
+    ------
+    ProblemError
+        If goal, limits or initial guess do not suit vehicle and ground.
+    """
+    spec = problem.spec
+    ground = build_ground(problem)
+    with at(problem, ("vehicle",)):
+        vehicle = build_vehicle(spec.vehicle, problem.folder)
+    terrain = build_terrain(problem, ground)
+    dae: Dae = build_model(problem, spec, vehicle, terrain)
+    check_names(problem, dae, spec.inputs)
+    keep_out, between = regions(problem, spec), way_points_of(problem, spec)
+    places, exact = places_of(problem, spec, between, terrain.domain)
+    layers = traversability(terrain, vehicle, keep_out=keep_out)
+    wrong = [each for each in unreachable(layers, places) if each.sure and each.place in exact]
+    if wrong:
+        where = problem.source.where((key_of(wrong[0].place),))
+        raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
+    start, (t, _) = build_start(problem, dae), samples(spec.time, spec.inputs or {})
+    paths = initial_paths(problem, spec, layers, places)
+    check_windows(problem, spec, vehicle, paths)
+    starts = _starts(problem, dae, vehicle, start, paths)
+    _check_quantities(problem, dae)
+    with at(problem, ("plan",)):
+        task_of(
+            dae,
+            start,
+            **plan_arguments(problem, spec, keep_out, (dae, vehicle, terrain), between),
+            duration=spec.plan.duration or spec.time.duration,
+        )
+    goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
+    return Planning(
+        ground,
+        terrain,
+        vehicle,
+        dae,
+        dae,
+        start,
+        starts[0][0],
+        t,
+        f"plan to {goal}",
+        layers,
+        places,
+        keep_out,
+        paths,
+        starts,
+        spec,
+        between,
+    )
+
+
+def _check_quantities(problem: Problem[Plan], dae: Dae) -> None:
+    """Raise ProblemError for goals and limits of unknown quantities."""
+    spec = problem.spec
+    own = {name for limit in dae.limits for name in (limit.label.name, limit.label.full)}
+    for table, values in (("goal", spec.goal), ("limits", spec.limits)):
+        for name in values.keys() - own:
+            with at(problem, (table, name)):
+                dae.named(name)
+
+
+def _starts(
+    problem: Problem[Plan],
+    dae: Dae,
+    vehicle: Vehicle,
+    start: Trajectory,
+    paths: tuple[Array, ...],
+) -> tuple[tuple[Any, float], ...]:
+    """Return inputs and duration [s] of each initial guess."""
+    spec = problem.spec
+    t, rates = samples(spec.time, spec.inputs or {})
+    if spec.driver is None:
+        with at(problem, ("inputs",)):
+            return ((dae.inputs(**rates), float(t[-1])),)
+    if not paths:
+        return ((build_law(problem, spec.driver, dae, vehicle, start), float(t[-1])),)
+    with at(problem, ("driver",)):
+        return tuple(_path_guess(dae, vehicle, path, spec.driver.speed) for path in paths)
+
+
+def _path_guess(dae: Dae, vehicle: Vehicle, points: Array, speed: float) -> tuple[Any, float]:
+    """Return the inputs of a law that follows a path, and the duration of its motion [s]."""
+    path = Path(points)
+    return follow(dae, vehicle, path, speed=speed), path.length / abs(speed)
+
+
+def plan_arguments(
+    problem: Problem[S],
+    spec: Plan,
+    keep_out: tuple[Region, ...],
+    model: tuple[Dae, Vehicle, Bicubic],
+    between: Mapping[float, Ranges],
+) -> dict[str, Any]:
+    """Return the arguments of `plan` for a problem."""
+    limits = (*limits_of(model[0], facing(problem, spec.limits)), *_kept_out(keep_out, *model))
+    return {
+        "goal": facing(problem, spec.goal),
+        "costs": spec.costs,
+        "smooth": spec.plan.smooth,
+        "continuous": spec.plan.continuous,
+        "limits": limits,
+        "way_points": between,
+        "inputs": spec.bounds,
+        "accelerations": spec.accelerations,
+        "cost_limits": spec.cost_limits,
+    }
+
+
+def _kept_out(
+    keep_out: tuple[Region, ...], dae: Dae, vehicle: Vehicle, terrain: Bicubic
+) -> list[Limit]:
+    """Return the limits that keep the circle around the wheels out of regions."""
+    x, y = dae.x.x, dae.x.y
+    o_x, o_y, _ = terrain.origin
+    _, _, reach = extents(vehicle)
+    return [
+        Limit(
+            Label(f"keep_out_{k}", "m", f"the circle around the wheels touches {region.words}"),
+            region.outside(x + o_x, y + o_y),
+            reach,
+            np.inf,
+        )
+        for k, region in enumerate(keep_out)
+    ]
+
+
+def settled_start(dae: Dae, setup: Planning) -> Trajectory:
+    """Return the start of a plan, settled for another model of the vehicle."""
+    values: dict[str, Any] = {
+        label.full: float(setup.start.of(label)[-1]) for label in leaves(dae.labels.x)
+    }
+    return settle(dae, options=setup.spec.solver.options, **values)
+
+
+class PlanSource(NamedTuple):
+    """Source of a planning problem, for other processes.
+
+    Attributes
+    ----------
+    path, text : Path, str
+        Path and text of the problem file.
+    settings : tuple of str
+        Settings of the option ``--set``.
+    run : int
+        Number of the run in this process; files are read again for another run.
+    """
+
+    path: File
+    text: str
+    settings: tuple[str, ...]
+    run: int
+
+
+def source_of(problem: Problem[Plan]) -> PlanSource:
+    """Return the source of a problem, with the number of another run."""
+    source = problem.source
+    settings = tuple(dict.fromkeys(source.settings.values()))
+    return PlanSource(source.path, source.text, settings, next(RUNS))
+
+
+def problem_from(source: PlanSource) -> Problem[Plan]:
+    """Return the problem of a source."""
+    return validated_problem(lambda *_: Plan, source.path, source.text, source.settings)
