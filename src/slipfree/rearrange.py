@@ -68,7 +68,7 @@ def _entries(column: ca.SX) -> list[ca.SX]:
 
 
 def new_variable(dae: Dae, label: Label, symbol: ca.SX | None = None) -> Variable:
-    """Return a variable with the scale that a model has for its unit.
+    """Return a variable with rate, guess and shift zero, and a model's scale for the label's unit.
 
     Parameters
     ----------

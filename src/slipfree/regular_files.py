@@ -65,8 +65,8 @@ def check_name(path: Path) -> None:
     except (OSError, ValueError) as error:  # ValueError: a null character
         reason = error.strerror if isinstance(error, OSError) else error
         raise DataError(
-            f"{path}: expected the name of a file to write, found a name that cannot be used "
-            f"({reason}); choose another name"
+            f"{path}: expected the name of a file or folder to write, found one that cannot be "
+            f"used ({reason}); choose another name"
         ) from error
 
 

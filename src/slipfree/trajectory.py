@@ -154,9 +154,16 @@ class Trajectory:
         values = self.columns[quantity].values
         if wheel is None:
             return values
-        if values.ndim == 1 or wheel not in self.wheels:
-            known = ", ".join(self.wheels) if values.ndim == 2 else "none"
-            raise ModelError(f"{quantity!r} has no wheel {wheel!r}; its wheels: {known}")
+        if values.ndim == 1:
+            raise ModelError(
+                f"{quantity!r} has no values for wheels, found the wheel {wheel!r}; use the name "
+                "alone"
+            )
+        if wheel not in self.wheels:
+            raise ModelError(
+                f"{quantity!r}: expected one of the wheels {', '.join(self.wheels)}, found "
+                f"{wheel!r}; correct the name"
+            )
         return values[:, self.wheels.index(wheel)]
 
     def of(self, label: Label) -> Array:

@@ -161,7 +161,7 @@ def test_a_folder_is_no_result(name: str) -> None:
 @pytest.mark.parametrize("name", ['"a\\u0000.nc"', f'"{"a" * 5000}.nc"', f'"{"a" * 250}.nc"'])
 def test_names_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     Path("p.toml").write_text(f"{PROBLEM}[output]\nfile = {name}\n", encoding="utf-8")
-    assert "expected the name of a file to write" in _refused(monkeypatch, "p.toml")
+    assert "expected the name of a file or folder to write" in _refused(monkeypatch, "p.toml")
 
 
 @pytest.mark.usefixtures("folder")

@@ -271,7 +271,7 @@ def test_a_finished_sweep_runs_nothing(whole: tuple[Path, Any]) -> None:
 def test_an_unknown_figure_is_refused_with_those_there_are(whole: tuple[Path, Any]) -> None:
     result = sweep_in(whole[0], *GRID, "--figure", "slip_mean")
     assert result.exit_code == 2
-    assert "--figure slip_mean: expected a metric of these runs, one of " in result.stderr
+    assert "--figure slip_mean: expected one of the metrics of these runs (" in result.stderr
     assert "slip_rms" in result.stderr
 
 

@@ -396,9 +396,15 @@ def test_steering_angle_needs_motion():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"given": ("velocity_x", "velocity_y")}, "expected three different rates"),
-        ({"given": ("v_x", "v_y")}, r"or some of forward, right, yaw_rate, found \('v_x', 'v_y'"),
-        ({"given": ("velocity_x", "velocity_y", "velocity_x")}, "expected three different rates"),
+        ({"given": ("velocity_x", "velocity_y")}, "expected a list of three different names"),
+        (
+            {"given": ("v_x", "v_y")},
+            r"one or more names from forward, right, yaw_rate, found \('v_x', 'v_y'",
+        ),
+        (
+            {"given": ("velocity_x", "velocity_y", "velocity_x")},
+            "expected a list of three different names",
+        ),
         (
             {"given": ("velocity_x", "velocity_y", "turn_rate")},
             "given: expected rates of vel.*, found 'turn_rate'",

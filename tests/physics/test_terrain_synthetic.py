@@ -36,7 +36,7 @@ def test_blank():
     ("x_range", "spacing"), [((0, 1.05), 0.1), ((1, 0), 0.1), ((0, 1), 0.0), ((0, 1), -0.1)]
 )
 def test_blank_refuses(x_range, spacing):
-    with pytest.raises(ModelError, match="of x_range must be a multiple of the spacing"):
+    with pytest.raises(ModelError, match="x_range whose length is a multiple"):
         blank(x_range, (0, 1), spacing)
 
 

@@ -115,7 +115,7 @@ def test_any_bytes_are_refused(raw: bytes, ending: str, tmp_path: Path) -> None:
         ("a = " + "{a=" * 100_000, "with a few levels"),
         ("a" + ".a" * 100_000 + " = 1", "keys with at most 60 dotted parts"),
         ("\n'a'" + ". 'b'" * 100_000 + " = 1", ":2: expected keys with at most 60 dotted parts"),
-        ("a = 1" + "0" * 10_000, "expected valid numbers, found an invalid number"),
+        ("a = 1" + "0" * 10_000, "expected integers of at most 4300 digits"),
         ("x" * 10_000_001, "at most 10 MB, found 10 MB"),
     ],
 )
@@ -176,7 +176,7 @@ def test_devices_are_not_replaced(tmp_path: Path) -> None:
     file.write_text(document(bases("direct")[0]))
     found = CliRunner().invoke(app, ["run", str(file), "-o", "/dev/null", "--no-draw"])
     assert found.exit_code == 2
-    assert "/dev/null: expected the name of a file to write" in found.stderr
+    assert "/dev/null: expected the name of a file" in found.stderr
     assert Path("/dev/null").is_char_device()
 
 

@@ -301,7 +301,8 @@ def articulated(
     bend_stop : float
         Largest angle between the halves, to either side. [rad]
     mass, center_of_mass : float, tuple of 3 floats
-        Mass of each half, and its centre in the half's frame, from the middle of its axle. [kg, m]
+        Mass of each half, and its centre of mass (right, forward, up) from the middle of the
+        half's axle. [kg, m]
     wheel_mass, grip : float
         Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
         each wheel [1].

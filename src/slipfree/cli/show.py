@@ -1,4 +1,4 @@
-"""``slipfree show``: results in three dimensions, in a browser, as page or animation."""
+"""``slipfree show``: show results in a browser, or save them as a page or an animation."""
 
 from __future__ import annotations
 

@@ -273,7 +273,10 @@ def _slow_climb(
 
 
 def _speeds(nodes: PathSamples, fastest: float, *, halt: bool) -> tuple[Array, Array]:
-    """Return lower and upper bounds of the squared path speed b at the nodes, shape (n + 1,)."""
+    """Return lower and upper bounds of the squared path speed b at the nodes [m2/s2].
+
+    Both have the shape (n + 1,); ``fastest`` is the square of the largest speed of an axle.
+    """
     upper = fastest / (nodes.speeds**2).max(axis=1)
     upper[[0, -1] if halt else [0]] = 0.0
     away = nodes.s - nodes.s[0]

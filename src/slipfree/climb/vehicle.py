@@ -81,8 +81,8 @@ class Climber:
     Raises
     ------
     ModelError
-        If a mass, inertia, radius, torque or number of wheels is not positive, or the axles are not
-        in the order of their names.
+        If a mass, inertia, radius, torque or number of wheels is not positive, the radius is not
+        below the distance of front and rear axle, or axles and joint are not in their order.
     """
 
     radius: float
@@ -232,9 +232,10 @@ def _front_body(vehicle: Vehicle) -> tuple[Joint, set[str]]:
     ]
     if len(pitching) != 1:
         raise ModelError(
-            "planar: expected one joint of the suspension that pitches a front body, found "
+            "planar: expected one turning joint of the suspension with an axis exactly along x "
+            "(sideways), which pitches the front body, found "
             f"{[joint.name for joint in pitching] or 'none'} in {vehicle.name!r}; give the vehicle "
-            "one such joint, with a sideways axis"
+            "one such joint"
         )
     carried = {pitching[0].name}
     for joint in vehicle.joints:

@@ -90,7 +90,9 @@ def export_rates(file: Path, out: Path) -> None:
     write = _choose_writer(out, file, {".csv": lambda run, out: write_csv(out, run)})
     names = [name for name in run.attributes.get("inputs", "").split() if name in run.columns]
     if not names:
-        raise DataError(f"{file}: expected rates of driven wheels, found none; {RUN_AGAIN}")
+        raise DataError(
+            f"{file}: expected rates of driven wheels or actuated joints, found none; {RUN_AGAIN}"
+        )
     write(replace(run, columns={name: run.columns[name] for name in names}), out)
 
 

@@ -232,7 +232,7 @@ def rolling_determinacy(
 
 
 def _reasons(vehicle: Vehicle) -> dict[str, str]:
-    """Return reasons why the rates of commanded coordinates are not determined."""
+    """Return, for each commanded coordinate, the reason why its rate may not be determined."""
     reasons = {}
     for c in vehicle.of("commanded"):
         moved: set[str] = set()
@@ -289,8 +289,8 @@ def command_determinacy(
 ) -> Determinacy:
     """Return the check that the driven wheels can impose given commands.
 
-    Its matrix is the effect of the driven wheels on the given rates in the direct model of least
-    slip.
+    The matrix of the check is the derivative of the given rates with respect to the rates of the
+    driven wheels in the direct model of least slip, both scaled to velocities.
 
     Parameters
     ----------

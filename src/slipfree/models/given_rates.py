@@ -159,8 +159,8 @@ def check_rates(given: Sequence[str]) -> None:
     known = (*VELOCITY, *OMEGA, *EULER)
     if isinstance(given, str) or len(given) != 3 or len(set(given)) != 3:
         raise ModelError(
-            f"given: expected three different rates of {', '.join(known)}, or some of "
-            f"{', '.join(COMMANDS)}, found {given!r}; change the list"
+            f"given: expected a list of three different names from {', '.join(known)}, or of one "
+            f"or more names from {', '.join(COMMANDS)}, found {given!r}; change the list"
         )
     for name in given:
         if name not in known:

@@ -99,7 +99,7 @@ class Balance(NamedTuple):
     Attributes
     ----------
     imbalance : SX, shape (3 + n_suspension, 1)
-        Unbalanced force on height, inclination and suspension. [1, m]
+        Unbalanced generalised forces on height [1], inclination [m] and suspension [1 or m].
     along, across : SX, shape (n_wheels, 1)
         Tangential forces. [1]
     """

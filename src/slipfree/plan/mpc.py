@@ -379,7 +379,10 @@ def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
 def _shift_multipliers(
     program: Program, former: Cycle, t: float, span: float
 ) -> tuple[Array, Array]:
-    """Return the multipliers of a cycle shifted to the intervals of the next window."""
+    """Return the multipliers of the rows and of the bounds, shifted to the next window.
+
+    The window begins at time ``t`` and has the length ``span`` [s].
+    """
     ends, layout = program.mesh.ends, program.layout
     middles = (t - former.t + span * (ends[1:] + ends[:-1]) / 2) / former.motion.duration
     which: Index = np.clip(np.searchsorted(ends, middles) - 1, 0, ends.size - 2)

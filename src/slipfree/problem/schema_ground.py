@@ -66,7 +66,7 @@ class ElevationError(Record):
 
 
 class Terrain(Record):
-    """The ground: a file, matplotlib's sample, or a synthetic one; and its friction."""
+    """Ground of a problem, from a map file, a sample map or a description, and its friction."""
 
     file: str | None = Field(default=None, description="map file, relative to the problem file")
     sample: Literal["jacksboro"] | None = Field(

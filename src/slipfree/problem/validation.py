@@ -78,7 +78,10 @@ def _copy(value: Any) -> Any:
 
 
 def _with_remedy(source: Source, faults: Sequence[Fault]) -> Iterator[Fault]:
-    """Yield errors of old keys; for keys in the file, add the command that rewrites it."""
+    """Yield the errors about keys of earlier versions, with the command that rewrites the file.
+
+    Errors about keys from the command line remain unchanged.
+    """
     remedy = f"; rewrite the file: slipfree migrate {shlex.quote(str(source.path))}"
     for fault in faults:
         yield fault if source.is_set(fault.place) else fault._replace(found=fault.found + remedy)

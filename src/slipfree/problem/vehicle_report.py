@@ -229,7 +229,7 @@ def _has_ground_law(dae: Dae) -> bool:
 
 
 def _equations(dae: Dae) -> str:
-    """Return the description of the equations of the rates."""
+    """Return a description of the equations that determine the rates."""
     if _has_ground_law(dae):
         return "equilibrium and the wheel-ground law; they also determine the normal forces"
     return dae.labels.alg[1][0].name.replace("_", " ")

@@ -96,7 +96,10 @@ def _derivatives(z: Array, h: tuple[float, float]) -> tuple[Array, Array, Array,
 
 
 def _sharpest(p: Array, q: Array, r: Array, s: Array, t: Array) -> Array:
-    """Return the largest normal curvature of a surface, positive if concave upward [1/m]."""
+    """Return the largest normal curvature of a surface, positive if concave upward [1/m].
+
+    The arguments are the derivatives z_x, z_y [1], and z_xx, z_xy, z_yy [1/m].
+    """
     w = np.sqrt(1 + p**2 + q**2)
     mean = ((1 + q**2) * r - 2 * p * q * s + (1 + p**2) * t) / (2 * w**3)
     total = (r * t - s**2) / w**4

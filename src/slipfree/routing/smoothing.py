@@ -177,16 +177,17 @@ def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
 
 
 def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, Array]:
-    """Return the smoothing objective, its gradient and its Hessian.
+    """Return the smoothing objective, its gradient and an approximation of its Hessian.
 
-    The objective is the integral along the route of ``cost + (stiff curvature)**2 / 2``, plus ``10
-    weight`` times the squared relative violations of clearance and curvature, plus the squared
-    relative deviations of the distances between points from their mean.
+    The objective is the integral along the route of
+    ``cost + (stiff * curvature)**2 / 2 + 10 * weight * (a**2 + b**2) + d**2``, where ``a`` is the
+    relative lack of clearance, ``b`` the relative excess of curvature, and ``d`` the deviation of
+    the distance between two points from its mean, divided by ``step``.
 
     Returns
     -------
     float, ndarray, shape (n, 2), ndarray, shape (6, 2 n - 4)
-        The integral [m], its gradient with respect to the points [1], and a positive definite
+        The objective [m], its gradient with respect to the points [1], and a positive definite
         approximation of the Hessian with respect to the inner points, in upper banded form [1/m].
     """
     edge = np.diff(p, axis=0)

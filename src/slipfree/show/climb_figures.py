@@ -53,7 +53,7 @@ def ground(profile: Profile, ax: Axes) -> Axes:
 def strobe(
     run: Trajectory, climber: Climber, profile: Profile, ax: Axes, every: float = EVERY
 ) -> Axes:
-    """Draw the axles as dots at equally spaced times, and the vehicle at every other one of them.
+    """Draw ground and axle paths, with dots at equal intervals and the vehicle at every second one.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def strobe(
     ax : Axes
         The axes.
     every : float
-        Interval between these times. [s]
+        Time between two dots. [s]
     """
     ground(profile, ax)
     for axle in AXLES:

@@ -332,8 +332,9 @@ def _others(drives: Sequence[Driven]) -> Iterable[str]:
         apart = np.abs(first.terrain.elevation(x, y) - drive.terrain.elevation(x, y)).max()
         if apart > min(wheel.radius for wheel in drive.vehicle.wheels):
             raise ModelError(
-                f"{drive.name}: expected a motion on the ground of {first.name}, found a ground "
-                f"that differs by up to {apart:.3g} m along the motion; show the results separately"
+                f"{drive.name}: expected a ground that differs from that of {first.name} by at "
+                f"most the radius of a wheel, found {apart:.3g} m along the motion; show the "
+                "results separately"
             )
         if apart > SAME:
             yield (

@@ -74,8 +74,8 @@ class Guard:
         if not self._is_used:
             stop(server)
             raise DataError(
-                "show: expected a version of viser whose requests can be checked, found "
-                f"{viser.__version__}; python -m pip install 'viser>=1.1,<1.2'"
+                f"show: expected viser 1.1, found {viser.__version__}, whose requests cannot be "
+                "checked for safety; install it: python -m pip install 'viser>=1.1,<1.2'"
             )
         self._check_values(server)
         return server

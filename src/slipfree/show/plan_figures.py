@@ -214,7 +214,7 @@ def plan_plots(
     places : sequence of (str, float, float)
         Name, x and y in map coordinates of start, way-points and goal. [m]
     found : sequence of ndarray, shape (n, 2)
-        Routes of the initial guesses. [m]
+        Points x, y of the routes of the initial guesses, in map coordinates. [m]
     bounds : mapping of str to (float, float)
         Lower and upper bound of each input to draw, by name; infinite without a bound.
     limits : mapping of str to (float, float)

@@ -8,7 +8,7 @@ from slipfree.records import Array
 
 
 class Varied(NamedTuple):
-    """A varied key.
+    """Key that a sweep varies, with its values.
 
     Attributes
     ----------
@@ -17,7 +17,7 @@ class Varied(NamedTuple):
     unit : str
         Unit of the values, as in ``m s-1``; empty if unknown.
     values : tuple of str
-        Values in the spelling of the sweep.
+        Values as TOML text, or words without quotes.
     numbers : tuple of float or None
         The values as numbers; None if they are not numbers.
     """

@@ -275,7 +275,7 @@ def drive(
     if not set(free_states) <= set(names):
         raise ModelError(
             f"free_states: expected names of states, {', '.join(names)}, found "
-            f"{', '.join(free_states)}; correct the names"
+            f"{', '.join(sorted(set(free_states) - set(names)))}; correct the names"
         )
     clock, system = time.process_time(), with_inputs(dae, inputs, 0, options)
     mask = np.array([name in free_states for name in names])

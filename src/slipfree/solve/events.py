@@ -92,7 +92,7 @@ def event_values(watched: WatchedEvent, system: System, samples: Samples) -> Arr
 def crossing_indices(
     watched: WatchedEvent, system: System, samples: Samples, tolerance: float
 ) -> list[int]:
-    """Return the index of the first sample after each zero crossing of an event.
+    """Return the indices of the first samples at or after the zero crossings of an event.
 
     A first value within the tolerance of zero counts as zero and begins no crossing.
     """

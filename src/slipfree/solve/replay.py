@@ -148,11 +148,13 @@ def spline_inputs(
     dae : Dae
         The model.
     t : ndarray, shape (n,)
-        Ascending times of the samples; inputs are constant before the first and after the last. [s]
+        Ascending times of the samples. Inputs are constant before the first, and after the last or
+        ``end``. [s]
     values : mapping of str to ndarray of shape (n,)
         Samples of all inputs by name; other names are ignored.
     end : float, optional
-        Time up to which the splines are extrapolated. [s]
+        Time after the last sample up to which the splines are extrapolated; by default, they are
+        not. [s]
 
     Raises
     ------

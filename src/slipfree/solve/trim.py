@@ -53,8 +53,9 @@ def trim_states(
     dae : Dae
         The model.
     start : Trajectory
-        Motion of this model or of a model with the same pose. Its last sample is the initial guess;
-        states that are not in ``states`` keep their values.
+        Motion of this model or of a model with the same states. Its last sample is the initial
+        guess, with zero for unknowns that it lacks; states that are not in ``states`` keep their
+        values.
     inputs : record
         From ``dae.inputs(...)``; constants or expressions.
     states : sequence of str

@@ -329,7 +329,7 @@ def _values(text: str) -> tuple[str, ...]:
 
 
 def _spelled(value: Any) -> str:
-    """Return a value as TOML text, which equals JSON for arrays, texts and numbers.
+    """Return a value as TOML text, which equals JSON for strings, numbers, booleans and arrays.
 
     Raises
     ------

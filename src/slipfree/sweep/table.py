@@ -77,9 +77,9 @@ def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str,
     for name in names:
         if name not in known:
             raise DataError(
-                f"--figure {name}: expected a metric of these runs, one of "
-                f"{', '.join(sorted(known)) or 'none'}; repeat the command with one of "
-                "these; finished runs are not repeated"
+                f"--figure {name}: expected one of the metrics of these runs "
+                f"({', '.join(sorted(known)) or 'none'}); change or omit the option and run the "
+                "command again; finished runs are kept"
             )
     return tuple(names)
 

@@ -121,7 +121,7 @@ class Analytic:
         return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
     def elevation(self, x: Array, y: Array) -> Array:
-        """Return the heights at points, arrays of equal or broadcastable shapes [m]."""
+        """Return heights at points, arrays of broadcastable shapes, in map coordinates [m]."""
         x, y = np.broadcast_arrays(x, y)
         count = -(-x.size // CHUNK)
         padded = [np.resize(each.reshape(-1), (max(count, 1), 1, CHUNK)) for each in (x, y)]

@@ -53,16 +53,16 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
     Raises
     ------
     ModelError
-        If a range is empty or not a multiple of the spacing.
+        If a spacing is not positive, or a range is empty or not a multiple of the spacing.
     """
     axes = []
     for name, (first, last) in (("x", x_range), ("y", y_range)):
         cells = (last - first) / spacing if spacing > 0 else math.nan
         if not (cells > 0 and abs(cells - round(cells)) < 1e-6):
             raise ModelError(
-                f"blank: the length of {name}_range must be a multiple of the spacing, found "
-                f"{first:g} to {last:g} m with spacing {spacing:g} m; move its end or change the "
-                "spacing"
+                f"blank: expected an increasing {name}_range whose length is a multiple of a "
+                f"positive spacing, found {first:g} to {last:g} m with spacing {spacing:g} m; move "
+                "its end or change the spacing"
             )
         axes.append(np.linspace(first, last, round(cells) + 1))
     return Grid(axes[0], axes[1], np.zeros((axes[0].size, axes[1].size)))

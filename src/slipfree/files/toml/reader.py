@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -35,9 +36,10 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
             f"{path}: expected arrays and tables with a few levels, found hundreds of levels; "
             "remove the nesting"
         ) from error
-    except ValueError as error:  # an invalid number
+    except ValueError as error:  # Python limits the length of integers
         raise ProblemError(
-            f"{path}: expected valid numbers, found an invalid number: {error}; correct it"
+            f"{path}: expected integers of at most {sys.get_int_max_str_digits()} digits, found a "
+            "longer one; shorten it, or write it as 1e..."
         ) from error
 
 

@@ -98,7 +98,7 @@ class Climbing:
     t : ndarray, shape (n,)
         Times of the samples. [s]
     every : int
-        Number of controller samples per sample of the result; zero for continuous control.
+        Number of controller steps per sample of the result; zero for continuous control.
     facts : Facts
         Facts about ground, vehicle and control: pairs of name and text.
     plan : Trajectory or None
@@ -174,7 +174,7 @@ class ClimbVerb(MotionVerb):
         watch: Watch,
         resume: SavedPlan | None,
     ) -> Solution:
-        """Return the motion of a climb with its ending and its averages."""
+        """Return the motion of a climb, which tracks a plan if the problem has a table ``plan``."""
         spec = problem.spec
         if spec.plan is None:
             return Solution(_judged(_simulated(spec, setup, watch), setup), setup)
@@ -223,7 +223,7 @@ class ClimbVerb(MotionVerb):
         return climb_plots(result.trajectory, climber, profile, plan)
 
     def viewer(self) -> Viewer:
-        """Return the viewer of climbs."""
+        """Return the function that builds the scene of climbs, for the viewer."""
         from slipfree.show.climb_scene import climb_scene
 
         return Viewer("climbs", climb_scene)
@@ -261,14 +261,14 @@ def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
 
 
 class _Times(NamedTuple):
-    """Times of a computation.
+    """Sampling times of a climb.
 
     Attributes
     ----------
     t : ndarray, shape (n,)
-        Times of the samples, or of the samples of a sampled controller. [s]
+        Times of the samples of the result, or of the steps of a sampled controller. [s]
     every : int
-        Number of controller samples per sample of the result; zero for continuous control.
+        Number of controller steps per sample of the result; zero for continuous control.
     """
 
     t: Array
