@@ -22,7 +22,7 @@ WHEELS = {"long_name": "name of the wheel"}
 STATISTICS = "statistics_"  # prefix of the solver's statistics in the metadata
 STOP = ("stop_name", "stop_time", "stop_words")
 OUTCOME = "outcome"
-PLAN, PLAN_ACCURACY = "plan", "plan_accuracy"  # names of the stops of plans
+PLAN, PLAN_ACCURACY, PLAN_SHARE = "plan", "plan_accuracy", "plan_share"  # stops of plans
 
 
 class Stop(NamedTuple):
@@ -295,7 +295,7 @@ def outcome_title(run: Trajectory) -> str:
     The stop of a plan has no time in the result, since a plan is solved for all times at once.
     """
     stop, title = run.stop, run.outcome.title
-    if stop is None or stop.name in (PLAN, PLAN_ACCURACY):
+    if stop is None or stop.name in (PLAN, PLAN_ACCURACY, PLAN_SHARE):
         return title
     name = "" if stop.name.replace("_", " ") in title else f" ({stop.name})"
     return f"{title} at t = {stop.t:.6g} s{name}"

@@ -167,7 +167,7 @@ def _smooth_limit(limit: Limit) -> Limit:
 def timed_conditions(
     dae: Dae,
     goal: Mapping[str, float | Range] | Sequence[Limit],
-    way_points: Mapping[float, Mapping[str, float | Range]],
+    way_points: Mapping[float, Mapping[str, float | Range] | Sequence[Limit]],
 ) -> Iterator[TimedCondition]:
     """Yield the conditions at the way-points in order of time, then those at the goal."""
     for fraction, wanted in sorted(way_points.items()):
@@ -231,7 +231,7 @@ def task_of(
     smooth: float = 0.0,
     continuous: bool = True,
     limits: Mapping[str, Range] | Sequence[Limit] = (),
-    way_points: Mapping[float, Mapping[str, float | Range]] | None = None,
+    way_points: Mapping[float, Mapping[str, float | Range] | Sequence[Limit]] | None = None,
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
     cost_limits: Mapping[str, float] | None = None,

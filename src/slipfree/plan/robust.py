@@ -1,36 +1,104 @@
-"""Tighten the limits of a plan until a share of its replays on drawn worlds keeps them."""
+"""Tighten the limits of a plan until a share of its simulations in drawn worlds keeps them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Generic, NamedTuple, TypeVar
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.special import betaincinv
+from scipy.stats import rankdata
+
+from slipfree.dae import Dae, Limit
+from slipfree.errors import ModelError, SlipfreeError
+from slipfree.plan.constraints import role_of
+from slipfree.plan.polynomial_motion import PolynomialMotion
+from slipfree.plan.problem import limits_of, timed_conditions
+from slipfree.plan.verification import limit_name, limit_values, local_rows, tolerated_excess
+from slipfree.records import field_overview, leaves
+from slipfree.trajectory import Trajectory
 
 P = TypeVar("P")
-Sizes = Mapping[str, float]
 Draw = tuple[int, int, int]
+LOWER, UPPER = "lower", "upper"
 CONFIDENCE = 0.95  # level of the interval of a share
-MAX_ROUNDS = 5  # largest number of plans after the first
+MAX_ROUNDS = 5  # largest number of times that the limits are tightened
+MIN_STEP = 1 / 8  # smallest fraction of the tightening of a round between two plans
 FINAL = 0  # stream of the draws that only the reported shares use
 
 
-class Share(NamedTuple):
-    """Share of draws on which a plan holds.
+class Bound(NamedTuple):
+    """A bound of a limit, goal or way-point, or another requirement.
 
     Attributes
     ----------
-    held, draws : int
-        Number of draws on which all limits are kept, and number of draws.
+    name : str
+        Name of the limited quantity, such as ``"utilisation[left]"`` or ``"y at the goal"``.
+    side : str
+        ``"lower"`` or ``"upper"``; empty for another requirement.
     """
 
-    held: int
-    draws: int
+    name: str
+    side: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.side} bound of {self.name}" if self.side else self.name
+
+
+Tightening = Mapping[Bound, float]
+
+
+class Replay(NamedTuple):
+    """Simulation of a plan in a drawn world.
+
+    Attributes
+    ----------
+    excess : dict of Bound to float
+        Value beyond each bound, in the unit of the quantity: positive if the bound is violated,
+        infinite if the motion ends early or if tightening cannot help.
+    distance : float
+        Distance of the end of the motion from that of the plan in x and y; NaN if the motion ends
+        early. [m]
+    """
+
+    excess: dict[Bound, float]
+    distance: float
 
     @property
-    def value(self) -> float:
-        """Share of the draws."""
+    def holds(self) -> bool:
+        """Whether no bound is violated."""
+        return max(self.excess.values(), default=0.0) <= 0
+
+
+class Replays(NamedTuple):
+    """Simulations of a plan in drawn worlds.
+
+    Attributes
+    ----------
+    each : tuple of Replay
+        One simulation for each draw.
+    """
+
+    each: tuple[Replay, ...]
+
+    def __repr__(self) -> str:
+        return f"Replays: {self.held} of {self.draws} keep all bounds"
+
+    @property
+    def draws(self) -> int:
+        """Number of simulations."""
+        return len(self.each)
+
+    @property
+    def held(self) -> int:
+        """Number of simulations that keep all bounds."""
+        return sum(replay.holds for replay in self.each)
+
+    @property
+    def share(self) -> float:
+        """Share of the simulations that keep all bounds."""
         return self.held / self.draws
 
     @property
@@ -41,113 +109,259 @@ class Share(NamedTuple):
         high = float(betaincinv(k + 1, n - k, 1 - tail)) if k < n else 1.0
         return low, high
 
+    @property
+    def violated(self) -> dict[Bound, int]:
+        """Number of simulations that violate each violated bound, the largest number first."""
+        counts = Counter(
+            bound for replay in self.each for bound, size in replay.excess.items() if size > 0
+        )
+        return dict(counts.most_common())
+
+    def distances(self, *levels: float) -> list[float]:
+        """Return quantiles in m of the distance from the planned end; NaN if all end early."""
+        found = [replay.distance for replay in self.each if np.isfinite(replay.distance)]
+        return [float(np.quantile(found, level)) if found else np.nan for level in levels]
+
 
 class RobustPlan(NamedTuple, Generic[P]):
-    """A plan with tightened limits, and its test.
+    """A plan with tightened limits, and its simulations in drawn worlds.
 
     Attributes
     ----------
     plan : P
-        The plan with the tightest limits that could be solved.
-    before, after : Share
-        Shares of the first plan and of this one, on the same draws, which neither the tightening
-        nor its end depends on.
-    tightening : dict of str to float
-        Tightening of each limit, in its unit.
+        The plan with the tightest limits that were solved.
+    before, after : Replays
+        Simulations of the first plan and of this one for the same draws, which the tightening does
+        not depend on.
+    tightening : dict of Bound to float
+        Distance of each tightened bound from the given one, in the unit of the quantity.
     rounds : int
-        Number of plans after the first.
-    is_solved : bool
-        Whether every tightened problem was solved.
-    is_reached : bool
-        Whether the share is reached on the draws of `after`.
+        Number of times that the limits were tightened.
+    failure : str
+        Reason why the limits could not be tightened as far as intended; empty if they could.
     """
 
     plan: P
-    before: Share
-    after: Share
-    tightening: dict[str, float]
+    before: Replays
+    after: Replays
+    tightening: dict[Bound, float]
     rounds: int
-    is_solved: bool
-    is_reached: bool
+    failure: str
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
 
 def robust_plan(
     first: P,
-    solve: Callable[[Sizes, P], P | None],
-    replay: Callable[[P, Sequence[Draw]], Sequence[Sizes]],
+    solve: Callable[[Tightening, P], P],
+    replay: Callable[[P, Sequence[Draw]], Replays],
     *,
     share: float,
     draws: int,
     final_draws: int,
     seed: int,
 ) -> RobustPlan[P]:
-    """Tighten the limits of a plan until a share of its replays keeps them.
+    """Tighten the limits of a plan until a share of its simulations in drawn worlds keeps them.
 
-    Every round replays the newest plan on draws that it does not depend on. If the share is missed,
-    these draws tighten the limits for the next plan.
+    Every round simulates the newest plan for draws that it does not depend on. If the share is
+    missed, the limits of the next plan are tightened by quantiles of these violations: those with
+    which half of the draws that may fail would fail, since few draws are an uncertain sample. If
+    the next plan is not solved, the limits are tightened in smaller steps; if that does not help,
+    as far as possible.
 
     Parameters
     ----------
     first : P
         The plan with the limits as given.
     solve : callable
-        Function of the tightening of each limit, by name and in its unit, and of the plan before,
-        for a warm start; returns a plan, or None if none is found.
+        Function of the tightening of the bounds and of the plan before, for a warm start; returns
+        a plan, or raises SlipfreeError if there is none.
     replay : callable
-        Function of a plan and of seeds; returns for each seed the value of every limit in excess of
-        its given bound: positive if it is violated, infinite if the motion fails.
+        Function of a plan and of draws; returns the simulations.
     share : float
-        Share of draws that keep all limits. [1]
+        Required share of simulations that keep all bounds. [1]
     draws, final_draws : int
         Number of draws of a round, and of the final test.
     seed : int
         Seed of all draws.
     """
-    now, tightening, rounds, is_solved = first, dict[str, float](), 0, True
+    now, tightening, rounds, failure = first, dict[Bound, float](), 0, ""
     for stream in range(FINAL + 1, FINAL + 1 + MAX_ROUNDS):
-        excess = replay(now, _seeds(seed, stream, draws))
-        if share_of(excess).value >= share:
+        found = replay(now, _draws(seed, stream, draws))
+        added = {} if found.share >= share else added_tightening(found, (1 + share) / 2)
+        if not added:  # the share is reached, or the motions fail for another reason
             break
-        added = added_tightening(excess, share)
-        if not added:  # the motions fail, or miss a limit that cannot be told apart
+        now, done, failure = _tighten_gradually(solve, now, tightening, added)
+        if done:
+            tightening, rounds = _sum(tightening, added, done), rounds + 1
+        if failure:
             break
-        wanted = {
-            name: tightening.get(name, 0.0) + added.get(name, 0.0) for name in tightening | added
-        }
-        found = solve(wanted, now)
-        if found is None:
-            is_solved = False
-            break
-        now, tightening, rounds = found, wanted, rounds + 1
-    final = _seeds(seed, FINAL, final_draws)
-    before = share_of(replay(first, final))
-    after = share_of(replay(now, final)) if rounds else before
-    return RobustPlan(now, before, after, tightening, rounds, is_solved, after.value >= share)
+    final = _draws(seed, FINAL, final_draws)
+    before = replay(first, final)
+    after = replay(now, final) if rounds else before
+    return RobustPlan(now, before, after, tightening, rounds, failure)
 
 
-def share_of(excess: Sequence[Sizes]) -> Share:
-    """Return the share of draws on which no limit is violated."""
-    return Share(sum(max(each.values(), default=0.0) <= 0 for each in excess), len(excess))
+def _tighten_gradually(
+    solve: Callable[[Tightening, P], P], now: P, tightening: Tightening, added: Tightening
+) -> tuple[P, float, str]:
+    """Return the plan with further tightened limits, the fraction reached, and why it is not 1.
 
-
-def added_tightening(excess: Sequence[Sizes], share: float) -> dict[str, float]:
-    """Return the tightening of each violated limit: a quantile of its excess.
-
-    The draws that may fail are divided equally among the violated limits, so that all limits
-    together keep the share. Failed motions have no finite excess and do not count.
+    Steps that are not solved are halved, and later steps start from the plan of the former one.
     """
-    values = {
-        name: np.array([each[name] for each in excess if np.isfinite(each.get(name, np.inf))])
-        for name in {name: None for each in excess for name in each}
-    }
-    violated = {name: sizes for name, sizes in values.items() if sizes.max(initial=0.0) > 0}
-    level = 1 - (1 - share) / max(len(violated), 1)
-    found = {
-        name: float(np.quantile(sizes, level, method="higher")) for name, sizes in violated.items()
-    }
-    return {name: size for name, size in found.items() if size > 0}
+    done, step, failure = 0.0, 1.0, ""
+    while done < 1 and step >= MIN_STEP:
+        further = min(done + step, 1.0)
+        try:
+            now, done = solve(_sum(tightening, added, further), now), further
+        except SlipfreeError as error:
+            failure, step = str(error), step / 2
+    return now, done, failure if done < 1 else ""
 
 
-def _seeds(seed: int, stream: int, count: int) -> list[Draw]:
-    """Return the seeds of a stream of draws; streams have no draw in common."""
+def _sum(first: Tightening, second: Tightening, factor: float) -> dict[Bound, float]:
+    """Return the sum of a tightening and of another one with a factor."""
+    return {
+        bound: first.get(bound, 0.0) + factor * second.get(bound, 0.0)
+        for bound in {**first, **second}
+    }
+
+
+def added_tightening(replays: Replays, share: float) -> dict[Bound, float]:
+    """Return the tightening of each violated bound: a quantile of its excess.
+
+    All bounds have the same level of the quantile, the smallest one with which the share of the
+    simulations keeps all bounds together. Simulations with an infinite excess keep no bound.
+    """
+    finite = [each.excess for each in replays.each if np.isfinite([*each.excess.values()]).all()]
+    bounds = [*dict.fromkeys(b for excess in finite for b, size in excess.items() if size > 0)]
+    if not bounds:
+        return {}
+    sizes = np.array([[excess.get(bound, -np.inf) for bound in bounds] for excess in finite])
+    ranks = rankdata(sizes, method="max", axis=0).astype(int)
+    needed = min(math.ceil(share * replays.draws), len(finite))
+    level = np.sort(ranks.max(axis=1))[needed - 1]
+    found = np.sort(sizes, axis=0)[level - 1].tolist()
+    return {bound: size for bound, size in zip(bounds, found, strict=True) if size > 0}
+
+
+def tightened_arguments(
+    dae: Dae, arguments: Mapping[str, Any], tightening: Tightening
+) -> dict[str, Any]:
+    """Return arguments of `plan` with tightened limits, goal and way-points.
+
+    Equal bounds are not changed.
+
+    Raises
+    ------
+    ModelError
+        If tightened bounds of a quantity exclude each other.
+    """
+    way_points = {
+        fraction: tuple(_tightened(limits_of(dae, given), tightening, role_of(fraction)))
+        for fraction, given in arguments["way_points"].items()
+    }
+    return {
+        **arguments,
+        "limits": tuple(_tightened(arguments["limits"], tightening, "")),
+        "goal": tuple(_tightened(limits_of(dae, arguments["goal"]), tightening, role_of(1.0))),
+        "way_points": way_points,
+    }
+
+
+def _tightened(limits: Sequence[Limit], tightening: Tightening, role: str) -> Iterator[Limit]:
+    for limit in limits:
+        if limit.lower == limit.upper:
+            yield limit
+            continue
+        lower, upper = (tightening.get(_bound(limit, side, role), 0.0) for side in (LOWER, UPPER))
+        limit = limit._replace(lower=limit.lower + lower, upper=limit.upper - upper)
+        if limit.lower > limit.upper:
+            raise ModelError(
+                f"the range of {_bound(limit, '', role)} is narrower than the tightening of its "
+                "bounds"
+            )
+        yield limit
+
+
+def _bound(limit: Limit, side: str, role: str) -> Bound:
+    name = limit_name(limit)
+    return Bound(f"{name} at the {role}" if role else name, side)
+
+
+def replay_of(
+    dae: Dae,
+    arguments: Mapping[str, Any],
+    found: PolynomialMotion,
+    run: Trajectory,
+    *,
+    accuracy: float,
+    goal: float | None,
+) -> Replay:
+    """Compare a simulation in a drawn world with the bounds of a plan.
+
+    Parameters
+    ----------
+    dae : Dae
+        Model of the drawn world.
+    arguments : mapping
+        Arguments of `plan` for this model: ``limits``, ``goal`` and ``way_points``.
+    found : PolynomialMotion
+        The plan.
+    run : Trajectory
+        Simulation of its inputs.
+    accuracy : float
+        Violation that is tolerated, in the unit of each quantity.
+    goal : float or None
+        Tolerance of conditions with equal bounds, in their units; without it they are ignored.
+    """
+    parts = run.t / found.duration
+    samples = run.t, *(local_rows(dae, record, run) for record in "xzu")
+    found_excess = [*_excess(dae, tuple(arguments["limits"]), samples, "", accuracy, None)]
+    if run.stop is not None:
+        found_excess.append((Bound(f"motion ends early ({run.stop.name})"), np.inf))
+        return Replay(_largest(found_excess), np.nan)
+    for condition in timed_conditions(dae, arguments["goal"], arguments["way_points"]):
+        k = int(np.abs(parts - condition.fraction).argmin())
+        at, role = tuple(rows[..., k : k + 1] for rows in samples), role_of(condition.fraction)
+        found_excess += _excess(dae, condition.limits, at, role, accuracy, goal)
+    names = [label.full for label in leaves(dae.labels.x)]
+    rows = [names.index(name) for name in "xy"]
+    gaps = samples[1][rows, -1] - found.states(np.ones(1))[rows, 0]
+    return Replay(_largest(found_excess), float(np.hypot(*gaps)))
+
+
+def _largest(excess: Iterable[tuple[Bound, float]]) -> dict[Bound, float]:
+    """Return the largest excess of each bound."""
+    found: dict[Bound, float] = {}
+    for bound, size in excess:
+        found[bound] = max(found.get(bound, -np.inf), size)
+    return found
+
+
+def _excess(
+    dae: Dae,
+    limits: tuple[Limit, ...],
+    samples: Any,
+    role: str,
+    accuracy: float,
+    tolerance: float | None,
+) -> Iterator[tuple[Bound, float]]:
+    """Yield every bound of limits, and the largest value beyond it."""
+    values, tolerated = limit_values(dae, limits, samples), tolerated_excess(limits, accuracy)
+    for limit, row, least in zip(limits, values, tolerated, strict=True):
+        is_point = bool(role) and limit.lower == limit.upper
+        if is_point and tolerance is None:
+            continue
+        allowed = max(least, tolerance or 0.0) if is_point else float(least)
+        for side, beyond in ((LOWER, limit.lower - row), (UPPER, row - limit.upper)):
+            size = float(beyond.max()) - allowed
+            if np.isfinite(size):
+                helps = size <= 0 or limit.lower < limit.upper
+                yield _bound(limit, side, role), size if helps else np.inf
+
+
+def _draws(seed: int, stream: int, count: int) -> list[Draw]:
+    """Return the draws of a stream; streams have no draw in common."""
     return [(seed, stream, number) for number in range(count)]

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae, Limit, PiecewiseLinear
+from slipfree.plan.constraints import role_of
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
 from slipfree.records import Array, Mask, leaves
@@ -80,12 +81,12 @@ def verify_plan(
     options = replace(program.options, tolerance=tolerance)
     replay = simulate_plan(dae, start, found, step=step, options=options)
     parts = np.minimum(replay.t / found.duration, 1.0)
-    x, z, u = (_local_rows(dae, record, replay) for record in "xzu")
+    x, z, u = (local_rows(dae, record, replay) for record in "xzu")
     samples = replay.t, x, z, u
     gaps = x - found.states(parts)
     over, allowed = (
         _limit_excess(dae, limits, samples),
-        _tolerated_excess(limits, accuracy)[:, None],
+        tolerated_excess(limits, accuracy)[:, None],
     )
     ends = program.mesh.ends
     where = np.clip(np.searchsorted(ends, parts - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
@@ -114,21 +115,18 @@ def _units(task: PlanTask) -> dict[str, str]:
     """Return the units of the states, limits, and conditions of a task, by name."""
     return (
         {label.full: label.unit for label in leaves(task.dae.labels.x)}
-        | {_limit_name(limit): limit.label.unit for limit in task.limits}
+        | {limit_name(limit): limit.label.unit for limit in task.limits}
         | {
-            f"{_limit_name(limit)} at the {_role(condition.fraction)}": limit.label.unit
+            f"{limit_name(limit)} at the {role_of(condition.fraction)}": limit.label.unit
             for condition in task.conditions
             for limit in condition.limits
         }
     )
 
 
-def _limit_name(limit: Limit) -> str:
+def limit_name(limit: Limit) -> str:
+    """Return the name of the limited quantity, with its wheel."""
     return limit.label.full.replace("_limit", "")
-
-
-def _role(fraction: float) -> str:
-    return "goal" if fraction == 1 else f"way-point at {fraction:g}"
 
 
 def _excess_by_name(limits: Sequence[Limit], most: Array) -> dict[str, float]:
@@ -136,7 +134,7 @@ def _excess_by_name(limits: Sequence[Limit], most: Array) -> dict[str, float]:
     found: dict[str, float] = {}
     for limit, size in zip(limits, most, strict=True):
         if size > 0:
-            name = _limit_name(limit)
+            name = limit_name(limit)
             found[name] = max(found.get(name, 0.0), float(size))
     return found
 
@@ -153,13 +151,13 @@ def _condition_excess(
         t, x, z, u = (rows[..., k : k + 1] for rows in samples)
         over = _limit_excess(program.task.dae, condition.limits, (t, x, z, u))[:, 0]
         found |= {
-            f"{name} at the {_role(condition.fraction)}": size
+            f"{name} at the {role_of(condition.fraction)}": size
             for name, size in _excess_by_name(condition.limits, over).items()
         }
     return found
 
 
-def _tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
+def tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
     """Return the tolerance of each limit: the accuracy or 1 % of its range, if that is smaller."""
     widths = np.array([limit.upper - limit.lower for limit in limits])
     return np.where(
@@ -167,7 +165,7 @@ def _tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
     )
 
 
-def _local_rows(dae: Dae, record: str, run: Trajectory) -> Array:
+def local_rows(dae: Dae, record: str, run: Trajectory) -> Array:
     """Return a record (x, z or u) of all samples in local coordinates, one column per sample."""
     shift = {"x": dae.shift[0], "z": dae.shift[1]}.get(record)
     rows = np.array([run.of(label) for label in leaves(getattr(dae.labels, record))])
@@ -178,7 +176,7 @@ def _limit_excess(
     dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
 ) -> Array:
     """Return the violation of every limit at every sample, shape (n_limits, n)."""
-    values = _limit_values(dae, limits, samples)
+    values = limit_values(dae, limits, samples)
     low, high = (
         np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
         for side in ("lower", "upper")
@@ -186,9 +184,10 @@ def _limit_excess(
     return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
 
 
-def _limit_values(
+def limit_values(
     dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
 ) -> Array:
+    """Return the limited quantities at n samples of t, x, z and u, shape (n_limits, n)."""
     t, x, z, u = samples
     rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
     f = dae.function("limits", [dae.t, *dae.columns()], [rows])

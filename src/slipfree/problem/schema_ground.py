@@ -55,13 +55,18 @@ else:
     )
 
 
-class ElevationError(Record):
-    """A random error of the heights of a map."""
+class HeightErrors(Record):
+    """Random errors of the heights of a map."""
 
     rms: Positive = Field(description="standard deviation [m]")
     correlation: Positive = Field(
         description="distance at which the correlation has fallen to 1/e [m]"
     )
+
+
+class ElevationError(HeightErrors):
+    """A random error of the heights of a map."""
+
     seed: Count = Field(description=SEED)
 
 

@@ -38,6 +38,7 @@ from slipfree.problem.verbs.plan_facts import CHECKS, plan_facts
 from slipfree.problem.verbs.plan_goals import (
     regions,
 )
+from slipfree.problem.verbs.plan_robust import Tested, make_robust
 from slipfree.problem.verbs.plan_search import find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
     Planning,
@@ -69,10 +70,8 @@ if TYPE_CHECKING:
 
 MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
 ROUNDING = 1e-6  # largest violation that counts as rounding, in the unit of the limit
-SMOOTHINGS = (1.0, 0.3)  # widths of the load law of the first plans [static depths]
 STIFFER = 10.0  # factor of stiffness of another simulation of pressed wheels
 SLIDING = 0.95  # utilisation above which a wheel counts as sliding
-ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
 FRICTION_TOLERANCE = 1e-6  # smallest one for quasi-statics, which may not settle below it
 LineCallback = Callable[[str, str], None]
 
@@ -109,10 +108,15 @@ class PlanVerb(DriveVerb):
             guesses = [] if resume else [guess_motion(setup, start) for start in setup.starts]
         length = resume.motion.duration if resume else float(guesses[0].t[-1])
         found = find_plan(problem, setup, guesses, resume, progress, length)
-        run, stop = found.replay, found.run.stop
-        if stop is not None and not found.success:
+        tested = Tested(found)
+        if spec.plan.robust is not None and found.accurate:
+            tested = make_robust(problem, setup, found, spec.plan.robust, progress, watch.line)
+            found = tested.plan
+        run, stop = found.replay, tested.stop or found.run.stop
+        if stop is not None and (tested.stop or not found.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         attributes = {
+            **({"plan_robust": tested.words} if tested.words else {}),
             **_optimality(found),
             **_by_stiffness(problem, setup, found),
             **({"plan_starts": table} if table else {}),
@@ -122,7 +126,7 @@ class PlanVerb(DriveVerb):
             for price in found.prices
             if price.role in (COST, DURATION)
         }
-        run = replace(run, statistics={**run.statistics, **prices})
+        run = replace(run, statistics={**run.statistics, **prices, **tested.statistics})
         return _described(spec, setup, found, run, attributes)
 
     def _drive_windows(

@@ -8,9 +8,11 @@ import numpy as np
 
 from slipfree.trajectory import PLAN, Trajectory, path_length
 
+ROBUST = "robust plan"
 CHECKS = (
     "simulated",
     "optimality",
+    ROBUST,
     "simulated with friction",
     "with wheels ten times stiffer",
 )  # facts about accuracy and validity
@@ -54,6 +56,10 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     if "plan_optimality" in run.attributes:
         yield "optimality", run.attributes["plan_optimality"]
         yield "prices of limits", run.attributes["plan_prices"]
+    if "plan_robust" in run.attributes:
+        first, *rest = (line.partition(": ") for line in run.attributes["plan_robust"].splitlines())
+        yield first[0], first[2]
+        yield from ((f"  {name}", words) for name, _, words in rest)
     slip = np.hypot(run["slip_along"], run["slip_across"])
     duration, length = run.t[-1] - run.t[0], path_length(run)
     total = np.trapezoid(slip, run.t, axis=0)

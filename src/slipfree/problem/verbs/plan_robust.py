@@ -1,29 +1,195 @@
-"""Replay plans on drawn worlds: errors of the map, of friction and of the wheels' rates."""
+"""Plans that hold on a share of drawn worlds: errors of the map, of friction and of the inputs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
+from slipfree.errors import ModelError, SlipfreeError
+from slipfree.outcome import Outcome
+from slipfree.plan.plan import Plan as FoundPlan
+from slipfree.plan.plan import PlanProgress
 from slipfree.plan.polynomial_motion import PolynomialMotion
-from slipfree.plan.robust import Draw
-from slipfree.problem.build_common import Setup
+from slipfree.plan.robust import (
+    CONFIDENCE,
+    Bound,
+    Draw,
+    Replay,
+    Replays,
+    RobustPlan,
+    Tightening,
+    replay_of,
+    robust_plan,
+)
+from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
+from slipfree.problem.build_common import build_start
+from slipfree.problem.build_model import build_model
+from slipfree.problem.problem import Problem
+from slipfree.problem.verbs.plan_schema import Plan, Robust
+from slipfree.problem.verbs.plan_search import find_plan
+from slipfree.problem.verbs.plan_setup import (
+    Planning,
+    PlanSource,
+    build_planning,
+    plan_arguments,
+    problem_from,
+    source_of,
+)
+from slipfree.processes import local_tasks
+from slipfree.solve.options import MIN_TOLERANCE
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import disturbed
+from slipfree.trajectory import PLAN_SHARE, Stop
+
+Report = Callable[[str, str], None]
+MAX_LISTED = 4  # largest number of bounds in a line of the summary
 
 
-def drawn_terrain(
-    setup: Setup, draw: Draw, rms: float, correlation: float, friction: float
-) -> Bicubic:
+class Tested(NamedTuple):
+    """A plan, and what its simulations in drawn worlds show.
+
+    Attributes
+    ----------
+    plan : FoundPlan
+        The plan, with tightened limits if the first plan held too rarely.
+    stop : Stop or None
+        Reason why the plan does not hold on the required share, or Ctrl-C.
+    words : str
+        Facts, a line each; empty without simulations.
+    statistics : dict of str to float
+        Shares of the simulations that keep all limits, and number of simulations.
+    """
+
+    plan: FoundPlan
+    stop: Stop | None = None
+    words: str = ""
+    statistics: Mapping[str, float] = MappingProxyType({})
+
+
+class ReplayTask(NamedTuple):
+    """Simulation of a plan in a drawn world, for a process."""
+
+    source: PlanSource
+    motion: PolynomialMotion
+    draw: Draw
+
+
+def make_robust(
+    problem: Problem[Plan],
+    setup: Planning,
+    first: FoundPlan,
+    robust: Robust,
+    progress: PlanProgress,
+    report: Report | None,
+) -> Tested:
+    """Tighten the limits of a plan until it holds on a share of drawn worlds.
+
+    Parameters
+    ----------
+    problem, setup : Problem, Planning
+        The problem and its set-up.
+    first : FoundPlan
+        Plan with the limits as given.
+    robust : Robust
+        Drawn worlds and share.
+    progress : callable
+        As for `plan`.
+    report : callable or None
+        Called several times a second with the phase and a line during simulations.
+    """
+    source, latest = source_of(problem), first
+
+    def solve(tightening: Tightening, before: FoundPlan) -> FoundPlan:
+        nonlocal latest
+        length = before.motion.duration
+        found = find_plan(problem, setup, [], before.saved, progress, length, tightening)
+        if found.run.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        if not found.accurate:
+            stop = found.run.stop
+            raise ModelError(stop.words.splitlines()[0] if stop else "the plan is not accurate")
+        latest = replace(found, stages=(*before.stages, *found.stages))
+        return latest
+
+    try:
+        with local_tasks(replay_draw, robust.draws) as finish:
+
+            def replay(found: FoundPlan, draws: Sequence[Draw]) -> Replays:
+                done: dict[Draw, Replay] = {}
+
+                def poll() -> None:
+                    if report is not None:
+                        words = f"{len(done)} of {len(draws)} drawn worlds are simulated"
+                        report("drawn worlds", f"robust plan: {words}")
+
+                tasks = [ReplayTask(source, found.motion, draw) for draw in draws]
+                for draw, each in finish(tasks, poll):
+                    done[draw] = each
+                return Replays(tuple(done[draw] for draw in draws))
+
+            found = robust_plan(
+                first,
+                solve,
+                replay,
+                share=robust.share,
+                draws=robust.draws,
+                final_draws=robust.final_draws,
+                seed=robust.seed,
+            )
+    except KeyboardInterrupt:
+        words = "the plan is solved and accurate, but not all drawn worlds are simulated"
+        return Tested(latest, Stop(PLAN_SHARE, 0.0, words, Outcome.INTERRUPTED))
+    statistics = {
+        "plan_share": found.after.share,
+        "plan_share_first": found.before.share,
+        "plan_share_draws": float(found.after.draws),
+        "plan_share_rounds": float(found.rounds),
+    }
+    words = robust_words(found, first)
+    return Tested(found.plan, _stop(found, robust), words, statistics)
+
+
+def replay_draw(task: ReplayTask) -> tuple[Draw, Replay]:
+    """Simulate a plan in a drawn world; return the draw and the comparison with the bounds."""
+    problem, setup = _planning(task.source)
+    spec, robust = problem.spec, problem.spec.plan.robust or Robust()
+    terrain = drawn_terrain(setup, task.draw, robust)
+    tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
+    options = replace(spec.solver.options, tolerance=tolerance)
+    try:
+        dae = build_model(problem, spec, setup.vehicle, terrain)
+        motion = drawn_motion(task.motion, task.draw, robust.inputs)
+        run = simulate_plan(
+            dae, build_start(problem, dae), motion, step=spec.time.step, options=options
+        )
+    except SlipfreeError as error:
+        return task.draw, Replay({Bound(f"no motion ({error})"): np.inf}, np.nan)
+    model = (dae, setup.vehicle, terrain)
+    arguments = plan_arguments(problem, spec, setup.keep_out, model, setup.between)
+    return task.draw, replay_of(
+        dae, arguments, task.motion, run, accuracy=spec.plan.accuracy, goal=robust.goal
+    )
+
+
+@lru_cache(1)
+def _planning(source: PlanSource) -> tuple[Problem[Plan], Planning]:
+    problem = problem_from(source)
+    return problem, build_planning(problem)
+
+
+def drawn_terrain(setup: Planning, draw: Draw, robust: Robust) -> Bicubic:
     """Return the ground of a problem with drawn errors of heights and of friction."""
     map_seed, friction_rng = _seed(draw, 0), np.random.default_rng(_seed(draw, 1))
-    grid = setup.ground.grid
-    if rms > 0:
-        grid = disturbed(grid, rms, correlation, map_seed)
-    factor = max(1 + friction * friction_rng.standard_normal(), 0.0)
-    mu = setup.ground.mu
+    grid, mu = setup.ground.grid, setup.ground.mu
+    if robust.map is not None:
+        grid = disturbed(grid, robust.map.rms, robust.map.correlation, map_seed)
+    factor = np.exp(robust.friction * friction_rng.standard_normal())  # always positive
     if isinstance(mu, Grid):
         mu = replace(mu, z=mu.z * factor)
     elif mu is not None:
@@ -31,15 +197,76 @@ def drawn_terrain(
     return Bicubic(grid, setup.terrain.origin[:2], mu)
 
 
-def drawn_motion(found: PolynomialMotion, draw: Draw, inputs: float) -> PolynomialMotion:
-    """Return a plan with a drawn relative error of each input."""
+def drawn_motion(found: PolynomialMotion, draw: Draw, deviation: float) -> PolynomialMotion:
+    """Return a plan with a drawn gain of each input, which is 1 on average."""
     where = found.layout.inputs
     errors = np.random.default_rng(_seed(draw, 2)).standard_normal(where.shape[1])
     unknowns = found.unknowns.copy()
-    unknowns[where] *= 1 + inputs * errors
+    unknowns[where] *= 1 + deviation * errors
     return found._replace(unknowns=unknowns)
 
 
 def _seed(draw: Draw, part: int) -> int:
     """Return the seed of a part of a draw."""
     return int(np.random.SeedSequence((*draw, part)).generate_state(1)[0])
+
+
+def robust_words(found: RobustPlan[FoundPlan], first: FoundPlan) -> str:
+    """Return shares, tightening, violations and costs of a robust plan, a line each."""
+    return "\n".join(f"{name}: {words}" for name, words in _lines(found, first))
+
+
+def _lines(found: RobustPlan[FoundPlan], first: FoundPlan) -> Iterator[tuple[str, str]]:
+    after, before, (low, high) = found.after, found.before, found.after.interval
+    earlier = f"; without tightening on {before.held}" if found.rounds else "; nothing tightened"
+    yield (
+        "robust plan",
+        f"holds on {after.held} of {after.draws} drawn worlds ({100 * after.share:.3g} %, "
+        f"{CONFIDENCE:.0%} confidence interval {100 * low:.3g} to {100 * high:.3g} %){earlier}",
+    )
+    if found.tightening:
+        sizes = sorted(found.tightening.items(), key=lambda item: -item[1])
+        yield "tightened", _listed([f"{k} by {v:.3g}{_unit(first, k)}" for k, v in sizes])
+        yield "cost of this", _cost_words(first, found.plan)
+    if after.violated:
+        yield "violated", _listed([f"{k} in {n}" for k, n in after.violated.items()])
+    if found.failure:
+        yield "tighter limits", f"not solved: {found.failure}"
+    half, most = after.distances(0.5, 0.95)
+    yield "end", f"{half:.3g} m from that of the plan at the median, {most:.3g} m at 95 %"
+
+
+def _listed(parts: Sequence[str]) -> str:
+    """Return the first parts of a list, and the number of further ones."""
+    rest = len(parts) - MAX_LISTED
+    return ", ".join(parts[:MAX_LISTED]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _unit(found: FoundPlan, bound: Bound) -> str:
+    unit = found.units.get(bound.name, "1")
+    return "" if unit == "1" else f" {unit}"
+
+
+def _cost_words(first: FoundPlan, robust: FoundPlan) -> str:
+    """Return the change of the total cost, and of each of its terms."""
+
+    def change(before: float, after: float) -> str:
+        return f"{100 * (after / before - 1):+.3g} %" if before else f"{after:.3g}"
+
+    terms = [f"{name} {change(first.costs[name], size)}" for name, size in robust.costs.items()]
+    return f"{change(first.solution.cost, robust.solution.cost)}: {', '.join(terms)}"
+
+
+def _stop(found: RobustPlan[FoundPlan], robust: Robust) -> Stop | None:
+    """Return the stop of a plan that holds too rarely; None if it reaches its share."""
+    after = found.after
+    if after.share >= robust.share:
+        return None
+    bound, count = next(iter(after.violated.items()))
+    tighter = f"; tighter limits are not solved: {found.failure}" if found.failure else ""
+    words = (
+        f"the plan holds on {after.held} of {after.draws} drawn worlds, expected "
+        f"{100 * robust.share:.3g} %; violated most often: {bound} in {count}{tighter}; widen the "
+        "limits, or reduce the share or the uncertainty in plan.robust"
+    )
+    return Stop(PLAN_SHARE, 0.0, words, Outcome.INFEASIBLE)

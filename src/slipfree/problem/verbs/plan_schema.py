@@ -17,6 +17,7 @@ from slipfree.files.toml.types import (
     Record,
 )
 from slipfree.problem.schema import INPUTS, VERB, Driver, Modelled, Task
+from slipfree.problem.schema_ground import HeightErrors
 
 
 class Guide(Driver):
@@ -50,6 +51,33 @@ class KeepOut(Record):
     radius: Positive | None = Field(default=None, description="radius of a disc [m]")
     points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
         default=None, description="corners of a polygon [m]"
+    )
+
+
+class Robust(Record):
+    """Drawn worlds on which a plan is replayed, and the share of them on which it must hold."""
+
+    share: Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=0.95, description="share of draws on which the plan must keep its limits [1]"
+    )
+    draws: Annotated[int, Field(ge=1)] = Field(
+        default=50, description="number of draws by which the limits are tightened in a round"
+    )
+    final_draws: Annotated[int, Field(ge=1)] = Field(
+        default=200, description="number of other draws, on which the final share is measured"
+    )
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="seed of all draws")
+    map: HeightErrors | None = Field(default=None, description="errors of the heights of the map")
+    friction: NonNegative = Field(
+        default=0.0, description="relative standard deviation of the friction of the ground [1]"
+    )
+    inputs: NonNegative = Field(
+        default=0.0, description="relative standard deviation of the gain of each input [1]"
+    )
+    goal: Positive | None = Field(
+        default=None,
+        description="tolerance of goals and way-points that are values, not ranges; by default "
+        "draws may miss them [m, rad]",
     )
 
 
@@ -89,6 +117,9 @@ class Search(Record):
         default=None,
         description="length at the end of a window that is planned again in the next window; "
         "default: a third of the window [m]",
+    )
+    robust: Robust | None = Field(
+        default=None, description="drawn worlds on which the plan must keep its limits"
     )
     accuracy: Positive = Field(
         default=1e-3,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from slipfree.outcome import Outcome
 from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import Plan as FoundPlan
 from slipfree.plan.plan import plan
+from slipfree.plan.robust import Tightening, tightened_arguments
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import slip_law
@@ -59,26 +61,38 @@ def find_plan(
     resume: SavedPlan | None,
     progress: Callable[[str, Iterate], bool],
     length: float,
+    tightening: Tightening = MappingProxyType({}),
 ) -> FoundPlan:
     """Return the plan of a problem; pressed wheels start from smoother load laws.
 
     Each plan starts from the one before. If a sharper law fails, the plan before it is returned.
+
+    Parameters
+    ----------
+    problem, setup : Problem, Planning
+        The problem and its set-up.
+    guesses : list of Trajectory
+        Initial guesses; empty with ``resume``.
+    resume : SavedPlan or None
+        Plan from which the search starts.
+    progress : callable
+        As for `plan`.
+    length : float
+        Duration of the plan if the problem gives none. [s]
+    tightening : mapping of Bound to float
+        Distance of each tightened bound from the given one, in the unit of the quantity.
     """
     spec, found, saved = problem.spec, None, resume
     for dae in (*([] if resume else _smoothed_models(problem, setup)), setup.dae):
         start = setup.start if dae is setup.dae else settled_start(dae, setup)
+        model = (dae, setup.vehicle, setup.terrain)
+        arguments = plan_arguments(problem, spec, setup.keep_out, model, setup.between)
         with at(problem, ("plan",)):
             now = plan(
                 dae,
                 start,
                 [] if saved else guesses,
-                **plan_arguments(
-                    problem,
-                    spec,
-                    setup.keep_out,
-                    (dae, setup.vehicle, setup.terrain),
-                    setup.between,
-                ),
+                **tightened_arguments(dae, arguments, tightening),
                 **search_arguments(spec),
                 duration=spec.plan.duration or (length, length),
                 resume=saved,

@@ -12,6 +12,7 @@ import numpy as np
 
 from slipfree.control.path_following import follow
 from slipfree.dae import Dae, Limit
+from slipfree.errors import ModelError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
 from slipfree.plan.problem import limits_of, task_of
@@ -109,6 +110,7 @@ def build_planning(problem: Problem[Plan]) -> Planning:
     start, (t, _) = build_start(problem, dae), samples(spec.time, spec.inputs or {})
     paths = initial_paths(problem, spec, layers, places)
     check_windows(problem, spec, vehicle, paths)
+    check_robust(problem, spec, terrain.has_friction)
     starts = _starts(problem, dae, vehicle, start, paths)
     _check_quantities(problem, dae)
     with at(problem, ("plan",)):
@@ -137,6 +139,28 @@ def build_planning(problem: Problem[Plan]) -> Planning:
         spec,
         between,
     )
+
+
+def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None:
+    """Raise ProblemError if the drawn worlds of a problem do not suit it."""
+    robust = spec.plan.robust
+    if robust is None:
+        return
+    with at(problem, ("plan", "robust")):
+        if robust.map is None and not (robust.friction or robust.inputs):
+            raise ModelError(
+                "plan.robust: expected an uncertainty (map, friction or inputs), found none; "
+                "add one"
+            )
+        if robust.friction > 0 and not has_friction:
+            raise ModelError(
+                "plan.robust.friction: expected a ground with friction, found none; add "
+                "terrain.friction or remove the key"
+            )
+        if spec.plan.window is not None:
+            raise ModelError(
+                "plan.robust: not possible together with plan.window; remove one of them"
+            )
 
 
 def _check_quantities(problem: Problem[Plan], dae: Dae) -> None:

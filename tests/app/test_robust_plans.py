@@ -1,0 +1,123 @@
+"""Robust plans of problem files: shares, tightening, outcomes, and keys that do not suit them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.files import netcdf
+from slipfree.files.toml.errors import ProblemError
+from slipfree.outcome import Outcome
+from slipfree.plan.warm_start import from_arrays
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import build, run_problem
+from slipfree.problem.verbs.plan_robust import ReplayTask, replay_draw
+from slipfree.problem.verbs.plan_setup import source_of
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+HILLS = PROBLEMS / "plan_rigid_hills.toml"
+GAIN = 0.02
+FLAT = (  # straight ahead on even ground, at least effort: to the nearest admissible end
+    "terrain.synthetic.power_law=",
+    "costs={effort=1.0}",
+    "goal={x=0.0, y=[2.0, 3.0]}",
+    "plan.intervals=4",
+    "time.duration=8.0",
+    f"plan.robust.inputs={GAIN}",
+    "plan.robust.share=0.8",
+    "plan.robust.draws=12",
+    "plan.robust.final_draws=12",
+)
+NEAR = ("goal={x=0.3, y=1.0}", "time.duration=8.0", "plan.intervals=12")
+
+
+@pytest.fixture(autouse=True)
+def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate drawn worlds in this process: the problems are small."""
+    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
+
+
+def with_settings(settings: tuple[str, ...]) -> list[str]:
+    return [word for setting in settings for word in ("--set", setting)]
+
+
+def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path):
+    file = tmp_path / "robust.nc"
+    command = ["run", str(HILLS), "-o", str(file), "--no-draw", *with_settings(FLAT)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    assert "robust plan  " in result.stdout
+    assert "lower bound of y at the goal by 0.0" in result.stdout
+    found = netcdf.read(file)
+    counts, y = found.statistics, float(found["y"][-1])
+    assert counts["plan_share_first"] == pytest.approx(0.5, abs=0.3)  # ends on the bound
+    assert counts["plan_share"] >= 0.8
+    # mean gain of two wheels with independent errors; level 0.9: half of the failures left
+    expected = 2.0 * norm.ppf(0.9) * GAIN / np.sqrt(2)
+    assert y - 2.0 == pytest.approx(expected, rel=0.5)
+
+
+def test_draws_are_the_same_in_processes_of_their_own(monkeypatch):
+    few = (*FLAT, "plan.robust.draws=3", "plan.robust.final_draws=3")
+    alone = run_problem(load_problem(HILLS, few)).trajectory
+    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 2)
+    apart = run_problem(load_problem(HILLS, few)).trajectory
+    assert apart.attributes["plan_robust"] == alone.attributes["plan_robust"]
+
+
+def test_world_without_errors_keeps_the_bounds_of_the_plan():
+    settings = (*NEAR, "plan.robust.map={rms=1e-9, correlation=1.0}", "plan.robust.goal=0.01")
+    first = load_problem(HILLS, (*NEAR,))
+    motion = from_arrays(run_problem(first).arrays, "first").motion
+    task = ReplayTask(source_of(load_problem(HILLS, settings)), motion, (0, 0, 0))
+    draw, replay = replay_draw(task)
+    assert draw == (0, 0, 0)
+    assert replay.holds
+    assert replay.distance < 1e-3
+    assert {"x at the goal", "y at the goal", "steer"} <= {bound.name for bound in replay.excess}
+
+
+def test_a_share_out_of_reach_is_infeasible_and_the_plan_is_kept(tmp_path):
+    settings = (
+        *NEAR,
+        "plan.robust={draws=8, final_draws=8, goal=0.001, map={rms=0.02, correlation=0.5}}",
+    )
+    file = tmp_path / "missed.nc"
+    result = CliRunner().invoke(
+        app, ["run", str(HILLS), "-o", str(file), "--no-draw", *with_settings(settings)]
+    )
+    assert result.exit_code == Outcome.INFEASIBLE.exit_code
+    assert "infeasible: the plan holds on 0 of 8 drawn worlds, expected 95 %" in result.stdout
+    assert "violated most often: " in result.stdout
+    assert "x at the goal" in result.stdout
+    assert file.exists()
+
+
+def test_ctrl_c_during_the_drawn_worlds_keeps_the_plan():
+    def interrupt(phase, _):
+        if phase == "drawn worlds":
+            raise KeyboardInterrupt
+
+    found = run_problem(load_problem(HILLS, FLAT), tell=interrupt)
+    assert found.outcome is Outcome.INTERRUPTED
+    assert "drawn worlds" in found.trajectory.stop.words
+    assert found.trajectory["y"][-1] == pytest.approx(2.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (("plan.robust.share=0.9",), "expected an uncertainty"),
+        (("plan.robust.friction=0.1",), "expected a ground with friction"),
+        (("plan.robust.inputs=0.1", "plan.window=2.0"), "plan.window"),
+        (("plan.robust.share=1.0",), "less than 1"),
+    ],
+)
+def test_keys_that_do_not_suit_are_refused(settings, words):
+    with pytest.raises(ProblemError, match=words):
+        build(load_problem(HILLS, settings))
