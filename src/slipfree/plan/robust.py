@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from operator import itemgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -251,7 +252,7 @@ def tightened_arguments(
 ) -> dict[str, Any]:
     """Return arguments of `plan` with tightened limits, goal and way-points.
 
-    Equal bounds are not changed.
+    Equal bounds are not changed. Limits of the model whose bounds are tightened are added.
 
     Raises
     ------
@@ -262,9 +263,11 @@ def tightened_arguments(
         fraction: tuple(_tightened(limits_of(dae, given), tightening, role_of(fraction)))
         for fraction, given in arguments["way_points"].items()
     }
+    given, tight = arguments["limits"], {bound.name for bound in tightening}
+    own = [limit for limit in _model_limits(dae, given) if limit_name(limit) in tight]
     return {
         **arguments,
-        "limits": tuple(_tightened(arguments["limits"], tightening, "")),
+        "limits": tuple(_tightened((*given, *own), tightening, "")),
         "goal": tuple(_tightened(limits_of(dae, arguments["goal"]), tightening, role_of(1.0))),
         "way_points": way_points,
     }
@@ -293,13 +296,13 @@ def _bound(limit: Limit, side: str, role: str) -> Bound:
 def replay_of(
     dae: Dae,
     arguments: Mapping[str, Any],
-    found: PolynomialMotion,
+    planned: tuple[Dae, PolynomialMotion],
     run: Trajectory,
     *,
     accuracy: float,
     goal: float | None,
 ) -> Replay:
-    """Compare a simulation in a drawn world with the bounds of a plan.
+    """Compare a simulation in a drawn world with the bounds of a plan and of its model.
 
     Parameters
     ----------
@@ -307,8 +310,8 @@ def replay_of(
         Model of the drawn world.
     arguments : mapping
         Arguments of `plan` for this model: ``limits``, ``goal`` and ``way_points``.
-    found : PolynomialMotion
-        The plan.
+    planned : tuple of Dae and PolynomialMotion
+        Model of the plan, and the plan.
     run : Trajectory
         Simulation of its inputs.
     accuracy : float
@@ -316,20 +319,48 @@ def replay_of(
     goal : float or None
         Tolerance of conditions with equal bounds, in their units; without it they are ignored.
     """
-    parts = run.t / found.duration
+    found = planned[1]
     samples = run.t, *(local_rows(dae, record, run) for record in "xzu")
-    found_excess = [*_excess(dae, tuple(arguments["limits"]), samples, "", accuracy, None)]
+    limits = (*arguments["limits"], *_model_limits(dae, arguments["limits"]))
+    excess = [*_excess(dae, limits, samples, "", accuracy, None)]
     if run.stop is not None:
-        found_excess.append((Bound(f"motion ends early ({run.stop.name})"), np.inf))
-        return Replay(_largest(found_excess), np.nan)
+        excess.append(_excess_at_stop(*planned, run))
+        return Replay(_largest(excess), np.nan)
+    parts = run.t / found.duration
     for condition in timed_conditions(dae, arguments["goal"], arguments["way_points"]):
         k = int(np.abs(parts - condition.fraction).argmin())
         at, role = tuple(rows[..., k : k + 1] for rows in samples), role_of(condition.fraction)
-        found_excess += _excess(dae, condition.limits, at, role, accuracy, goal)
+        excess += _excess(dae, condition.limits, at, role, accuracy, goal)
     names = [label.full for label in leaves(dae.labels.x)]
     rows = [names.index(name) for name in "xy"]
     gaps = samples[1][rows, -1] - found.states(np.ones(1))[rows, 0]
-    return Replay(_largest(found_excess), float(np.hypot(*gaps)))
+    return Replay(_largest(excess), float(np.hypot(*gaps)))
+
+
+def _model_limits(dae: Dae, given: Sequence[Limit]) -> Iterator[Limit]:
+    """Yield the limits of a model, which end simulations, without those that are given."""
+    names = {limit_name(limit) for limit in given}
+    yield from (limit for limit in dae.limits if limit_name(limit) not in names)
+
+
+def _excess_at_stop(dae: Dae, found: PolynomialMotion, run: Trajectory) -> tuple[Bound, float]:
+    """Return the bound at which a simulation of a plan ended, and an excess.
+
+    The simulation does not show by how much the bound would have been violated. The excess is the
+    distance of the plan from the bound at this time: tightening by it excludes the plan. It is
+    infinite if the motion does not end at a limit of the model.
+    """
+    for limit in dae.limits:
+        if run.stop is not None and limit.label.full == run.stop.name:
+            part = np.minimum(run.t[-1:] / found.duration, 1.0)
+            sample = run.t[-1:], found.states(part), found.algebraic(part), found.inputs(part)
+            value = float(limit_values(dae, (limit,), sample)[0, 0])
+            side, away = min(
+                (LOWER, value - limit.lower), (UPPER, limit.upper - value), key=itemgetter(1)
+            )
+            return _bound(limit, side, ""), max(away, 0.0) or np.inf
+    name = "" if run.stop is None else f" ({run.stop.name})"
+    return Bound(f"motion ends early{name}"), np.inf
 
 
 def _largest(excess: Iterable[tuple[Bound, float]]) -> dict[Bound, float]:

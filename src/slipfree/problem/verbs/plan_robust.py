@@ -113,7 +113,11 @@ def make_robust(
             raise KeyboardInterrupt
         if not found.accurate:
             stop = found.run.stop
-            raise ModelError(stop.words.splitlines()[0] if stop else "the plan is not accurate")
+            raise ModelError(
+                stop.words.splitlines()[0]
+                if stop
+                else "the simulation deviates from the plan by more than plan.accuracy"
+            )
         latest = replace(found, stages=(*before.stages, *found.stages))
         return latest
 
@@ -173,7 +177,7 @@ def replay_draw(task: ReplayTask) -> tuple[Draw, Replay]:
     model = (dae, setup.vehicle, terrain)
     arguments = plan_arguments(problem, spec, setup.keep_out, model, setup.between)
     return task.draw, replay_of(
-        dae, arguments, task.motion, run, accuracy=spec.plan.accuracy, goal=robust.goal
+        dae, arguments, (setup.dae, task.motion), run, accuracy=spec.plan.accuracy, goal=robust.goal
     )
 
 
