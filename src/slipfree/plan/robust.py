@@ -139,7 +139,7 @@ class RobustPlan(NamedTuple, Generic[P]):
     rounds : int
         Number of times that the limits were tightened.
     failure : str
-        Reason why the limits could not be tightened as far as intended; empty if they could.
+        Reason why the limits were not tightened further; empty if that was not tried or solved.
     """
 
     plan: P
@@ -168,8 +168,7 @@ def robust_plan(
     Every round simulates the newest plan for draws that it does not depend on. If the share is
     missed, the limits of the next plan are tightened by quantiles of these violations: those with
     which half of the draws that may fail would fail, since few draws are an uncertain sample. If
-    the next plan is not solved, the limits are tightened in smaller steps; if that does not help,
-    as far as possible.
+    the next plan is not solved, the limits are tightened in smaller steps, as far as possible.
 
     Parameters
     ----------
@@ -194,10 +193,9 @@ def robust_plan(
         if not added:  # the share is reached, or the motions fail for another reason
             break
         now, done, failure = _tighten_gradually(solve, now, tightening, added)
-        if done:
-            tightening, rounds = _sum(tightening, added, done), rounds + 1
-        if failure:
+        if not done:
             break
+        tightening, rounds = _sum(tightening, added, done), rounds + 1
     final = _draws(seed, FINAL, final_draws)
     before = replay(first, final)
     after = replay(now, final) if rounds else before
