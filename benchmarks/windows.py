@@ -52,8 +52,8 @@ def planned(name: str) -> None:
         f"{memory:.0f} MB; largest violation {worst:.1e}",
         flush=True,
     )
-    law, duration = result.setup.starts[0]
-    setup = replace(result.setup, inputs=law, t=np.arange(0.0, duration, 1.0))
+    law, times = result.setup.starts[0]
+    setup = replace(result.setup, inputs=law, t=np.arange(0.0, times[-1], 1.0))
     print(f"  follow {words(integrate(setup, problem.spec.solver.options, Watch()))}", flush=True)
 
 

@@ -133,7 +133,7 @@ def test_map_coordinates_far_from_the_origin_make_no_difference():
 def test_differential_drive_follows_too():
     vehicle, path = skid_steered(), Path(WAY[:2])
     dae = closure_model(vehicle, FLAT)
-    plan = laws._planar_geometry(vehicle, {})
+    plan = laws.planar_geometry(vehicle, {})
     assert plan.ahead == pytest.approx(-0.2)  # the ball is a fixed wheel: the axis lies between
     start = settle(dae, heading=heading_at_start(path, plan.ahead))
     run = simulate(dae, start, follow(dae, vehicle, path, speed=0.3), np.linspace(0, 60, 61))

@@ -135,7 +135,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
             f"speed: expected a finite speed other than zero, found {speed} m/s; change it"
         )
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
-    plan = _planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
+    plan = planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
     v, wanted = _guidance_rates(dae, path, plan, speed)
     pace, turning = abs(speed) / plan.base, wanted
     rates = dict.fromkeys((c.name for c in vehicle.of("commanded")), ca.SX(0))
@@ -148,7 +148,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
         turning -= TILT_GAIN * pace * radius / plan.base * sum(tilts) / len(tilts)
     moving = {states[name]: rate for name, rate in rates.items()}
     wheels = [
-        _wheel_rate(each, v, plan.gain * turning, moving)
+        wheel_rate(each, v, plan.gain * turning, moving)
         for each in plan.wheels
         if each.wheel.driven
     ]
@@ -203,7 +203,7 @@ def _turning_rate(plan: _PlanarGeometry, v: ca.SX) -> ca.SX:
     return total / len(plan.steered)
 
 
-def _wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX, ca.SX]) -> ca.SX:
+def wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX, ca.SX]) -> ca.SX:
     """Return the rate of a driven wheel in a plane motion [rad/s]."""
     place = ca.vertcat(each.right, each.forward)
     shift = ca.SX.zeros(2)
@@ -214,7 +214,7 @@ def _wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX
     return along / each.wheel.radius
 
 
-def _planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeometry:
+def planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeometry:
     """Return the plan view of a vehicle in its zero configuration.
 
     The vehicle turns about an axis through the wheels that are neither steered nor casters nor

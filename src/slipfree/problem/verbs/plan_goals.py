@@ -101,7 +101,7 @@ def initial_paths(
 ) -> tuple[Array, ...]:
     """Return the paths of the initial guesses: given paths, or routes over the ground."""
     driver = spec.driver
-    if driver is None or driver.name == "straight":
+    if driver is None or driver.name in ("straight", "reeds-shepp"):
         return ()
     if driver.name == "follow":
         with at(problem, ("driver",)):
@@ -110,10 +110,40 @@ def initial_paths(
             if driver.path is not None or driver.file is not None:
                 raise ModelError("driver: expected one of path, paths and file, found several")
             return tuple(np.array(path) for path in driver.paths)
+    _check_goal_place(problem, places)
+    return _routes(problem, spec, driver, layers, [np.array(place[1:]) for place in places])
+
+
+def _check_goal_place(problem: Problem[S], places: tuple[Place, ...]) -> None:
+    """Raise ProblemError if the goal has no position."""
     if places[-1][0] != "goal":
         where = problem.source.where(("goal",))
-        raise ProblemError(f"{where}: expected values for x and y, which a route needs, found none")
-    return _routes(problem, spec, driver, layers, [np.array(place[1:]) for place in places])
+        raise ProblemError(
+            f"{where}: expected values for x and y, which the driver needs, found none; add them"
+        )
+
+
+def cusp_goal(
+    problem: Problem[S], spec: Plan, places: tuple[Place, ...]
+) -> tuple[float, float, float | None]:
+    """Return x, y [m] and heading of the goal, None without heading, for a path with cusps.
+
+    The heading is measured from the y axis. [rad]
+    """
+    driver = spec.driver
+    _check_goal_place(problem, places)
+    if len(places) > 2:
+        raise ModelError(
+            "driver: expected no way-points with name = 'reeds-shepp', found some; remove them"
+        )
+    if driver and (driver.path or driver.file or driver.paths or driver.count > 1):
+        raise ModelError(
+            "driver: expected only speed and turning_radius with name = 'reeds-shepp', found path, "
+            "file, paths or count; remove them"
+        )
+    _, x, y = places[-1]
+    heading = facing(problem, spec.goal).get("heading")
+    return x, y, None if heading is None else sum(heading) / 2
 
 
 def _routes(

@@ -23,11 +23,12 @@ from slipfree.problem.schema_ground import HeightErrors
 class Guide(Driver):
     """Initial guess of a plan: a driving law along paths or along routes over the ground."""
 
-    name: Literal["straight", "follow", "route"] = Field(  # type: ignore[assignment]
-        description="law; 'route': follow a path that a search finds on the map"
+    name: Literal["straight", "follow", "route", "reeds-shepp"] = Field(  # type: ignore[assignment]
+        description="law; 'route': follow a path that a search finds on the map; 'reeds-shepp': "
+        "drive forwards and backwards along the shortest path of a car on even ground"
     )
     turning_radius: NonNegative = Field(
-        default=1.0, description="smallest turning radius of a route [m]"
+        default=1.0, description="smallest turning radius of a route, or that of a car's path [m]"
     )
     paths: Annotated[
         tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,

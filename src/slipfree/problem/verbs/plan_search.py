@@ -24,6 +24,7 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import Plan
 from slipfree.problem.verbs.plan_setup import Planning, plan_arguments, settled_start
 from slipfree.problem.verbs.plan_windows import search_arguments
+from slipfree.records import Array
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
 
@@ -31,15 +32,14 @@ SMOOTHINGS = (1.0, 0.3)  # widths of the load law of the first plans [static dep
 ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
 
 
-def guess_motion(setup: Planning, start: tuple[Any, float]) -> Trajectory:
+def guess_motion(setup: Planning, start: tuple[Any, Array]) -> Trajectory:
     """Return the motion at the inputs of an initial guess, simulated with a rough tolerance.
 
     If the guess follows a path and the goal has x and y, the motion ends at its sample nearest to
     the goal; ranges of x and y are represented by their middle. If the integrator fails after the
     first sample, the motion ends where the integrator stopped.
     """
-    law, lasts = start
-    t = setup.t[: max(int((setup.t <= lasts).sum()), 2)]  # not beyond the end of the path
+    law, t = start
     try:
         rough = replace(setup.spec.solver.options, tolerance=ROUGH)
         run = simulate(setup.dae, setup.start, law, t, options=rough)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.control.arc_driving import arc_inputs, turning_axis_offset
 from slipfree.control.path_following import follow
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
@@ -32,6 +33,7 @@ from slipfree.problem.validation import validated_problem
 from slipfree.problem.verbs.plan_goals import (
     Place,
     Ranges,
+    cusp_goal,
     facing,
     initial_paths,
     key_of,
@@ -40,10 +42,11 @@ from slipfree.problem.verbs.plan_goals import (
     spelled,
     way_points_of,
 )
-from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_schema import Guide, Plan
 from slipfree.problem.verbs.plan_windows import check_windows
 from slipfree.records import Array, Label, leaves
 from slipfree.routing.reachability import unreachable
+from slipfree.routing.reeds_shepp import reeds_shepp
 from slipfree.routing.regions import Region
 from slipfree.routing.traversability import Traversability, extents, traversability
 from slipfree.solve.settle import settle
@@ -68,8 +71,8 @@ class Planning(Setup):
         Keep-out regions.
     paths : tuple of ndarray, shape (n, 2)
         Paths of the initial guesses; empty if the guesses follow no path. [m]
-    starts : tuple of (record, float)
-        Inputs and duration of each initial guess. [rad/s, s]
+    starts : tuple of (record, ndarray)
+        Inputs and times of the samples of each initial guess. [rad/s, s]
     spec : Plan
         Record of the problem file.
     between : mapping of float to mapping
@@ -80,7 +83,7 @@ class Planning(Setup):
     places: tuple[Place, ...]
     keep_out: tuple[Region, ...]
     paths: tuple[Array, ...]
-    starts: tuple[tuple[Any, float], ...]
+    starts: tuple[tuple[Any, Array], ...]
     spec: Plan
     between: Mapping[float, Ranges]
 
@@ -107,11 +110,11 @@ def build_planning(problem: Problem[Plan]) -> Planning:
     if wrong:
         where = problem.source.where((key_of(wrong[0].place),))
         raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
-    start, (t, _) = build_start(problem, dae), samples(spec.time, spec.inputs or {})
+    start = build_start(problem, dae)
     paths = initial_paths(problem, spec, layers, places)
     check_windows(problem, spec, vehicle, paths)
     check_robust(problem, spec, terrain.has_friction)
-    starts = _starts(problem, dae, vehicle, start, paths)
+    starts = _starts(problem, dae, vehicle, start, paths, places)
     _check_quantities(problem, dae)
     with at(problem, ("plan",)):
         task_of(
@@ -128,8 +131,7 @@ def build_planning(problem: Problem[Plan]) -> Planning:
         dae,
         dae,
         start,
-        starts[0][0],
-        t,
+        *starts[0],
         f"plan to {goal}",
         layers,
         places,
@@ -179,23 +181,67 @@ def _starts(
     vehicle: Vehicle,
     start: Trajectory,
     paths: tuple[Array, ...],
-) -> tuple[tuple[Any, float], ...]:
-    """Return inputs and duration [s] of each initial guess."""
+    places: tuple[Place, ...],
+) -> tuple[tuple[Any, Array], ...]:
+    """Return inputs and times of the samples [s] of each initial guess."""
     spec = problem.spec
     t, rates = samples(spec.time, spec.inputs or {})
     if spec.driver is None:
         with at(problem, ("inputs",)):
-            return ((dae.inputs(**rates), float(t[-1])),)
+            return ((dae.inputs(**rates), t),)
+    if spec.driver.name == "reeds-shepp":
+        return (_cusp_guess(problem, dae, vehicle, start, places),)
     if not paths:
-        return ((build_law(problem, spec.driver, dae, vehicle, start), float(t[-1])),)
+        return ((build_law(problem, spec.driver, dae, vehicle, start), t),)
     with at(problem, ("driver",)):
-        return tuple(_path_guess(dae, vehicle, path, spec.driver.speed) for path in paths)
+        return tuple(_path_guess(dae, vehicle, path, spec.driver.speed, t) for path in paths)
 
 
-def _path_guess(dae: Dae, vehicle: Vehicle, points: Array, speed: float) -> tuple[Any, float]:
-    """Return the inputs of a law that follows a path, and the duration of its motion [s]."""
+def _path_guess(
+    dae: Dae, vehicle: Vehicle, points: Array, speed: float, t: Array
+) -> tuple[Any, Array]:
+    """Return the inputs of a law that follows a path, and its times up to the end of the path."""
     path = Path(points)
-    return follow(dae, vehicle, path, speed=speed), path.length / abs(speed)
+    count = int((t <= path.length / abs(speed)).sum())
+    return follow(dae, vehicle, path, speed=speed), t[: max(count, 2)]
+
+
+def _cusp_guess(
+    problem: Problem[Plan],
+    dae: Dae,
+    vehicle: Vehicle,
+    start: Trajectory,
+    places: tuple[Place, ...],
+) -> tuple[Any, Array]:
+    """Return the inputs along the shortest path with cusps to the goal, and times of samples."""
+    spec, driver = problem.spec, problem.spec.driver or Guide(name="reeds-shepp", speed=1.0)
+    with at(problem, ("driver",)):
+        goal = cusp_goal(problem, spec, places)
+        first = tuple(float(start[name][-1]) for name in ("x", "y", "heading"))
+        ahead = turning_axis_offset(vehicle)
+        arcs = reeds_shepp(_behind(first, ahead), _behind(goal, ahead), driver.turning_radius)
+        if not arcs:
+            raise ModelError(
+                "driver: expected a goal apart from the start, found the start; move it"
+            )
+        values = {c.name: float(start[c.name][-1]) for c in vehicle.of("commanded")}
+        pieces, duration = arc_inputs(dae, vehicle, arcs, values, speed=abs(driver.speed))
+    if duration > spec.time.duration:
+        with at(problem, ("time", "duration")):
+            raise ModelError(
+                f"time.duration: expected at least {duration:.6g} s, which the path with cusps "
+                f"takes, found {spec.time.duration:g} s; raise it"
+            )
+    t, rates = samples(spec.time.model_copy(update={"duration": duration}), pieces)
+    return dae.inputs(**rates), t
+
+
+def _behind(pose: Any, distance: float) -> Any:
+    """Return a pose moved back by a distance; the position alone if it has no heading."""
+    x, y, heading = pose
+    if heading is None:
+        return pose
+    return x + np.sin(heading) * distance, y - np.cos(heading) * distance, heading
 
 
 def plan_arguments(

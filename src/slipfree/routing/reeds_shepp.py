@@ -1,0 +1,92 @@
+"""Shortest paths of cars that drive forwards and backwards, without regard to the ground."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.errors import ModelError
+
+HEADINGS = 24  # number of final headings that are tried if none is given
+MIN_LENGTH = 1e-6  # shorter arcs are omitted [turning radius]
+PlanarPose = tuple[float, float, float]
+
+
+class Arc(NamedTuple):
+    """Arc of a circle or straight line.
+
+    Attributes
+    ----------
+    length : float
+        Length, negative if the vehicle drives backwards. [m]
+    curvature : float
+        Rate of the heading per distance driven forwards, positive to the left. [1/m]
+    """
+
+    length: float
+    curvature: float
+
+
+def reeds_shepp(
+    start: PlanarPose, goal: tuple[float, float, float | None], turning_radius: float
+) -> tuple[Arc, ...]:
+    """Return the shortest path of a car between two poses, with cusps where it changes the gear.
+
+    Parameters
+    ----------
+    start : tuple of 3 floats
+        x, y and heading of the middle of the rear axle; the heading is measured from the y axis,
+        positive to the left. [m, m, rad]
+    goal : tuple of 3 floats
+        The same at the end; without heading (None), the shortest path for 24 headings is returned.
+    turning_radius : float
+        Turning radius. [m]
+
+    Returns
+    -------
+    tuple of Arc
+        At most five arcs; none if both poses are equal.
+
+    Raises
+    ------
+    ModelError
+        If the turning radius is not positive.
+
+    References
+    ----------
+    J. A. Reeds and L. A. Shepp, "Optimal paths for a car that goes both forwards and backwards",
+    Pacific Journal of Mathematics 145 (1990), 367-393.
+
+    Examples
+    --------
+    >>> for arc in reeds_shepp((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0):
+    ...     print(f"{arc.length:.3f} m, curvature {arc.curvature:g} 1/m")
+    """
+    from rsplan import planner  # imported where it is used
+
+    if not 0 < turning_radius < math.inf:
+        raise ModelError(
+            f"turning_radius: expected a positive number, found {turning_radius:g} m; increase it"
+        )
+    x, y, heading = goal
+    spread = 2 * np.pi * np.arange(HEADINGS) / HEADINGS + start[2]
+    paths = [
+        planner.path(
+            (start[0], start[1], start[2] + np.pi / 2),  # yaw from the x axis
+            (x, y, float(final) + np.pi / 2),
+            turning_radius,
+            0.0,
+            turning_radius,
+            length_tolerance=0.0,
+        )
+        for final in (spread if heading is None else [heading])
+    ]
+    best = min(paths, key=lambda path: float(path.total_length))
+    bends = {"left": 1 / turning_radius, "right": -1 / turning_radius, "straight": 0.0}
+    arcs = [
+        Arc(segment.direction * abs(float(segment.length)), bends[segment.type])
+        for segment in best.segments
+    ]
+    return tuple(arc for arc in arcs if abs(arc.length) > MIN_LENGTH * turning_radius)
