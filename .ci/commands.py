@@ -32,6 +32,7 @@ PACKAGES = (
     "rich",
     "tomlkit",
     "platformdirs",
+    "rsplan",
     "rasterio",
     "viser",
     "distributed",

@@ -61,8 +61,14 @@ def reeds_shepp(
 
     Examples
     --------
-    >>> for arc in reeds_shepp((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0):
+    A car moves 2 m to its right:
+
+    >>> for arc in reeds_shepp((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), 1.0):
     ...     print(f"{arc.length:.3f} m, curvature {arc.curvature:g} 1/m")
+    0.505 m, curvature 1 1/m
+    -1.318 m, curvature -1 1/m
+    -1.318 m, curvature 1 1/m
+    0.505 m, curvature -1 1/m
     """
     from rsplan import planner  # imported where it is used
 

@@ -1,0 +1,57 @@
+"""Plans from guesses with cusps: parking, and settings that do not suit them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slipfree.files.toml.errors import ProblemError
+from slipfree.outcome import Outcome
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import build, run_problem
+
+PARKING = Path(__file__).parents[2] / "problems" / "plan_parking.toml"
+
+
+def test_parking_needs_a_guess_with_cusps():
+    run = run_problem(load_problem(PARKING)).trajectory
+    assert run.outcome is Outcome.COMPLETE
+    end = [run[name][-1] for name in ("x", "y", "heading")]
+    assert end == pytest.approx([2.0, 0.0, 0.0], abs=1e-3)
+    forward = np.cos(run["heading"]) * np.gradient(run["y"]) - np.sin(run["heading"]) * np.gradient(
+        run["x"]
+    )
+    gears = np.sign(forward[np.abs(forward) > 1e-4])
+    assert (np.diff(gears) != 0).sum() >= 2  # cusps
+    straight = run_problem(load_problem(PARKING, ("driver.name=straight",))).trajectory
+    assert straight.outcome is not Outcome.COMPLETE
+
+
+def test_guess_with_cusps_ends_near_the_goal_on_even_ground():
+    settings = ("terrain.synthetic.power_law=", "goal.heading=0.5")
+    setup = build(load_problem(PARKING, settings))
+    inputs, t = setup.starts[0]
+    assert t[-1] < 40
+    assert setup.paths == ()
+    assert inputs is setup.inputs
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (("driver.count=2",), "expected only speed and turning_radius"),
+        (("goal={heading=0.5}",), "expected values for x and y, which the driver needs"),
+        (("time.duration=2.0",), "time.duration: expected at least"),
+        (("goal={x=0.0, y=0.0, heading=0.0}", "keep_out="), "expected a goal apart from the start"),
+        (("driver.turning_radius=0.0",), "turning_radius: expected a positive number"),
+        (
+            ("way_points=[{at=0.5, x=1.0, y=0.5}]", "keep_out="),
+            "expected no way-points with name = 'reeds-shepp'",
+        ),
+    ],
+)
+def test_settings_that_do_not_suit_are_refused(settings, words):
+    with pytest.raises(ProblemError, match=words):
+        build(load_problem(PARKING, settings))

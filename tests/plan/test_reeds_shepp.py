@@ -1,0 +1,112 @@
+"""Paths with cusps: lengths in closed form, end poses, symmetries, and inputs that drive them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
+from slipfree.control.arc_driving import arc_inputs, turning_axis_offset
+from slipfree.errors import ModelError
+from slipfree.problem.build_common import samples
+from slipfree.problem.schema import Time
+from slipfree.routing.reeds_shepp import HEADINGS, reeds_shepp
+from slipfree.terrain.base import Terrain
+
+RADIUS = 0.8
+RNG = np.random.default_rng(5)
+PAIRS = [(tuple(RNG.uniform(-3, 3, 3)), tuple(RNG.uniform(-3, 3, 3))) for _ in range(30)]
+
+
+def end_of(pose, arcs):
+    """Return the pose at the end of arcs, in closed form."""
+    place, heading = complex(*pose[:2]), pose[2]
+    for length, curvature in arcs:
+        turn = length * curvature
+        chord = length * np.sinc(turn / 2 / np.pi)
+        place += chord * 1j * np.exp(1j * (heading + turn / 2))
+        heading += turn
+    return place.real, place.imag, heading
+
+
+def length_of(arcs):
+    return sum(abs(arc.length) for arc in arcs)
+
+
+@pytest.mark.parametrize(
+    ("goal", "arcs"),
+    [
+        ((0.0, 3.0, 0.0), [(3.0, 0.0)]),
+        ((0.0, -3.0, 0.0), [(-3.0, 0.0)]),
+        ((RADIUS, RADIUS, -math.pi / 2), [(math.pi / 2 * RADIUS, -1 / RADIUS)]),
+        ((RADIUS, -RADIUS, math.pi / 2), [(-math.pi / 2 * RADIUS, -1 / RADIUS)]),
+        ((0.0, 0.0, 0.0), []),
+    ],
+)
+def test_single_arcs(goal, arcs):
+    found = reeds_shepp((0.0, 0.0, 0.0), goal, RADIUS)
+    assert np.reshape(found, (-1, 2)) == pytest.approx(np.reshape(arcs, (-1, 2)), abs=1e-9)
+
+
+@pytest.mark.parametrize(("start", "goal"), PAIRS)
+def test_paths_end_at_the_goal_and_are_reversible(start, goal):
+    arcs = reeds_shepp(start, goal, RADIUS)
+    x, y, heading = end_of(start, arcs)
+    assert (x, y) == pytest.approx(goal[:2], abs=1e-9)
+    assert math.sin((heading - goal[2]) / 2) == pytest.approx(0, abs=1e-9)
+    assert {abs(arc.curvature) for arc in arcs} <= {0.0, 1 / RADIUS}
+    assert length_of(arcs) >= math.dist(start[:2], goal[:2]) - 1e-9
+    assert length_of(reeds_shepp(goal, start, RADIUS)) == pytest.approx(length_of(arcs))
+    mirrored = [(-x, y, -heading) for x, y, heading in (start, goal)]
+    assert length_of(reeds_shepp(*mirrored, RADIUS)) == pytest.approx(length_of(arcs))
+
+
+def test_free_heading_takes_the_shortest_path():
+    start, goal = (0.0, 0.0, 0.3), (1.0, -0.5)
+    free = reeds_shepp(start, (*goal, None), RADIUS)
+    assert end_of(start, free)[:2] == pytest.approx(goal, abs=1e-9)
+    headings = start[2] + 2 * np.pi * np.arange(HEADINGS) / HEADINGS
+    lengths = [length_of(reeds_shepp(start, (*goal, each), RADIUS)) for each in headings]
+    assert length_of(free) == pytest.approx(min(lengths))
+
+
+def test_radius_must_be_positive():
+    with pytest.raises(ModelError, match="turning_radius: expected a positive number"):
+        reeds_shepp((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0)
+
+
+def driven(vehicle, arcs, speed=0.5):
+    """Return the motion of a vehicle along arcs on a plane."""
+    ground: Terrain = Analytic(lambda x, y: 0 * x * y)
+    dae = direct_kinematics(vehicle, ground)
+    start = settle(dae)
+    values = {c.name: 0.0 for c in vehicle.of("commanded")}
+    pieces, duration = arc_inputs(dae, vehicle, arcs, values, speed=speed)
+    t, rates = samples(Time(duration=duration, step=0.2), pieces)
+    return simulate(dae, start, dae.inputs(**rates), t), duration
+
+
+def test_steered_vehicle_drives_the_arcs_without_slip():
+    vehicle = catalog.three_wheeler(axle="fixed")
+    ahead = turning_axis_offset(vehicle)
+    first, goal = (0.0, -ahead, 0.0), (1.0, 0.5, 0.4)
+    arcs = reeds_shepp(first, goal, 1.2)
+    assert min(arc.length for arc in arcs) < 0 < max(arc.length for arc in arcs)
+    run, duration = driven(vehicle, arcs)
+    x, y, heading = (float(run[name][-1]) for name in ("x", "y", "heading"))
+    assert (x + ahead * math.sin(heading), y - ahead * math.cos(heading)) == pytest.approx(
+        goal[:2], abs=1e-6
+    )
+    assert heading == pytest.approx(goal[2], abs=1e-6)
+    assert np.abs(run["slip_across"]).max() < 1e-6
+    assert duration > length_of(arcs) / 0.5  # and the time to steer
+
+
+def test_skid_steer_vehicle_drives_the_arcs_roughly():
+    vehicle = catalog.rigid_skid_steer()
+    run, _ = driven(vehicle, [(1.0, 0.8), (-0.5, -0.8)])
+    x, y, heading = end_of((0.0, 0.0, 0.0), [(1.0, 0.8), (-0.5, -0.8)])
+    assert (run["x"][-1], run["y"][-1]) == pytest.approx((x, y), abs=0.05)
+    assert run["heading"][-1] == pytest.approx(heading, abs=0.05)
