@@ -59,7 +59,7 @@ def test_the_start_of_the_search_ends_at_the_goal():
             "keep_out[0]: expected either x, y and radius, or points",
         ),
         (["keep_out=[{ points = [[0, 0], [1, 1]] }]"], "points"),
-        (["goal={ heading = 0.0 }"], "goal: expected values for x and y, which a route"),
+        (["goal={ heading = 0.0 }"], "goal: expected values for x and y, which the driver"),
         (["terrain.friction=0.01"], "needs a friction coefficient of 0.0563, the ground offers"),
     ],
 )
@@ -107,7 +107,7 @@ def test_a_way_point_is_passed():
         ),
         (["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle must be 0"),
         (["costs.foo=1.0"], "expected a quantity of the model, found 'foo'"),
-        (["goal={}"], "goal: expected values for x and y, which a route"),
+        (["goal={}"], "goal: expected values for x and y, which the driver"),
     ],
 )
 def test_what_is_wrong_with_places_and_ways_is_told(settings, words):
