@@ -172,7 +172,11 @@ def test_what_cannot_be_exported(tmp_path: Path) -> None:
     netcdf.write(out, found.part(slice(1)))
     with pytest.raises(DataError, match="at least two samples for a LineString, found one"):
         export_path(out, tmp_path / "path.geojson")
-    netcdf.write(out, replace(found, attributes={**found.attributes, "map_transform": "[[1]]"}))
+    damaged = {**found.attributes, "map_transform": "[[1]]"}
+    with pytest.raises(DataError, match="expected rows of name, offset, factor and axis as JSON"):
+        netcdf.write(out, replace(found, attributes=damaged))
+    del damaged["map_crs"]
+    netcdf.write(out, replace(found, attributes=damaged))
     with pytest.raises(DataError, match="expected rows of name, offset, factor and axis as JSON"):
         export_path(out, tmp_path / "path.geojson")
 

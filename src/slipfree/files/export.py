@@ -7,41 +7,19 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
+from slipfree.files.map_coordinates import map_positions
 from slipfree.files.netcdf import read, write_csv
-from slipfree.records import Array, Label
+from slipfree.records import Label
 from slipfree.regular_files import resolve_links
 from slipfree.trajectory import Column, Trajectory
 
 ANGLES = ("heading", "pitch", "roll", "yaw")
-DEGREES = ("longitude", "latitude")
 WGS84 = "EPSG:4326"  # default reference system of GeoJSON
-MAP_TRANSFORM = "map_transform"  # attribute of a result: its map coordinates as JSON
 RUN_AGAIN = "give a result of slipfree run with the verb direct, inverse or plan"
-
-
-class MapCoordinate(NamedTuple):
-    """A coordinate of the map file as a linear function of a coordinate of the motion.
-
-    Attributes
-    ----------
-    name : str
-        Name of the map coordinate: ``"x"``, ``"y"``, ``"z"``, ``"longitude"`` or ``"latitude"``.
-    offset : float
-        Value of the map coordinate at the origin of the motion's coordinates. [m] or [deg]
-    factor : float
-        Change of the map coordinate per metre of the motion. [1] or [deg/m]
-    axis : str
-        Coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``.
-    """
-
-    name: str
-    offset: float
-    factor: float
-    axis: str
 
 
 def export_path(file: Path, out: Path) -> None:
@@ -122,36 +100,6 @@ def _choose_writer(out: Path, file: Path, writers: Mapping[str, Write]) -> Write
     return writers[out.suffix.lower()]
 
 
-def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
-    """Return map coordinates as JSON text, for an attribute of a result file."""
-    return json.dumps([*coordinates])
-
-
-def _map_coordinates(run: Trajectory) -> list[MapCoordinate]:
-    """Return the coordinates of the map file; without them, those of the motion."""
-    text = run.attributes.get(MAP_TRANSFORM)
-    if text is None:
-        return [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
-    try:
-        return [MapCoordinate(*row) for row in json.loads(text)]
-    except (ValueError, TypeError) as error:
-        raise DataError(
-            f"attribute {MAP_TRANSFORM!r} of the result: expected rows of name, offset, factor and "
-            f"axis as JSON, found {text!r}; run the problem again"
-        ) from error
-
-
-def _map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
-    """Return units and values, shape (n,), of the map coordinates by name."""
-    return {
-        each.name: (
-            "degree" if each.name in DEGREES else "m",
-            each.offset + each.factor * run[each.axis],
-        )
-        for each in _map_coordinates(run)
-    }
-
-
 def _write_path(run: Trajectory, out: Path) -> None:
     """Write the path and the attitude of the platform as CSV."""
     crs = run.attributes.get("map_crs", "no reference system given")
@@ -159,7 +107,7 @@ def _write_path(run: Trajectory, out: Path) -> None:
         name: Column(
             Label(name, unit, f"{name} of the platform's centre on the map ({crs})"), values
         )
-        for name, (unit, values) in _map_positions(run).items()
+        for name, (unit, values) in map_positions(run).items()
     }
     attitude = {name: run.columns[name] for name in ANGLES if name in run.columns}
     write_csv(out, replace(run, columns=columns | attitude))
@@ -173,7 +121,7 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
             "write CSV instead"
         )
     crs = run.attributes.get("map_crs", "")
-    positions = [values.tolist() for _, values in _map_positions(run).values()]
+    positions = [values.tolist() for _, values in map_positions(run).values()]
     feature = {
         "type": "Feature",
         "properties": {

@@ -1,9 +1,10 @@
 r"""Result files: netCDF with CF metadata, and CSV.
 
 A result file is netCDF-3 (64-bit offsets), which xarray, MATLAB, R, Julia, Panoply and ncdump open
-directly. It has the dimensions ``time`` and ``wheel``, and one variable for each quantity with
-``units`` and ``long_name``. Its global attributes contain versions, date, the complete problem
-file, and the reason of an early stop. Attributes are UTF-8; a byte of a file name that is not
+directly. It has the dimensions ``wheel`` and ``time``, and one variable for each quantity with
+``units`` and ``long_name``. A motion over terrain is a trajectory of the CF conventions
+(`slipfree.files.cf`). Global attributes contain versions, date, the complete problem file, and the
+reason of an early stop. Attributes are UTF-8; a byte of a file name that is not
 UTF-8, such as 0xff, is written as ``\udcff``.
 """
 
@@ -12,7 +13,7 @@ from __future__ import annotations
 import math
 import os
 import platform
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -27,6 +28,18 @@ import scipy
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, ModelError
+from slipfree.files.cf import (
+    CRS,
+    FEATURE,
+    TIME_ATTRIBUTES,
+    TRAJECTORY,
+    TRAJECTORY_ATTRIBUTES,
+    coordinate_attributes,
+    grid_mapping,
+    is_trajectory,
+    position_columns,
+)
+from slipfree.files.map_coordinates import MAP_CRS
 from slipfree.files.tables import write_rows
 from slipfree.files.upgrade import upgrade_0_1, upgrade_column_0_1
 from slipfree.frames import to_problem_frame
@@ -37,7 +50,6 @@ from slipfree.trajectory import (
     OUTCOME,
     STATISTICS,
     STOP,
-    TIME,
     WHEELS,
     Column,
     Stop,
@@ -49,7 +61,7 @@ CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # attribute that identifies a result file
 OLD = "0.1."  # prefix of versions whose results are upgraded
 ORDER = "quantities"  # attribute with the names of the quantities in their order
-RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP}
+RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP, *FEATURE, CRS, TRAJECTORY}
 REMEDY = "run the problem again to write a complete file"
 # exceptions of scipy's reader for a damaged file
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
@@ -194,7 +206,7 @@ def _fill(file: Any, run: Trajectory) -> None:
     file.createDimension("time", run.t.size)
     time = file.createVariable("time", "f8", ("time",))
     time[:] = run.t
-    _annotate(time, TIME)
+    _annotate(time, TIME_ATTRIBUTES)
     if run.wheels:
         names = [name.encode() for name in run.wheels]
         length = -(-max(map(len, names)) // 4) * 4  # a multiple of 4: the file needs no padding
@@ -203,13 +215,20 @@ def _fill(file: Any, run: Trajectory) -> None:
         wheel = file.createVariable("wheel", "c", ("wheel", "strlen"))
         wheel[:] = np.array(names, f"S{length}").view("S1").reshape(len(names), length)
         _annotate(wheel, {**WHEELS, "_Encoding": "utf-8"})
-    for name, column in run.columns.items():
-        variable = file.createVariable(name, "f8", column.dimensions)
-        variable[:] = column.values
-        _annotate(variable, column.metadata)
+    if is_trajectory(run):
+        number = file.createVariable(TRAJECTORY, "i4", ())
+        number[...] = 1
+        _annotate(number, TRAJECTORY_ATTRIBUTES)
+    on_map = position_columns(run)
+    if on_map:
+        _annotate(file.createVariable(CRS, "i4", ()), grid_mapping(run.attributes[MAP_CRS]))
+    for name, column in {**on_map, **run.columns}.items():
+        variable = file.createVariable(name, "f8", column.dimensions[::-1])
+        variable[:] = column.values.T
+        _annotate(variable, column.metadata | coordinate_attributes(run, [*on_map], name))
 
 
-def _annotate(node: Any, attributes: Mapping[str, Attribute]) -> None:
+def _annotate(node: Any, attributes: Mapping[str, Any]) -> None:
     """Set attributes of a netCDF file or variable."""
     for name, value in attributes.items():
         if hasattr(node, name):
@@ -226,6 +245,7 @@ def _attributes(run: Trajectory) -> dict[str, Attribute]:
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     return {
         "Conventions": CONVENTIONS,
+        **(FEATURE if is_trajectory(run) else {}),
         "title": "Motion of a wheeled vehicle over uneven ground",
         "date_created": now,
         "history": f"{now} computed by slipfree {__version__}",
@@ -352,7 +372,8 @@ def _trajectory(file: _File) -> Trajectory:
     if wheels.ndim != 2 or wheels.dtype != "S1":
         raise _fault(file.path, "a variable 'wheel' that does not contain names")
     names = tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels)
-    sizes = {(t.size,), (t.size, len(names))}
+    n, k = t.size, len(names)
+    sizes = {("time",): (n,), ("wheel", "time"): (k, n), ("time", "wheel"): (n, k)}  # last: old
     stop = None
     if set(STOP) <= set(found):
         name, words = (str(found[key]) for key in (STOP[0], STOP[2]))
@@ -380,10 +401,10 @@ def _outcome(file: _File) -> Outcome:
     return Outcome[name]
 
 
-def _label(file: _File, name: str, sizes: Container[tuple[int, ...]]) -> Label:
+def _label(file: _File, name: str, sizes: Mapping[tuple[str, ...], tuple[int, ...]]) -> Label:
     """Return the label of a quantity; raise DataError if it is invalid."""
     dimensions, shape, dtype, _, words = file.variables[name]
-    if dimensions not in (("time",), ("time", "wheel")) or shape not in sizes:
+    if sizes.get(dimensions) != shape:
         raise _fault(
             file.path,
             f"the variable {name!r} with dimensions ({', '.join(dimensions)}) and shape {shape}",
@@ -404,6 +425,7 @@ class _Columns(Mapping[str, Column]):
     def __getitem__(self, name: str) -> Column:
         label = self._labels[name]
         found = self._file.values(name)
+        found = found.T if self._file.variables[name].dimensions[0] == "wheel" else found
         values = np.empty(found.shape)
         for k in range(0, len(found), BLOCK):
             values[k : k + BLOCK] = block = found[k : k + BLOCK]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
-from slipfree.files.export import DEGREES, MapCoordinate
+from slipfree.files.map_coordinates import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import Frame, Map, jacksboro, read_map, takes_key
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.source_lines import Place

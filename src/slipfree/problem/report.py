@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from slipfree.files.export import MAP_TRANSFORM
+from slipfree.files.map_coordinates import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.input_files import digest

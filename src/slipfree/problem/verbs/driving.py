@@ -12,7 +12,7 @@ import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.errors import DataError
-from slipfree.files.export import MAP_TRANSFORM, encode_map_coordinates
+from slipfree.files.map_coordinates import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.frames import STORED, WANTED, to_problem_frame
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.poses import wheel_poses

@@ -1,0 +1,144 @@
+"""CF metadata of motions: time, position on the map, reference system."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from slipfree.errors import DataError
+from slipfree.files.map_coordinates import DEGREES, MAP_CRS, map_positions
+from slipfree.records import Label
+from slipfree.trajectory import TIME, Column, Trajectory
+
+TIME_ATTRIBUTES = TIME | {
+    "units": "seconds since 2000-01-01 00:00:00",
+    "calendar": "standard",
+    "units_metadata": "leap_seconds: none",
+    "comment": "seconds since the start of the motion; the date is arbitrary",
+}
+FEATURE = {"featureType": "trajectory"}
+TRAJECTORY = "trajectory"  # variable that identifies the motion
+TRAJECTORY_ATTRIBUTES = {"long_name": "number of the motion", "cf_role": "trajectory_id"}
+CRS = "crs"  # variable with the reference system of the map
+POSITION = ("map_x", "map_y", "longitude", "latitude")  # variables with the place on the map
+STANDARD_NAMES = {
+    "map_x": "projection_x_coordinate",
+    "map_y": "projection_y_coordinate",
+    "longitude": "longitude",
+    "latitude": "latitude",
+    "pitch": "platform_pitch_fore_up",
+    "roll": "platform_roll_starboard_down",
+}
+# Names of the CF conventions for methods and parameters of projections, by their EPSG codes. The
+# second entry of a method is its name of the longitude of natural origin.
+METHODS = {
+    9807: ("transverse_mercator", "longitude_of_central_meridian"),
+    9820: ("lambert_azimuthal_equal_area", "longitude_of_projection_origin"),
+    9802: ("lambert_conformal_conic", ""),
+    9822: ("albers_conical_equal_area", ""),
+}
+PARAMETERS = {
+    8801: "latitude_of_projection_origin",
+    8805: "scale_factor_at_central_meridian",
+    8806: "false_easting",
+    8807: "false_northing",
+    8821: "latitude_of_projection_origin",
+    8822: "longitude_of_central_meridian",
+    8826: "false_easting",
+    8827: "false_northing",
+}
+LONGITUDE, PARALLELS = 8802, (8823, 8824)
+UNITS = {"degree", "metre", "unity"}  # units of CF attributes
+
+
+def is_trajectory(run: Trajectory) -> bool:
+    """Return whether a motion has positions x, y, z in space."""
+    return {"x", "y", "z"} <= {*run.columns}
+
+
+def position_columns(run: Trajectory) -> dict[str, Column]:
+    """Return the horizontal position of a motion in the reference system of its map, by name.
+
+    Without a reference system there is none: x, y, z are the position then.
+    """
+    crs = run.attributes.get(MAP_CRS)
+    if not crs or not is_trajectory(run):
+        return {}
+    found = {}
+    for name, (unit, values) in map_positions(run).items():
+        if name != "z":
+            known = name if name in DEGREES else f"map_{name}"
+            unit = {"longitude": "degrees_east", "latitude": "degrees_north"}.get(name, unit)
+            label = Label(known, unit, f"{name} of the platform's centre in {crs}")
+            found[known] = Column(label, values)
+    return found
+
+
+def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> dict[str, str]:
+    """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    on_map : sequence of str
+        Names of `position_columns`.
+    name : str
+        Name of the variable.
+    """
+    found = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
+    if not is_trajectory(run):
+        return found
+    axes = dict(zip([*on_map, "z"], "XYZ" if on_map else "Z", strict=True))
+    if name in axes:
+        return found | {"axis": axes[name]} | ({"positive": "up"} if name == "z" else {})
+    horizontal = on_map or "xy"  # without an axis, since CF reserves X for longitude and map_x
+    if name in horizontal:
+        return found
+    found["coordinates"] = " ".join(["time", *horizontal, "z"])
+    return found | ({"grid_mapping": CRS} if on_map else {})
+
+
+def grid_mapping(crs: str) -> dict[str, Any]:
+    """Return the attributes of the variable ``crs`` for a reference system, EPSG code or WKT.
+
+    ``crs_wkt`` is the attribute of the CF conventions, ``spatial_ref`` that of GDAL. The
+    projection also has its CF name and parameters where the conventions define them.
+
+    Raises
+    ------
+    DataError
+        If the reference system is unknown.
+    """
+    import rasterio.crs
+    from rasterio.errors import CRSError
+
+    try:
+        system = rasterio.crs.CRS.from_user_input(crs)
+    except CRSError as error:
+        raise DataError(
+            f"attribute {MAP_CRS!r} of the result: expected an EPSG code or WKT, found {crs!r}; "
+            "run the problem again"
+        ) from error
+    wkt = {"crs_wkt": system.to_wkt(version="WKT2_2019"), "spatial_ref": system.to_wkt()}
+    if system.is_geographic:
+        return {"grid_mapping_name": "latitude_longitude", **wkt}
+    return _projection(system.to_dict(projjson=True)) | wkt
+
+
+def _projection(system: dict[str, Any]) -> dict[str, Any]:
+    """Return the CF attributes of a projection from PROJJSON; empty if CF does not define them."""
+    conversion = system.get("conversion", {})
+    code = conversion.get("method", {}).get("id", {}).get("code")
+    rows = conversion.get("parameters", ())
+    values = {row.get("id", {}).get("code"): row["value"] for row in rows}
+    if code not in METHODS or not {str(row["unit"]) for row in rows} <= UNITS:
+        return {}
+    name, longitude = METHODS[code]
+    known = {**PARAMETERS, LONGITUDE: longitude}
+    found: dict[str, Any] = {
+        known[key]: float(value) for key, value in values.items() if key in known
+    }
+    if PARALLELS[0] in values:
+        found["standard_parallel"] = tuple(float(values[key]) for key in PARALLELS)
+    return {"grid_mapping_name": name, **found}
