@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -63,6 +64,25 @@ def test_paths_end_at_the_goal_and_are_reversible(start, goal):
     assert length_of(reeds_shepp(*mirrored, RADIUS)) == pytest.approx(length_of(arcs))
 
 
+@pytest.mark.parametrize("sideways", [0.01, 0.3, 1.6])
+def test_parking_takes_four_arcs(sideways):
+    """Arcs a, b, b, a: 2 sin a = sin(a + b), 4 cos a - 2 - 2 cos(a + b) radii sideways."""
+    shift = 2 + sideways / RADIUS
+    first = math.acos((shift**2 + 12) / (8 * shift))
+    both = math.acos(2 * math.cos(first) - shift / 2)
+    arcs = reeds_shepp((0.0, 0.0, 0.0), (sideways, 0.0, 0.0), RADIUS)
+    assert [abs(arc.length) / RADIUS for arc in arcs] == pytest.approx(
+        [first, both - first, both - first, first]
+    )
+    assert [arc.length > 0 for arc in arcs] == [True, False, False, True]
+
+
+def test_no_path_is_longer_than_a_detour():
+    for (one, two), (three, _) in pairwise(PAIRS):
+        legs = [length_of(reeds_shepp(*pair, RADIUS)) for pair in ((one, two), (two, three))]
+        assert length_of(reeds_shepp(one, three, RADIUS)) <= sum(legs) + 1e-9
+
+
 def test_free_heading_takes_the_shortest_path():
     start, goal = (0.0, 0.0, 0.3), (1.0, -0.5)
     free = reeds_shepp(start, (*goal, None), RADIUS)
@@ -88,18 +108,17 @@ def driven(vehicle, arcs, speed=0.5):
     return simulate(dae, start, dae.inputs(**rates), t), duration
 
 
-def test_steered_vehicle_drives_the_arcs_without_slip():
+@pytest.mark.parametrize("heading", [0.4, None])
+def test_steered_vehicle_drives_the_arcs_without_slip(heading):
     vehicle = catalog.three_wheeler(axle="fixed")
     ahead = turning_axis_offset(vehicle)
-    first, goal = (0.0, -ahead, 0.0), (1.0, 0.5, 0.4)
-    arcs = reeds_shepp(first, goal, 1.2)
+    assert ahead == pytest.approx(0.5)
+    arcs = reeds_shepp((0.0, 0.0, 0.0), (1.0, -1.0, heading), 1.2, ahead)
     assert min(arc.length for arc in arcs) < 0 < max(arc.length for arc in arcs)
     run, duration = driven(vehicle, arcs)
-    x, y, heading = (float(run[name][-1]) for name in ("x", "y", "heading"))
-    assert (x + ahead * math.sin(heading), y - ahead * math.cos(heading)) == pytest.approx(
-        goal[:2], abs=1e-6
-    )
-    assert heading == pytest.approx(goal[2], abs=1e-6)
+    assert (run["x"][-1], run["y"][-1]) == pytest.approx((1.0, -1.0), abs=1e-6)
+    if heading is not None:
+        assert run["heading"][-1] == pytest.approx(heading, abs=1e-6)
     assert np.abs(run["slip_across"]).max() < 1e-6
     assert duration > length_of(arcs) / 0.5  # and the time to steer
 

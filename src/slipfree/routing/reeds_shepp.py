@@ -30,19 +30,26 @@ class Arc(NamedTuple):
 
 
 def reeds_shepp(
-    start: PlanarPose, goal: tuple[float, float, float | None], turning_radius: float
+    start: PlanarPose,
+    goal: tuple[float, float, float | None],
+    turning_radius: float,
+    ahead: float = 0.0,
 ) -> tuple[Arc, ...]:
     """Return the shortest path of a car between two poses, with cusps where it changes the gear.
+
+    The arcs are those of the middle of the rear axle.
 
     Parameters
     ----------
     start : tuple of 3 floats
-        x, y and heading of the middle of the rear axle; the heading is measured from the y axis,
-        positive to the left. [m, m, rad]
+        x, y and heading of the car's centre; the heading is measured from the y axis, positive to
+        the left. [m, m, rad]
     goal : tuple of 3 floats
         The same at the end; without heading (None), the shortest path for 24 headings is returned.
     turning_radius : float
-        Turning radius. [m]
+        Turning radius of the middle of the rear axle. [m]
+    ahead : float
+        Distance of the centre ahead of the rear axle. [m]
 
     Returns
     -------
@@ -80,8 +87,8 @@ def reeds_shepp(
     spread = 2 * np.pi * np.arange(HEADINGS) / HEADINGS + start[2]
     paths = [
         planner.path(
-            (start[0], start[1], start[2] + np.pi / 2),  # yaw from the x axis
-            (x, y, float(final) + np.pi / 2),
+            _rear(start, ahead),
+            _rear((x, y, float(final)), ahead),
             turning_radius,
             0.0,
             turning_radius,
@@ -96,3 +103,9 @@ def reeds_shepp(
         for segment in best.segments
     ]
     return tuple(arc for arc in arcs if abs(arc.length) > MIN_LENGTH * turning_radius)
+
+
+def _rear(pose: PlanarPose, ahead: float) -> PlanarPose:
+    """Return x, y and yaw from the x axis of the rear axle, for the pose of the centre."""
+    x, y, heading = pose
+    return x + math.sin(heading) * ahead, y - math.cos(heading) * ahead, heading + math.pi / 2

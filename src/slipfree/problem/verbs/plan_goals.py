@@ -124,19 +124,23 @@ def _check_goal_place(problem: Problem[S], places: tuple[Place, ...]) -> None:
 
 
 def cusp_goal(
-    problem: Problem[S], spec: Plan, places: tuple[Place, ...]
+    problem: Problem[S], spec: Plan, driver: Guide, places: tuple[Place, ...]
 ) -> tuple[float, float, float | None]:
     """Return x, y [m] and heading of the goal, None without heading, for a path with cusps.
 
     The heading is measured from the y axis. [rad]
     """
-    driver = spec.driver
     _check_goal_place(problem, places)
     if len(places) > 2:
         raise ModelError(
             "driver: expected no way-points with name = 'reeds-shepp', found some; remove them"
         )
-    if driver and (driver.path or driver.file or driver.paths or driver.count > 1):
+    if driver.speed < 0:
+        raise ModelError(
+            "driver: expected a positive speed with name = 'reeds-shepp', which chooses the gears, "
+            f"found {driver.speed:g} m/s; change its sign"
+        )
+    if driver.path or driver.file or driver.paths or driver.count > 1:
         raise ModelError(
             "driver: expected only speed and turning_radius with name = 'reeds-shepp', found path, "
             "file, paths or count; remove them"

@@ -190,7 +190,7 @@ def _starts(
         with at(problem, ("inputs",)):
             return ((dae.inputs(**rates), t),)
     if spec.driver.name == "reeds-shepp":
-        return (_cusp_guess(problem, dae, vehicle, start, places),)
+        return (_cusp_guess(problem, spec.driver, dae, vehicle, start, places),)
     if not paths:
         return ((build_law(problem, spec.driver, dae, vehicle, start), t),)
     with at(problem, ("driver",)):
@@ -208,24 +208,24 @@ def _path_guess(
 
 def _cusp_guess(
     problem: Problem[Plan],
+    driver: Guide,
     dae: Dae,
     vehicle: Vehicle,
     start: Trajectory,
     places: tuple[Place, ...],
 ) -> tuple[Any, Array]:
     """Return the inputs along the shortest path with cusps to the goal, and times of samples."""
-    spec, driver = problem.spec, problem.spec.driver or Guide(name="reeds-shepp", speed=1.0)
+    spec = problem.spec
     with at(problem, ("driver",)):
-        goal = cusp_goal(problem, spec, places)
-        first = tuple(float(start[name][-1]) for name in ("x", "y", "heading"))
-        ahead = turning_axis_offset(vehicle)
-        arcs = reeds_shepp(_behind(first, ahead), _behind(goal, ahead), driver.turning_radius)
+        goal = cusp_goal(problem, spec, driver, places)
+        first = (float(start["x"][-1]), float(start["y"][-1]), float(start["heading"][-1]))
+        arcs = reeds_shepp(first, goal, driver.turning_radius, turning_axis_offset(vehicle))
         if not arcs:
             raise ModelError(
                 "driver: expected a goal apart from the start, found the start; move it"
             )
         values = {c.name: float(start[c.name][-1]) for c in vehicle.of("commanded")}
-        pieces, duration = arc_inputs(dae, vehicle, arcs, values, speed=abs(driver.speed))
+        pieces, duration = arc_inputs(dae, vehicle, arcs, values, speed=driver.speed)
     if duration > spec.time.duration:
         with at(problem, ("time", "duration")):
             raise ModelError(
@@ -234,14 +234,6 @@ def _cusp_guess(
             )
     t, rates = samples(spec.time.model_copy(update={"duration": duration}), pieces)
     return dae.inputs(**rates), t
-
-
-def _behind(pose: Any, distance: float) -> Any:
-    """Return a pose moved back by a distance; the position alone if it has no heading."""
-    x, y, heading = pose
-    if heading is None:
-        return pose
-    return x + np.sin(heading) * distance, y - np.cos(heading) * distance, heading
 
 
 def plan_arguments(
