@@ -26,6 +26,7 @@ from slipfree.plan.transcription import CollocationMesh, variable_layout
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.result import shown
 from slipfree.problem.verbs.plan import poses_of_plan
+from slipfree.show import motion_figures
 from slipfree.show.climb_scene import climb_scene
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import Film, film_writer
@@ -633,3 +634,20 @@ def test_without_ffmpeg_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda _: False))
     with pytest.raises(DataError, match=r"need the program ffmpeg, found none; install it"):
         film_writer(Path("film.mp4"), 20)
+
+
+def test_holes_are_drawn_empty(drive: Driven) -> None:
+    grid = drive.terrain.grid
+    holes = np.zeros(grid.z.shape, bool)
+    holes[:6] = True
+    terrain = Bicubic(Grid(grid.x, grid.y, grid.z, holes=holes), drive.terrain.center)
+    drawn = drive_scene([drive._replace(terrain=terrain)])
+    mesh = drawn.ground.mesh
+    x, _, _ = (mesh.vertices[mesh.faces].mean(axis=1) + drawn.origin).T
+    assert len(x) > 1000
+    assert x.min() > grid.x[6] - np.ptp(grid.x) / SIDE
+    around = drawn.backdrop.near(np.array([grid.x[6], 0.0, 0.0]) - drawn.origin, 1.0)
+    assert 0 < len(around) < len(drive_scene([drive]).backdrop.near(np.zeros(3), 1.0))
+    figure = Figure()
+    assert motion_figures.ground(terrain.grid, figure.add_subplot()).has_data()
+    FigureCanvasAgg(figure).draw()

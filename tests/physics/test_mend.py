@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -18,12 +19,22 @@ from slipfree.errors import DataError, ModelError
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import geographic_to_metric, read_map
 from slipfree.files.toml.errors import ProblemError
+from slipfree.lookups import LookupTable, lookup_function
 from slipfree.problem.build_ground import build_ground, ground_facts
 from slipfree.problem.result import motion_facts
 from slipfree.problem.schema import Terrain
 from slipfree.problem.solve import run_problem
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.grid_ops import Heights, cut, disturbed, fill_holes, scaled, smoothed
+from slipfree.terrain.grid_ops import (
+    Heights,
+    continue_over_holes,
+    cut,
+    disturbed,
+    fill_holes,
+    hole_distance,
+    scaled,
+    smoothed,
+)
 
 
 def plane(n_x=30, n_y=25, steps=(0.5, 0.25)):
@@ -76,12 +87,76 @@ def test_known_nodes_are_not_touched():
     assert z[~hole].min() <= found.z.min() <= found.z.max() <= z[~hole].max()
 
 
-def test_holes_at_the_border_are_refused_with_a_window():
-    with pytest.raises(DataError, match=r"1 holes \(12 nodes\) that reach the border") as caught:
-        fill_holes(holed(plane(), (slice(0, 3), slice(5, 9)), (10, 10)))
-    assert str(caught.value).endswith("window = [1.5, 14.5, 7, 13]")
-    with pytest.raises(DataError, match="use another map"):
-        fill_holes(holed(plane(), (slice(None), slice(None))))
+def test_holes_at_the_border_are_not_filled():
+    found = fill_holes(holed(plane(), (slice(0, 3), slice(5, 9)), (10, 10)))
+    assert (found.nodes, found.holes, np.isnan(found.z).sum()) == (1, 1, 12)
+    assert np.isnan(found.z[:3, 5:9]).all()
+    whole = fill_holes(holed(plane(), (slice(None), slice(None))))
+    assert (whole.nodes, np.isnan(whole.z).all()) == (0, True)
+
+
+def test_a_plane_is_continued_over_holes():
+    grid = plane()
+    found = holed(grid, (slice(0, 3), slice(None)), (slice(14, 18), slice(8, 12)), (25, 24))
+    assert_allclose(continue_over_holes(found.z), grid.z, atol=1e-13)
+    with pytest.raises(DataError, match="expected heights, found none at any node"):
+        continue_over_holes(np.full((4, 4), np.nan))
+
+
+def test_a_spline_beside_a_hole_is_nearly_that_of_the_whole_map():
+    """It differs by less than a tenth of a second difference of the heights."""
+    x = 0.25 * np.arange(60)
+    whole = np.sin(x)[:, None] * np.cos(0.8 * x)
+    z = whole.copy()
+    z[20:30, 20:40] = np.nan
+    holes = np.isnan(z)
+    found, at = Bicubic(Grid(x, x, continue_over_holes(z), holes=holes)), np.linspace(0, 14, 500)
+    off = found.elevation(at[:, None], at) - Bicubic(Grid(x, x, whole)).elevation(at[:, None], at)
+    off[found.grid.touches(holes, at[:, None], at)] = 0
+    assert np.abs(off).max() < 0.25**2 / 10
+
+
+def test_the_margin_is_negative_in_every_cell_with_a_missing_height():
+    rng = np.random.default_rng(6)
+    for share in (0.01, 0.05, 0.3):
+        for steps in ((1.0, 1.0), (0.5, 2.0)):
+            grid = plane(24, 20, steps)
+            grid = Grid(grid.x, grid.y, grid.z, holes=rng.random(grid.z.shape) < share)
+            x, y = (rng.uniform(axis[0], axis[-1], 20_000) for axis in (grid.x, grid.y))
+            at, lookups = (ca.SX.sym("x"), ca.SX.sym("y")), LookupTable()
+            ground = Bicubic(grid)
+            value = ground.hole_margin(*at, lookups)
+            margin = lookup_function(lookups.lookups, "margin", at, [value])
+            found = np.array(margin((x - ground.origin[0])[None], (y - ground.origin[1])[None]))[0]
+            assert found[grid.touches(grid.holes, x, y)].max() < 0
+    assert Bicubic(plane()).hole_margin(*at, lookups) is None
+
+
+def test_the_distance_from_a_hole_is_that_of_its_cells():
+    grid = plane(9, 8, (1.0, 1.0))
+    holes = np.zeros(grid.z.shape, bool)
+    holes[4, 3] = True
+    found = hole_distance(Grid(grid.x, grid.y, grid.z, holes=holes))
+    assert found[4, 3] == -1
+    assert_array_equal(found[3:6, 2], 0)
+    assert found[0, 0] == np.hypot(3, 2)
+    assert found[7, 3] == 2
+    with pytest.raises(DataError, match="heights at its four corners, found none"):
+        hole_distance(Grid(grid.x, grid.y, grid.z, holes=~holes))
+
+
+def test_a_motion_ends_at_a_hole(tmp_path: Path) -> None:
+    x, y = 0.25 * np.arange(-20, 21), 0.25 * np.arange(-20, 41)
+    z = np.zeros((x.size, y.size))
+    z[:, 30:] = np.nan  # from y = 2.5: cells without a height begin at 2.25
+    np.savez(tmp_path / "g.npz", x=x, y=y, z=z)
+    run = run_problem(_read(tmp_path, FILE, "time.duration=60")).trajectory
+    assert run.stop is not None
+    assert run.stop.name == "hole_margin[front]"
+    assert run["contact_y", "front"][-1] == pytest.approx(2.25 - 0.25 / 3, abs=1e-6)
+    _, facts = _grounds(tmp_path, z=z, x=x, y=y)
+    assert facts["ground holes"].startswith("1271 of 2501 nodes have no height")
+    assert facts["ground height"] == "0.000 to 0.000 m"
 
 
 @pytest.mark.parametrize(("length", "deviation"), [(4.0, 0.5), (10.0, 1.5)])
@@ -202,17 +277,17 @@ def test_filled_nodes_are_remembered_whatever_is_changed(tmp_path: Path) -> None
     assert_array_equal(np.argwhere(grid.filled), [[10, 20], [11, 20]])
     assert grid.spacing == pytest.approx((0.5, 0.5))
     x, y = grid.x[0] + 0.5 * np.array([8.7, 9.1, 11.9, 12.3]), grid.y[0] + 0.5 * 19.1
-    assert_array_equal(grid.touches_filled(x, y), [False, True, True, False])
-    assert_array_equal(grid.touches_filled(x, y - 0.1), [False] * 4)
+    assert_array_equal(grid.touches(grid.filled, x, y), [False, True, True, False])
+    assert_array_equal(grid.touches(grid.filled, x, y - 0.1), [False] * 4)
     fine, _ = _grounds(tmp_path, *changes, "terrain.rolled=0.4", z=z)
-    assert_array_equal(fine.touches_filled(x, y), [False, True, True, False])
+    assert_array_equal(fine.touches(fine.filled, x, y), [False, True, True, False])
     i, j = 2, 3
     part = cut(grid, (grid.x[i], grid.x[-1], grid.y[j], grid.y[-1]))
     assert part.filled is not None
     assert_array_equal(part.filled, grid.filled[i:, j:])
     whole, _ = _grounds(tmp_path, "terrain.fill=linear", z=plane(40, 40, (0.25, 0.25)).z)
     assert whole.filled is None
-    assert not whole.touches_filled(x, y).any()
+    assert not whole.touches(whole.filled, x, y).any()
     with pytest.raises(DataError, match="filled must have the shape of z"):
         Grid(grid.x, grid.y, grid.z, grid.filled.T[1:])
 

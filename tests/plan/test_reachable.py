@@ -193,10 +193,21 @@ def test_rough_and_hollow_ground_is_named():
     assert " m radius, too narrow for the wheel radius of 0.3 m; move the goal" in words
 
 
+def test_routes_keep_out_of_holes():
+    grid = blank((0, 30), (0, 30), 0.25)
+    holes = np.hypot(grid.x[:, None] - 15, grid.y - 15) < 4
+    layers = traversability(Bicubic(Grid(grid.x, grid.y, grid.z, holes=holes)), ROVER)
+    ((place, words, sure),) = told(layers, START, ("goal", 15.0, 19.5))
+    assert (place, sure) == ("goal", False)
+    assert "m from a hole of the map, where heights are missing, and wheels reach" in words
+    points = route(layers, (5, 5), (25, 25))
+    assert np.hypot(*(points - 15).T).min() > 4 + layers.limits.reach - 0.25
+
+
 def test_what_blocks_is_told_apart():
     layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0)])
     masks = blocked_by(layers)
-    assert list(masks) == ["edge", "slope", "friction", "roughness", "hollow", "keep_out"]
+    assert list(masks) == ["edge", "hole", "slope", "friction", "roughness", "hollow", "keep_out"]
     assert {name for name, mask in masks.items() if mask.any()} == {"edge", "keep_out"}
     together = np.logical_or.reduce(list(masks.values()))
     assert (together == np.isinf(layers.cost)).all()

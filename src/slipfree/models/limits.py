@@ -53,6 +53,18 @@ def map_margin(q: Quantities) -> Iterator[Limit]:
         yield Limit(label, _margin(q.terrain, domain, contact), 0.0, np.inf)
 
 
+def hole_margin(q: Quantities) -> Iterator[Limit]:
+    """Yield the limits that keep each wheel off ground without heights."""
+    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
+        margin = q.terrain.hole_margin(contact.point[0], contact.point[1], q.lookups)
+        if margin is not None:
+            words = (
+                f"wheel {wheel.name} reaches a hole of the map, where heights are missing "
+                "(distance to it, less a third of a cell)"
+            )
+            yield Limit(Label("hole_margin", "m", words, wheel.name), margin, 0.0, np.inf)
+
+
 def lies_flat(q: Quantities) -> Iterator[Limit]:
     """Yield the limits of the angle between each axle and the ground's normal."""
     for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
@@ -120,6 +132,7 @@ LIMITS: tuple[Callable[[Quantities], Iterator[Limit]], ...] = (
     joint_stops,
     upright,
     map_margin,
+    hole_margin,
     lies_flat,
     relative_curvature,
     friction_map_margin,

@@ -240,7 +240,7 @@ def filled_words(grid: Grid, run: Trajectory) -> str:
     """Return a text on the lengths of wheel paths over filled holes; empty without filled holes."""
     if grid.filled is None:
         return ""
-    on = grid.touches_filled(run["contact_x"], run["contact_y"])
+    on = grid.touches(grid.filled, run["contact_x"], run["contact_y"])
     count, size = np.count_nonzero(on.any(axis=1)), run.t.size
     if not count:
         return f"no wheel on interpolated heights at any of {size} samples"
@@ -265,7 +265,7 @@ def ground_facts(ground: Ground) -> Facts:
         *ground.facts,
         ("ground size", f"{np.ptp(grid.x):g} x {np.ptp(grid.y):g} m, {n_x} x {n_y} nodes"),
         ("ground cell", f"{h_x:.4g} x {h_y:.4g} m"),
-        ("ground height", f"{grid.z.min():.3f} to {grid.z.max():.3f} m"),
+        ("ground height", f"{grid.values.min():.3f} to {grid.values.max():.3f} m"),
     ]
     if ground.friction:
         facts.append(("ground friction", ground.friction))

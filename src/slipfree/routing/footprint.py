@@ -67,7 +67,7 @@ def ground_figures(
         variance = half**4 * ((r**2 + t**2) / 45 + s**2 / 9)
     share = footprint_mean((hollow >= sharpest).astype(float), grid.spacing, half)
     layers = [np.arctan(np.hypot(p, q)), np.sqrt(variance), share]
-    slope, roughness, share = (_interpolate_layer(layer, grid, x, y) for layer in layers)
+    slope, roughness, share = (interpolate_layer(layer, grid, x, y) for layer in layers)
     size = [
         math.ceil(axis_step(new) / h - 1e-9) for new, h in zip((x, y), grid.spacing, strict=True)
     ]
@@ -137,7 +137,7 @@ def _nodes_within(half: float, h: float) -> int:
     return round(half / h - 0.5)
 
 
-def _interpolate_layer(layer: Array, grid: Grid, x: Array, y: Array) -> Array:
+def interpolate_layer(layer: Array, grid: Grid, x: Array, y: Array) -> Array:
     """Return a layer at new nodes by linear interpolation."""
     for axis, (old, new) in enumerate(((grid.x, x), (grid.y, y))):
         if old.size == new.size:

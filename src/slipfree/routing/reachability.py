@@ -24,6 +24,7 @@ from slipfree.routing.traversability import (
 
 REMEDIES = {
     "edge": "use a larger map",
+    "hole": 'interpolate small holes by terrain.fill = "linear"',
     "friction": "give the ground more friction",
     "keep_out": "make the keep-out smaller",
 }

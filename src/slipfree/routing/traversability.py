@@ -22,11 +22,13 @@ from slipfree.routing.footprint import (
     coarse_axes,
     footprint_mean,
     ground_figures,
+    interpolate_layer,
     nearest_nodes,
 )
 from slipfree.routing.regions import Region
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic, friction_map
+from slipfree.terrain.grid_ops import hole_distance
 from slipfree.vehicle.tree import Vehicle
 
 Point = tuple[float, float] | Array
@@ -88,6 +90,9 @@ class Traversability(NamedTuple):
         Tangent of the slope, divided by the mean friction coefficient of the ground under the
         footprint and by the largest ``grip`` of a wheel; None if the terrain has no friction
         coefficient. [1]
+    to_hole : ndarray, shape (n_x, n_y)
+        Distance to the nearest cell of the ground with a missing height, negative inside; infinite
+        without holes. [m]
     limits : Limits
         Limits of the vehicle.
     """
@@ -99,6 +104,7 @@ class Traversability(NamedTuple):
     roughness: Array
     hollow: Array
     friction: Array | None
+    to_hole: Array
     limits: Limits
 
     @property
@@ -138,7 +144,7 @@ def traversability(
         The cost and its layers. A node is blocked if the slope is steeper than ``steepest`` or
         than friction can hold, if the roughness reaches the radius of the largest wheel, if the
         radius of curvature of the ground is smaller than that radius, or if a wheel could reach
-        over the edge of the map or into a keep-out region in some heading.
+        over the edge of the map, into a hole of it or into a keep-out region in some heading.
 
     Raises
     ------
@@ -175,7 +181,10 @@ def traversability(
     cost += HOLLOW * share
     if used is not None:
         cost += FRICTION * used**2
-    layers = Traversability(x, y, cost, slope, roughness, hollow, used, limits)
+    to_hole = np.full(slope.shape, math.inf)
+    if terrain.grid.holes is not None:
+        to_hole = interpolate_layer(hole_distance(terrain.grid), terrain.grid, x, y)
+    layers = Traversability(x, y, cost, slope, roughness, hollow, used, to_hole, limits)
     cost[np.logical_or.reduce([*blocked_by(layers).values()])] = math.inf
     return layers
 
@@ -251,8 +260,8 @@ def blocked_by(layers: Traversability) -> dict[str, Mask]:
     Returns
     -------
     dict of str to ndarray, shape (n_x, n_y)
-        True for blocked nodes, by the reasons ``edge, slope, friction, roughness, hollow,
-        keep_out``; a node may have several reasons.
+        True for blocked nodes, by the reasons ``edge, hole, slope, friction, roughness,
+        hollow, keep_out``; a node may have several reasons.
     """
     x, y, limits = layers.x[:, None], layers.y[None, :], layers.limits
     keep_out = np.zeros(layers.cost.shape, dtype=bool)
@@ -262,6 +271,7 @@ def blocked_by(layers: Traversability) -> dict[str, Mask]:
         keep_out[part] |= inside
     return {
         "edge": to_edge(limits, x, y) < limits.reach,
+        "hole": layers.to_hole < limits.reach,
         "slope": layers.slope > limits.steepest,
         "friction": np.zeros_like(keep_out) if layers.friction is None else layers.friction >= 1,
         "roughness": layers.roughness >= limits.radius,
@@ -327,6 +337,11 @@ def _ground_reasons(layers: Traversability, i: int, j: int) -> dict[str, str]:
     """Return the reasons why the ground at a node is blocked."""
     limits, words, slope = layers.limits, {}, float(layers.slope[i, j])
     used = 0.0 if layers.friction is None else float(layers.friction[i, j])
+    if layers.to_hole[i, j] < limits.reach:
+        words["hole"] = (
+            f"{max(layers.to_hole[i, j], 0):.3g} m from a hole of the map, where heights are "
+            f"missing, and wheels reach {limits.reach:.3g} m"
+        )
     if used >= 1:
         words["friction"] = (
             f"slope of {math.degrees(slope):.3g} degrees needs a friction coefficient of "

@@ -98,10 +98,13 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
     reach = max(extents(drive.vehicle)[2] for drive in drives)
     window = _window(drives, grid, reach)
     x, y, z = ground_drawing.patch(grid, window, SIDE)
-    drawn = Grid(x, y, z)
+    if (holes := np.isnan(z)).any():
+        drawn = Grid(x, y, first.terrain.elevation(x[:, None], y), holes=holes)
+    else:
+        drawn = Grid(x, y, z)
     ways = [np.stack([run["x"], run["y"]], axis=1) for run in _runs(drives)]
     fine = refined(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
-    origin = np.round([x.mean(), y.mean(), z.mean()])
+    origin = np.round([x.mean(), y.mean(), drawn.values.mean()])
     layers = [
         each._replace(colors=fine.spread(each.colors)) for each in _layers(drawn, first, window)
     ]
@@ -135,7 +138,9 @@ def _backdrop(terrain: Bicubic, window: Window, origin: Array, reach: float) -> 
         x, y = np.meshgrid(x, y, indexing="ij")
         points = np.stack([x, y, terrain.elevation(x, y)], axis=-1) - origin
         corners = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
-        return list(np.stack(corners, axis=2).reshape(-1, 4, 3))
+        faces = np.stack(corners, axis=2).reshape(-1, 4, 3)
+        middle_x, middle_y, _ = np.moveaxis(faces.mean(axis=1) + origin, -1, 0)
+        return list(faces[~terrain.grid.touches(terrain.grid.holes, middle_x, middle_y)])
 
     def draw(ax: Axes) -> Axes:
         return ground_drawing.muted(terrain.grid, ax, window)
@@ -171,7 +176,7 @@ def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
 
 def _layers(drawn: Grid, drive: Driven, window: Window) -> Iterable[Layer]:
     """Yield the colourings of the ground."""
-    low, high = float(drawn.z.min()), float(drawn.z.max())
+    low, high = float(drawn.values.min()), float(drawn.values.max())
     yield layer("height", drawn.z.ravel(), f"{low:.4g} to {high:.4g} m", low, high)
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(drawn.z, *drawn.spacing)))).ravel()
     yield layer("slope", slope, f"0 to {slope.max():.3g} degrees", 0.0, float(slope.max()))

@@ -39,7 +39,7 @@ def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
     dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
     light = LightSource(azdeg=315, altdeg=45).hillshade(z.T, dx=dx, dy=dy)
     shadow = np.zeros((*light.shape, 4))
-    shadow[..., 3] = 0.4 * (1 - light)
+    shadow[..., 3] = np.nan_to_num(0.4 * (1 - light))  # nothing over holes
     ax.imshow(shadow, **extent(x, y))
     ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal")
     style.position_axis(ax.xaxis, "x", x[0])
@@ -59,7 +59,7 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
     ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal")
     style.position_axis(ax.xaxis, "x", x[0])
     style.position_axis(ax.yaxis, "y", y[0])
-    if np.ptp(z) > 0:
+    if np.nanmax(z) > np.nanmin(z):
         lines = ax.contour(x, y, z.T, levels=10, colors="0.5", linewidths=0.4, zorder=1)
         levels = np.asarray(lines.levels)[::2]
         for words in ax.clabel(lines, levels, fontsize=5, fmt="%g m", inline=False, zorder=1):
@@ -107,6 +107,8 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
 def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
     """Return coordinates x, y and heights of a part of the ground, interpolated by bicubic splines.
 
+    Heights are NaN in holes.
+
     Parameters
     ----------
     grid : Grid
@@ -124,7 +126,9 @@ def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
         kept.append(nodes.round().astype(int))
         fine.append(np.linspace(low, high, count))
     spline = RectBivariateSpline(grid.x[kept[0]], grid.y[kept[1]], grid.z[np.ix_(*kept)])
-    return fine[0], fine[1], np.round(spline(*fine), DIGITS)
+    z = np.round(spline(*fine), DIGITS)
+    z[grid.touches(grid.holes, fine[0][:, None], fine[1][None, :])] = np.nan
+    return fine[0], fine[1], z
 
 
 def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:

@@ -47,10 +47,10 @@ class Refined(NamedTuple):
         """Return the surface relative to an origin: nodes of the grid, then of divided cells."""
         x, y, z = self.grid.x, self.grid.y, self.grid.z
         points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], z), axis=-1)
-        whole = sheet(points - origin)
+        whole, empty = sheet(points - origin), self._empty()
+        kept = np.repeat(~(self.near | empty).ravel(), 2)  # a cell has two faces
         if not self.near.any():
-            return whole
-        kept = np.repeat(~self.near.ravel(), 2)  # a cell has two faces
+            return Mesh(whole.vertices, whole.faces[kept])
         x, y = self._places()
         tiles = np.stack([x, y, self._sealed(self.terrain.elevation(x, y))], axis=-1) - origin
         return joined(Mesh(whole.vertices, whole.faces[kept]), *map(sheet, tiles))
@@ -95,6 +95,13 @@ class Refined(NamedTuple):
             share = (u - s if p else 1 - u + s) * (v - t if q else 1 - v + t)
             total += share * corner
         return total
+
+    def _empty(self) -> npt.NDArray[np.bool_]:
+        """Return the mask of the cells in holes: those whose corners all are."""
+        holes = self.grid.holes
+        if holes is None:
+            return np.zeros_like(self.near)
+        return np.asarray(holes[:-1, :-1] & holes[1:, :-1] & holes[:-1, 1:] & holes[1:, 1:])
 
     def _sealed(self, heights: Array) -> Array:
         """Return the heights of divided cells, linear along edges to undivided cells."""

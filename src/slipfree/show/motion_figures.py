@@ -71,7 +71,7 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
     x, y, z = ground_drawing.patch(grid, window or ground_drawing.whole(grid), HEATMAP)
     heights = ax.imshow(z.T, **_colours(z), **ground_drawing.extent(x, y))
     ground_drawing.shade(x, y, z, ax)
-    if np.ptp(z) > 0:
+    if np.nanmax(z) > np.nanmin(z):
         ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
     _hatch_filled(grid, x, y, ax)
     bar = ax.figure.colorbar(heights, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)))
@@ -82,7 +82,7 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
 
 def _hatch_filled(grid: Grid, x: Array, y: Array, ax: Axes) -> None:
     """Hatch the filled cells of a ground, with an entry for the legend."""
-    filled = grid.touches_filled(x[:, None], y[None, :])
+    filled = grid.touches(grid.filled, x[:, None], y[None, :])
     if filled.any():
         area = ax.contourf(x, y, filled.T, levels=(0.5, 1.5), colors="none", hatches=[HATCH])
         area.set_edgecolor(FILLED)
@@ -153,7 +153,8 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
         at = [run[f"contact_{axis}", wheel] for axis in "xyz"]
         ax.plot(*at, label=f"contact {style.words(wheel)}", **style.look(k), **over)
     ax.plot(*(run[axis] for axis in "xyz"), color=PLATFORM, label="platform", **over)
-    low, high = min(z.min(), run["contact_z"].min()), max(z.max(), run["z"].max())
+    low = min(np.nanmin(z), run["contact_z"].min())
+    high = max(np.nanmax(z), run["z"].max())
     width = max(np.ptp(x), np.ptp(y))
     drawn = float(np.clip(high - low, RELIEF[0] * width, RELIEF[1] * width))
     ax.set_box_aspect((np.ptp(x), np.ptp(y), drawn))
@@ -506,7 +507,7 @@ def _checks(run: Trajectory) -> Figure:
 
 
 def _colours(z: Array) -> dict[str, Any]:
-    return {"cmap": HEIGHTS, "vmin": z.min(), "vmax": max(z.max(), z.min() + FLAT)}
+    return {"cmap": HEIGHTS, "vmin": np.nanmin(z), "vmax": max(np.nanmax(z), np.nanmin(z) + FLAT)}
 
 
 def _moving_joints(run: Trajectory) -> list[str]:

@@ -120,6 +120,9 @@ class Analytic:
         """Return the coefficient of friction at a point; 1 for a ground without coefficient [1]."""
         return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
+    def hole_margin(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> None:
+        """Return None: a formula has no holes."""
+
     def elevation(self, x: Array, y: Array) -> Array:
         """Return heights at points, arrays of broadcastable shapes, in map coordinates [m]."""
         x, y = np.broadcast_arrays(x, y)

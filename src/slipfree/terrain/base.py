@@ -158,6 +158,12 @@ class Terrain(Protocol):
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the coefficient of friction at a local point [1]."""
 
+    def hole_margin(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX | None:
+        """Return the distance of a local point from ground without heights; None without any [m].
+
+        It is twice continuously differentiable, and not positive on such ground.
+        """
+
     def elevation(self, x: Array, y: Array) -> Array:
         """Return the heights in map coordinates at map points of equal shape [m]."""
 
@@ -174,6 +180,9 @@ class Grid:
         Heights [m] or coefficients of friction [1], all finite.
     filled : ndarray of bool, shape (n_x, n_y), or None
         True at nodes in holes of the data, which have interpolated values.
+    holes : ndarray of bool, shape (n_x, n_y), or None
+        True at nodes without a value. Their numbers in ``z`` only continue the surface; models
+        have a limit, and routes keep out, where a corner of a cell is such a node.
 
     Raises
     ------
@@ -196,16 +205,22 @@ class Grid:
     y: Array
     z: Array
     filled: Mask | None = None
+    holes: Mask | None = None
 
     def __repr__(self) -> str:
         x_min, x_max, y_min, y_max = self.domain
-        filled = "" if self.filled is None else f", {int(self.filled.sum())} filled"
+        filled = "".join(
+            f", {int(mask.sum())} {words}"
+            for mask, words in ((self.filled, "filled"), (self.holes, "without a value"))
+            if mask is not None
+        )
+        values = self.values
         return overview(
             f"Grid: {self.x.size} x {self.y.size} nodes{filled}, "
             f"{self.spacing[0]:.6g} m by {self.spacing[1]:.6g} m apart",
             x=(f"{x_min:.9g} to {x_max:.9g} m",),
             y=(f"{y_min:.9g} to {y_max:.9g} m",),
-            z=(f"{self.z.min():.6g} to {self.z.max():.6g}",),
+            z=(f"{values.min():.6g} to {values.max():.6g}",),
         )
 
     def __post_init__(self) -> None:
@@ -219,11 +234,12 @@ class Grid:
         _check_axis("x", self.x)
         _check_axis("y", self.y)
         _check_heights(self.x, self.y, self.z)
-        if self.filled is not None and self.filled.shape != self.z.shape:
-            raise DataError(
-                f"grid: filled must have the shape of z, {self.z.shape}, found "
-                f"{self.filled.shape}; reshape it"
-            )
+        for name, mask in (("filled", self.filled), ("holes", self.holes)):
+            if mask is not None and mask.shape != self.z.shape:
+                raise DataError(
+                    f"grid: {name} must have the shape of z, {self.z.shape}, found {mask.shape}; "
+                    "reshape it"
+                )
 
     @property
     def domain(self) -> tuple[float, float, float, float]:
@@ -238,17 +254,24 @@ class Grid:
             float(np.ptp(self.y) / (self.y.size - 1)),
         )
 
-    def touches_filled(self, x: Array, y: Array) -> Mask:
-        """Return the mask of points in cells with a filled node at a corner.
+    @property
+    def values(self) -> Array:
+        """Values of the nodes outside holes, shape (n,)."""
+        return self.z.reshape(-1) if self.holes is None else self.z[~self.holes]
+
+    def touches(self, nodes: Mask | None, x: Array, y: Array) -> Mask:
+        """Return the mask of points in cells with a marked node at a corner.
 
         Parameters
         ----------
+        nodes : ndarray of bool, shape (n_x, n_y), or None
+            Marked nodes, such as ``filled`` or ``holes``; None for no node.
         x, y : ndarray
             Map coordinates, of shapes that broadcast; points outside belong to the nearest
             cell. [m]
         """
         x, y = np.broadcast_arrays(x, y)
-        if self.filled is None:
+        if nodes is None:
             return np.zeros(x.shape, dtype=bool)
         cells = [
             np.clip((place - axis[0]) / step, 0, axis.size - 2).astype(np.intp)
@@ -257,7 +280,7 @@ class Grid:
         i, j = cells
         found: Mask = np.zeros(x.shape, dtype=bool)
         for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            found |= self.filled[i + a, j + b]
+            found |= nodes[i + a, j + b]
         return found
 
 

@@ -13,9 +13,11 @@ from slipfree.lookups import LookupTable
 from slipfree.records import Array
 from slipfree.terrain.base import Grid, Jet, polynomial_jet
 from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain, pad_border
+from slipfree.terrain.grid_ops import hole_distance
 from slipfree.terrain.kernel import Layout, Opened, register_ground
 
 KNOT_TOLERANCE = 1e-10  # a point at a smaller distance from a knot lies on it [cell]
+HOLE_CLEARANCE = 1 / 3  # smoothing moves the zero of a distance by less at corners [cell]
 CHUNK = 8192  # points evaluated at once, so that temporary arrays stay in the cache
 CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
 MAX_FOURFOLD_SIZE = 2**21  # larger tables of coefficients are stored once, not four times
@@ -105,7 +107,7 @@ class Bicubic:
         """Local origin in map coordinates: the centre, and the mean height [m]."""
         x_min, x_max, y_min, y_max = self.domain
         x, y = self.center or (0.5 * (x_min + x_max), 0.5 * (y_min + y_max))
-        return x, y, float(self.grid.z.mean())
+        return x, y, float(self.grid.values.mean())
 
     @property
     def domain(self) -> tuple[float, float, float, float]:
@@ -134,6 +136,16 @@ class Bicubic:
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the coefficient of friction at a local point; 1 without a coefficient [1]."""
         return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
+
+    def hole_margin(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX | None:
+        """Return the distance of a local point from cells with a missing height [m].
+
+        A third of a cell is subtracted, and the distance is smoothed as by ``through=False``, so
+        that it is twice continuously differentiable, and negative wherever a corner of the cell
+        has no height. It is None for a grid without holes.
+        """
+        margin = self._margin
+        return None if margin is None else margin.height(x, y, lookups) + margin.origin[2]
 
     def elevation(self, x: Array, y: Array) -> Array:
         """Return the heights in map coordinates at map points of equal shape [m]."""
@@ -229,6 +241,14 @@ class Bicubic:
             self.grid.y[j_0] - y_0 + (j + 0.5) * h_y,
         ]
         return ca.Function("cell", [at], [ca.vertcat(*center, ca.vec(left @ c @ right.T))])
+
+    @cached_property
+    def _margin(self) -> Bicubic | None:
+        """Surface of the distance from cells with a missing height; None without holes."""
+        if self.grid.holes is None:
+            return None
+        distance = hole_distance(self.grid) - HOLE_CLEARANCE * max(self.grid.spacing)
+        return Bicubic(Grid(self.grid.x, self.grid.y, distance), self.origin[:2], through=False)
 
     @cached_property
     def _friction_map(self) -> Bicubic | None:

@@ -123,6 +123,14 @@ def _extend_axis(axis: Array, spacing: float) -> Array:
 
 def _check_map(grid: Grid) -> None:
     """Raise DataError for a map whose values are not all positive."""
+    if grid.holes is not None:
+        i, j = np.argwhere(grid.holes)[0]
+        raise DataError(
+            f"friction: expected a coefficient at every node, found none at "
+            f"{np.count_nonzero(grid.holes)}, the first at x = {grid.x[i]:.9g} m, "
+            f'y = {grid.y[j]:.9g} m; set fill = "linear" for holes inside the map, and cut off '
+            "those at its border"
+        )
     bad = ~(grid.z > 0)
     if bad.any():
         i, j = np.argwhere(bad)[0]

@@ -81,7 +81,7 @@ class Filled(NamedTuple):
     Attributes
     ----------
     z : ndarray, shape (n_x, n_y)
-        Heights, those in holes interpolated. [m]
+        Heights, those in holes interpolated; NaN in holes at the border. [m]
     nodes, holes : int
         Number of filled nodes, and number of connected holes.
     largest : tuple of 2 floats
@@ -197,32 +197,14 @@ def cut(grid: Grid, window: Window) -> Grid:
         If the part has fewer than four nodes along x or y, or the window is empty.
     """
     i, j = parts(*axes_of(grid.x, grid.y), window)
-    filled = None if grid.filled is None else grid.filled[i, j]
-    return Grid(grid.x[i], grid.y[j], np.ascontiguousarray(grid.z[i, j]), filled)
-
-
-def check_whole(found: Heights) -> None:
-    """Raise DataError for a map with holes.
-
-    The message reports the number of holes and the position of the first one.
-    """
-    holes = np.isnan(found.z)
-    if holes.any():
-        i, j = np.argwhere(holes)[0]
-        raise DataError(
-            f"expected a height at every node, found none at {np.count_nonzero(holes)} of "
-            f"{holes.size}, the first at x = {found.x[i]:.9g}, y = {found.y[j]:.9g}; set "
-            'fill = "linear", or use window to select a part of the map without holes'
-        )
+    masks = [None if mask is None else mask[i, j] for mask in (grid.filled, grid.holes)]
+    return Grid(grid.x[i], grid.y[j], np.ascontiguousarray(grid.z[i, j]), *masks)
 
 
 def fill_holes(found: Heights) -> Filled:
     """Return heights with holes filled by linear interpolation between the surrounding nodes.
 
-    Raises
-    ------
-    DataError
-        If a hole reaches the border of the map; the message proposes a window without such holes.
+    Holes that reach the border of the map stay: their heights could only be extrapolated.
 
     Notes
     -----
@@ -232,11 +214,12 @@ def fill_holes(found: Heights) -> Filled:
     """
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
 
-    holes = np.isnan(found.z)
-    numbers, count = scipy.ndimage.label(holes, NEIGHBOURHOOD)
+    numbers, _ = scipy.ndimage.label(np.isnan(found.z), NEIGHBOURHOOD)
+    borders = numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]
+    numbers[np.isin(numbers, np.concatenate(borders))] = 0
+    holes, count = numbers > 0, np.unique(numbers[numbers > 0]).size
     if not count:
         return Filled(found.z, 0, 0, (0.0, 0.0))
-    _check_closed(found, numbers)
     rim = scipy.ndimage.binary_dilation(holes, NEIGHBOURHOOD) & ~holes
     z = found.z.copy()
     surface = LinearNDInterpolator(np.argwhere(rim).astype(np.float64), z[rim])
@@ -250,50 +233,74 @@ def fill_holes(found: Heights) -> Filled:
     return Filled(z, int(np.count_nonzero(holes)), int(count), (largest[0], largest[1]))
 
 
-def _check_closed(found: Heights, numbers: Array) -> None:
-    """Raise DataError for holes that reach the border of the map."""
-    borders = numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]
-    open_ones = np.unique(np.concatenate(borders))
-    open_ones = open_ones[open_ones > 0]
-    if open_ones.size:
-        nodes = int(np.isin(numbers, open_ones).sum())
-        window = _window_without_border_holes(np.isnan(found.z))
-        remedy = "use another map"
-        if window is not None:
-            i, j = window
-            ends = found.x[i.start], found.x[i.stop - 1], found.y[j.start], found.y[j.stop - 1]
-            remedy = (
-                "select a part of the map without such holes, for example (in the coordinates of "
-                f"the file) window = {_window_text(ends)}"
-            )
-        raise DataError(
-            "fill: expected holes with heights all around, found "
-            f"{open_ones.size} holes ({nodes} nodes) that reach the border of the map, where "
-            f"heights could only be extrapolated; {remedy}"
-        )
+def hole_distance(grid: Grid) -> Array:
+    """Return the distance of every node from cells with a missing height, negative inside [m].
 
+    Raises
+    ------
+    DataError
+        If no cell has heights at its four corners.
 
-def _window_without_border_holes(holes: Mask) -> tuple[slice, slice] | None:
-    """Return a part of a map without holes at its border.
-
-    The border line with the most holes is removed repeatedly.
+    Notes
+    -----
+    The point of a set of cells that is nearest to a node is itself a node.
     """
-    i, j = slice(0, holes.shape[0]), slice(0, holes.shape[1])
-    while min(i.stop - i.start, j.stop - j.start) >= 4:
-        part = holes[i, j]
-        worst = [float(line.mean()) for line in (part[0], part[-1], part[:, 0], part[:, -1])]
-        if max(worst) == 0:
-            return i, j
-        match int(np.argmax(worst)):
-            case 0:
-                i = slice(i.start + 1, i.stop)
-            case 1:
-                i = slice(i.start, i.stop - 1)
-            case 2:
-                j = slice(j.start + 1, j.stop)
-            case _:
-                j = slice(j.start, j.stop - 1)
-    return None
+    missing = np.zeros(grid.z.shape, bool) if grid.holes is None else grid.holes
+    cells = _any_of_four(missing)
+    if cells.all():
+        raise DataError(
+            "expected a cell of the map with heights at its four corners, found none; use another "
+            "map or a finer grid"
+        )
+    closed, still_open = _any_of_four(np.pad(cells, 1)), _any_of_four(np.pad(~cells, 1))
+    distance = scipy.ndimage.distance_transform_edt
+    found: Array = distance(~closed, grid.spacing) - distance(~still_open, grid.spacing)
+    return found
+
+
+def _any_of_four(mask: Mask) -> Mask:
+    """Return whether any of four neighbours is marked, shape (n_x - 1, n_y - 1)."""
+    found: Mask = mask[:-1, :-1] | mask[1:, :-1] | mask[:-1, 1:] | mask[1:, 1:]
+    return found
+
+
+def continue_over_holes(z: Array) -> Array:
+    """Return heights continued smoothly into holes: numbers without a meaning of their own.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n_x, n_y)
+        Heights, NaN in holes. [m]
+
+    Returns
+    -------
+    ndarray, shape (n_x, n_y)
+        Heights, in holes those of the point reflection about the nearest node with a height, or
+        the height of that node if the reflected node has none. [m]
+
+    Raises
+    ------
+    DataError
+        If no node has a height.
+
+    Notes
+    -----
+    The reflection preserves slopes, so that the spline beside a hole is nearly that of the whole
+    map. The influence of a node on the spline falls to a quarter per cell.
+    """
+    holes = np.isnan(z)
+    if holes.all():
+        raise DataError("expected heights, found none at any node; use another map or window")
+    nearest = scipy.ndimage.distance_transform_edt(
+        holes, return_distances=False, return_indices=True
+    )[:, holes]
+    mirrored = 2 * nearest - np.argwhere(holes).T
+    inside = ((mirrored >= 0) & (mirrored < np.array(z.shape)[:, None])).all(axis=0)
+    edge = z[tuple(nearest)]
+    beyond = np.where(inside, z[tuple(np.where(inside, mirrored, 0))], np.nan)
+    found = z.copy()
+    found[holes] = np.where(np.isnan(beyond), edge, 2 * edge - beyond)
+    return found
 
 
 def scaled(grid: Grid, horizontal: float, vertical: float) -> Grid:
@@ -329,7 +336,7 @@ def smoothed(grid: Grid, deviation: float) -> Smoothed:
             f"eighth of the ground, found {deviation:g} m; change it"
         )
     z = averaged(grid.z, grid.spacing, deviation)
-    change = z - grid.z
+    change = (z - grid.z)[~np.zeros_like(z, bool) if grid.holes is None else ~grid.holes]
     return Smoothed(replace(grid, z=z), math.sqrt(np.mean(change**2)), float(np.abs(change).max()))
 
 

@@ -37,12 +37,12 @@ class Rolled:
     @property
     def largest(self) -> float:
         """Largest absolute change of height [m]."""
-        return float(np.abs(self.change.z).max())
+        return float(np.abs(self.change.values).max())
 
     @property
     def rms(self) -> float:
         """Root mean square of the change of height [m]."""
-        return math.sqrt(np.mean(self.change.z**2))
+        return math.sqrt(np.mean(self.change.values**2))
 
 
 def rolled(grid: Grid, radius: float) -> Rolled:
@@ -93,8 +93,11 @@ def rolled(grid: Grid, radius: float) -> Rolled:
     old = Bicubic(grid).elevation(x[:, None], y[None, :])
     steps = (float(x[1] - x[0]), float(y[1] - y[0]))
     new = averaged(_close_by_ball(old, steps, BALL * radius), steps, BLUR * radius)
-    filled = None if grid.filled is None else grid.touches_filled(x[:, None], y[None, :])
-    return Rolled(Grid(x, y, new, filled), Grid(x, y, new - old))
+    filled, holes = (
+        None if nodes is None else grid.touches(nodes, x[:, None], y[None, :])
+        for nodes in (grid.filled, grid.holes)
+    )
+    return Rolled(Grid(x, y, new, filled, holes), Grid(x, y, new - old, holes=holes))
 
 
 def _refine_axis(axis: Array, spacing: float) -> Array:

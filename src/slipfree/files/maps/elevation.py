@@ -25,7 +25,7 @@ from slipfree.terrain.grid_ops import (
     Heights,
     Window,
     axes_of,
-    check_whole,
+    continue_over_holes,
     fill_holes,
     parts,
 )
@@ -153,7 +153,8 @@ def read_map(
         Conversion of degrees to metres, required for maps in degrees: ``"local"`` by
         `geographic_to_metric`, or a frame for the coordinates of another map.
     fill : {"linear"}, optional
-        Method of filling holes, required for maps with holes; see `fill_holes`.
+        Method of filling holes that do not reach the border (see `fill_holes`); by default holes
+        stay: ground that no wheel may touch.
 
     Raises
     ------
@@ -239,21 +240,25 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
 def _mapped(
     found: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
 ) -> Map:
-    """Return the map in metres; raise DataError for holes that are not filled."""
+    """Return the map in metres, with holes filled if required."""
     facts: Facts = found.facts
-    mask = None
-    if fill is None:
-        check_whole(found)
-    else:
+    mask, missing = None, np.isnan(found.z)
+    if fill is not None:
         filled = fill_holes(found)
         unit = "m" if geographic is None else "deg"
         size = " x ".join(f"{each:.6g}" for each in filled.largest)
         words = f"{filled.nodes} nodes in {filled.holes} holes, the largest {size} {unit}, linearly"
         facts += (("ground holes filled", words if filled.nodes else "none found"),)
-        mask = np.isnan(found.z) if filled.nodes else None
+        left = np.isnan(filled.z)
+        mask, missing = missing & ~left if filled.nodes else None, left
         found = found._replace(z=filled.z)
+    holes = missing if missing.any() else None
+    if holes is not None:
+        count = f"{np.count_nonzero(holes)} of {holes.size} nodes"
+        facts += (("ground holes", f"{count} have no height: wheels must not touch them"),)
+        found = found._replace(z=continue_over_holes(found.z))
     if geographic is None:
-        return Map(Grid(found.x, found.y, found.z, mask), crs=found.crs, facts=facts)
+        return Map(Grid(found.x, found.y, found.z, mask, holes), crs=found.crs, facts=facts)
     frame = local_frame(found.x, found.y) if geographic == "local" else geographic
     x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
     facts += (("ground degrees", _degrees_words(found.y, frame)),)
@@ -264,7 +269,7 @@ def _mapped(
             "border; set a window, or reproject it to metres: gdalwarp -t_srs EPSG:326xx in "
             "out.tif (xx: the UTM zone)"
         )
-    return Map(Grid(x, y, found.z, mask), frame, found.crs, geographic=True, facts=facts)
+    return Map(Grid(x, y, found.z, mask, holes), frame, found.crs, geographic=True, facts=facts)
 
 
 def _degrees_words(latitude: Array, frame: Frame) -> str:
