@@ -48,6 +48,7 @@ AFTER = {
         "report real_dem_direct.nc",
         "export real_dem_direct.nc --path path.csv --rates rates.csv",
         "export real_dem_direct.nc --path path.geojson",
+        "export real_dem_direct.nc --mcap motion.mcap",
         "show real_dem_direct.nc --html real_dem_direct_scene.html",
     ],
     "plan_rigid_hills": [

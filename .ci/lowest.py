@@ -1,6 +1,6 @@
 """Print the lowest versions that pyproject.toml allows, of what slipfree runs with, as constraints.
 
-``python .ci/lowest.py > lowest.txt && pip install -c lowest.txt '.[xarray,view,cluster]'``
+``python .ci/lowest.py > lowest.txt && pip install -c lowest.txt '.[xarray,view,cluster,ros]'``
 """
 
 import re

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ import typer
 from slipfree.cli.common import (
     BAD_INPUT,
     File,
+    InputFolder,
     Settings,
     about,
     check_output,
@@ -166,19 +168,27 @@ def export(
     rates: Annotated[
         Path | None, typer.Option(metavar="FILE.csv", help="Rates of driven wheels and joints.")
     ] = None,
+    mcap: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mcap", help="Path, joints, transforms and slip for ROS 2."),
+    ] = None,
+    folder: InputFolder = None,
 ) -> None:
-    """Export the path or the rates of a result.
+    """Export the path, the rates or the whole motion of a result.
 
-    The path is for geographic information systems, the rates are for robots.
+    The path is for geographic information systems, the rates are for robots, the motion is for
+    Foxglove and RViz.
     """
     with reported(), about(file):
         from slipfree.files.export import export_path, export_rates
+        from slipfree.problem.result import export_mcap
 
-        if path is None and rates is None:
+        if path is None and rates is None and mcap is None:
             raise DataError(
-                "export: expected --path, --rates or both, found neither; add one of them"
+                "export: expected --path, --rates or --mcap, found none; add one of them"
             )
-        for out, write in ((path, export_path), (rates, export_rates)):
+        write_motion = partial(export_mcap, folder=folder)
+        for out, write in ((path, export_path), (rates, export_rates), (mcap, write_motion)):
             if out is not None:
                 check_output(out)
                 write(file, out)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,8 +41,10 @@ def export_path(file: Path, out: Path) -> None:
         If the result cannot be read or has no x, y, z, if ``out`` has another ending or is the
         result file, if a GeoJSON path has a single sample, or if ``out`` cannot be written.
     """
-    run, writers = _read_motion(file, "xyz"), {".csv": _write_path, ".geojson": _write_geojson}
-    _choose_writer(out, file, writers)(run, out)
+    run, writers = read(file), {".csv": _write_path, ".geojson": _write_geojson}
+    check_motion(file, run, "xyz")
+    check_name(out, file, writers)
+    writers[out.suffix.lower()](run, out)
 
 
 def export_rates(file: Path, out: Path) -> None:
@@ -65,39 +67,33 @@ def export_rates(file: Path, out: Path) -> None:
         result file, or cannot be written.
     """
     run = read(file)
-    write = _choose_writer(out, file, {".csv": lambda run, out: write_csv(out, run)})
+    check_name(out, file, (".csv",))
     names = [name for name in run.attributes.get("inputs", "").split() if name in run.columns]
     if not names:
         raise DataError(
             f"{file}: expected rates of driven wheels or actuated joints, found none; {RUN_AGAIN}"
         )
-    write(replace(run, columns={name: run.columns[name] for name in names}), out)
+    write_csv(out, replace(run, columns={name: run.columns[name] for name in names}))
 
 
-def _read_motion(file: Path, needed: Iterable[str]) -> Trajectory:
-    """Return the motion in a result file; raise DataError if a ``needed`` quantity is missing."""
-    run = read(file)
+def check_motion(file: Path, run: Trajectory, needed: Iterable[str]) -> None:
+    """Raise DataError if the motion in a result file lacks a needed quantity."""
     missing = [name for name in needed if name not in run.columns]
     if missing:
         raise DataError(f"{file}: expected a path with x, y, z, found no {missing[0]}; {RUN_AGAIN}")
-    return run
 
 
-Write = Callable[[Trajectory, Path], None]
-
-
-def _choose_writer(out: Path, file: Path, writers: Mapping[str, Write]) -> Write:
-    """Return the function that writes ``out``, chosen by its ending."""
-    if out.suffix.lower() not in writers:
+def check_name(out: Path, file: Path, endings: Iterable[str]) -> None:
+    """Raise DataError unless ``out`` has one of the endings and is not the result file."""
+    if out.suffix.lower() not in endings:
         raise DataError(
-            f"{out}: expected a name that ends in {' or '.join(writers)}, found "
+            f"{out}: expected a name that ends in {' or '.join(endings)}, found "
             f"{repr(out.suffix) if out.suffix else 'no ending'}; choose another name"
         )
     if resolve_links(out) == resolve_links(file):
         raise DataError(
             f"{out}: expected a separate file, found the result file; choose another name"
         )
-    return writers[out.suffix.lower()]
 
 
 def _write_path(run: Trajectory, out: Path) -> None:

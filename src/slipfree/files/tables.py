@@ -1,4 +1,7 @@
-"""Tables of comma-separated values: a line of column names, then lines of numbers."""
+"""Tables of comma-separated values: a line of column names, then lines of numbers.
+
+Tables of paths and commands are also read from MCAP files (`slipfree.files.mcap_reader`).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from pathlib import Path
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
+from slipfree.files.mcap_reader import is_mcap, read_mcap
 from slipfree.regular_files import read_bytes
 
 COUNTS = {2: "two", 3: "three", 4: "four"}
@@ -56,6 +60,8 @@ def read_names(path: Path, expected: str) -> list[str]:
     DataError
         If the file cannot be read.
     """
+    if is_mcap(path):
+        return [*read_mcap(path, "v_x")]
     text = read_bytes(path, f"{expected} as CSV").decode("utf-8-sig", "replace")
     return _names(text.partition("\n")[0])
 
@@ -88,6 +94,9 @@ def read_columns(
         If the file cannot be read, if the number of values in a line differs from the number of
         columns, or if a value is not a finite number.
     """
+    if is_mcap(path):
+        table = read_mcap(path, columns[-1])
+        return [*zip(*(table[name].tolist() for name in columns), strict=True)]
     try:
         text = read_bytes(path, f"{expected} as CSV").decode("utf-8-sig")
     except UnicodeDecodeError as error:

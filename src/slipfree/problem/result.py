@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from slipfree.errors import DataError
+from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.input_files import DRAWN, input_names
@@ -79,6 +80,31 @@ def shown(file: Path, name: str, folder: Path | None = None) -> Any:
     """
     result = open_result(file, folder)
     return verb_of(result.problem).shown(result, name)
+
+
+def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
+    """Write the motion in a result file as an MCAP file of ROS 2 messages; see `write_mcap`.
+
+    Parameters
+    ----------
+    file, folder : Path
+        As for `open_result`.
+    out : Path
+        File to write, ending in ``.mcap``.
+
+    Raises
+    ------
+    DataError
+        If the result cannot be read, is not a motion over terrain or contains no problem, if input
+        files of its problem are missing or have changed, or if ``out`` cannot be written.
+    """
+    from slipfree.files.mcap_writer import write_mcap
+    from slipfree.problem.verbs.driving import vehicle_of
+
+    check_name(out, file, (".mcap",))
+    check_motion(file, read(file, lazy=True), ("x", "y", "z", "wheel_angle", "slip_along"))
+    result = open_result(file, folder)
+    write_mcap(out, result.trajectory, vehicle_of(result))
 
 
 def problem_of(

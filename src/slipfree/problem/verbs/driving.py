@@ -172,10 +172,7 @@ class DriveVerb(MotionVerb):
         from slipfree.show.drive_scene import Driven
 
         run, problem = result.trajectory, result.problem
-        terrain = build_terrain(problem, ground_of(result))
-        with at(problem, ("vehicle",)):
-            vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
-        _check_vehicle(run, vehicle, problem)
+        terrain, vehicle = build_terrain(problem, ground_of(result)), vehicle_of(result)
         _check_ground(run, terrain, vehicle, problem)
         return Driven(name, run, terrain, vehicle)
 
@@ -212,6 +209,15 @@ def model_attributes(spec: Modelled) -> dict[str, str]:
 def ground_of(result: Result) -> Ground:
     """Return the ground of a result; it is rebuilt if the result is from a file."""
     return build_ground(result.problem) if result.setup is None else result.setup.ground
+
+
+def vehicle_of(result: Result) -> Vehicle:
+    """Return the vehicle of a result; raise DataError if it does not match the motion."""
+    problem = result.problem
+    with at(problem, ("vehicle",)):
+        vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+    _check_vehicle(result.trajectory, vehicle, problem)
+    return vehicle
 
 
 def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slipfree.control.path_tracking import path_inputs, track_path
 from slipfree.dae import Dae
-from slipfree.errors import ModelError, SlipfreeError
+from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.files.mcap_reader import is_mcap
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.angles import unit_faults
@@ -248,6 +250,11 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
         points = np.array([path.t, path.x, path.y, path.heading], dtype=float)
     else:
         with at(problem, place):
+            if is_mcap(Path(path.file)) and spec.frame != "rep103":
+                raise DataError(
+                    "expected frame = 'rep103' with a path in MCAP, whose headings count from x, "
+                    f"found {spec.frame!r}; set frame"
+                )
             rows = read_columns(problem.folder / path.file, COLUMNS)
         points = np.array(rows, dtype=float).reshape(-1, len(COLUMNS)).T
     heading_key = ("path", "heading") if path.file is None else place

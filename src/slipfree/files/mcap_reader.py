@@ -1,0 +1,128 @@
+"""Commands and paths in MCAP files of ROS 2 messages, as tables."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.files.ros_messages import ros_package
+from slipfree.records import Array
+from slipfree.regular_files import read_bytes
+
+Rows = Mapping[str, Array]
+MESSAGES = {  # types from which a table can be read, by its names
+    ("v_x", "v_y", "omega_z"): ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
+    ("x", "y", "heading"): ("nav_msgs/msg/Path", "nav_msgs/msg/Odometry"),
+}
+
+
+def is_mcap(path: Path) -> bool:
+    """Return whether a file name is that of an MCAP file."""
+    return path.suffix.lower() == ".mcap"
+
+
+def read_mcap(path: Path, name: str) -> Rows:
+    """Return the table of an MCAP file that has a requested quantity.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        ``"v_x"``: commands ``t, v_x, v_y, omega_z`` of messages Twist or TwistStamped [s, m/s,
+        rad/s]. ``"x"``: path ``t, x, y, heading`` of the last message Path, or of messages
+        Odometry [s, m, rad]. Frames have x forward, y left (REP 103); times count from the first.
+
+    Raises
+    ------
+    DataError
+        If the package mcap-ros2-support is not installed, if the file cannot be read, or if it
+        has no topic with such messages, or several.
+    """
+    names = next((names for names in MESSAGES if name in names), None)
+    if names is None:
+        raise DataError(
+            f"{path}: expected a CSV file, found MCAP, from which only paths and commands are "
+            "read; convert it"
+        )
+    topics: dict[str, list[tuple[int, Any]]] = {}
+    for kind, topic, time, message in _messages(path):
+        if kind in MESSAGES[names]:
+            topics.setdefault(topic, []).append((time, message))
+    if len(topics) != 1:
+        kinds = " or ".join(MESSAGES[names])
+        raise DataError(
+            f"{path}: expected one topic with messages {kinds}, found "
+            f"{', '.join(sorted(topics)) or 'none'}; record or extract one such topic"
+        )
+    (rows,) = topics.values()
+    stamped = [*_rows(rows)]
+    table = np.array([((t - stamped[0][0]) / 1e9, *row) for t, *row in stamped], dtype=float)
+    if not table.size or not np.isfinite(table).all():
+        raise DataError(
+            f"{path}: expected finite numbers in topic {next(iter(topics))}, found "
+            f"{'others' if table.size else 'none'}; record the topic again"
+        )
+    if "heading" in names:
+        table[:, -1] = np.unwrap(table[:, -1])
+    return dict(zip(("t", *names), table.T, strict=True))
+
+
+def _messages(path: Path) -> Iterator[tuple[str, str, int, Any]]:
+    """Yield type, topic, time of recording [ns] and content of each message of a known type."""
+    ros = ros_package()
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+    from zstandard import ZstdError
+
+    content, factory = read_bytes(path, "messages as MCAP"), ros.decoder.DecoderFactory()
+    known = {kind for kinds in MESSAGES.values() for kind in kinds}
+    damaged = (McapError, ZstdError, ValueError, LookupError, TypeError, RuntimeError, EOFError)
+    try:
+        for schema, channel, record in make_reader(io.BytesIO(content)).iter_messages():
+            if schema is not None and schema.name in known:
+                decode = factory.decoder_for(channel.message_encoding, schema)
+                if decode is None:
+                    raise DataError(
+                        f"{path}: expected messages of ROS 2 (CDR), found "
+                        f"{channel.message_encoding!r} in topic {channel.topic}; convert the file"
+                    )
+                yield schema.name, channel.topic, record.log_time, decode(record.data)
+    except (*damaged, struct.error, OverflowError, MemoryError, AttributeError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(
+            f"{path}: expected messages as MCAP, found a file that is damaged or of another "
+            f"format ({type(error).__name__}); record or convert it again"
+        ) from error
+
+
+def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, float]]:
+    """Yield the rows of a table, with absolute times [ns]."""
+    if hasattr(messages[-1][1], "poses"):
+        last = messages[-1][1]
+        messages = [(_time(each, 0), each) for each in last.poses]
+    for recorded, message in messages:
+        time = _time(message, recorded)
+        if hasattr(message, "pose"):
+            pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+            q = pose.orientation
+            yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+            yield time, pose.position.x, pose.position.y, yaw
+        else:
+            twist = getattr(message, "twist", message)
+            yield time, twist.linear.x, twist.linear.y, twist.angular.z
+
+
+def _time(message: Any, recorded: int) -> int:
+    """Return the time in the header of a message; without one, that of its recording [ns]."""
+    if not hasattr(message, "header"):
+        return recorded
+    stamp = message.header.stamp
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)

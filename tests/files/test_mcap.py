@@ -1,0 +1,301 @@
+"""MCAP files of ROS 2 messages: motions written, commands and paths read."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from numpy.testing import assert_allclose
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from slipfree.catalog.rovers import rocky7
+from slipfree.cli import app
+from slipfree.errors import DataError
+from slipfree.files import netcdf
+from slipfree.files.mcap_reader import read_mcap
+from slipfree.files.tables import read_columns, read_names
+from slipfree.problem.load import load_problem
+from slipfree.problem.result import export_mcap
+from slipfree.problem.solve import run_problem
+from slipfree.trajectory import Trajectory
+
+DRIVE = """\
+verb = "direct"
+frame = "rep103"
+[terrain]
+file = "ground.npz"
+[vehicle]
+catalog = "rocky7"
+[start]
+x = 0
+y = 0
+heading = 0.3
+[driver]
+name = "straight"
+speed = 0.2
+[time]
+duration = 1
+step = 0.25
+"""
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def _ground(folder: Path) -> None:
+    x, y = np.meshgrid(np.linspace(-5, 5, 41), np.linspace(-5, 5, 41), indexing="ij")
+    axis = np.linspace(-5, 5, 41)
+    np.savez(folder / "ground.npz", x=axis, y=axis, z=0.1 * np.sin(x) + 0.02 * x * y)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trajectory]:
+    """Return the folder of a result and its motion."""
+    folder = tmp_path_factory.mktemp("drive")
+    _ground(folder)
+    (folder / "p.toml").write_text(DRIVE)
+    run = run_problem(load_problem(folder / "p.toml")).trajectory
+    netcdf.write(folder / "out.nc", run)
+    export_mcap(folder / "out.nc", folder / "out.mcap")
+    return folder, run
+
+
+def _read(path: Path, library: str) -> dict[str, list[tuple[int, object]]]:
+    """Return the messages of each topic, with their times [ns], as a library reads them."""
+    found: dict[str, list[tuple[int, object]]] = {}
+    if library == "mcap":
+        with path.open("rb") as stream:
+            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+            for _, channel, record, message in reader.iter_decoded_messages():
+                found.setdefault(channel.topic, []).append((record.log_time, message))
+        return found
+    with AnyReader([path], default_typestore=STORE) as reader:
+        for connection, time, content in reader.messages():
+            message = reader.deserialize(content, connection.msgtype)
+            found.setdefault(connection.topic, []).append((time, message))
+    return found
+
+
+def _numbers(vector: object, names: str = "xyz") -> list[float]:
+    return [getattr(vector, name) for name in names]
+
+
+@pytest.mark.parametrize("library", ["mcap", "rosbags"])
+def test_two_libraries_read_the_numbers_of_the_motion(
+    drive: tuple[Path, Trajectory], library: str
+) -> None:
+    folder, run = drive
+    found, exact = _read(folder / "out.mcap", library), {"rtol": 0, "atol": 1e-12}
+    assert set(found) == {
+        "/path",
+        "/tf",
+        "/joint_states",
+        *(f"/slip/{wheel}" for wheel in run.wheels),
+    }
+    times = [time for time, _ in found["/tf"]]
+    assert_allclose(np.array(times) / 1e9, run.t, rtol=0, atol=5e-10)
+    places = np.column_stack([run[name] for name in "xyz"])
+    turns = Rotation.from_quat(np.column_stack([run[f"quaternion_{name}"] for name in "xyzw"]))
+
+    ((_, path),) = found["/path"]
+    assert path.header.frame_id == "map"
+    assert_allclose([_numbers(each.pose.position) for each in path.poses], places, **exact)
+
+    centers = np.stack([run[f"center_{name}"] for name in "xyz"], axis=-1)
+    for k, (_, message) in enumerate(found["/tf"]):
+        base, *wheels = message.transforms
+        assert (base.header.frame_id, base.child_frame_id) == ("map", "base_link")
+        assert [each.child_frame_id for each in wheels] == list(run.wheels)
+        turn = Rotation.from_quat(_numbers(base.transform.rotation, "xyzw"))
+        assert (turn * turns[k].inv()).magnitude() < 1e-12
+        local = [_numbers(each.transform.translation) for each in wheels]
+        assert_allclose(turn.apply(local) + places[k], centers[k], rtol=0, atol=1e-11)
+
+    first, last = found["/joint_states"][0][1], found["/joint_states"][-1][1]
+    names = list(last.name)
+    assert names[-len(run.wheels) :] == list(run.wheels)
+    assert_allclose(last.position[-len(run.wheels) :], run["wheel_angle"][-1], **exact)
+    assert_allclose(last.velocity[-len(run.wheels) :], run["wheel_rate"][-1], **exact)
+    assert len(first.position) == len(names)
+    moving = [joint for joint in rocky7().joints if joint.value in run.columns]
+    assert len(moving) >= 3
+    for joint in moving:
+        k = names.index(joint.name)
+        assert last.position[k] == pytest.approx(run[joint.value][-1], abs=1e-12)
+        if f"{joint.value}_rate" in run.columns:
+            assert last.velocity[k] == pytest.approx(run[f"{joint.value}_rate"][-1], abs=1e-12)
+    for wheel in run.wheels:
+        slip = [(each.vector.x, each.vector.y) for _, each in found[f"/slip/{wheel}"]]
+        expected = run["slip_along", wheel], -run["slip_across", wheel]
+        assert_allclose(np.transpose(slip), expected, **exact)
+
+
+def test_wheels_turn_forward_about_the_left_axis(drive: tuple[Path, Trajectory]) -> None:
+    folder, run = drive
+    messages = _read(folder / "out.mcap", "mcap")["/tf"]
+    before, after = (
+        Rotation.from_quat(_numbers(m.transforms[1].transform.rotation, "xyzw"))
+        for _, m in (messages[0], messages[-1])
+    )
+    turned = (before.inv() * after).as_rotvec()
+    assert turned[1] == pytest.approx(run["wheel_angle"][-1, 0] - run["wheel_angle"][0, 0], abs=0.1)
+    assert turned[1] > 0.5
+
+
+def test_the_command(drive: tuple[Path, Trajectory], tmp_path: Path) -> None:
+    folder, _ = drive
+    out = str(tmp_path / "a.mcap")
+    found = CliRunner().invoke(app, ["export", str(folder / "out.nc"), "--mcap", out])
+    assert (found.exit_code, Path(out).read_bytes()[:5]) == (0, b"\x89MCAP")
+    found = CliRunner().invoke(app, ["export", str(folder / "out.nc"), "--mcap", "a.csv"])
+    assert found.exit_code == 2
+    assert "ends in .mcap" in found.output
+
+
+def test_without_the_package(
+    drive: tuple[Path, Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)
+    with pytest.raises(DataError, match=r"mcap-ros2-support, .*install '\.\[ros\]'"):
+        export_mcap(drive[0] / "out.nc", tmp_path / "a.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+def _bag(folder: Path, *topics: tuple[str, str, list[object]]) -> Path:
+    """Return an MCAP file written by rosbags: one message per 0.5 s since 2023."""
+    with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic, kind, messages in topics:
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            for k, message in enumerate(messages):
+                time = 1_700_000_000_000_000_000 + k * 500_000_000
+                writer.write(connection, time, STORE.serialize_cdr(message, kind))
+    (file,) = (folder / "bag").glob("*.mcap")
+    return file
+
+
+def _twists() -> list[object]:
+    t = STORE.types
+    vector = t["geometry_msgs/msg/Vector3"]
+    twist = t["geometry_msgs/msg/Twist"]
+    return [twist(vector(0.1 * k, 0.01, 0.0), vector(0.0, 0.0, -0.2 * k)) for k in range(3)]
+
+
+def _poses(yaws: list[float]) -> list[object]:
+    t = STORE.types
+    time, header = t["builtin_interfaces/msg/Time"], t["std_msgs/msg/Header"]
+    point, turn = t["geometry_msgs/msg/Point"], t["geometry_msgs/msg/Quaternion"]
+    pose, stamped = t["geometry_msgs/msg/Pose"], t["geometry_msgs/msg/PoseStamped"]
+    return [
+        stamped(
+            header(time(1_700_000_000 + k, 250_000_000), "map"),
+            pose(point(float(k), 0.1 * k, 0.0), turn(0.0, 0.0, np.sin(y / 2), np.cos(y / 2))),
+        )
+        for k, y in enumerate(yaws)
+    ]
+
+
+def test_commands_are_read(tmp_path: Path) -> None:
+    file = _bag(tmp_path, ("/cmd_vel", "geometry_msgs/msg/Twist", _twists()))
+    names = read_names(file, "commands")
+    assert names == ["t", "v_x", "v_y", "omega_z"]
+    rows = read_columns(file, names, "commands")
+    assert_allclose(rows, [[0.5 * k, 0.1 * k, 0.01, -0.2 * k] for k in range(3)], atol=1e-15)
+    stamped = STORE.types["geometry_msgs/msg/TwistStamped"]
+    head = SimpleNamespace(header=_poses([0.0])[0].header)
+    messages = [stamped(head.header, each) for each in _twists()]
+    other = tmp_path / "other"
+    other.mkdir()
+    file = _bag(other, ("/cmd", "geometry_msgs/msg/TwistStamped", messages))
+    assert_allclose(read_mcap(file, "v_x")["t"], 0)  # the time of the header, not of the recording
+
+
+def test_paths_are_read(tmp_path: Path) -> None:
+    poses = _poses([3.0, 3.1, -3.1])
+    path = STORE.types["nav_msgs/msg/Path"](poses[0].header, poses)
+    file = _bag(tmp_path, ("/plan", "nav_msgs/msg/Path", [path]))
+    rows = read_columns(file, ("t", "x", "y", "heading"))
+    expected = [[0, 0, 0, 3], [1, 1, 0.1, 3.1], [2, 2, 0.2, 2 * np.pi - 3.1]]
+    assert_allclose(rows, expected, rtol=0, atol=1e-12)
+    assert_allclose(read_columns(file, "xy"), np.array(expected)[:, 1:3], rtol=0, atol=1e-15)
+
+
+def test_a_written_path_is_read_again(drive: tuple[Path, Trajectory]) -> None:
+    folder, run = drive
+    table = read_mcap(folder / "out.mcap", "x")
+    assert_allclose(table["x"], run["x"], rtol=0, atol=1e-12)
+    assert_allclose(table["heading"], run["yaw"], rtol=0, atol=1e-12)
+
+
+def test_odometry_is_read(tmp_path: Path) -> None:
+    t = STORE.types
+    cover, twist = (
+        np.zeros(36),
+        t["geometry_msgs/msg/TwistWithCovariance"](_twists()[0], np.zeros(36)),
+    )
+    kind = "nav_msgs/msg/Odometry"
+    messages = [
+        t[kind](
+            p.header, "base_link", t["geometry_msgs/msg/PoseWithCovariance"](p.pose, cover), twist
+        )
+        for p in _poses([0.0, 0.1])
+    ]
+    rows = read_columns(_bag(tmp_path, ("/odom", kind, messages)), ("t", "x", "y", "heading"))
+    assert_allclose(rows, [[0, 0, 0, 0], [1, 1, 0.1, 0.1]], rtol=0, atol=1e-12)
+
+
+def test_what_cannot_be_read(tmp_path: Path) -> None:
+    kind = "geometry_msgs/msg/Twist"
+    file = _bag(tmp_path, ("/a", kind, _twists()), ("/b", kind, _twists()))
+    with pytest.raises(DataError, match=r"expected one topic .*, found /a, /b"):
+        read_names(file, "commands")
+    with pytest.raises(DataError, match="Odometry, found none"):
+        read_columns(file, "xy")
+    with pytest.raises(DataError, match="expected a CSV file, found MCAP"):
+        read_columns(file, ("solid", "x", "z"))
+    content = file.read_bytes()
+    for k in range(0, len(content), 37):  # cut off and damaged files
+        for damaged in (content[:k], content[:k] + b"\xff" + content[k + 1 :]):
+            file.write_bytes(damaged)
+            with suppress(DataError):
+                read_names(file, "commands")
+
+
+def test_a_problem_with_commands_and_one_with_a_path(
+    drive: tuple[Path, Trajectory], tmp_path: Path
+) -> None:
+    _ground(tmp_path)
+    _bag(tmp_path, ("/cmd_vel", "geometry_msgs/msg/Twist", _twists())).rename(tmp_path / "c.mcap")
+    start, _, rest = DRIVE.partition("[driver]")
+    given = start.replace("direct", "inverse") + '[given]\nfile = "c.mcap"\n'
+    (tmp_path / "p.toml").write_text(given + rest[rest.index("[time]") :])
+    run = run_problem(load_problem(tmp_path / "p.toml")).trajectory
+    assert run.t[-1] == 1
+    assert "v_x, v_y, omega_z of c.mcap" in str(run.attributes)
+    path = drive[0] / "out.mcap"
+    (tmp_path / "d.toml").write_text(
+        DRIVE.replace('"straight"', f'"follow"\nfile = "{path.as_posix()}"')
+    )
+    run = run_problem(load_problem(tmp_path / "d.toml")).trajectory
+    assert run["x"][-1] == pytest.approx(drive[1]["x"][-1], abs=0.01)
+    wrong = given.replace("[given]", "[path]").replace("c.mcap", path.as_posix())
+    wrong = wrong.replace('frame = "rep103"\n', "")
+    (tmp_path / "w.toml").write_text(wrong + rest[rest.index("[time]") :])
+    with pytest.raises(DataError, match="expected frame = 'rep103' with a path in MCAP"):
+        run_problem(load_problem(tmp_path / "w.toml"))
+
+
+def test_the_libraries_are_imported_only_when_used() -> None:
+    code = (
+        "import sys, slipfree.cli, slipfree.files.tables, slipfree.problem.result; "
+        "assert not {'mcap', 'mcap_ros2'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
