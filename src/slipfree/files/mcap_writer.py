@@ -147,12 +147,14 @@ def _joint_states(run: Trajectory, vehicle: Vehicle) -> Iterator[Message]:
     names = [c.name for c in vehicle.coordinates]
     q, rates = ca.SX.sym("q", len(names)), ca.SX.sym("rates", len(names))
     values = dict(zip(names, ca.vertsplit(q), strict=True))
-    positions = ca.vertcat(*(evaluate(joint.value, values) for joint in moving))
+    positions = ca.vertcat(ca.SX(0, 1), *(evaluate(joint.value, values) for joint in moving))
     function = ca.Function("joints", [q, rates], [positions, ca.jtimes(positions, q, rates)])
     known = all(f"{name}_rate" in run.columns for name in names)
-    columns = np.array([run[name] for name in names]).reshape(len(names), -1)
-    speeds = np.array([run[f"{name}_rate"] for name in names]) if known else 0 * columns
-    placed, moved = function.map(run.t.size)(columns, speeds.reshape(columns.shape))
+    shape = len(names), run.t.size
+    columns = np.array([run[name] for name in names]).reshape(shape)
+    speeds = np.array([run[f"{name}_rate"] for name in names if known])
+    speeds = speeds.reshape(shape) if known else np.zeros(shape)
+    placed, moved = function.map(run.t.size)(columns, speeds)
     position = np.column_stack([np.array(placed).T, run["wheel_angle"]]).tolist()
     velocity = np.column_stack([np.array(moved).T, run["wheel_rate"]]).tolist()
     joints = [*(joint.name for joint in moving), *run.wheels]
