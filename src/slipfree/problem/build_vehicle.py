@@ -65,6 +65,8 @@ class UrdfTable(Record):
     urdf: Annotated[str, Field(min_length=1)]
     name: Annotated[str, Field(min_length=1)] | None = None
     tube: NonNegative = 0.0
+    radius: Annotated[Positive, AfterValidator(meters)] | None = None
+    forward: Literal["x", "-x", "y", "-y"] = "x"
     joints: dict[str, Annotated[JointTable, BeforeValidator(_expanded_kind)]] | None = None
     wheels: dict[str, WheelTable] | None = None
 
@@ -141,7 +143,7 @@ def _completed(file: File) -> Draft:
     given = table.wheels or {}
     wheels = {name: WheelRole(**each.model_dump()) for name, each in given.items()}
     path = file.source.path.parent / table.urdf
-    draft = _urdf(path, Roles(joints, wheels, table.tube), file)
+    draft = _urdf(path, Roles(joints, wheels, table.tube, table.radius, table.forward), file)
     return draft if table.name is None else replace(draft, name=table.name)
 
 

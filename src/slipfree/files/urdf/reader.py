@@ -12,6 +12,14 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from slipfree.files.urdf.guesses import (
+    CASTER,
+    WheelGuess,
+    facing_forward,
+    is_level,
+    joint_guess,
+    wheel_guesses,
+)
 from slipfree.files.urdf.tree import Faults, Mimic, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import (
     MAX_LENGTH,
@@ -81,14 +89,27 @@ class Roles:
         no suitable shape.
     tube : float
         Tube radius of wheels whose link is a cylinder. [m]
+    radius : float or None
+        Rolling radius of wheels whose link has no round shape; None for a guess. [m]
+    forward : {"x", "-x", "y", "-y"}
+        Axis of the root link that points forward.
     """
 
     joints: Mapping[str, JointRole]
     wheels: Mapping[str, WheelRole]
     tube: float = 0.0
+    radius: float | None = None
+    forward: str = "x"
 
 
 NO_ROLES = Roles({}, {})
+
+
+def _ball_or_wheel(guess: WheelGuess) -> WheelRole:
+    """Return the role of a guessed wheel."""
+    if not guess.is_ball:
+        return WheelRole(None, guess.radius)
+    return WheelRole(False, guess.radius, guess.radius, rollers=True)
 
 
 def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
@@ -126,6 +147,7 @@ class _Reading:
 
     def __init__(self, tree: Tree, roles: Roles) -> None:
         self.roles, self.faults = roles, Faults(tree.file)
+        tree = facing_forward(tree, roles.forward)
         self.released = _released(tree, roles)
         self.tree = tree._replace(
             joints={
@@ -135,9 +157,21 @@ class _Reading:
         )
         self.coordinates: dict[str, Coordinate] = {}
         self.notes: list[str] = []
-        self.unsaid: list[tuple[UrdfJoint, str]] = []
         self.turns = _orientations(tree)
-        self.wheels = [j for j in tree.joints.values() if self._is_wheel(j)]
+        self.guessed: dict[str, list[str]] = {}
+        unknown = [
+            j
+            for j in self.tree.joints.values()
+            if j.name not in roles.joints and not self._is_wheel(j)
+        ]
+        guesses = wheel_guesses(self.tree, unknown, roles.radius)
+        self.roles = replace(
+            roles, wheels={**roles.wheels, **{n: _ball_or_wheel(g) for n, g in guesses.items()}}
+        )
+        for name, guess in guesses.items():
+            self._guess(f"wheels ({guess.reason})", name)
+        self.wheels = [j for j in self.tree.joints.values() if self._is_wheel(j)]
+        self._check_meshes()
 
     def draft(self) -> tuple[Draft, Faults]:
         """Return the draft of the vehicle in axes x forward, y left, and its errors."""
@@ -155,7 +189,7 @@ class _Reading:
 
     def _is_wheel(self, joint: UrdfJoint) -> bool:
         """Return whether a joint carries a wheel, by its role or its shape."""
-        tree, link = self.tree, self.tree.links[joint.child]
+        tree = self.tree
         if joint.name in self.roles.wheels:
             return True
         last = not any(below.moves for below in tree.below(joint.child))
@@ -165,17 +199,32 @@ class _Reading:
         if abs((self.turns[joint.child] @ axis)[2]) > MAX_AXLE_RISE:
             return False
         shape = self._shape(joint)
-        if shape is None:
-            if link.meshed:
+        return shape is not None and _is_about(shape, axis)
+
+    def _check_meshes(self) -> None:
+        """Add an error for each joint that may carry a wheel of unknown radius, a mesh."""
+        for joint in self.tree.joints.values():
+            last = not any(below.moves for below in self.tree.below(joint.child))
+            link = self.tree.links[joint.child]
+            if (
+                joint.type == "continuous"
+                and joint not in self.wheels
+                and joint.name not in self.roles.joints
+                and last
+                and link.meshed
+                and not link.shapes
+                and is_level(self.tree, joint)
+            ):
                 self.faults.add(
                     joint.line,
-                    f"joint {joint.name!r}: expected a cylinder or a "
-                    "sphere as its wheel, found a mesh, which does not give the radius; "
-                    f"write wheels = {{ {joint.name} = {{ radius = ... }} }}, or the kind of "
-                    f'the joint in "joints" if it carries no wheel{self._in_file()}',
+                    f"joint {joint.name!r}: expected a cylinder or a sphere as its wheel, found a "
+                    "mesh, which is not read; write radius = ... for all such wheels, or the kind "
+                    f'of the joint in "joints" if it carries no wheel{self._in_file()}',
                 )
-            return False
-        return _is_about(shape, axis)
+
+    def _guess(self, reason: str, name: str) -> None:
+        """Record a guess, for a note."""
+        self.guessed.setdefault(reason, []).append(name)
 
     def _check_fixed(self) -> None:
         """Add an error for each role of a joint that cannot move: type fixed, without an axis."""
@@ -248,9 +297,14 @@ class _Reading:
             return "0"
         leader, multiplier, offset = self._leader(joint)
         role = self.roles.joints.get(leader.name)
+        if role is None and leader.moves and leader.lower == leader.upper:
+            self._guess("fixed (both limits are equal)", leader.name)
+            return repr(offset + multiplier * leader.lower)
+        if role is None and leader.moves and leader.name not in self.tree.actuated:
+            role = self._guessed_role(leader)
         if not leader.moves or (role is not None and role.kind == "fixed"):
             return repr(offset)
-        name = self._coordinate(leader)
+        name = self._coordinate(leader, role)
         self._restrict(name, joint, leader, multiplier, offset)
         if (multiplier, offset) == (1.0, 0.0):
             return name
@@ -283,22 +337,22 @@ class _Reading:
     def _mimic(self, joint: UrdfJoint) -> Mimic | None:
         return None if joint.name in self.roles.joints or not joint.moves else joint.mimic
 
-    def _coordinate(self, joint: UrdfJoint) -> str:
+    def _guessed_role(self, joint: UrdfJoint) -> JointRole:
+        """Return the probable role of a joint that has none and no actuator."""
+        names = frozenset(wheel.name for wheel in self.wheels)
+        taken = sum(c.kind == "suspension" for c in self.coordinates.values())
+        known = self._symbol(joint.name) in self.coordinates
+        most = len(names) - 3 - taken + known
+        kind, reason = joint_guess(self.tree, joint, names, most)
+        self._guess(f"{kind or 'fixed'} ({reason})", joint.name)
+        return JointRole(kind or "fixed")
+
+    def _coordinate(self, joint: UrdfJoint, given: JointRole | None) -> str:
         """Return the name of a joint's coordinate; create the coordinate if it is new."""
         name = self._symbol(joint.name)
         if name in self.coordinates:
             return name
-        role = self.roles.joints.get(joint.name)
-        if role is None and joint.name in self.tree.actuated:
-            role = JointRole("commanded")
-        if role is None or role.kind == "fixed":
-            if joint not in [each for each, _ in self.unsaid]:
-                self._ask(
-                    joint,
-                    f'{joint.name} = "passive"',
-                    "passive, commanded, suspension or fixed, or a wheel if its link is one",
-                )
-            return name
+        role = given or JointRole("commanded")
         if name != joint.name:
             self.notes.append(f"joint {joint.name} is the coordinate {name}")
         for key in ("lower", "upper", "rest"):
@@ -309,7 +363,8 @@ class _Reading:
                     f"joint {joint.name!r}: {key}: expected radians ({words}), found {value:g}",
                 )
         words = f"joint {joint.name} of the URDF"
-        self.coordinates[name] = Coordinate(name, role.kind, **{"words": words, **role.keywords})
+        kind: Any = role.kind
+        self.coordinates[name] = Coordinate(name, kind, **{"words": words, **role.keywords})
         return name
 
     def _symbol(self, joint: str) -> str:
@@ -319,16 +374,6 @@ class _Reading:
         while not is_symbol(name) or (name != joint and name in self.tree.joints):
             name += "_"
         return name
-
-    def _ask(self, joint: UrdfJoint, example: str, choice: str) -> None:
-        self.unsaid.append((joint, example))
-        table = "wheels" if choice.startswith("driven") else "joints"
-        self.faults.add(
-            joint.line,
-            f"joint {joint.name!r}: expected a transmission, command interface, mimic or an "
-            f"entry in {table!r}, found none; write {table} = {{ {example} "
-            f"}} ({choice}){self._in_file()}",
-        )
 
     def _in_file(self) -> str:
         return f' in a vehicle file with urdf = "{Path(self.tree.file).name}"'
@@ -413,11 +458,7 @@ class _Reading:
         radius, tube, at = size
         driven = role.driven
         if driven is None:
-            driven = joint.name in self.tree.actuated
-            if not driven:
-                self._ask(
-                    joint, f"{joint.name} = {{ driven = true }}", "driven = false if it is free"
-                )
+            driven = self._is_driven(joint)
         links = [joint.child, *(each.child for each in below)]
         mass = sum(self.tree.links[link].mass or 0.0 for link in links)
         name = re.sub(r"[^\w-]", "_", joint.name)
@@ -433,6 +474,19 @@ class _Reading:
             mass,
             self._axle(joint),
         )
+
+    def _is_driven(self, joint: UrdfJoint) -> bool:
+        """Return whether a wheel has an actuator; without any, all but casters are driven."""
+        actuated = self.tree.actuated
+        if any(wheel.name in actuated for wheel in self.wheels):
+            if joint.name not in actuated:
+                self._guess("free (other wheels have an actuator)", joint.name)
+            return joint.name in actuated
+        above = {each.child for each in self.tree.joints.values() if CASTER.search(each.name)}
+        is_caster = bool(CASTER.search(f"{joint.name} {joint.child}")) or joint.parent in above
+        word = "free (casters)" if is_caster else "driven (no wheel has an actuator)"
+        self._guess(word, joint.name)
+        return not is_caster
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
         """Return rolling radius, tube radius and position of a wheel in its link [m].
@@ -489,7 +543,8 @@ class _Reading:
             return _vector(axis)
         if left < MIN_AXLE_LEFT:
             self.notes.append(
-                f"wheel {joint.name}: rolls sideways; its rate has the sign of its joint"
+                f"wheel {joint.name}: rolls sideways; its rate has the sign of its joint; if the "
+                "robot drives this way, write forward = 'y' or '-y'"
             )
         return _vector(-axis)
 
@@ -505,6 +560,8 @@ class _Reading:
                 "of type fixed in the URDF, but treated as revolute, since they or the "
                 f'joints that they mimic are in "joints": {", ".join(released)}'
             )
+        for reason, names in self.guessed.items():
+            self.notes.append(f"guessed: {reason}: {', '.join(dict.fromkeys(names))}")
         self._add_shape_notes()
         thin = [
             j.name

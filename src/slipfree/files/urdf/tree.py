@@ -12,6 +12,7 @@ from slipfree.geometry.frame import Vector
 from slipfree.vehicle.wheel import ORIGIN
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
+IGNORED = ("gazebo", "material", "xacro:property", "xacro:arg", "xacro:macro")  # without parts
 MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 
@@ -37,6 +38,22 @@ class Shape(NamedTuple):
     turned: Vector
 
 
+class Box(NamedTuple):
+    """A box in the frame of its link.
+
+    Attributes
+    ----------
+    size : tuple of 3 floats
+        Lengths of the edges. [m]
+    at, turned : tuple of 3 floats
+        Position of the centre, and roll, pitch, yaw. [m, rad]
+    """
+
+    size: Vector
+    at: Vector
+    turned: Vector
+
+
 class Link(NamedTuple):
     """A link of a URDF.
 
@@ -52,6 +69,8 @@ class Link(NamedTuple):
         Cylinders and spheres among the collision shapes; otherwise among the visual shapes.
     meshed : bool
         Whether the link has a mesh.
+    boxes : tuple of Box
+        Boxes among the collision shapes; otherwise among the visual shapes.
     """
 
     name: str
@@ -59,6 +78,7 @@ class Link(NamedTuple):
     center: Vector
     shapes: tuple[Shape, ...]
     meshed: bool
+    boxes: tuple[Box, ...] = ()
 
 
 class Mimic(NamedTuple):
@@ -197,13 +217,17 @@ def read_tree(data: bytes, file: str) -> Tree:
     if robot.tag != "robot":
         faults.add(robot.line, f"expected URDF with the root element <robot>, found <{robot.tag}>")
         faults.stop()
-    for each in _everything(robot):
-        if each.tag.startswith("xacro:") or any("${" in text for text in each.attributes.values()):
-            faults.add(
-                each.line,
-                f"expected plain URDF, found xacro; expand it first: xacro {file} > robot.urdf",
-            )
-            faults.stop()
+    for part in robot.children:
+        if part.tag in IGNORED:
+            continue
+        for each in _everything(part):
+            if each.tag.startswith("xacro:") or any("${" in t for t in each.attributes.values()):
+                faults.add(
+                    each.line,
+                    f"expected plain URDF, found xacro in <{part.tag}>; expand it first: "
+                    f"xacro {file} > robot.urdf",
+                )
+                faults.stop()
     for tag in ("link", "joint"):
         _check_names(robot, tag, faults)
     links = {link.name: link for link in (_link(each, faults) for each in robot.all("link"))}
@@ -259,7 +283,23 @@ def _link(element: Element, faults: Faults) -> Link:
     }
     drawn = (geometry for tag in shapes for e in element.all(tag) for geometry in e.all("geometry"))
     meshed = any(geometry.first("mesh") is not None for geometry in drawn)
-    return Link(name, mass, center, shapes["collision"] or shapes["visual"], meshed)
+    boxes = {
+        tag: tuple(box for e in element.all(tag) if (box := _box(e, faults, name)))
+        for tag in ("collision", "visual")
+    }
+    found, boxed = shapes["collision"] or shapes["visual"], boxes["collision"] or boxes["visual"]
+    return Link(name, mass, center, found, meshed, boxed)
+
+
+def _box(element: Element, faults: Faults, link: str) -> Box | None:
+    """Return the box of a collision or visual element; None for other shapes."""
+    geometry = element.first("geometry")
+    found = geometry.first("box") if geometry is not None else None
+    if found is None:
+        return None
+    who = f"link {link!r}"
+    at, turned = _origin(element, faults, f"{who}: {element.tag}")
+    return Box(_vector(found, "size", ORIGIN, faults, f"{who}: box"), at, turned)
 
 
 def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
@@ -382,7 +422,7 @@ def _vector(element: Element, key: str, default: Vector, faults: Faults, who: st
     text = element.attributes.get(key)
     if text is None:
         return default
-    values = [_float(part) for part in text.split()]
+    values = [_float(part) for part in text.replace(",", " ").split()]
     if len(values) != 3 or not all(map(math.isfinite, values)):
         faults.add(
             element.line, f"{who}: expected three numbers in {key}, found {text!r}; correct them"
