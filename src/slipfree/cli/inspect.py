@@ -32,6 +32,7 @@ from slipfree.cli.messages import (
     print_line,
     visible,
 )
+from slipfree.cli.new import write_new_file
 from slipfree.cli.outcomes import resume_command
 from slipfree.errors import DataError
 
@@ -62,14 +63,25 @@ def vehicle(
         Path, typer.Argument(metavar="FILE", help="Problem file, or vehicle file (TOML or URDF).")
     ],
     settings: Settings = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            "--write", metavar="FILE", help="Write what was guessed about a URDF to a vehicle file."
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Describe the vehicle of a problem or of a vehicle file.
 
     Print its parts, unknowns, equations, rolling conditions and condition numbers, and its errors.
     """
     with reported():
+        from slipfree.problem.build_vehicle import guessed_completion
         from slipfree.problem.vehicle_report import describe
 
+        if write is not None:
+            write_new_file(guessed_completion(file, write.parent), write, force)
+            print_line(f"wrote {write}\n")
         found = describe(file, settings or [])
         print_line("\n".join([*found.tree, ""]))
         add_json("tree", lambda: found.tree)

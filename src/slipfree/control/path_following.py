@@ -236,7 +236,7 @@ def planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeomet
     for wheel, (pose, effects, leans, swivels) in zip(
         vehicle.wheels, _wheel_mobility(vehicle, states), strict=True
     ):
-        angle = ca.atan2(-pose.rotation[0, 1], pose.rotation[1, 1])
+        angle = ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
         each = _PlanarWheel(wheel, pose.origin[0], pose.origin[1], angle, effects, leans)
         planar.append(each)
         if not (effects or swivels or wheel.rollers):
@@ -279,18 +279,18 @@ def _wheel_mobility(
     symbols = ca.vertcat(ca.SX(0, 1), *states.values(), *passive.values())
     level = ca.vertcat(ca.SX(0, 1), *passive.values())
     for wheel, pose in zip(vehicle.wheels, vehicle.carriers(rest, values), strict=True):
-        angle = ca.atan2(-pose.rotation[0, 1], pose.rotation[1, 1])
+        angle = ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
 
         def at_zero(value: ca.SX) -> Array:
             return np.array(ca.evalf(ca.substitute(value, symbols, ca.DM.zeros(symbols.numel()))))
 
         turns = at_zero(ca.jacobian(angle, symbols)).ravel()
-        tilts = at_zero(ca.jacobian(pose.rotation[0, 2], level)).ravel()
+        tilts = at_zero(ca.jacobian(pose.rotation[2, 0], level)).ravel()
         leaning = [
             name for name, tilt in zip(passive, tilts, strict=True) if abs(tilt) > ZERO_TOLERANCE
         ]
         upright = Pose(*ca.substitute(list(pose), [level], [ca.SX.zeros(level.numel())]))
-        angle = ca.atan2(-upright.rotation[0, 1], upright.rotation[1, 1])
+        angle = ca.atan2(upright.rotation[1, 0], upright.rotation[0, 0])
         effects = {
             name: ca.jacobian(angle, symbol)
             for (name, symbol), turn in zip(states.items(), turns[: len(states)], strict=True)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import keyword
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +27,41 @@ MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
+class Guess(NamedTuple):
+    """A guess of what a file does not say, which a vehicle file can override.
+
+    Attributes
+    ----------
+    table, name : str
+        Table and key of the vehicle file: ``"wheels"`` or ``"joints"``, and the name of a joint.
+    values : mapping of str to float, bool or str
+        Keys in the table of the joint, and their guessed values.
+    reason : str
+        What is guessed, and why.
+    """
+
+    table: str
+    name: str
+    values: Mapping[str, float | bool | str]
+    reason: str
+
+    @property
+    def toml(self) -> str:
+        """Line of the table that overrides the guess, with the guessed values."""
+        words = {True: "true", False: "false"}
+        pairs = (
+            f"{key} = "
+            + (words[v] if isinstance(v, bool) else f'"{v}"' if isinstance(v, str) else repr(v))
+            for key, v in self.values.items()
+        )
+        return f"{toml_key(self.name)} = {{ {', '.join(pairs)} }}"
+
+
+def toml_key(name: str) -> str:
+    """Return a name as a key of TOML, quoted if necessary."""
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
+
+
 @dataclass(frozen=True)
 class Draft:
     """Parts of a vehicle from a file, not yet checked to form a vehicle.
@@ -32,6 +70,8 @@ class Draft:
     ----------
     name, coordinates, joints, wheels, body, notes
         Fields of `slipfree.vehicle.tree.Vehicle` with the same names and types.
+    guesses : tuple of Guess
+        What was guessed.
     """
 
     name: str
@@ -40,6 +80,7 @@ class Draft:
     wheels: tuple[Wheel, ...]
     body: Body = NO_BODY
     notes: tuple[str, ...] = ()
+    guesses: tuple[Guess, ...] = ()
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
         """Return the coordinates of a kind, in the order of the file."""

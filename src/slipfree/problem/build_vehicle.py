@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +16,7 @@ from slipfree.files.toml.source_lines import Place
 from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.urdf.reader import JointRole, Roles, WheelRole, read_urdf
 from slipfree.files.urdf.tree import read_tree
-from slipfree.files.vehicle_draft import Draft, UnfitError
+from slipfree.files.vehicle_draft import Draft, Guess, UnfitError
 from slipfree.files.vehicle_toml import (
     PARTS,
     File,
@@ -108,6 +110,35 @@ def read_vehicle(path: str | Path) -> Vehicle:
         return draft.vehicle()
     except ModelError as error:
         raise VehicleError(f"{path}:1: {error}", draft=draft) from error
+
+
+def guessed_completion(path: Path, folder: Path) -> str:
+    """Return the text of a vehicle file, to write in a folder, with all guesses about a URDF.
+
+    Raises
+    ------
+    DataError
+        If the file is not a URDF, or its vehicle is invalid.
+    """
+    if path.suffix.lower() != ".urdf":
+        raise DataError(f"{path}: expected a URDF, whose guesses can be written; name a URDF")
+    tables: dict[str, dict[str, Guess]] = {"wheels": {}, "joints": {}}
+    for guess in _draft(path).guesses:
+        known = tables[guess.table].get(guess.name)
+        if known is not None:
+            values, reason = {**known.values, **guess.values}, f"{known.reason}; {guess.reason}"
+            guess = guess._replace(values=values, reason=reason)
+        tables[guess.table][guess.name] = guess
+    name = Path(os.path.relpath(path, folder)).as_posix()
+    lines = [f"urdf = {json.dumps(name, ensure_ascii=False)}"]
+    for table, found in tables.items():
+        if found:
+            lines += [
+                "",
+                f"[{table}]",
+                *(f"{each.toml}  # {each.reason}" for each in found.values()),
+            ]
+    return "\n".join(lines) + "\n"
 
 
 def is_vehicle_file(path: Path) -> bool:

@@ -24,6 +24,7 @@ from slipfree.files.urdf.tree import Faults, Mimic, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import (
     MAX_LENGTH,
     Draft,
+    Guess,
     UnfitError,
     degrees_words,
     from_rep103,
@@ -158,7 +159,7 @@ class _Reading:
         self.coordinates: dict[str, Coordinate] = {}
         self.notes: list[str] = []
         self.turns = _orientations(tree)
-        self.guessed: dict[str, list[str]] = {}
+        self.guesses: list[Guess] = []
         unknown = [
             j
             for j in self.tree.joints.values()
@@ -169,7 +170,10 @@ class _Reading:
             roles, wheels={**roles.wheels, **{n: _ball_or_wheel(g) for n, g in guesses.items()}}
         )
         for name, guess in guesses.items():
-            self._guess(f"wheels ({guess.reason})", name)
+            values = {"radius": guess.radius} if guess.radius else {}
+            if guess.is_ball:
+                values |= {"driven": False, "rollers": True}
+            self._guess("wheels", name, values, f"a wheel: {guess.reason}")
         self.wheels = [j for j in self.tree.joints.values() if self._is_wheel(j)]
         self._check_meshes()
 
@@ -185,7 +189,8 @@ class _Reading:
         notes = tuple(self.notes)
         body = _body(tree, tree.root)
         coordinates = tuple(self.coordinates.values())
-        return Draft(tree.name, coordinates, joints, wheels, body, notes), self.faults
+        guesses = tuple(self.guesses)
+        return Draft(tree.name, coordinates, joints, wheels, body, notes, guesses), self.faults
 
     def _is_wheel(self, joint: UrdfJoint) -> bool:
         """Return whether a joint carries a wheel, by its role or its shape."""
@@ -222,9 +227,13 @@ class _Reading:
                     f'of the joint in "joints" if it carries no wheel{self._in_file()}',
                 )
 
-    def _guess(self, reason: str, name: str) -> None:
-        """Record a guess, for a note."""
-        self.guessed.setdefault(reason, []).append(name)
+    def _guess(
+        self, table: str, name: str, values: Mapping[str, float | bool | str], reason: str
+    ) -> None:
+        """Record a guess, once."""
+        guess = Guess(table, name, values, reason)
+        if guess not in self.guesses:
+            self.guesses.append(guess)
 
     def _check_fixed(self) -> None:
         """Add an error for each role of a joint that cannot move: type fixed, without an axis."""
@@ -298,7 +307,8 @@ class _Reading:
         leader, multiplier, offset = self._leader(joint)
         role = self.roles.joints.get(leader.name)
         if role is None and leader.moves and leader.lower == leader.upper:
-            self._guess("fixed (both limits are equal)", leader.name)
+            fixed = {"kind": "fixed"}
+            self._guess("joints", leader.name, fixed, "fixed: its limits are equal")
             return repr(offset + multiplier * leader.lower)
         if role is None and leader.moves and leader.name not in self.tree.actuated:
             role = self._guessed_role(leader)
@@ -344,7 +354,8 @@ class _Reading:
         known = self._symbol(joint.name) in self.coordinates
         most = len(names) - 3 - taken + known
         kind, reason = joint_guess(self.tree, joint, names, most)
-        self._guess(f"{kind or 'fixed'} ({reason})", joint.name)
+        word = kind or "fixed"
+        self._guess("joints", joint.name, {"kind": word}, f"{word}: {reason}")
         return JointRole(kind or "fixed")
 
     def _coordinate(self, joint: UrdfJoint, given: JointRole | None) -> str:
@@ -480,12 +491,13 @@ class _Reading:
         actuated = self.tree.actuated
         if any(wheel.name in actuated for wheel in self.wheels):
             if joint.name not in actuated:
-                self._guess("free (other wheels have an actuator)", joint.name)
+                reason = "free: other wheels have an actuator"
+                self._guess("wheels", joint.name, {"driven": False}, reason)
             return joint.name in actuated
         above = {each.child for each in self.tree.joints.values() if CASTER.search(each.name)}
         is_caster = bool(CASTER.search(f"{joint.name} {joint.child}")) or joint.parent in above
-        word = "free (casters)" if is_caster else "driven (no wheel has an actuator)"
-        self._guess(word, joint.name)
+        reason = "free: a caster" if is_caster else "driven: no wheel has an actuator"
+        self._guess("wheels", joint.name, {"driven": not is_caster}, reason)
         return not is_caster
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
@@ -560,8 +572,12 @@ class _Reading:
                 "of type fixed in the URDF, but treated as revolute, since they or the "
                 f'joints that they mimic are in "joints": {", ".join(released)}'
             )
-        for reason, names in self.guessed.items():
-            self.notes.append(f"guessed: {reason}: {', '.join(dict.fromkeys(names))}")
+        for reason in dict.fromkeys(guess.reason for guess in self.guesses):
+            alike = [guess for guess in self.guesses if guess.reason == reason]
+            self.notes.append(
+                f"guessed {reason}: {', '.join(guess.name for guess in alike)}; override by "
+                f"{alike[0].table} = {{ {alike[0].toml} }}"
+            )
         self._add_shape_notes()
         thin = [
             j.name

@@ -1,0 +1,251 @@
+"""URDFs that do not say everything: guesses, their notes, and the vehicle file that has them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from slipfree import Analytic, direct_kinematics, settle, simulate
+from slipfree.cli import app
+from slipfree.control.path_following import straight
+from slipfree.errors import DataError
+from slipfree.problem.build_vehicle import VehicleError, guessed_completion, read_vehicle
+from slipfree.vehicle.sections.omni import Omni
+
+ROUND = (
+    '<collision><origin rpy="1.5707963267948966 0 0"/>'
+    '<geometry><cylinder radius="{}" length="0.05"/></geometry></collision>'
+)
+WHEEL = ROUND.format(0.1)
+MESH = '<visual><geometry><mesh filename="package://a/wheel.dae"/></geometry></visual>'
+MASS = '<inertial><mass value="1"/></inertial>'
+
+
+def link(name, shape=""):
+    return f'<link name="{name}">{MASS}{shape}</link>'
+
+
+def joint(name, kind, parent, child, at="0 0 0", axis="0 1 0", rpy="0 0 0", more=""):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{at}" rpy="{rpy}"/><axis xyz="{axis}"/>{more}</joint>'
+    )
+
+
+def wheel(name, at, shape=WHEEL, parent="base", kind="continuous"):
+    return link(name, shape) + joint(f"{name}_joint", kind, parent, name, at)
+
+
+FOUR = "".join(
+    wheel(f"{end}_{side}", f"{x} {y} 0")
+    for end, x in (("front", 0.2), ("rear", -0.2))
+    for side, y in (("left", 0.15), ("right", -0.15))
+)
+TWO = wheel("left_wheel", "0 0.15 0") + wheel("right_wheel", "0 -0.15 0")
+
+
+def written(folder: Path, parts: str, completion: str | None = None) -> Path:
+    """Write a robot with a link ``base`` and further parts, and a vehicle file if given."""
+    file = folder / "robot.urdf"
+    file.write_text(f'<robot name="r">{link("base")}{parts}</robot>')
+    if completion is None:
+        return file
+    (folder / "robot.toml").write_text(f'urdf = "robot.urdf"\n{completion}')
+    return folder / "robot.toml"
+
+
+def notes(vehicle):
+    return [note for note in vehicle.notes if note.startswith("guessed")]
+
+
+def test_wheels_without_actuators_are_driven(tmp_path):
+    vehicle = read_vehicle(written(tmp_path, FOUR))
+    assert [each.driven for each in vehicle.wheels] == [True] * 4
+    (note,) = notes(vehicle)
+    assert note.startswith("guessed driven: no wheel has an actuator: front_left_joint, ")
+    assert note.endswith("override by wheels = { front_left_joint = { driven = true } }")
+    free = read_vehicle(
+        written(tmp_path, FOUR, "wheels = { front_left_joint = { driven = false } }")
+    )
+    assert [each.driven for each in free.wheels] == [False, True, True, True]
+
+
+def test_wheels_beside_actuated_wheels_are_free(tmp_path):
+    drive = '<transmission name="t"><joint name="rear_left_joint"/></transmission>'
+    vehicle = read_vehicle(written(tmp_path, FOUR + drive))
+    assert {each.name for each in vehicle.wheels if each.driven} == {"rear_left_joint"}
+    assert notes(vehicle)[0].startswith("guessed free: other wheels have an actuator")
+
+
+@pytest.mark.parametrize(
+    ("shape", "radius"),
+    [
+        ('<collision><geometry><sphere radius="0.04"/></geometry></collision>', 0.04),
+        (
+            '<collision><origin xyz="0 0 -0.01"/>'
+            '<geometry><box size="0.02 0.02 0.06"/></geometry></collision>',
+            0.04,
+        ),
+    ],
+)
+def test_a_fixed_caster_is_a_ball(shape, radius, tmp_path):
+    caster = wheel("back_caster", "-0.2 0 -0.06", shape, kind="fixed")
+    vehicle = read_vehicle(written(tmp_path, TWO + caster))
+    ball = vehicle.wheels[-1]
+    assert isinstance(ball.section, Omni)
+    assert ball.radius == pytest.approx(radius)
+    assert not ball.driven
+    dae = direct_kinematics(vehicle, Analytic(lambda x, y: 0 * x * y))
+    start = settle(dae)
+    run = simulate(dae, start, straight(dae, vehicle, start, speed=0.2), np.linspace(0, 5, 11))
+    assert run["y"][-1] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_swivelling_caster_is_passive_and_free(tmp_path):
+    fork = link("caster_fork") + joint(
+        "caster_swivel", "continuous", "base", "caster_fork", "-0.2 0 0", axis="0 0 1"
+    )
+    caster = wheel("caster_wheel", "-0.03 0 -0.05", ROUND.format(0.05), "caster_fork")
+    vehicle = read_vehicle(written(tmp_path, TWO + fork + caster))
+    assert {c.name: c.kind for c in vehicle.coordinates} == {"caster_swivel": "passive"}
+    assert [each.driven for each in vehicle.wheels] == [True, True, False]
+
+
+def mesh_robot():
+    foot = link("base_footprint") + joint("foot", "fixed", "base_footprint", "base", "0 0 0.12")
+    wheels = "".join(
+        wheel(f"wheel_{k}", f"{x} {y} {z}", MESH)
+        for k, (x, y, z) in enumerate([(0.2, 0.2, 0), (0.2, -0.2, 0), (-0.2, 0, -0.02)])
+    )
+    return foot, wheels
+
+
+def test_mesh_wheels_have_the_least_height_above_the_footprint_as_radius(tmp_path):
+    foot, wheels = mesh_robot()
+    vehicle = read_vehicle(written(tmp_path, foot + wheels))
+    assert [each.radius for each in vehicle.wheels] == pytest.approx([0.1] * 3)
+    assert any("meshes are not read" in note for note in notes(vehicle))
+
+
+def test_one_line_gives_the_radius_of_mesh_wheels(tmp_path):
+    _, wheels = mesh_robot()
+    with pytest.raises(VehicleError, match=r"write radius = \.\.\. for all such wheels"):
+        read_vehicle(written(tmp_path, wheels))
+    vehicle = read_vehicle(written(tmp_path, wheels, "radius = 0.15"))
+    assert [each.radius for each in vehicle.wheels] == [0.15] * 3
+
+
+ROVER = (
+    link("rocker")
+    + joint("rocker_pivot", "revolute", "base", "rocker", "0 0.2 0.1")
+    + link("post")
+    + joint("steer", "revolute", "rocker", "post", "0.3 0 0", axis="0 0 1")
+    + wheel("front", "0 0 -0.1", parent="post")
+    + wheel("rear", "-0.3 0 -0.1", parent="rocker")
+    + wheel("front_right", "0.3 -0.2 0")
+    + wheel("rear_right", "-0.3 -0.2 0")
+    + link("arm")
+    + joint("elbow", "revolute", "base", "arm", "0 0 0.3")
+    + link("mast")
+    + joint("tilt", "revolute", "base", "mast", more='<limit lower="0" upper="0"/>')
+)
+
+
+def test_kinds_of_joints_follow_from_their_axes_and_wheels(tmp_path):
+    vehicle = read_vehicle(written(tmp_path, ROVER))
+    kinds = {c.name: c.kind for c in vehicle.coordinates}
+    assert kinds == {"rocker_pivot": "suspension", "steer": "commanded"}
+    reasons = " ".join(notes(vehicle))
+    for words in ("it carries no wheel: elbow", "its limits are equal: tilt", "steers it: steer"):
+        assert words in reasons
+    given = read_vehicle(written(tmp_path, ROVER, 'joints = { rocker_pivot = "fixed" }'))
+    assert [c.name for c in given.coordinates] == ["steer"]
+
+
+def test_more_level_axes_than_suspension_coordinates_are_fixed(tmp_path):
+    pivots = "".join(
+        link(f"p{k}")
+        + joint(f"pivot{k}", "revolute", "base", f"p{k}", f"0 {y} 0")
+        + wheel(f"w{k}", "0 0 0", parent=f"p{k}")
+        for k, y in enumerate((0.2, -0.2))
+    )
+    vehicle = read_vehicle(written(tmp_path, pivots + wheel("w2", "0.3 0 0")))
+    assert not vehicle.coordinates
+    assert "with so few wheels" in notes(vehicle)[0]
+
+
+def test_forward_is_an_axis_of_the_root(tmp_path):
+    turned = "".join(
+        link(f"w{k}", ROUND.format(0.1).replace("1.5707963267948966 0 0", "0 1.5707963267948966 0"))
+        + joint(f"j{k}", "continuous", "base", f"w{k}", at, axis="1 0 0")
+        for k, at in enumerate(("0.2 0 0", "-0.2 0 0", "0 0.3 0"))
+    )
+    plain = read_vehicle(written(tmp_path, turned))
+    assert any("write forward = 'y' or '-y'" in note for note in plain.notes)
+    vehicle = read_vehicle(written(tmp_path, turned, 'forward = "y"'))
+    places = np.array([each.at for each in vehicle.wheels])
+    # right, forward, up: the x axis of the root points right
+    assert places == pytest.approx(np.array([[0.2, 0, 0], [-0.2, 0, 0], [0, 0.3, 0]]), abs=1e-12)
+    assert all(abs(each.axle[0]) == pytest.approx(1) for each in vehicle.wheels)
+    back = read_vehicle(written(tmp_path, turned, 'forward = "-y"'))
+    assert np.array([each.at for each in back.wheels]) == pytest.approx(
+        places * [-1, -1, 1], abs=1e-12
+    )
+
+
+def test_commas_and_xacro_outside_the_parts_are_accepted(tmp_path):
+    text = FOUR.replace("0.2 0.15 0", "0.2, 0.15, 0")
+    ignored = '<gazebo reference="${prefix}base"/><xacro:property name="a" value="${b}"/>'
+    file = written(tmp_path, text + ignored)
+    file.write_text(file.read_text().replace("<robot ", '<robot xmlns:xacro="x" '))
+    assert len(read_vehicle(file).wheels) == 4
+
+
+@pytest.mark.parametrize("parts", [FOUR, ROVER, "".join(mesh_robot())])
+def test_the_written_completion_has_all_guesses(parts, tmp_path):
+    file = written(tmp_path, parts)
+    guessed = read_vehicle(file)
+    out = tmp_path / "full.toml"
+    found = CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])
+    assert found.exit_code == 0, found.output
+    again = read_vehicle(out)
+    assert (again.wheels, again.coordinates, again.joints) == (
+        guessed.wheels,
+        guessed.coordinates,
+        guessed.joints,
+    )
+    assert not notes(again)
+    refused = CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])
+    assert refused.exit_code == 2
+    assert "--force" in refused.stderr
+
+
+def test_only_guesses_about_urdfs_can_be_written(tmp_path):
+    with pytest.raises(DataError, match="expected a URDF"):
+        guessed_completion(tmp_path / "a.toml", tmp_path)
+
+
+def test_steering_hinges_with_turned_frames_steer(tmp_path):
+    """The hinge's frame is turned about y, so that its x axis points down."""
+    front = "".join(
+        link(f"hinge{k}")
+        + joint(
+            f"steer{k}",
+            "revolute",
+            "base",
+            f"hinge{k}",
+            f"0.3 {y} 0",
+            axis="-1 0 0",
+            rpy="0 1.5707963267948966 0",
+        )
+        + wheel(f"front{k}", "0 0 0", parent=f"hinge{k}")
+        for k, y in enumerate((0.15, -0.15))
+    )
+    vehicle = read_vehicle(written(tmp_path, TWO + front))
+    dae = direct_kinematics(vehicle, Analytic(lambda x, y: 0 * x * y))
+    start = settle(dae)
+    run = simulate(dae, start, straight(dae, vehicle, start, speed=0.2), np.linspace(0, 5, 11))
+    assert (run["x"][-1], run["y"][-1]) == pytest.approx((0.0, 1.0), abs=1e-5)
