@@ -300,7 +300,10 @@ def test_holes_scales_and_offsets_of_a_geotiff(tmp_path):
         "1 nodes in 1 holes, the largest 0.25 x 0.25 m" in dict(found.facts)["ground holes filled"]
     )
     assert_allclose(found.grid.z[0], 3 + 0.01 * rows[::-1, 0], rtol=1e-15)
-    assert dict(found.facts)["ground map heights"] == "values of the file x 0.01 + 3 m"
+    assert (
+        dict(found.facts)["ground map heights"]
+        == "values of the file x 0.01 + 3, unit not stated: taken as metres"
+    )
 
 
 def test_tiles_in_degrees(tmp_path):
@@ -387,15 +390,15 @@ def test_a_metre_of_the_map_is_one_on_the_ground(tmp_path):
 
 def test_a_compound_system_is_named_by_its_horizontal_part(tmp_path):
     assert read_map(geotiff(tmp_path / "map.tif", crs="EPSG:32633+5703")).crs == UTM
-    with pytest.raises(DataError, match="heights in metres, found the unit 'US survey foot'"):
-        read_map(geotiff(tmp_path / "map.tif", crs="EPSG:32633+6360"))
+    found = read_map(geotiff(tmp_path / "map.tif", crs="EPSG:32633+6360"))
+    assert_allclose(found.grid.z, 1200 / 3937 * ROWS[::-1].T, rtol=1e-15)
 
 
 def test_more_geotiffs_refused(tmp_path):
     path = geotiff(tmp_path / "feet.tif")
     with rasterio.open(path, "r+") as file:
-        file.units = ("ft",)
-    with pytest.raises(DataError, match=r"heights in metres, found the unit 'ft'; .*gdal_calc"):
+        file.units = ("kelvin",)
+    with pytest.raises(DataError, match=r"unit of length, found the unit 'kelvin'; .* -units"):
         read_grid(path)
     path = geotiff(tmp_path / "palette.tif", 40 * ROWS, dtype="uint8", photometric="palette")
     with rasterio.open(path, "r+") as file:
@@ -521,3 +524,36 @@ def test_a_file_that_gdal_cannot_read_is_closed(tmp_path, monkeypatch):
         read_map(path)
     assert opened
     assert all(file.closed for file in opened)
+
+
+@pytest.mark.parametrize(
+    ("driver", "ending"),
+    [
+        ("GPKG", "gpkg"),
+        ("netCDF", "nc"),
+        ("netCDF", "grd"),
+        ("GSBG", "grd"),
+        ("GS7BG", "grd"),
+        ("BT", "bt"),
+        ("HF2", "hf2"),
+        ("PCIDSK", "pix"),
+    ],
+)
+def test_rasters_that_are_one_file(tmp_path, driver, ending):
+    whole = geotiff(tmp_path / "whole.tif", np.round(1000 * ROWS), dtype="int16")
+    path = tmp_path / f"map.{ending}"
+    rasterio.shutil.copy(whole, path, driver=driver)
+    found = read_map(path).grid
+    for name in "xyz":
+        assert_allclose(getattr(found, name), getattr(read_grid(whole), name), atol=1e-3)
+
+
+def test_heights_in_other_units_are_converted(tmp_path):
+    path = geotiff(tmp_path / "map.tif")
+    assert dict(read_map(path).facts)["ground map heights"] == "unit not stated: taken as metres"
+    for unit, length in (("ft", 0.3048), ("US survey foot", 1200 / 3937), ("cm", 0.01)):
+        with rasterio.open(path, "r+") as file:
+            file.units = (unit,)
+        found = read_map(path)
+        assert_allclose(found.grid.z, length * ROWS[::-1].T, rtol=1e-15)
+        assert f"converted from {unit}" in dict(found.facts)["ground map heights"]

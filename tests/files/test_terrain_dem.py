@@ -209,7 +209,7 @@ def test_npz_refuses(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("map.jp2", r"ending in .npz, .tif, .* found '.jp2'; convert it"),
+        ("map.sdat", r"ending in .npz, .tif, .* found '.sdat'; convert it"),
         ("map.tif", "map.tif: expected a map, found that it cannot be read"),
         ("map", "found 'no ending'"),
         ("none.asc", "none.asc: expected a map, found that it cannot be read"),

@@ -62,6 +62,12 @@ OTHERS = {
     ".las": TO_TEXT.format(".las"),
     ".laz": TO_TEXT.format(".laz"),
     ".zip": "unpack it: unzip in.zip",
+    ".gz": "unpack it: gunzip in.gz",
+    ".bag": "write the layer of heights of a grid_map message as .npz with arrays x, y, z",
+    ".vrt": "write what it refers to as one file: gdal_translate in.vrt out.tif",
+    ".shp": "interpolate its points or contours to a raster: gdal_grid in.shp out.tif",
+    ".ply": "write its points as text, x y z a line, with the ending .xyz",
+    ".pcd": "write its points as text, x y z a line, with the ending .xyz",
 }
 Facts = tuple[tuple[str, str], ...]
 
@@ -138,8 +144,9 @@ def read_map(
     path : str or Path
         ``.npz``: numpy arrays ``x`` of shape (n_x,), ``y`` of shape (n_y,) and ``z`` of shape
         (n_x, n_y), all in metres, NaN in holes. ``.tif``, ``.tiff`` (GeoTIFF), ``.asc`` (ESRI
-        ASCII grid), ``.hgt`` (SRTM), ``.dt0`` to ``.dt2`` (DTED), ``.img`` (ERDAS) and ``.png``
-        (grey values): see `read_raster`. ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
+        ASCII grid), ``.hgt`` (SRTM), ``.dt0`` to ``.dt2`` (DTED), ``.img`` (ERDAS), ``.gpkg``,
+        ``.nc``, ``.grd`` and others of GDAL, and ``.png`` (grey values): see
+        `read_raster`. ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
     window : tuple of 4 floats, optional
         Part to read, x_min, x_max, y_min, y_max in the coordinates of the file; by default the
         whole map. Only this part of a raster is kept in memory. [m] or [deg]

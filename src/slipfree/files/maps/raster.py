@@ -8,6 +8,7 @@ import warnings
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, Literal, NamedTuple, NoReturn
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
 
-DRIVERS = {  # GDAL drivers by the ending of the file
+DRIVERS = {  # GDAL drivers of files that are whole by themselves, by the ending of the file
     ".tif": "GTiff",
     ".tiff": "GTiff",
     ".asc": "AAIGrid",
@@ -25,6 +26,18 @@ DRIVERS = {  # GDAL drivers by the ending of the file
     ".dt2": "DTED",
     ".img": "HFA",
     ".png": "PNG",
+    ".gpkg": "GPKG",
+    ".nc": "netCDF",
+    ".grd": "GSBG",
+    ".bt": "BT",
+    ".ter": "Terragen",
+    ".dem": "USGSDEM",
+    ".gtx": "GTX",
+    ".jp2": "JP2OpenJPEG",
+    ".hf2": "HF2",
+    ".ntf": "NITF",
+    ".pix": "PCIDSK",
+    ".map": "PCRaster",
 }
 FORMATS = {
     "GTiff": "GeoTIFF",
@@ -33,9 +46,20 @@ FORMATS = {
     "DTED": "DTED",
     "HFA": "ERDAS IMG",
     "PNG": "PNG",
+    "GPKG": "GeoPackage",
 }
 NAMED = {"SRTMHGT": "name the file after its position, as in N45E006.hgt; if it has such a name, "}
 OPTIONS = {"AAIGrid": {"DATATYPE": "Float64"}}  # the default loses digits
+GRIDS = {  # drivers of .grd files by their first four bytes
+    b"DSBB": "GSBG",
+    b"DSRB": "GS7BG",
+    b"DSAA": "GSAG",
+    b"HGPC": "NWT_GRD",
+    b"CDF\x01": "netCDF",
+    b"CDF\x02": "netCDF",
+    b"CDF\x05": "netCDF",
+    b"\x89HDF": "netCDF",
+}
 CACHE = 64  # GDAL's cache of blocks [MB]
 TO_GRAY = "keep the heights alone: gdal_translate -b 1 in.tif out.tif"
 TO_METRES = "reproject it to metres: gdalwarp -t_srs EPSG:326xx in.tif out.tif (xx: the UTM zone)"
@@ -45,6 +69,15 @@ SEMI_MAJOR, ROUND = 6378137.0, 0.01  # semi-major axis of the earth [m], and its
 COMPOUND = re.compile(r'AUTHORITY\["EPSG","(\d+)"\]\],VERT_CS')
 LOCAL = ("LOCAL_CS", "ENGCRS")
 METRES = {"", "m", "metre", "meter", "metres", "meters"}
+LENGTHS = {  # units of heights [m]
+    **dict.fromkeys(METRES, 1.0),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet"), 0.3048),
+    **dict.fromkeys(("us survey foot", "us survey feet", "us-ft", "ftus"), 1200 / 3937),
+    **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 0.01),
+    **dict.fromkeys(("dm", "decimetre", "decimeter"), 0.1),
+    **dict.fromkeys(("mm", "millimetre", "millimeter"), 0.001),
+    **dict.fromkeys(("km", "kilometre", "kilometer"), 1000.0),
+}
 Registration = Literal["area", "point"]
 WORDS = {
     "area": "heights at the middles of cells (pixel is area)",
@@ -115,11 +148,9 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
-    driver = DRIVERS[path.suffix.lower()]
+    driver = _driver(path)
     # the name of an SRTM tile gives its position; others may have characters that GDAL rejects
     name = path.name if driver == "SRTMHGT" else f"raster{path.suffix.lower()}"
-    with path.open("rb") as file:
-        file.read(1)  # raises I/O errors, which GDAL would hide
     try:
         # the stack closes the streams of files that GDAL cannot read
         with (
@@ -128,17 +159,31 @@ def read_raster(path: Path, ask: Reading) -> Heights:
             rasterio.Env(GDAL_CACHEMAX=CACHE),
         ):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            opener, options = partial(_open_only, path, name, opened), OPTIONS.get(driver, {})
-            with rasterio.open(name, driver=driver, opener=opener, **options) as dataset:
+            options: dict[str, Any] = dict(OPTIONS.get(driver, {}))
+            if driver == "netCDF":  # its library opens files by name only; no file is beside it
+                folder = Path(opened.enter_context(TemporaryDirectory()))
+                (folder / name).symlink_to(path.resolve())
+                source = str(folder / name)
+            else:
+                source, options["opener"] = name, partial(_open_only, path, name, opened)
+            with rasterio.open(source, driver=driver, **options) as dataset:
                 return _from_dataset(dataset, path, ask)
     except DataError:
         raise
     except Exception as error:  # GDAL raises various exceptions for damaged files
         words = re.sub(r"/vsi\w+/", "", str(error.__cause__ or error)).replace(name, path.name)
         raise DataError(
-            f"expected a readable {FORMATS[driver]}, found {words.rstrip('.')}; "
+            f"expected a readable {FORMATS.get(driver, driver)}, found {words.rstrip('.')}; "
             f"{NAMED.get(driver, '')}copy or download it again: it may be cut off or damaged"
         ) from error
+
+
+def _driver(path: Path) -> str:
+    """Return the GDAL driver of a file, by its ending and, of a .grd file, its first bytes."""
+    driver = DRIVERS[path.suffix.lower()]
+    with path.open("rb") as file:
+        head = file.read(4)  # raises I/O errors, which GDAL would hide
+    return GRIDS.get(head, driver) if path.suffix.lower() == ".grd" else driver
 
 
 def _open_only(path: Path, known: str, opened: ExitStack, name: str, mode: str = "rb") -> BinaryIO:
@@ -167,7 +212,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
     if file.driver == "AAIGrid":
         _check_numbers(path, file.shape, rows)
     crs = place.crs or ("CRS not given" if place.placed else "placed by cell and registration")
-    source = f"{FORMATS[file.driver]} of {file.dtypes[0]}"
+    source = f"{FORMATS.get(file.driver, file.driver)} of {file.dtypes[0]}"
     facts = (
         ("ground map", f"{source}, {crs}, {WORDS[place.registration]}"),
         *_scale_facts(file),
@@ -179,7 +224,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
         masked=True,
         out_dtype=np.float64,
     )
-    heights = values.filled(np.nan) * file.scales[0] + file.offsets[0]
+    heights = (values.filled(np.nan) * file.scales[0] + file.offsets[0]) * _unit(file)
     return Heights(
         place.x.nodes(i),
         place.y.nodes(j),
@@ -232,10 +277,18 @@ def _wrong_word(words: list[bytes]) -> bytes | None:
 
 def _scale_facts(file: Any) -> tuple[tuple[str, str], ...]:
     """Return the scale and offset of the heights as facts; empty if the file has none."""
-    scale, offset = file.scales[0], file.offsets[0]
-    if (scale, offset) == (1, 0):
-        return ()
-    return (("ground map heights", f"values of the file x {scale:.9g} + {offset:.9g} m"),)
+    scale, offset, unit = file.scales[0], file.offsets[0], file.units[0]
+    words = "in metres" if unit else "unit not stated: taken as metres"
+    if _unit(file) != 1:
+        words = f"converted from {unit} ({_unit(file):.9g} m)"
+    if (scale, offset) != (1, 0):
+        words = f"values of the file x {scale:.9g} + {offset:.9g}, {words}"
+    return (("ground map heights", words),)
+
+
+def _unit(file: Any) -> float:
+    """Return the unit of the heights of a raster [m]."""
+    return LENGTHS[(file.units[0] or "").lower()]
 
 
 def _check_band(file: Any) -> None:
@@ -251,13 +304,11 @@ def _check_band(file: Any) -> None:
             "colours of a palette",
             "use the elevation model from which the image was drawn",
         )
-    unit = (file.units[0] or "").lower()
-    if unit not in METRES:
+    if (file.units[0] or "").lower() not in LENGTHS:
         _refuse(
-            "heights in metres",
+            "heights in a unit of length",
             f"the unit {file.units[0]!r}",
-            "convert them, for example from feet: gdal_calc.py -A in.tif --calc='A*0.3048' "
-            "--type=Float64 --outfile=out.tif",
+            f"correct it with gdal_edit.py -units; known are {', '.join(sorted(LENGTHS)[1:])}",
         )
 
 
