@@ -392,3 +392,12 @@ def test_a_window_in_degrees_has_its_own_origin(tmp_path: Path) -> None:
     assert (found.grid.x[0], found.grid.y[0]) == (0, 0)
     assert (found.frame.x0, found.frame.y0) == pytest.approx((15.0002, 45), abs=1e-12)
     assert_allclose(found.frame.x0 + found.frame.kx * found.grid.x, x[20:41], atol=1e-12)
+
+
+def test_a_picture_needs_the_metres_of_a_gray_level(tmp_path: Path) -> None:
+    Image.fromarray(np.full((40, 40), 7, np.uint8)).save(tmp_path / "g.png")
+    settings = ["terrain.file=g.png", "terrain.cell=0.5", "terrain.registration=area"]
+    with pytest.raises(ProblemError, match="expected vertical_scale, the metres per gray level"):
+        _grounds(tmp_path, *settings)
+    grid, _ = _grounds(tmp_path, *settings, "terrain.vertical_scale=0.01")
+    assert_allclose(grid.z, 0.07)

@@ -194,6 +194,13 @@ def _source(problem: Problem[S]) -> tuple[Map, str]:
         options = {key: getattr(spec, key) for key in OF_FILES}
         with at(problem, ("terrain", "file")):
             found = read_map(problem.folder / spec.file, window=window, **options)
+            if found.gray and "vertical_scale" not in spec.model_fields_set:
+                low, high = found.grid.values.min(), found.grid.values.max()
+                raise ModelError(
+                    "expected vertical_scale, the metres per gray level of a picture, found none; "
+                    f"set vertical_scale: the levels from {low:g} to {high:g} span that many "
+                    "times it in metres"
+                )
         return found, spec.file
     if spec.synthetic is not None:
         with at(problem, ("terrain", "synthetic")):

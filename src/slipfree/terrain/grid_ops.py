@@ -64,6 +64,8 @@ class Heights(NamedTuple):
         Whether x and y are degrees according to the file.
     placed : bool
         Whether the file contains the coordinates of its nodes.
+    gray : bool
+        Whether the heights are gray levels of a picture, whose length the file does not contain.
     """
 
     x: Array
@@ -73,6 +75,7 @@ class Heights(NamedTuple):
     crs: str = ""
     geographic: bool = False
     placed: bool = True
+    gray: bool = False
 
 
 class Filled(NamedTuple):

@@ -104,6 +104,8 @@ class Map(NamedTuple):
         Whether the coordinates of the file are longitude and latitude in degrees.
     facts : tuple of (str, str)
         Facts about the file for summaries: pairs of name and description.
+    gray : bool
+        Whether the heights are gray levels of a picture, not metres.
     """
 
     grid: Grid
@@ -111,6 +113,7 @@ class Map(NamedTuple):
     crs: str = ""
     geographic: bool = False
     facts: Facts = ()
+    gray: bool = False
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -265,7 +268,12 @@ def _mapped(
         facts += (("ground holes", f"{count} have no height: wheels must not touch them"),)
         found = found._replace(z=continue_over_holes(found.z))
     if geographic is None:
-        return Map(Grid(found.x, found.y, found.z, mask, holes), crs=found.crs, facts=facts)
+        return Map(
+            Grid(found.x, found.y, found.z, mask, holes),
+            crs=found.crs,
+            facts=facts,
+            gray=found.gray,
+        )
     frame = local_frame(found.x, found.y) if geographic == "local" else geographic
     x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
     facts += (("ground degrees", _degrees_words(found.y, frame)),)

@@ -233,6 +233,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
         place.crs,
         place.geographic,
         place.placed,
+        gray=file.driver == "PNG",
     )
 
 
