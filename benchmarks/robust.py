@@ -16,20 +16,20 @@ from reference import heading
 from slipfree import load_problem, run_problem
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
-DRAWN = "friction={friction}, inputs=0.01, map={{rms={rms}, correlation=1.0}}"
+DRAWN = "friction={friction}, inputs={inputs}, map={{rms={rms}, correlation=1.0}}"
 WIDE = ("terrain.synthetic.x=[-8.0, 8.0]",)  # room for the detours of the ramp
 CASES = (
-    ("plan_crater_field", 0.05, 0.02, ("limits.utilisation=[0.0, 0.5]",)),
-    ("plan_climb_ramp", 0.02, 0.002, WIDE),
-    ("plan_climb_ramp", 0.05, 0.005, WIDE),
+    ("plan_crater_field", 0.05, 0.01, 0.02, ("limits.utilisation=[0.0, 0.5]",)),
+    ("plan_climb_ramp", 0.02, 0.002, 0.002, WIDE),
+    ("plan_climb_ramp", 0.05, 0.01, 0.005, WIDE),
 )
 
 
 def main() -> None:
     """Print the table."""
     heading()
-    for name, friction, rms, settings in CASES:
-        drawn = DRAWN.format(friction=friction, rms=rms)
+    for name, friction, inputs, rms, settings in CASES:
+        drawn = DRAWN.format(friction=friction, inputs=inputs, rms=rms)
         problem = load_problem(PROBLEMS / f"{name}.toml", (*settings, f"plan.robust={{{drawn}}}"))
         begin = time.perf_counter()
         run = run_problem(problem).trajectory
