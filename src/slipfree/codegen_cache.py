@@ -64,15 +64,15 @@ def library(
     """
     key = _key(text)
     try:
-        if (place := folder()) is None:
+        if (cache := folder()) is None:
             raise _UnavailableError(CACHE_DISABLED)
-        _prepare(place)
-        if found := _load_cached(place, key, names):
+        _prepare(cache)
+        if found := _load_cached(cache, key, names):
             return found
         if (command := compiler()) is None:
             raise _UnavailableError(NO_COMPILER)
-        _compile(place, key, make(), command)
-        if found := _load_cached(place, key, names):
+        _compile(cache, key, make(), command)
+        if found := _load_cached(cache, key, names):
             return found
         raise _UnavailableError(
             f"the library compiled by {shlex.join(command)} cannot be loaded; set CC to another "
@@ -90,19 +90,19 @@ def compiled_functions(
     *,
     compiled: bool,
 ) -> tuple[ca.Function, ...]:
-    """Return functions derived from another function, compiled on request if that one is large.
+    """Return functions derived from an SX function, compiled if it has at least 300 operations.
 
     Parameters
     ----------
     key : casadi Function
-        SX function from which the functions are derived. Its operations, with the source file of
-        ``make``, identify them in the cache; functions are compiled only if it has at least 300.
+        SX function from which the functions are derived. In the cache, the derived functions are
+        identified by the operations of ``key`` and the source file of ``make``.
     names : sequence of str
         Names of the derived functions.
     make : callable
         ``make()`` returns the derived functions.
     compiled : bool
-        Whether to compile the functions if a compiler is found.
+        Whether to compile the functions; ignored if no compiler is found.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def folder() -> Path | None:
         ) from error
 
 
-def _prepare(place: Path) -> None:
+def _prepare(cache: Path) -> None:
     """Create the cache folder if missing.
 
     Raises
@@ -166,21 +166,21 @@ def _prepare(place: Path) -> None:
         If the folder cannot be created, or if other users may write to it.
     """
     try:
-        place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_private(place.stat()):
+        cache.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _is_private(cache.stat()):
             raise _UnavailableError(
-                f"{place}: expected a folder that only this user can write to, found one with "
+                f"{cache}: expected a folder that only this user can write to, found one with "
                 f"another owner or write access for others; change its owner and mode, or set "
                 f"{FOLDER} to another folder"
             )
     except OSError as error:
-        raise _UnavailableError(_unusable(place, error)) from error
+        raise _UnavailableError(_unusable(cache, error)) from error
 
 
-def _unusable(place: Path, error: OSError) -> str:
+def _unusable(cache: Path, error: OSError) -> str:
     """Return the message of a system error in the cache folder."""
     return (
-        f"{place}: the cache folder cannot be used ({error.strerror}); set {FOLDER} to another "
+        f"{cache}: the cache folder cannot be used ({error.strerror}); set {FOLDER} to another "
         "folder"
     )
 
@@ -207,12 +207,12 @@ def compiler() -> list[str] | None:
     return None
 
 
-def _load_cached(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...] | None:
+def _load_cached(cache: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...] | None:
     """Return the functions cached under a key; remove damaged libraries of that key.
 
     The result is None if there is no usable library.
     """
-    for file in sorted(place.glob(f"{key}.*.so")):
+    for file in sorted(cache.glob(f"{key}.*.so")):
         try:
             same = file.suffixes[-2] == f".{digest(file.read_bytes())}"
             if same and _is_private(file.lstat()) and not file.is_symlink():
@@ -233,11 +233,11 @@ def digest(content: bytes) -> str:
 
 
 def _compile(
-    place: Path, key: str, functions: Sequence[ca.Function], command: Sequence[str]
+    cache: Path, key: str, functions: Sequence[ca.Function], command: Sequence[str]
 ) -> None:
     """Compile functions and store the library in the cache; its key and digest name the file."""
     try:
-        with tempfile.TemporaryDirectory(dir=place, prefix=SCRATCH_PREFIX) as scratch:
+        with tempfile.TemporaryDirectory(dir=cache, prefix=SCRATCH_PREFIX) as scratch:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"
             text.write_text(source(functions), encoding="utf-8")
             _run([*command, *FLAGS, "-o", str(file), str(text), "-lm"])
@@ -247,15 +247,15 @@ def _compile(
                     "library; set CC to a C compiler"
                 )
             file.chmod(0o700)
-            file.replace(place / f"{key}.{digest(file.read_bytes())}.so")
+            file.replace(cache / f"{key}.{digest(file.read_bytes())}.so")
     except OSError as error:
-        raise _UnavailableError(_unusable(place, error)) from error
+        raise _UnavailableError(_unusable(cache, error)) from error
     except subprocess.SubprocessError as error:
         raise _UnavailableError(
             f"{shlex.join(command)}: the C compiler failed or took more than "
             f"{COMPILER_TIMEOUT:g} s; set CC to another C compiler"
         ) from error
-    _remove_old(place)
+    _remove_old(cache)
 
 
 def _run(command: Sequence[str]) -> None:
@@ -290,10 +290,10 @@ def _run(command: Sequence[str]) -> None:
         raise subprocess.CalledProcessError(code, command)
 
 
-def _remove_old(place: Path) -> None:
+def _remove_old(cache: Path) -> None:
     """Remove the least recently used libraries and the leftovers of interrupted compilations."""
     ages = dict[Path, float]()
-    for file in place.iterdir():
+    for file in cache.iterdir():
         with suppress(OSError):  # another process may remove it at the same time
             ages[file] = file.stat().st_mtime
     libraries = sorted(

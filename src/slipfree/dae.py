@@ -173,7 +173,7 @@ class Dae:
     checks : tuple of SampledCheck
         Numeric limits, evaluated at the samples.
     guess : SX, shape (n_z, 1)
-        Initial guess of ``z`` from ``x``.
+        Initial guess of ``z``, a function of ``x``.
     scale : ndarray, shape (n_z,)
         Typical sizes of ``z``, each in the unit of its unknown.
     shift : tuple of two ndarrays, shapes (n_x,) and (n_z,)
@@ -187,8 +187,9 @@ class Dae:
     continuation : Continuation or None
         Continuation for initial states at which Newton's method alone does not converge.
     rest : SX, shape (k, 1)
-        Initial guess of the last ``k`` states from the others. These states relax to an equilibrium
-        while the other states are fixed; `slipfree.settle` finds it. Empty without such states.
+        Initial guess of the equilibrium values of the last ``k`` states, a function of the other
+        states. `slipfree.settle` computes these values for given values of the other states. Empty
+        if no states are determined by equilibrium.
     lookups : tuple of Lookup
         Coefficients of the ground that the expressions contain as symbols; `function` evaluates
         them.
@@ -241,7 +242,7 @@ class Dae:
         if len(self.alg) != len(blocks):
             raise ModelError(
                 f"alg: expected one block of equations for each of the {len(blocks)} fields of z, "
-                f"found {len(self.alg)}"
+                f"found {len(self.alg)}; give one block for each field"
             )
         sizes = [("ode", self.ode, self.x), ("quad", self.quad, self.q)]
         sizes += [(f"alg[{i}]", b, blocks[i]) for i, b in enumerate(self.alg)]
@@ -250,10 +251,13 @@ class Dae:
             if rows.shape != (count, 1):
                 raise ModelError(
                     f"{name}: expected a column of {count} expressions, one for each variable, "
-                    f"found shape {rows.shape}"
+                    f"found shape {rows.shape}; correct the expressions or the variables"
                 )
         if not 0 < self.size < float("inf"):
-            raise ModelError(f"size: expected a positive length in metres, found {self.size}")
+            raise ModelError(
+                f"size: expected a positive length in metres, found {self.size}; give the "
+                "extent of the vehicle"
+            )
         names = [label.full for label in leaves(tuple(self.labels[:5]))]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
@@ -353,7 +357,9 @@ class Dae:
         _same_names("start", names, values, all_needed=False)
         for name, value in values.items():
             if not np.isfinite(value):
-                raise ModelError(f"start: expected a finite number for {name!r}, found {value}")
+                raise ModelError(
+                    f"start: expected a finite number for {name!r}, found {value}; correct it"
+                )
         return np.array([values.get(name, 0.0) for name in names]) - self.shift[0]
 
     def named(self, name: str) -> list[ca.SX]:
@@ -379,7 +385,7 @@ class Dae:
             near = get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""
             raise ModelError(
-                f"expected a quantity of the model, found {name!r}; {hint}the model has "
+                f"expected a quantity of the model, found {name!r}; {hint}use one of "
                 f"{', '.join(sorted(known))}"
             )
         return found
@@ -426,4 +432,5 @@ def _same_names(
             f"{what}: expected {', '.join(names)}"
             + (f"; found the unknown {', '.join(unknown)}" if unknown else "")
             + (f"; missing: {', '.join(missing)}" if missing else "")
+            + ("; correct the names" if unknown else "; give a value for each")
         )

@@ -19,11 +19,12 @@ R = TypeVar("R")
 
 
 class InterruptGuard:
-    """Context manager that stores an exception of callbacks or SIGINT, and raises it at its end.
+    """Context manager that preserves exceptions of callbacks and of the SIGINT handler.
 
-    The stored exception replaces any other ``Exception`` that ends the context. A handler that
-    raises no exception works as before. Nested contexts share the stored exception. Outside the
-    main thread, where no signal handler runs, only exceptions of callbacks are stored.
+    It stores such an exception and raises it when the context ends, in place of any other
+    ``Exception`` that ends the context. SIGINT handlers that raise no exception are called
+    unchanged. Nested contexts share the stored exception. Outside the main thread, where no signal
+    handler runs, only exceptions of callbacks are stored.
     """
 
     def __init__(self) -> None:

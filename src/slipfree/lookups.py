@@ -48,11 +48,13 @@ class LookupTable:
 
     @property
     def lookups(self) -> tuple[Lookup, ...]:
-        """Lookups in the order of their creation: each follows those that its argument contains."""
+        """Lookups in the order of their creation, which is a valid order of evaluation."""
         return tuple(lookup for lookup, _ in self._known.values())
 
     def find(self, function: ca.Function, argument: ca.SX, *, order: float = inf) -> ca.SX:
-        """Return the symbols of the result of a function, from a new or an existing lookup.
+        """Return symbols that represent the result of a function of an argument.
+
+        Calls with equal functions, arguments and orders share a lookup and its symbols.
 
         Parameters
         ----------
@@ -175,7 +177,10 @@ def lookup_results(
 
 
 def _stages(lookups: Sequence[Lookup]) -> Iterator[range]:
-    """Yield consecutive ranges of lookups, none of which needs a result of its own range."""
+    """Yield consecutive index ranges of lookups that can be evaluated together.
+
+    Arguments of lookups do not depend on results of lookups in the same range.
+    """
     start, found = 0, set[int]()
     for k, lookup in enumerate(lookups):
         if not found.isdisjoint(_symbols(lookup.argument)):

@@ -145,19 +145,21 @@ class Trajectory:
         Raises
         ------
         ModelError
-            If the trajectory does not have the quantity, or the quantity not the wheel.
+            If the quantity or the wheel is unknown, or if the quantity has no values per wheel.
         """
         quantity, wheel = (name, None) if isinstance(name, str) else name
         if quantity not in self.columns:
             known = ", ".join(sorted(self.columns))
-            raise ModelError(f"the trajectory has no {quantity!r}; it has {known}")
+            raise ModelError(
+                f"expected a quantity of the trajectory, found {quantity!r}; use one of {known}"
+            )
         values = self.columns[quantity].values
         if wheel is None:
             return values
         if values.ndim == 1:
             raise ModelError(
-                f"{quantity!r} has no values for wheels, found the wheel {wheel!r}; use the name "
-                "alone"
+                f"expected the name of a quantity with one value per wheel, found {quantity!r} "
+                f"with the wheel {wheel!r}; use the name alone: run[{quantity!r}]"
             )
         if wheel not in self.wheels:
             raise ModelError(
@@ -167,7 +169,7 @@ class Trajectory:
         return values[:, self.wheels.index(wheel)]
 
     def of(self, label: Label) -> Array:
-        """Return the samples of a label's quantity; only those of its wheel if it names one."""
+        """Return the samples of the quantity, or of its value at one wheel, that a label names."""
         return self[label.name] if label.wheel is None else self[label.name, label.wheel]
 
     def __iter__(self) -> Iterator[str]:

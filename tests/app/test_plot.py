@@ -432,7 +432,7 @@ def test_unknown_formats_are_refused_before_anything_is_drawn(run, grid, tmp_pat
 
 def test_missing_quantities_are_named(run, grid):
     columns = {k: c for k, c in run.columns.items() if k != "slip_across"}
-    with pytest.raises(sf.ModelError, match="the trajectory has no 'slip_across'"):
+    with pytest.raises(sf.ModelError, match="quantity of the trajectory, found 'slip_across'"):
         figures(replace(run, columns=columns), grid)
 
 
@@ -620,7 +620,7 @@ def test_power_has_the_colours_of_energy(loaded, ax):
 
 def test_a_quantity_that_is_missing_from_loads_is_named(loaded, grid):
     columns = {k: c for k, c in loaded.columns.items() if k != "force_across"}
-    with pytest.raises(sf.ModelError, match="the trajectory has no 'force_across'"):
+    with pytest.raises(sf.ModelError, match="quantity of the trajectory, found 'force_across'"):
         loads(replace(loaded, columns=columns), grid)
 
 

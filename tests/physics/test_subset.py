@@ -197,7 +197,7 @@ def test_straight_ahead_three_rates_are_one_too_many_but_fit():
     rates = wheel_rates(vehicle, direct, stand, forward=0.13, right=0.0, yaw_rate=0.0)
     assert_allclose(list(rates.values()), 0.13 / 0.15, rtol=0, atol=1e-12)
     with pytest.raises(
-        ModelError, match=r"'right' cannot be imposed here .* misses it by 0\.1 m/s"
+        ModelError, match=r"found 'right', which the nearest motion misses by 0\.1 m/s"
     ):
         wheel_rates(vehicle, direct, stand, forward=0.13, right=0.1, yaw_rate=0.0)
     with pytest.raises(ModelError, match="'right' cannot be imposed: the wheels cannot move"):

@@ -44,7 +44,7 @@ def terraces(friction, degrees=20.0, gap=None):
 
 
 def told(layers, *places):
-    return [(each.place, each.words, each.sure) for each in unreachable(layers, places)]
+    return [(each.name, each.words, each.sure) for each in unreachable(layers, places)]
 
 
 def test_places_that_can_be_reached_are_not_objected_to():
@@ -92,7 +92,7 @@ def test_the_distance_to_a_place_to_keep_out_of_is_that_of_the_point_not_of_its_
 def test_all_that_is_wrong_is_told():
     layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0)])
     places = [("start", -1.0, 5.0), ("way-point 1", 20.0, 20.0), ("goal", 5.0, 31.0)]
-    assert [each.place for each in unreachable(layers, places)] == [name for name, *_ in places]
+    assert [each.name for each in unreachable(layers, places)] == [name for name, *_ in places]
 
 
 def test_a_start_on_a_slope_that_friction_cannot_hold_in_any_heading():
@@ -149,7 +149,7 @@ def test_places_to_keep_out_of_that_divide_the_map():
     assert (place, sure) == ("goal", True)
     assert words.endswith(
         "the keep-out polygon of 4 points about (15, 15) lies between them, and no route leads "
-        "around it"
+        "around it; make it smaller or move it"
     )
 
 

@@ -417,7 +417,7 @@ def test_tilt_stop_is_met_where_the_tilt_is():
 def test_an_unknown_quantity_is_refused():
     dae = direct_kinematics(three_wheeler(), Analytic(hills))
     run = settle(dae)
-    with pytest.raises(ModelError, match=r"has no 'speed'; it has .*clearance"):
+    with pytest.raises(ModelError, match=r"found 'speed'; use one of .*clearance"):
         run["speed"]
     with pytest.raises(ModelError, match=r"'contact_x': expected one of the wheels right.*'rear'"):
         run["contact_x", "rear"]

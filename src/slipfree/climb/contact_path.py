@@ -32,7 +32,10 @@ MIN_STEPS_PER_RADIUS = 4  # smallest number of steps per wheel radius, so that n
 
 
 class Leg(NamedTuple):
-    """Smooth section of the contact path, between two points at which a wheel meets a solid.
+    """Smooth section of the path on which all wheels touch the profile.
+
+    A leg begins where a wheel meets a solid. It ends where a wheel meets the next solid, or at the
+    end of the climb.
 
     Attributes
     ----------

@@ -272,7 +272,10 @@ def _points_around(s: Array, k: int) -> Array:
 def _holds(
     climber: Climber, profile: Profile, found: Sequence[Leg], places: Sequence[Array]
 ) -> list[HoldingForces]:
-    """Return the holding forces of several legs at given path parameters, from one program."""
+    """Return the least-friction forces on several legs, from one linear program.
+
+    ``places`` are the path parameters of each leg [m].
+    """
     equations = [
         equilibrium(climber, sample(climber, profile, leg, s))
         for leg, s in zip(found, places, strict=True)
@@ -285,10 +288,10 @@ def _holds(
 def highest_obstacle(
     climber: Climber, mu: float, tallest: float, make: Callable[[float], Profile] = step
 ) -> float:
-    """Return the height up to which all obstacles of a kind can be climbed slowly [m].
+    """Return the height below which all obstacles of a kind can be climbed quasi-statically [m].
 
-    The friction demand may decrease with height; the result is the smallest height that requires
-    more than the given friction.
+    It is the smallest height that requires more than the given friction. Higher obstacles may
+    require less, since the friction demand may decrease with height.
 
     Parameters
     ----------

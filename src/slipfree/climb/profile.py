@@ -50,12 +50,13 @@ class Solid:
         points = np.asarray(self.points, dtype=float)
         if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3:
             raise ModelError(
-                f"solid: expected three or more points (x, z), found shape {points.shape}"
+                f"solid: expected three or more points (x, z), found shape {points.shape}; "
+                "give one pair for each corner"
             )
         if not (np.abs(points) <= MAX_COORDINATE).all():
             raise ModelError(
                 f"solid: expected coordinates from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g} m, "
-                f"found points {points.tolist()}; are they in metres?"
+                f"found points {points.tolist()}; give them in metres"
             )
         stored = tuple((float(x), float(z)) for x, z in _counter_clockwise(points))
         object.__setattr__(self, "points", stored)
@@ -221,7 +222,10 @@ def ramp(angle: float, height: float) -> Profile:
     """
     _positive(height=height)
     if not 0 < angle <= math.pi / 2:
-        raise ModelError(f"ramp: expected an angle above 0 up to pi/2 rad, found {angle} rad")
+        raise ModelError(
+            f"ramp: expected an angle above 0 and at most pi/2 rad, found {angle} rad; give it in "
+            "radians"
+        )
     slope = math.cos(angle) / math.sin(angle)
     if ROOT_DEPTH * slope > FLOOR_LENGTH / 2 or height * slope > FLOOR_LENGTH / 2:
         least = math.degrees(math.atan(2 * max(height, ROOT_DEPTH) / FLOOR_LENGTH))

@@ -136,12 +136,12 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
         )
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
     plan = planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
-    v, wanted = _guidance_rates(dae, path, plan, speed)
-    pace, turning = abs(speed) / plan.base, wanted
+    v, required = _guidance_rates(dae, path, plan, speed)
+    pace, turning = abs(speed) / plan.base, required
     rates = dict.fromkeys((c.name for c in vehicle.of("commanded")), ca.SX(0))
     if plan.steered:
         turning = _turning_rate(plan, v)
-        rates |= _steering_rates(plan, v, wanted, speed)
+        rates |= _steering_rates(plan, v, required, speed)
     tilts = [states[each.leans] for each in plan.wheels if each.leans]
     if tilts:
         radius = float(np.mean([each.wheel.radius for each in plan.wheels if each.leans]))
@@ -176,15 +176,15 @@ def _guidance_rates(
 
 
 def _steering_rates(
-    plan: _PlanarGeometry, v: ca.SX, wanted: ca.SX, speed: float
+    plan: _PlanarGeometry, v: ca.SX, turning: ca.SX, speed: float
 ) -> dict[str, ca.SX]:
-    """Return the rates of the steering coordinates for a wanted turning rate."""
+    """Return the rates of the steering coordinates for a given turning rate."""
     errors: dict[str, ca.SX] = {}
     sizes: dict[str, ca.SX] = {}
     for each in plan.steered:
-        ahead = v + each.right * wanted
+        ahead = v + each.right * turning
         # sideways over forward velocity, regularised where the forward velocity changes its sign
-        slope = each.forward * wanted * ahead / (ahead**2 + (LOW_SPEED_RATIO * speed) ** 2)
+        slope = each.forward * turning * ahead / (ahead**2 + (LOW_SPEED_RATIO * speed) ** 2)
         angle = ca.atan(slope)
         error = MAX_STEER_ANGLE * ca.tanh(angle / MAX_STEER_ANGLE) - each.angle
         for name, effect in each.effects.items():
@@ -205,10 +205,10 @@ def _turning_rate(plan: _PlanarGeometry, v: ca.SX) -> ca.SX:
 
 def wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX, ca.SX]) -> ca.SX:
     """Return the rate of a driven wheel in a plane motion [rad/s]."""
-    place = ca.vertcat(each.right, each.forward)
+    position = ca.vertcat(each.right, each.forward)
     shift = ca.SX.zeros(2)
     for coordinate, rate in moving.items():
-        shift += ca.jacobian(place, coordinate) * rate
+        shift += ca.jacobian(position, coordinate) * rate
     v_forward, v_left = v + each.right * turning + shift[1], each.forward * turning - shift[0]
     along = ca.cos(each.angle) * v_forward + ca.sin(each.angle) * v_left
     return along / each.wheel.radius

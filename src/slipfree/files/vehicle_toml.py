@@ -382,12 +382,14 @@ def _name_errors(table: VehicleTable) -> Iterator[Fault]:
                 yield Fault(place, expected, found)
             seen.setdefault(each.name, spelled((part, index)))
             if part == "wheels" and not re.fullmatch(r"[\w-]+", each.name):
-                yield Fault(place, "a name of letters, digits, _ and -", repr(each.name))
+                yield Fault(
+                    place, "a name of letters, digits, _ and -", f"{each.name!r}; rename it"
+                )
             if part == "coordinates" and not is_symbol(each.name):
                 expected = (
                     "a name of letters, digits and _ that is not the name of a function or state"
                 )
-                yield Fault(place, expected, repr(each.name))
+                yield Fault(place, expected, f"{each.name!r}; rename it")
 
 
 def _parent_errors(table: VehicleTable) -> Iterator[Fault]:

@@ -27,14 +27,14 @@ COMMANDS = {
 
 
 class Derived(NamedTuple):
-    """Platform rate that is not an unknown of the direct model: label and expression."""
+    """Platform rate that is an expression of the direct model's states and unknowns."""
 
     label: Label
     expression: ca.SX
 
 
 class Imposed(NamedTuple):
-    """Equations of motion of the direct model under given rates of the platform.
+    """Equations of a direct model in which given rates of the platform are inputs.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Imposed(NamedTuple):
 
 
 def impose(direct: Dae, given: Sequence[str]) -> Imposed:
-    """Return the equations of motion of a direct model under given rates of its platform."""
+    """Return the equations of a direct model in which given rates of its platform are inputs."""
     rates = {each.label.full: each for each in leaves(variables(direct)[1].rates)}
     derived = derived_rates(direct)
     inputs, rows, labels = [], [direct.alg[1]], [*direct.labels.alg[1]]
@@ -71,9 +71,10 @@ def impose(direct: Dae, given: Sequence[str]) -> Imposed:
 
 
 def derived_rates(direct: Dae) -> dict[str, Derived]:
-    """Return platform rates as expressions of a direct model's unknowns, by name.
+    """Return platform rates as expressions of a direct model's states and unknowns, by name.
 
-    These are the angular velocity, the velocity in the heading frame and the yaw rate.
+    These are the components of the angular velocity in map axes, the velocity along and across the
+    heading, and the yaw rate.
     """
     rates, c, s = direct.z.rates, ca.cos(direct.x.heading), ca.sin(direct.x.heading)
     euler = ca.vertcat(rates.heading, rates.roll, rates.pitch)
@@ -86,9 +87,9 @@ def derived_rates(direct: Dae) -> dict[str, Derived]:
 
 
 def omega(heading: ca.SX, roll: ca.SX) -> ca.SX:
-    """Return the matrix from ``heading', roll', pitch'`` to the angular velocity in fixed axes.
+    """Return the matrix that maps Euler rates to the angular velocity in map axes, shape (3, 3).
 
-    The matrix has shape (3, 3); see Chakraborty and Ghosal, eq. 4.
+    The Euler rates are ``heading', roll', pitch'``; see Chakraborty and Ghosal, eq. 4.
     """
     return ca.vertcat(
         ca.horzcat(0, -ca.sin(heading), ca.cos(roll) * ca.cos(heading)),
@@ -128,7 +129,7 @@ def minimum(
     Parameters
     ----------
     direct : Dae
-        The model whose symbols are used.
+        Model that contains the symbols.
     goal : SX, shape (1, 1)
         The objective, such as the squared slip. [m2/s2]
     constraints : SX, shape (n, 1)

@@ -92,9 +92,9 @@ def wheel_rates(
     if not abs(miss[worst]) <= MAX_MISSED_SHARE * float(np.abs(sizes * requested).max()):
         name = [*given][worst]
         raise ModelError(
-            f"{vehicle.name}: platform rate {name!r} cannot be imposed here together with the "
-            f"other given rates: the nearest motion misses it by {abs(miss[worst]):.2g} m/s; "
-            f"remove {name} from the given rates"
+            f"{vehicle.name}: expected given rates that the wheels can impose together in this "
+            f"configuration, found {name!r}, which the nearest motion misses by "
+            f"{abs(miss[worst]):.2g} m/s; remove {name!r} from the given rates"
         )
     return dict(zip(names, (float(each) for each in (*wheels, *turning)), strict=True))
 

@@ -220,7 +220,11 @@ def bound_of(group: ConstraintGroup, sign: float) -> float:
 
 
 def size_of(group: ConstraintGroup, values: Array) -> float:
-    """Return the reference size of a violation: the range of the bounds or a typical size."""
+    """Return the divisor that makes violations of a constraint comparable with others.
+
+    It is the typical size of the quantity if known, else the width of the range between the bounds,
+    else the largest absolute value; at least 1, except for the width. It is 1 for equal bounds.
+    """
     if group.typical:
         return max(1.0, group.typical)
     width = group.upper - group.lower

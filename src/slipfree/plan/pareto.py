@@ -147,7 +147,7 @@ def pareto_front(
 def check_count(count: int) -> None:
     """Raise ModelError for a front of fewer than two points."""
     if count < 2:
-        raise ModelError(f"pareto_front: expected two points or more, found {count}")
+        raise ModelError(f"pareto_front: expected two points or more, found {count}; increase it")
 
 
 def is_better(point: FrontPoint, other: FrontPoint) -> bool:

@@ -132,10 +132,10 @@ class CommonKeys(Record):
         time = self.time
         if time.step > time.duration:
             expected = f"at most the duration, {time.duration:g} s"
-            yield Fault(("time", "step"), expected, f"{time.step:g}")
+            yield Fault(("time", "step"), expected, f"{time.step:g}; reduce it")
         elif time.duration / time.step > MOST_SAMPLES:
             expected = f"a step with at most {MOST_SAMPLES} samples in {time.duration:g} s"
-            yield Fault(("time", "step"), expected, f"{time.step:g}")
+            yield Fault(("time", "step"), expected, f"{time.step:g}; increase it")
 
 
 class Runnable(CommonKeys):

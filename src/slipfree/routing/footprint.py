@@ -59,7 +59,7 @@ def ground_figures(
     """
     z = grid.z - grid.z.mean()
     p, q, r, s, t = _derivatives(z, grid.spacing)
-    hollow = _sharpest(p, q, r, s, t)
+    hollow = _largest_curvature(p, q, r, s, t)
     if min(_nodes_within(half, h) for h in grid.spacing) > 0:
         p, q, variance = _plane(z, grid.spacing, half)
     else:
@@ -95,10 +95,11 @@ def _derivatives(z: Array, h: tuple[float, float]) -> tuple[Array, Array, Array,
     return p, q, r, s, t
 
 
-def _sharpest(p: Array, q: Array, r: Array, s: Array, t: Array) -> Array:
-    """Return the largest normal curvature of a surface, positive if concave upward [1/m].
+def _largest_curvature(p: Array, q: Array, r: Array, s: Array, t: Array) -> Array:
+    """Return the larger principal curvature of a surface, positive if concave upward [1/m].
 
-    The arguments are the derivatives z_x, z_y [1], and z_xx, z_xy, z_yy [1/m].
+    The arguments are the first derivatives z_x and z_y [1], and the second derivatives z_xx, z_xy
+    and z_yy [1/m].
     """
     w = np.sqrt(1 + p**2 + q**2)
     mean = ((1 + q**2) * r - 2 * p * q * s + (1 + p**2) * t) / (2 * w**3)

@@ -37,8 +37,8 @@ class Objection(NamedTuple):
 
     Attributes
     ----------
-    place : str
-        Name of the position.
+    name : str
+        Name of the position, such as ``"goal"``.
     words : str
         The reason with numbers, and a remedy.
     sure : bool
@@ -48,13 +48,13 @@ class Objection(NamedTuple):
         too steep, rough or concave for the footprint; a motion may still be possible.
     """
 
-    place: str
+    name: str
     words: str
     sure: bool
 
 
 def unreachable(
-    layers: Traversability, places: Sequence[tuple[str, float, float]]
+    layers: Traversability, positions: Sequence[tuple[str, float, float]]
 ) -> list[Objection]:
     """Return objections to positions that a motion should pass; empty if there are none.
 
@@ -62,7 +62,7 @@ def unreachable(
     ----------
     layers : Traversability
         The map.
-    places : sequence of (str, float, float)
+    positions : sequence of (str, float, float)
         Name, ``x`` and ``y`` of every position in map coordinates; the first is the start. [m]
 
     Returns
@@ -71,15 +71,15 @@ def unreachable(
         Objections to single positions, then objections to positions that cannot be reached from the
         start.
     """
-    found = [each for place in places if (each := _position_objection(layers, *place))]
-    off = {each.place: each.sure for each in found}
-    first, *others = places
+    found = [each for position in positions if (each := _position_objection(layers, *position))]
+    off = {each.name: each.sure for each in found}
+    first, *others = positions
     if off.get(first[0], False):
         return found
-    for place in others:
-        if not off.get(place[0], False):
+    for other in others:
+        if not off.get(other[0], False):
             each = _separation_objection(
-                layers, first, place, is_judged=not {first[0], place[0]} & set(off)
+                layers, first, other, is_judged=not {first[0], other[0]} & set(off)
             )
             found += [each] if each else []
     return found
@@ -111,7 +111,10 @@ def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
 
 
 def _position_objection(layers: Traversability, name: str, x: float, y: float) -> Objection | None:
-    """Return the objection to a single position, or to the node nearest to it."""
+    """Return the reason why the vehicle cannot be at a position; None if it can.
+
+    The nearest node of the map decides if the position itself is free.
+    """
     wrong = reasons_by_kind(layers, x, y)
     why = "; ".join(wrong.values()) or blocking_reasons(layers, x, y)
     if not why:
@@ -130,7 +133,11 @@ def _separation_objection(
     last: tuple[str, float, float],
     is_judged: bool,
 ) -> Objection | None:
-    """Return the objection to a position that cannot be reached from another one."""
+    """Return the reason why the position ``last`` cannot be reached from ``first``; None if it can.
+
+    Keep-out regions and slopes that friction cannot hold are always considered, missing routes only
+    if ``is_judged``.
+    """
     ends = node_at(layers, *first[1:]), node_at(layers, *last[1:])
     if _are_connected(np.isfinite(layers.cost), ends):
         return None
@@ -155,7 +162,10 @@ def _separation_objection(
 
 
 def _keep_out_words(layers: Traversability, ends: Ends) -> str:
-    """Return the text of the keep-out regions that separate two nodes; empty without any."""
+    """Return a text about the keep-out regions that separate two nodes, with a remedy.
+
+    The text is empty if keep-out regions do not separate the nodes.
+    """
     if _are_connected(~blocked_by(layers)["keep_out"], ends):
         return ""
     regions = layers.limits.keep_out
@@ -163,14 +173,17 @@ def _keep_out_words(layers: Traversability, ends: Ends) -> str:
     if alone:
         words = " and ".join(region.words for region in alone)
         verb, it = ("lie", "them") if len(alone) > 1 else ("lies", "it")
-        return f"the keep-out {words} {verb} between them, and no route leads around {it}"
+        return (
+            f"the keep-out {words} {verb} between them, and no route leads around {it}; make "
+            f"{it} smaller or move {it}"
+        )
     needed = [
         region
         for region in regions
         if not _divides(layers, tuple(other for other in regions if other is not region), ends)
     ]
     words = ", ".join(region.words for region in needed or regions)
-    return f"several keep-outs together separate them: {words}"
+    return f"several keep-outs together separate them: {words}; make one smaller or move it"
 
 
 def _divides(
@@ -184,7 +197,7 @@ def _divides(
 
 
 def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
-    """Return the text about the steepest slope on the easiest route: position and friction.
+    """Return a text about the steepest slope on the easiest route, with a remedy.
 
     The easiest route minimises the largest value of ``used``, the used fraction of the friction.
     """
@@ -199,18 +212,18 @@ def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
     from_ends = sum(np.hypot(i - end[0], j - end[1]) for end in ends)
     k = int(np.argmin(from_ends))
     slope = float(layers.slope[i[k], j[k]])
-    place = point_text((layers.x[i[k]], layers.y[j[k]]))
+    at = point_text((layers.x[i[k]], layers.y[j[k]]))
     return (
-        f"even the easiest route crosses a slope of {math.degrees(slope):.3g} degrees at {place}, "
+        f"even the easiest route crosses a slope of {math.degrees(slope):.3g} degrees at {at}, "
         f"which needs a friction coefficient of {math.tan(slope):.3g}, and the ground offers "
         f"{math.tan(slope) / levels[low]:.3g}; move the goal, or give the ground more friction"
     )
 
 
 def _labels(free: Mask) -> Array:
-    """Return the number of the connected region of every free node; 0 for blocked nodes.
+    """Return labels of the connected regions of free nodes, from 1; 0 for blocked nodes.
 
-    Nodes that touch only at a corner are not connected.
+    Neighbours along x or y are connected, diagonal neighbours are not.
     """
     return np.asarray(scipy.ndimage.label(free)[0])
 

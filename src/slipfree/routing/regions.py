@@ -256,7 +256,15 @@ class _Polygon(Region):
 
     @cached_property
     def _corners(self) -> tuple[Array, Array]:
-        """Corners, counter-clockwise from the first point, and 1 for convex ones, else -1."""
+        """Corners in counter-clockwise order, and the signs of their turns.
+
+        Returns
+        -------
+        corners : ndarray, shape (n, 2)
+            Coordinates relative to the first point, without points on straight edges. [m]
+        signs : ndarray, shape (n,)
+            1 for a convex corner, -1 for a concave corner.
+        """
         local = np.asarray(self.points) - self.points[0]
         turns = _turns(local)
         # omit points on straight edges: rounding would decide their sign

@@ -130,7 +130,7 @@ def routes(
         As `route` does, or if the count is not positive.
     """
     if count < 1:
-        raise ModelError(f"routes: count must be at least 1, found {count}")
+        raise ModelError(f"routes: count must be at least 1, found {count}; increase it")
     _check_ends(layers, start, goal, turning_radius)
     ends = np.asarray(start, float), np.asarray(goal, float)
     obstacles = obstacle_points(layers)
@@ -165,19 +165,23 @@ def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radiu
     for name, point in (("start", start), ("goal", goal)):
         x, y = (float(each) for each in point)
         if not (math.isfinite(x) and math.isfinite(y)):
-            raise ModelError(f"route: the {name} must be finite, found {point_text(point)}")
+            raise ModelError(
+                f"route: the {name} must be finite, found {point_text(point)}; correct it"
+            )
         why = blocking_reasons(layers, x, y)
         if why:
             raise ModelError(
-                f"route: the vehicle cannot be at the {name} {point_text(point)}: {why}"
+                f"route: the vehicle cannot be at the {name} {point_text(point)}: {why}; "
+                f"move the {name}"
             )
     if np.array_equal(start, goal):
         raise ModelError(
-            f"route: expected different start and goal, found both at {point_text(start)}"
+            f"route: expected different start and goal, found both at "
+            f"{point_text(start)}; move one of them"
         )
     if not 0 <= turning_radius < math.inf:
         raise ModelError(
-            f"route: turning_radius must be zero or positive, found {turning_radius} m"
+            f"route: turning_radius must be zero or positive, found {turning_radius} m; change it"
         )
 
 

@@ -69,7 +69,7 @@ class _Objective(NamedTuple):
 
 
 def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array:
-    """Return a smooth route near a route of the search; that route if space is too little.
+    """Return a smooth route near a route of the search, or the latter if no smooth route is free.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     Returns
     -------
     ndarray, shape (m, 2)
-        Way-points as `slipfree.routing.search.route` returns them. [m]
+        Way-points of the route, in map coordinates. [m]
     """
     step = max(0.25 * layers.limits.half, polyline_length(rough) / MAX_POINTS)
     half = max(layers.limits.half, step)
@@ -232,7 +232,8 @@ def _squares(vectors: Array) -> Array:
 def _gradient(parts: Iterable[tuple[Array, Array]], p: Array) -> Array:
     """Return the gradient of an objective with respect to the points, shape (n, 2).
 
-    Each part has the weights of neighbouring points, and derivatives by their weighted sums.
+    The objective depends on weighted sums of neighbouring points. Each part has the weights of a
+    sum, and the derivatives of the objective with respect to the sums, shape (m, 2).
     """
     gradient = np.zeros_like(p)
     for weights, part in parts:

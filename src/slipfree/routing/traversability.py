@@ -109,7 +109,7 @@ class Traversability(NamedTuple):
 
     @property
     def spacing(self) -> tuple[float, float]:
-        """Distance between nodes along x and y [m]."""
+        """Distances between neighbouring nodes along x and along y [m]."""
         return axis_step(self.x), axis_step(self.y)
 
 

@@ -53,7 +53,10 @@ def ground(profile: Profile, ax: Axes) -> Axes:
 def strobe(
     run: Trajectory, climber: Climber, profile: Profile, ax: Axes, every: float = EVERY
 ) -> Axes:
-    """Draw ground and axle paths, with dots at equal intervals and the vehicle at every second one.
+    """Draw the ground, the paths of the axles, and the vehicle at regular intervals.
+
+    Dots mark the positions of the axles at equal time intervals; the vehicle is drawn at every
+    second dot.
 
     Parameters
     ----------
@@ -129,7 +132,10 @@ def slip(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
 
 
 def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> Axes:
-    """Draw slip velocity over rim speed against time, at the contact with the largest load."""
+    """Draw the slip ratio of every axle over time, from the slip velocity at the contact.
+
+    The ratio is the slip velocity divided by the rim speed, at the contact with the largest load.
+    """
     solids = range(len(profile.solids))
     loads = np.array([run[f"load_{k}"] for k in solids])
     slips = np.array([run[f"slip_{k}"] for k in solids])
@@ -141,7 +147,7 @@ def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> 
 
 
 def disturbance(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the error of the wheels' rates over time, equation (21) of Chugo et al. (2009)."""
+    """Draw the relative rate error of each axle over time, equation (21) of Chugo et al. (2009)."""
     return _ratios(run, disturbance_ratio(run), "disturbance (21) [%]", ax)
 
 
@@ -331,7 +337,7 @@ def _strobe(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
 
 
 def _sized(figure: Figure, ax: Axes, room: float = 17 * MM) -> None:
-    """Set the height of a figure for its axes of equal aspect."""
+    """Set the height of a figure so that its axes, of equal aspect, fill the width."""
     width, height = np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())
     figure.set_figheight((PAGE - 14 * MM) * float(height / width) + room)
 

@@ -151,7 +151,7 @@ class Film:
         grid = figure.add_gridspec(1, 2) if is_plan else figure.add_gridspec(2, 1, **ROWS)
         flat, space = figure.add_subplot(grid[0]), figure.add_subplot(grid[1], projection="3d")
         self.scene, self.space = scene, space
-        self.places = _draw_paths(flat, scene)
+        self.markers = _draw_paths(flat, scene)
         self.title = title
         self.head = figure.suptitle("", x=0.98, ha="right", fontsize=8, parse_math=False)
         told = [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
@@ -169,9 +169,9 @@ class Film:
     def show(self, t: float) -> None:
         """Show the scene at a time [s]."""
         right, up = self.scene.backdrop.axes
-        for actor, place in zip(self.scene.actors, self.places, strict=True):
+        for actor, marker in zip(self.scene.actors, self.markers, strict=True):
             at = actor.bodies[0].origins[_sample(actor, t)] + self.scene.origin
-            place.set_data([at[right]], [at[up]])
+            marker.set_data([at[right]], [at[up]])
         for artist in self.drawn:
             artist.remove()
         actor = self.scene.actors[0]
@@ -224,19 +224,19 @@ def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
     """Draw the ground and the paths of all motions; return the markers of current positions."""
     scene.backdrop.draw(ax)
     right, up = scene.backdrop.axes
-    places = []
+    markers = []
     for actor in scene.actors:
         path, color = actor.bodies[0].origins + scene.origin, _shares(actor.color)
         look: dict[str, Any] = {"lw": 1, "ls": "--" if actor.ghost else "-", "zorder": 3}
         ax.plot(path[:, right], path[:, up], color=color, label=actor.name, **look)
-        places += ax.plot([], [], "o", mfc=color, mec="white", ms=5, zorder=4)
+        markers += ax.plot([], [], "o", mfc=color, mec="white", ms=5, zorder=4)
     for name in scene.scales:
         if scene.scales[name]:
             ax.plot([], [], color=_shares(ARROWS[name]), label=f"{name} (arrows)")
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-    return places
+    return markers
 
 
 def _shares(color: Color) -> tuple[float, ...]:
-    """Return red, green and blue from 0 to 1."""
+    """Return red, green and blue, from 0 to 1, of a color with components from 0 to 255."""
     return tuple(part / 255 for part in color)

@@ -81,7 +81,7 @@ class Guard:
         return server
 
     def warn(self, words: str) -> None:
-        """Report a warning that was not reported before; ignore it after 20 warnings."""
+        """Report a warning unless it was reported before; report at most 20 warnings."""
         if words not in self._shown and len(self._shown) < MOST:
             self._shown.add(words)
             more = "; further warnings are not shown" if len(self._shown) == MOST else ""

@@ -97,7 +97,7 @@ class Refined(NamedTuple):
         return total
 
     def _empty(self) -> npt.NDArray[np.bool_]:
-        """Return the mask of the cells in holes: those whose corners all are."""
+        """Return the mask of cells with all four corners in holes, shape (n_x - 1, n_y - 1)."""
         holes = self.grid.holes
         if holes is None:
             return np.zeros_like(self.near)
@@ -117,19 +117,23 @@ class Refined(NamedTuple):
         return heights
 
     def _cells(self, x: Array, y: Array) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
-        """Return the indices of the cells of points; the nearest cells for points outside."""
+        """Return the indices along x and y of the cells nearest to points, equal shapes."""
         h_x, h_y = self.grid.spacing
         i, j = np.floor((x - self.grid.x[0]) / h_x), np.floor((y - self.grid.y[0]) / h_y)
         n, m = self.near.shape
         return np.clip(i, 0, n - 1).astype(int), np.clip(j, 0, m - 1).astype(int)
 
     def _shares(self) -> tuple[Array, Array]:
+        """Return x and y of a divided cell's nodes [cell], shape (parts + 1, parts + 1) each."""
         share = np.arange(self.parts + 1) / self.parts
         a, b = np.meshgrid(share, share, indexing="ij")
         return a, b
 
     def _places(self) -> tuple[Array, Array]:
-        """Return x and y of the nodes of divided cells, shape (n, parts + 1, parts + 1)."""
+        """Return x and y of the nodes of the n divided cells [m].
+
+        The arrays have shape (n, parts + 1, parts + 1).
+        """
         (i, j), (a, b), (h_x, h_y) = np.nonzero(self.near), self._shares(), self.grid.spacing
         return (self.grid.x[i][:, None, None] + a * h_x, self.grid.y[j][:, None, None] + b * h_y)
 

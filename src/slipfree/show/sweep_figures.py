@@ -110,7 +110,7 @@ def figure(swept: Swept) -> Figure:
     if draw is None:
         raise ModelError(
             f"{swept.name}: expected at most two varied keys in a figure, found {len(swept.axes)}: "
-            f"{', '.join(axis.name for axis in swept.axes)}"
+            f"{', '.join(axis.name for axis in swept.axes)}; draw a sweep of fewer keys"
         )
     made = style.figure(COLUMN, 85 * MM)
     ax = draw(swept, made.subplots())
@@ -148,7 +148,10 @@ def save_sweep_figures(
 
 def _axes(swept: Swept, count: int) -> tuple[Varied, ...]:
     if len(swept.axes) != count:
-        raise ModelError(f"{swept.name}: expected {count} varied keys, found {len(swept.axes)}")
+        raise ModelError(
+            f"{swept.name}: expected {count} varied keys, found {len(swept.axes)}; use figure(), "
+            "which chooses the diagram"
+        )
     return swept.axes
 
 

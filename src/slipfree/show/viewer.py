@@ -173,13 +173,13 @@ class Stage:
     def follow(self, enabled: bool) -> None:
         """Make the camera follow the first vehicle, or stop following it."""
         with self._lock, self.server.atomic():
-            self.anchor = self.actors[0].place + self.world.position if enabled else None
+            self.anchor = self.actors[0].position + self.world.position if enabled else None
             self._center_vehicle()
 
     def _center_vehicle(self) -> None:
         """Move the world so that the followed vehicle stays at its position in view."""
         anchor = self.anchor
-        self.world.position = np.zeros(3) if anchor is None else anchor - self.actors[0].place
+        self.world.position = np.zeros(3) if anchor is None else anchor - self.actors[0].position
 
     def paint(self, color: str) -> None:
         """Show the layer of the ground with a name."""
@@ -244,7 +244,7 @@ class _Drawn:
         _add_tracks(server, root, actor)
 
     @property
-    def place(self) -> Array:
+    def position(self) -> Array:
         """Position of the platform at the shown sample, in scene coordinates, shape (3,) [m]."""
         return np.asarray(self.actor.bodies[0].origins[self.last])
 
@@ -261,30 +261,30 @@ class _Drawn:
             node.position, node.wxyz = origins[k], quaternions[k]
         stopped = actor.stop.partition(":")[0] if k == actor.t.size - 1 else ""
         self.label.text = f"{actor.name}, {stopped or f't = {actor.t[k]:.2f} s'}"
-        self.label.position = self.place + self.above
-        self.here.position = self.place
+        self.label.position = self.position + self.above
+        self.here.position = self.position
         touching = np.isfinite(actor.contacts[k]).all(axis=-1)
         self.contacts.visible = bool(touching.any())
         if touching.any():
-            points = actor.contacts[k, touching] - self.place
+            points = actor.contacts[k, touching] - self.position
             self.contacts.points = points.astype(np.float32)
         self.point(k)
 
     def point(self, k: int) -> None:
         """Update the arrows to sample ``k``."""
         for node, each in self.arrows:
-            lines = _lines(each, k, self.scales[each.name], self.place)
+            lines = _lines(each, k, self.scales[each.name], self.position)
             node.visible = self.shown[each.name] and len(lines) > 0
             if len(lines):
                 node.points = lines
 
 
-def _lines(arrows: Arrows, k: int, scale: float, place: Array) -> Array:
+def _lines(arrows: Arrows, k: int, scale: float, origin: Array) -> Array:
     """Return starts and ends of the arrows at a sample relative to a position, shape (n, 2, 3) [m].
 
     Arrows without contact or of zero length are omitted.
     """
-    starts, vectors = arrows.starts[k] - place, arrows.vectors[k] * scale
+    starts, vectors = arrows.starts[k] - origin, arrows.vectors[k] * scale
     kept = np.isfinite(starts).all(axis=-1) & (np.linalg.norm(vectors, axis=-1) > 0)
     return np.asarray(np.stack([starts, starts + vectors], axis=1)[kept], dtype=np.float32)
 

@@ -144,7 +144,7 @@ def check_times(t: Array) -> Array:
     if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0).all():
         raise ModelError(
             "t: expected two or more ascending times in seconds, found "
-            f"{np.array2string(t, threshold=6)}"
+            f"{np.array2string(t, threshold=6)}; correct the times"
         )
     return t
 

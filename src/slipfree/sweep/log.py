@@ -80,33 +80,33 @@ class Rows:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._places: dict[int, tuple[int, str]] = {}  # of runs: byte in the file, outcome
+        self._offsets: dict[int, tuple[int, str]] = {}  # of runs: byte in the file, outcome
         self._units: dict[str, tuple[int, int, str]] = {}  # of figures, and where they come first
         self.outcomes: Counter[str] = Counter()
         self.last: Row | None = None
 
     def __len__(self) -> int:
         """Return the number of finished runs."""
-        return len(self._places)
+        return len(self._offsets)
 
     def __contains__(self, run: int) -> bool:
         """Return whether a run is finished."""
-        return run in self._places
+        return run in self._offsets
 
     def __iter__(self) -> Iterator[Row]:
         """Yield the rows in the order of the runs."""
-        return self.read(sorted(self._places))
+        return self.read(sorted(self._offsets))
 
     def read(self, runs: Iterable[int]) -> Iterator[Row]:
         """Yield the rows of finished runs."""
         with self._path.open("rb") as file:
             for run in runs:
-                file.seek(self._places[run][0])
+                file.seek(self._offsets[run][0])
                 yield row_of(json.loads(file.readline()))
 
     def ended(self, *outcomes: str) -> list[int]:
         """Return the numbers of the runs with one of the given outcomes, in ascending order."""
-        return sorted(run for run, (_, outcome) in self._places.items() if outcome in outcomes)
+        return sorted(run for run, (_, outcome) in self._offsets.items() if outcome in outcomes)
 
     @property
     def units(self) -> dict[str, str]:
@@ -114,10 +114,10 @@ class Rows:
         ordered = sorted(self._units.items(), key=lambda each: each[1])
         return {name: unit for name, (_, _, unit) in ordered}
 
-    def add(self, row: Row, place: int) -> None:
-        """Add a finished run whose line begins at byte ``place``; replace its earlier result."""
+    def add(self, row: Row, offset: int) -> None:
+        """Add a finished run whose line begins at byte ``offset``; replace its earlier result."""
         self.discard(row.run)
-        self._places[row.run] = place, sys.intern(row.outcome)
+        self._offsets[row.run] = offset, sys.intern(row.outcome)
         self.outcomes[row.outcome] += 1
         for k, (name, (_, unit)) in enumerate(row.figures.items()):
             found = self._units.get(name)
@@ -126,8 +126,8 @@ class Rows:
 
     def discard(self, run: int) -> None:
         """Remove the result of a run, if there is one."""
-        if run in self._places:
-            self.outcomes[self._places.pop(run)[1]] -= 1
+        if run in self._offsets:
+            self.outcomes[self._offsets.pop(run)[1]] -= 1
 
 
 def row_of(line: Mapping[str, Any]) -> Row:
@@ -218,18 +218,18 @@ class Log:
     def _read(self, head: Mapping[str, Any]) -> None:
         """Find the finished runs; drop an incomplete line; write the head of an empty log."""
         self._file.seek(0)
-        place = 0
+        offset = 0
         for number, line in enumerate(self._file, 1):
             if not line.endswith(b"\n"):
-                self._file.truncate(place)
+                self._file.truncate(offset)
                 break
             found = self._parsed(number, line)
             if number == 1:
                 self._check(found, head)
             else:
-                self._add(number, found, place)
-            place += len(line)
-        if not place:
+                self._add(number, found, offset)
+            offset += len(line)
+        if not offset:
             self._write(dict(head))
 
     def _parsed(self, number: int, line: bytes) -> dict[str, Any]:
@@ -241,7 +241,7 @@ class Log:
             raise self._damaged(number)
         return found
 
-    def _add(self, number: int, line: Mapping[str, Any], place: int) -> None:
+    def _add(self, number: int, line: Mapping[str, Any], offset: int) -> None:
         try:
             row = row_of(line)
         except (TypeError, ValueError, AttributeError) as error:
@@ -249,7 +249,7 @@ class Log:
         if row.outcome in self._open:
             self.rows.discard(row.run)  # it was done again
         else:
-            self.rows.add(row, place)
+            self.rows.add(row, offset)
 
     def _damaged(self, number: int) -> DataError:
         if number == 1:
@@ -275,13 +275,13 @@ class Log:
     def _write(self, what: Mapping[str, Any]) -> int:
         """Write a line of JSON; return the byte at which it begins."""
         try:
-            place = self._file.seek(0, os.SEEK_END)
+            offset = self._file.seek(0, os.SEEK_END)
             self._file.write(json.dumps(what, allow_nan=False).encode() + b"\n")
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
             raise self._unwritable(error) from error
-        return place
+        return offset
 
     def _unwritable(self, error: OSError) -> DataError:
         return DataError(

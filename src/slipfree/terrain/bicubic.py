@@ -46,7 +46,8 @@ class Bicubic:
         an origin near the motion avoids loss of digits. [m]
     mu : float, callable, Grid or None
         Coefficient of friction: a number, a function of two SX scalars in map coordinates, or a
-        map, interpolated as in `slipfree.terrain.friction`. [1]
+        map, interpolated as in `slipfree.terrain.friction`; None for a ground without coefficient
+        of friction. [1]
     through : bool
         Whether the surface interpolates the values of the nodes; otherwise it smooths them.
 

@@ -300,8 +300,8 @@ class _Reading:
             self.faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected fixed, revolute, "
-                f"continuous or prismatic, found {joint.type}; split it into such "
-                "joints",
+                f"continuous or prismatic, found {joint.type}; replace it by "
+                "such joints",
             )
             return "0"
         leader, multiplier, offset = self._leader(joint)
@@ -336,7 +336,10 @@ class _Reading:
                 else ""
             )
             if leader is None or wrong:
-                words = f"expected a mimic of an independent joint, found {mimic.joint!r}, {wrong}"
+                words = (
+                    f"expected a mimic of an independent joint, found {mimic.joint!r}, {wrong}; "
+                    "correct the name"
+                )
                 self.faults.add(chain[-1].line, f"joint {chain[-1].name!r}: {words}")
                 break
             offset += multiplier * mimic.offset
@@ -442,7 +445,8 @@ class _Reading:
             expected = f"radians ({degrees_words(value)})"
         if expected:
             self.faults.add(
-                joint.line, f"joint {joint.name!r}: expected {key} in {expected}, found {value:g}"
+                joint.line,
+                f"joint {joint.name!r}: expected {key} in {expected}, found {value:g}; correct it",
             )
         return value
 
@@ -521,7 +525,7 @@ class _Reading:
             self.faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected a tube of at most the "
-                f"radius, {radius:g} m, found {tube:g}",
+                f"radius, {radius:g} m, found {tube:g}; reduce it",
             )
             return None
         if shape is None:

@@ -215,7 +215,10 @@ def read_tree(data: bytes, file: str) -> Tree:
     """
     robot, faults = parse(data, file), Faults(file)
     if robot.tag != "robot":
-        faults.add(robot.line, f"expected URDF with the root element <robot>, found <{robot.tag}>")
+        faults.add(
+            robot.line,
+            f"expected URDF with the root element <robot>, found <{robot.tag}>; give a URDF file",
+        )
         faults.stop()
     for part in robot.children:
         if part.tag in IGNORED:
@@ -258,7 +261,10 @@ def _check_names(robot: Element, tag: str, faults: Faults) -> None:
         lines.setdefault(element.attributes.get("name", ""), []).append(element.line)
     for name, found in lines.items():
         if len(found) > 1:
-            words = f"{tag} {name!r}: expected a unique name, found {len(found)} {tag}s with it"
+            words = (
+                f"{tag} {name!r}: expected a unique name, found {len(found)} {tag}s with it; "
+                "give each a different name"
+            )
             faults.add(found[1], words)
 
 
@@ -275,7 +281,7 @@ def _link(element: Element, faults: Faults) -> Link:
             if mass < 0:
                 faults.add(
                     weighed.line,
-                    f"link {name!r}: expected a mass of at least 0 kg, found {mass:g}",
+                    f"link {name!r}: expected a mass of at least 0 kg, found {mass:g}; correct it",
                 )
     shapes = {
         tag: tuple(shape for e in element.all(tag) if (shape := _shape(e, faults, name)))
@@ -314,7 +320,7 @@ def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
                 faults.add(
                     found.line,
                     f"link {link!r}: expected the radius of a {kind} in metres, greater than 0 and "
-                    f"at most {MAX_LENGTH:g}, found {radius:g}",
+                    f"at most {MAX_LENGTH:g}, found {radius:g}; correct it",
                 )
             return Shape("cylinder" if kind == "cylinder" else "sphere", radius, at, turned)
     return None
@@ -326,13 +332,13 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
     who, kind = f"joint {name!r}", element.attributes.get("type", "")
     if kind not in TYPES:
         expected = f"one of the types {', '.join(TYPES)}"
-        faults.add(element.line, f"{who}: expected {expected}, found {kind!r}")
+        faults.add(element.line, f"{who}: expected {expected}, found {kind!r}; choose one")
     ends = []
     for tag in ("parent", "child"):
         end = element.first(tag)
         link = "" if end is None else end.attributes.get("link", "")
         if not link:
-            faults.add(element.line, f'{who}: expected <{tag} link="..."/>, found none')
+            faults.add(element.line, f'{who}: expected <{tag} link="..."/>, found none; add it')
         ends.append(link)
     at, turned = _origin(element, faults, who)
     pointed, axis = element.first("axis"), ORIGIN if kind == "fixed" else FORWARD
@@ -409,7 +415,7 @@ def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]
         faults.add(
             origin.line,
             f"{who}: expected xyz in metres, at most {MAX_LENGTH:g} (did you mean "
-            f"millimetres?), found {origin.attributes['xyz']}",
+            f"millimetres?), found {origin.attributes['xyz']}; correct it",
         )
     for angle in turned:
         if words := degrees_words(angle):
@@ -443,7 +449,7 @@ def _number(element: Element, key: str, default: float | None, faults: Faults, w
     value = _float(text or "")
     if not math.isfinite(value):
         found = "none" if text is None else repr(text)
-        faults.add(element.line, f"{who}: expected a number in {key}, found {found}")
+        faults.add(element.line, f"{who}: expected a number in {key}, found {found}; give one")
         return default or 1.0
     return value
 
@@ -459,7 +465,7 @@ def _float(text: str) -> float:
 def _text(element: Element, key: str, faults: Faults, who: str) -> str:
     """Return the name in an attribute; add an error if it is missing."""
     if not element.attributes.get(key):
-        faults.add(element.line, f"{who}: expected a name in {key}, found none")
+        faults.add(element.line, f"{who}: expected a name in {key}, found none; give one")
     return element.attributes.get(key, "")
 
 
@@ -471,7 +477,8 @@ def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) 
             if link not in links:
                 faults.add(
                     joint.line,
-                    f"joint {joint.name!r}: expected a link of this file as {role}, found {link!r}",
+                    f"joint {joint.name!r}: expected a link of this file as {role}, found "
+                    f"{link!r}; correct the name or add the link",
                 )
         if joint.child in parent_of:
             other = parent_of[joint.child].name

@@ -64,12 +64,14 @@ def parse(data: bytes, name: str) -> Element:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         words = expat.ErrorString(error.code)
-        raise DataError(f"{name}:{error.lineno}: expected XML, found {words}") from error
+        raise DataError(
+            f"{name}:{error.lineno}: expected XML, found {words}; correct it"
+        ) from error
     except DataError:  # a document type; DataError is a ValueError
         raise
     except (LookupError, ValueError) as error:
         raise DataError(
             f"{name}: expected XML in a known encoding such as UTF-8, found another encoding "
-            f"({error})"
+            f"({error}); save the file as UTF-8"
         ) from error
     return top.children[0]

@@ -288,9 +288,8 @@ def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Clim
         raise problem_error(problem.source, [fault])
     every = round(time.step / period)
     if every < 1 or abs(every * period - time.step) > EVEN * period:
-        fault = Fault(
-            ("time", "step"), f"a multiple of control.period, {period:g} s", f"{time.step:g}"
-        )
+        expected = f"a multiple of control.period, {period:g} s"
+        fault = Fault(("time", "step"), expected, f"{time.step:g}; change one of them")
         raise problem_error(problem.source, [fault])
     count = every * int(time.duration / time.step) + 1
     return _Times(np.asarray(period * np.arange(count)), every)

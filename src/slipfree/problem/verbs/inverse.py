@@ -271,14 +271,13 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
 def _time_errors(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:
     """Yield errors in the times of a path."""
     if t.size < MIN_POINTS:
-        yield Fault(place, f"at least {MIN_POINTS} way-points", str(t.size))
+        yield Fault(place, f"at least {MIN_POINTS} way-points", f"{t.size}; add way-points")
     elif t[0] != 0 or not (np.diff(t) > 0).all():
-        yield Fault(
-            place, "increasing times, the first 0", ", ".join(f"{each:g}" for each in t[:4])
-        )
+        found = ", ".join(f"{each:g}" for each in t[:4])
+        yield Fault(place, "increasing times, the first 0", f"{found}; correct the times")
     elif t[-1] < duration:
         expected = f"at most the time of the last way-point, {t[-1]:g} s"
-        yield Fault(("time", "duration"), expected, f"{duration:g}")
+        yield Fault(("time", "duration"), expected, f"{duration:g}; reduce it")
 
 
 def _heading_errors(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:

@@ -70,7 +70,8 @@ def _read_file(file: Path) -> dict[str, Piecewise]:
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
         raise DataError(
             f"{file}: expected a first line with comma-separated names, t and some of "
-            f"{', '.join(COMMANDS)}, or t and some of {', '.join(ROBOT)}, found {','.join(names)!r}"
+            f"{', '.join(COMMANDS)}, or t and some of {', '.join(ROBOT)}, found "
+            f"{','.join(names)!r}; correct the first line"
         )
     rows = read_columns(file, ["t", *rates], "commands")
     if not rows:

@@ -85,10 +85,20 @@ def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
-    """Return a text with the largest error of a command, its time, and a second error.
+    """Return a text about the absolute error of a command or path.
 
-    The second error is the last one for errors along a path (`is_turning` is None), which
-    accumulate; else the largest one while the steering is at its target.
+    The text contains the largest error and its time. For a path, where errors accumulate, it adds
+    the error at the end. For a command, it adds the largest error while the steering is at its
+    target, if the steering is off its target at some samples.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    name : str
+        Name of the error in the motion.
+    is_turning : ndarray of bool, shape (n,), or None
+        Whether the steering is off its target, by sample; None for a path.
     """
     error, unit = np.abs(run[name]), run.columns[name].label.unit.replace(" s-1", "/s")
     worst = int(error.argmax())

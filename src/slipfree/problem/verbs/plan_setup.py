@@ -106,9 +106,9 @@ def build_planning(problem: Problem[Plan]) -> Planning:
     keep_out, between = regions(problem, spec), way_points_of(problem, spec)
     places, exact = places_of(problem, spec, between, terrain.domain)
     layers = traversability(terrain, vehicle, keep_out=keep_out)
-    wrong = [each for each in unreachable(layers, places) if each.sure and each.place in exact]
+    wrong = [each for each in unreachable(layers, places) if each.sure and each.name in exact]
     if wrong:
-        where = problem.source.where((key_of(wrong[0].place),))
+        where = problem.source.where((key_of(wrong[0].name),))
         raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
     start = build_start(problem, dae)
     paths = initial_paths(problem, spec, layers, places)
