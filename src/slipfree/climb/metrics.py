@@ -162,7 +162,10 @@ def slip_ratio(run: Trajectory, climber: Climber) -> Array:
 
 
 def disturbance_ratio(run: Trajectory) -> Array:
-    """Return the relative rate error ``(w_ref - w) / w``, (21), shape (n, 3); NaN near rest."""
+    """Return the relative rate errors of the axles, shape (n, 3), NaN at low wheel rates.
+
+    The error is ``(w_ref - w) / w``, equation (21) of Chugo et al. (2009).
+    """
     return np.asarray((run["reference"] - run["wheel_rate"]) / _turning_rates(run))
 
 

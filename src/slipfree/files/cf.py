@@ -57,9 +57,9 @@ def is_trajectory(run: Trajectory) -> bool:
 
 
 def position_columns(run: Trajectory) -> dict[str, Column]:
-    """Return the horizontal position of a motion in the reference system of its map, by name.
+    """Return columns with the horizontal position in the reference system of the map, by name.
 
-    Without a reference system there is none: x, y, z are the position then.
+    The result is empty without a reference system; the columns x, y, z contain the position then.
     """
     crs = run.attributes.get(MAP_CRS)
     if not crs or not is_trajectory(run):

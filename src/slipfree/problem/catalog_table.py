@@ -81,7 +81,8 @@ def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel
     Raises
     ------
     ValidationError
-        If the table is invalid: all errors, for unknown keys with the list of known keys.
+        If the table is invalid. It contains all errors; those about unknown keys list the known
+        keys.
     """
     if not isinstance(data, dict) or not set(base.model_fields) <= set(OWN):
         return read(data)

@@ -173,7 +173,7 @@ def traversability(
     if not 0 < steepest < math.pi / 2:
         raise ModelError(
             f"traversability: steepest must lie between 0 and pi/2 radians, found {steepest}; "
-            "give it in radians, or give no value for the slope that friction can hold"
+            "give it in radians, or omit it to use the steepest slope that friction can hold"
         )
     used = None if held is None else np.tan(slope) / held
     limits = Limits(steepest, radius, reach, half, terrain.domain, tuple(keep_out))

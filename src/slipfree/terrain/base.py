@@ -248,7 +248,7 @@ class Grid:
 
     @property
     def spacing(self) -> tuple[float, float]:
-        """Distance between nodes along x and y [m]."""
+        """Distances between neighbouring nodes along x and along y [m]."""
         return (
             float(np.ptp(self.x) / (self.x.size - 1)),
             float(np.ptp(self.y) / (self.y.size - 1)),

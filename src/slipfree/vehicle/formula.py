@@ -82,7 +82,7 @@ def _parse(text: str) -> ast.expr:
 
 
 def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -> Any:
-    """Return the value of a node of a parsed formula; raise ModelError below ``depth`` levels."""
+    """Return the value of a node; raise ModelError for more than ``depth`` nested levels."""
     if depth == 0:
         raise ModelError(
             f"formula {text!r}: expected at most {MAX_DEPTH} nested levels, found more; simplify it"

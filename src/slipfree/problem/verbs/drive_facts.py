@@ -207,7 +207,7 @@ def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def certificate(run: Trajectory) -> str:
-    """Return the description of the contact certificate: one contact point per wheel, margins."""
+    """Return a text on whether each wheel has a single contact point, with the least margins."""
     clearance, curvature = (run[name].min() for name in UNIQUE)
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"
     if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:

@@ -52,16 +52,16 @@ MAX_LISTED = 4  # largest number of bounds in a line of the summary
 
 
 class Tested(NamedTuple):
-    """A plan, and what its simulations in drawn worlds show.
+    """A plan, and results of its simulations with randomly drawn uncertainties.
 
     Attributes
     ----------
     plan : FoundPlan
-        The plan, with tightened limits if the first plan held too rarely.
+        The plan, with tightened limits if too few simulations of the first plan kept its limits.
     stop : Stop or None
-        Reason why the plan does not hold on the required share, or Ctrl-C.
+        Reason why fewer simulations than required keep the limits, or interruption by Ctrl-C.
     words : str
-        Facts, a line each; empty without simulations.
+        Description of the results, one fact per line; empty without simulations.
     statistics : dict of str to float
         Shares of the simulations that keep all limits, and number of simulations.
     """
