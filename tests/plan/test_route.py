@@ -547,7 +547,7 @@ def test_bad_turning_radius_is_refused(turning_radius):
 
 
 def test_bad_count_is_refused():
-    with pytest.raises(ModelError, match="count must be at least 1, found 0"):
+    with pytest.raises(ModelError, match="expected a count of at least 1, found 0"):
         routes(blocked_map(), (10.0, 5.0), (15.0, 5.0), 0)
 
 

@@ -117,7 +117,10 @@ def tip_over(q: Quantities) -> Iterator[Limit]:
 
 
 def lift_off(q: Quantities) -> Iterator[Limit]:
-    """Yield the lower limit, zero, of each wheel's normal force; none for pressed wheels."""
+    """Yield the lower limit, zero, of each wheel's normal force.
+
+    There is none for a vehicle without mass, or with wheels that are pressed into the ground.
+    """
     if not (q.vehicle.mass and has_exact_closure(q.vehicle)):
         return
     for wheel, force in zip(q.vehicle.wheels, q.forces.normal, strict=True):

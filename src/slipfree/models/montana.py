@@ -1,4 +1,4 @@
-"""Direct kinematics by Montana's contact equations, and its comparison with the closure model.
+"""Direct kinematics by Montana's contact equations, compared with the closed-chain model.
 
 The wheels' contact coordinates are states. Each wheel touches the ground and moves over it by
 Montana's equations; its pose follows from its contact coordinates. The same pose follows from the

@@ -131,8 +131,8 @@ def horizon(
     _check_task(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
     if not 0 < span <= length:
         raise ModelError(
-            "horizon: span: expected a window of at most the duration of the plan, "
-            f"{length:g} s, found {span} s; use a shorter window"
+            f"horizon: span: expected above 0 and at most {length:g} s, the duration of the plan, "
+            f"found {span} s; choose a span in this range"
         )
     own = replace(
         task,

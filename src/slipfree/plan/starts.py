@@ -139,7 +139,7 @@ def distances(optima: Sequence[LocalOptimum]) -> list[float]:
 
 
 def optima_words(optima: Sequence[LocalOptimum]) -> str:
-    """Return a text table of local optima, one line each: guess, outcome, cost, duration, path."""
+    """Return a text table of local optima, one line each, with cost, duration and path distance."""
     return "\n".join(
         f"{each.start}: {each.outcome}, cost {each.cost:.6g} ("
         + ", ".join(f"{name} {value:.4g}" for name, value in each.terms.items())

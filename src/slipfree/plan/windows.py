@@ -226,7 +226,11 @@ class _WindowSearch(NamedTuple):
             return error.trajectory
 
     def gate(self, guess: Trajectory) -> tuple[Limit, Limit]:
-        """Return the conditions at the end of a window: a line across the end of a guess."""
+        """Return the conditions at the end of a window: it lies on a line segment.
+
+        The segment crosses the end of the guess at a right angle to the heading there, and extends
+        by `ASIDE` times the overlap to either side.
+        """
         dae, half = self.dae, ASIDE * self.overlap
         x, y, heading = (float(guess[name][-1]) for name in ("x", "y", "heading"))
         right, forward = dae.x.x - (x - dae.shift[0][0]), dae.x.y - (y - dae.shift[0][1])

@@ -65,7 +65,7 @@ class Law(Record):
     @model_validator(mode="wrap")
     @classmethod
     def _by_name(cls, data: Any, handler: ModelWrapValidatorHandler[Law]) -> Law:
-        """Validate the tables by the records of the registered laws."""
+        """Validate each table of parameters by the schema of the law that it names."""
         if cls is not Law or not isinstance(data, dict):
             return handler(data)
         try:

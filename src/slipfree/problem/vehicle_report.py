@@ -254,10 +254,10 @@ def _shares(draft: Draft) -> Facts:
 
 
 def conditioning(dae: Dae, start: Trajectory) -> Facts:
-    """Return the facts about condition numbers of a start, and the least determined motions.
+    """Return the condition numbers of the equations at a start, with the least determined motions.
 
-    The condition numbers are those of the Jacobians in metres and radians, separately for position
-    and rates; the weakest motions are the large entries of the right singular vector of the
+    They are those of the Jacobians in metres and radians, separately for position and rates. The
+    least determined motions are the unknowns with large entries in the right singular vector of the
     smallest singular value.
     """
     rest = unpack(dae.u, [0.0] * len(list(leaves(dae.u))))

@@ -130,7 +130,7 @@ def routes(
         As `route` does, or if the count is not positive.
     """
     if count < 1:
-        raise ModelError(f"routes: count must be at least 1, found {count}; increase it")
+        raise ModelError(f"routes: expected a count of at least 1, found {count}; increase it")
     _check_ends(layers, start, goal, turning_radius)
     ends = np.asarray(start, float), np.asarray(goal, float)
     obstacles = obstacle_points(layers)

@@ -31,8 +31,9 @@ def solve_initial_conditions(
 ) -> Array:
     """Return ``z`` that satisfies all algebraic equations at ``t``, ``x`` and ``u``.
 
-    A block that is linear in its unknowns is solved by one Newton step, other blocks by damped
-    Newton steps of limited size, since the closure is strongly nonlinear far from the ground.
+    The equations are solved in blocks, one after another. A block that is linear in its unknowns
+    is solved by one Newton step, other blocks by damped Newton steps of limited size, since the
+    contact of wheels and ground is strongly nonlinear far from the ground.
 
     Parameters
     ----------

@@ -385,7 +385,8 @@ def _check_heights(x: Array, y: Array, z: Array) -> None:
     if np.abs(z[np.isfinite(z)]).max(initial=0.0) > MAX_HEIGHT:
         raise DataError(
             f"grid: heights must lie between -{MAX_HEIGHT:g} and {MAX_HEIGHT:g} m, found "
-            f"{z.flat[np.nanargmax(np.abs(z))]:g} m; replace a value that marks holes by NaN"
+            f"{z.flat[np.nanargmax(np.abs(z))]:g} m; fill the "
+            "holes that such a value marks, or cut the grid"
         )
     bad = ~np.isfinite(z)
     if bad.any():

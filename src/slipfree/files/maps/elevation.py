@@ -195,7 +195,7 @@ def read_map(
 
 
 def takes_key(ending: str, key: str) -> bool:
-    """Return whether a key of a map table applies to files with an ending such as ``".tif"``."""
+    """Return whether a key of a ground applies to files with an ending such as ``".tif"``."""
     endings = _endings_with(key)
     return not endings or ending in endings
 

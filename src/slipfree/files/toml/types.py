@@ -51,7 +51,7 @@ def _number(value: Any) -> float:
 
 
 def _piecewise_constant(value: Any) -> float | Piecewise:
-    """Return a constant, or times and values of a piecewise constant."""
+    """Return a number, or the (time, value) pairs of a piecewise-constant function."""
     value = parse_unit(value)
     if _is_number(value):
         return _number(value)

@@ -287,7 +287,7 @@ class MotionVerb(Verb):
         return ()
 
     def verification(self, run: Trajectory) -> dict[str, Quantity]:
-        """Return differences from an independent repetition, and violations of limits, by name."""
+        """Return differences from an independent computation, and violations of limits, by name."""
         return {}
 
     def cross_check(self, result: Result) -> CrossCheck:

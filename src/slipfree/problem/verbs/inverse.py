@@ -158,7 +158,7 @@ class InverseVerb(DriveVerb):
         return [fact, *replay_facts(run)]
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
-        """Return the warning of an unstable steering, unless the stop already contains it."""
+        """Return a warning if the steering is unstable, unless the message of the stop has it."""
         warning = steering_warning(run)
         return [warning] if warning and not (run.stop and warning in run.stop.words) else []
 
@@ -284,10 +284,13 @@ def _heading_errors(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:
     """Yield an error for consecutive headings that differ by more than pi."""
     leaps = np.flatnonzero(np.abs(np.diff(heading)) > np.pi)
     if leaps.size:
-        before, after = heading[leaps[0] : leaps[0] + 2]
-        remedy = "add 2 pi to the headings after a wrap, or add way-points"
+        k = int(leaps[0])
+        before, after = heading[k : k + 2]
+        change = "subtract 2 pi from" if after > before else "add 2 pi to"
+        remedy = f"{change} the headings from there on if they wrap, or add way-points"
         expected = "consecutive headings that differ by at most pi"
-        yield Fault(place, expected, f"{after:g} after {before:g}; {remedy}")
+        found = f"{after:g} rad at way-point {k + 2} after {before:g} rad; {remedy}"
+        yield Fault(place, expected, found)
 
 
 def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, Any, Any]:
