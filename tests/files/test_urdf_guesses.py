@@ -204,7 +204,18 @@ def test_commas_and_xacro_outside_the_parts_are_accepted(tmp_path):
     assert len(read_vehicle(file).wheels) == 4
 
 
-@pytest.mark.parametrize("parts", [FOUR, ROVER, "".join(mesh_robot())])
+BOX = '<collision><geometry><box size="0.02 0.02 0.06"/></geometry></collision>'
+CASTERS = [wheel("back_caster", "-0.2 0 -0.06", s, kind="fixed") for s in (BOX, ROUND.format(0.03))]
+ON_FIXED = "".join(
+    wheel(f"wheel_{k}", f"{x} {y} 0", kind="fixed")
+    + f'<transmission name="t{k}"><joint name="wheel_{k}_joint"/></transmission>'
+    for k, (x, y) in enumerate([(0.2, 0.2), (0.2, -0.2), (-0.2, 0)])
+)
+
+
+@pytest.mark.parametrize(
+    "parts", [FOUR, ROVER, "".join(mesh_robot()), *(TWO + each for each in CASTERS), ON_FIXED]
+)
 def test_the_written_completion_has_all_guesses(parts, tmp_path):
     file = written(tmp_path, parts)
     guessed = read_vehicle(file)
@@ -218,6 +229,7 @@ def test_the_written_completion_has_all_guesses(parts, tmp_path):
         guessed.joints,
     )
     assert not notes(again)
+    assert "{  }" not in out.read_text()
     refused = CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])
     assert refused.exit_code == 2
     assert "--force" in refused.stderr

@@ -14,7 +14,6 @@ import numpy as np
 
 from slipfree.files.urdf.guesses import (
     CASTER,
-    WheelGuess,
     facing_forward,
     is_level,
     joint_guess,
@@ -106,13 +105,6 @@ class Roles:
 NO_ROLES = Roles({}, {})
 
 
-def _ball_or_wheel(guess: WheelGuess) -> WheelRole:
-    """Return the role of a guessed wheel."""
-    if not guess.is_ball:
-        return WheelRole(None, guess.radius)
-    return WheelRole(False, guess.radius, guess.radius, rollers=True)
-
-
 def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     """Return the vehicle of a URDF, in axes x right, y forward, z up.
 
@@ -166,14 +158,17 @@ class _Reading:
             if j.name not in roles.joints and not self._is_wheel(j)
         ]
         guesses = wheel_guesses(self.tree, unknown, roles.radius)
-        self.roles = replace(
-            roles, wheels={**roles.wheels, **{n: _ball_or_wheel(g) for n, g in guesses.items()}}
-        )
+        wheels = dict(roles.wheels)
         for name, guess in guesses.items():
-            values = {"radius": guess.radius} if guess.radius else {}
-            if guess.is_ball:
-                values |= {"driven": False, "rollers": True}
+            shape = self._shape(self.tree.joints[name])
+            radius = guess.radius or (shape.radius if shape else None)
+            values: dict[str, float | bool] = {} if radius is None else {"radius": radius}
+            wheels[name] = WheelRole(None, guess.radius)
+            if guess.is_ball and radius:
+                values |= {"tube": radius, "driven": False, "rollers": True}
+                wheels[name] = WheelRole(False, radius, radius, rollers=True)
             self._guess("wheels", name, values, f"a wheel: {guess.reason}")
+        self.roles = replace(roles, wheels=wheels)
         self.wheels = [j for j in self.tree.joints.values() if self._is_wheel(j)]
         self._check_meshes()
 
