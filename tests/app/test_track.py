@@ -102,7 +102,7 @@ def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
             ["p.nc", "--period", "9"],
             "period: expected above 0 and at most 4 s, the duration of the plan, found 9 s",
         ),
-        (["p.nc", "--window", "0"], "expected a window"),
+        (["p.nc", "--window", "0"], "found 0.0 s; choose a span in this range"),
         (["p.nc", "--window", "5"], "horizon: span: expected above 0 and at most"),
         (["p.nc", "--set", "terrain.frictoin=1"], "did you mean 'friction'"),
     ],
