@@ -177,6 +177,18 @@ def test_more_level_axes_than_suspension_coordinates_are_fixed(tmp_path):
     assert "with so few wheels" in notes(vehicle)[0]
 
 
+@pytest.mark.parametrize("height", [0.0, 0.3])
+def test_a_gear_is_no_wheel(height, tmp_path):
+    gear = wheel("gear", f"0 0 {height}", ROUND.format(0.02))
+    vehicle = read_vehicle(written(tmp_path, FOUR + gear))
+    assert [each.name for each in vehicle.wheels] == [
+        f"{e}_{s}_joint" for e in ("front", "rear") for s in ("left", "right")
+    ]
+    assert any("far above the lowest wheel: gear_joint" in note for note in notes(vehicle))
+    given = read_vehicle(written(tmp_path, FOUR + gear, "wheels = { gear_joint = {} }"))
+    assert len(given.wheels) == 5
+
+
 def test_forward_is_an_axis_of_the_root(tmp_path):
     turned = "".join(
         link(f"w{k}", ROUND.format(0.1).replace("1.5707963267948966 0 0", "0 1.5707963267948966 0"))

@@ -17,6 +17,7 @@ from slipfree.files.urdf.guesses import (
     facing_forward,
     is_level,
     joint_guess,
+    link_frames,
     wheel_guesses,
 )
 from slipfree.files.urdf.tree import Faults, Mimic, Shape, Tree, UrdfJoint
@@ -169,7 +170,14 @@ class _Reading:
                 wheels[name] = WheelRole(False, radius, radius, rollers=True)
             self._guess("wheels", name, values, f"a wheel: {guess.reason}")
         self.roles = replace(roles, wheels=wheels)
-        self.wheels = [j for j in self.tree.joints.values() if self._is_wheel(j)]
+        found = [j for j in self.tree.joints.values() if self._is_wheel(j)]
+        gears = self._gears([j for j in found if j.name not in roles.wheels])
+        for name in gears:
+            reason = "no wheel but fixed: its shape ends far above the lowest wheel"
+            self._guess("joints", name, {"kind": "fixed"}, reason)
+        fixed = dict.fromkeys(gears, JointRole("fixed"))
+        self.roles = replace(self.roles, joints={**self.roles.joints, **fixed})
+        self.wheels = [j for j in found if j.name not in gears]
         self._check_meshes()
 
     def draft(self) -> tuple[Draft, Faults]:
@@ -221,6 +229,21 @@ class _Reading:
                     "mesh, which is not read; write radius = ... for all such wheels, or the kind "
                     f'of the joint in "joints" if it carries no wheel{self._in_file()}',
                 )
+
+    def _gears(self, joints: list[UrdfJoint]) -> list[str]:
+        """Return the names of joints whose round shapes are too high to touch the ground.
+
+        Such a shape ends above the lowest one by more than half of the largest radius.
+        """
+        frames = link_frames(self.tree)
+        lows: dict[str, tuple[float, float]] = {}
+        for joint in joints:
+            shape, (rotation, origin) = self._shape(joint), frames[joint.child]
+            if shape is not None:
+                lows[joint.name] = (float(origin[2]) + _lowest(shape, rotation), shape.radius)
+        lowest = min((low for low, _ in lows.values()), default=0.0)
+        most = lowest + max((radius for _, radius in lows.values()), default=0.0) / 2
+        return [name for name, (low, _) in lows.items() if low > most]
 
     def _guess(
         self, table: str, name: str, values: Mapping[str, float | bool | str], reason: str
