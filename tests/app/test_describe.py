@@ -37,12 +37,13 @@ def test_a_vehicle_file_by_itself():
     assert notes[1].startswith("wheel right_drive: its rate is positive forward, opposite")
 
 
-def test_a_urdf_by_itself_is_drawn_with_what_it_lacks():
+def test_a_urdf_by_itself_is_drawn_with_its_guesses():
     found = describe(DATA / "cart.urdf")
-    assert "    caster: turns about z by caster (kind not given)" in found.tree
-    where = [fault.partition("cart.urdf:")[2].partition(": expected")[0] for fault in found.faults]
-    assert where == ["37: joint 'caster'", "41: joint 'caster_axle'"]
-    assert facts(found)["driven wheels"] == "2: left_drive, right_drive"
+    assert not found.faults
+    assert "    caster: turns about z by caster (passive)" in found.tree
+    notes = [words for name, words in found.facts if name == "vehicle file"]
+    assert any(words.startswith("guessed passive: a caster swivels: caster;") for words in notes)
+    assert any(words.startswith("guessed free: other wheels") for words in notes)
 
 
 @pytest.mark.parametrize(
