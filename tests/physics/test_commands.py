@@ -430,7 +430,10 @@ def test_a_path_in_a_problem() -> None:
             "given.v_y: formula '0.1*cos(x)': expected one of the names t, found 'x'",
         ),
         (["given.v_y='1/t'"], "given.v_y: expected finite values, found inf of '1/t' at 0 s"),
-        (["given=", PATH + "[3.0, 3.1, -3.1, -3.0, -2.9, -2.8]}"], "found -3.1 after 3.1"),
+        (
+            ["given=", PATH + "[3.0, 3.1, -3.1, -3.0, -2.9, -2.8]}"],
+            "-3.1 rad at way-point 3 after 3.1 rad",
+        ),
         (["given={file='cmd.csv', v_x=0.1}"], "expected only rates that are not in the CSV file"),
         (
             ["given={file='cmd.csv', forward=0.1}"],
