@@ -170,7 +170,7 @@ def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, peri
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"span": 9.0}, "at most the duration of the plan, 8 s, found 9"),
+        ({"span": 9.0}, "at most 8 s, the duration of the plan, found 9"),
         ({"span": 4.0, "intervals": 0}, "intervals: expected 1 or more, found 0"),
         ({"span": 4.0, "iterations": -1}, "iterations: expected 1 or more, found -1"),
     ],

@@ -139,9 +139,9 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
     ("options", "words"),
     [
         ({"goal": {"z_": 1.0}}, "found 'z_'; did you mean"),
-        ({"costs": {"slop": 1.0}}, "found 'slop'; the model has"),
+        ({"costs": {"slop": 1.0}}, "found 'slop'; use one of"),
         ({"costs": {"slip": -1.0}}, "costs: expected a weight of 'slip' of at least 0, found -1"),
-        ({"cost_limits": {"slop": 1.0}}, "found 'slop'; the model has"),
+        ({"cost_limits": {"slop": 1.0}}, "found 'slop'; use one of"),
         (
             {"cost_limits": {"effort": 0.0}},
             "cost_limits: expected a positive limit of 'effort', found 0",
