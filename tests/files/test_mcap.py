@@ -7,6 +7,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,10 +16,12 @@ from mcap_ros2.decoder import DecoderFactory
 from numpy.testing import assert_allclose
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from helpers.cases import DATA
+from helpers.urdf import adam_model
 from slipfree.catalog.rovers import rocky7
 from slipfree.cli import app
 from slipfree.errors import DataError
@@ -139,6 +142,24 @@ def test_two_libraries_read_the_numbers_of_the_motion(
         assert_allclose(np.transpose(slip), expected, **exact)
 
 
+def test_messages_and_their_definitions_are_those_of_ros(drive: tuple[Path, Trajectory]) -> None:
+    folder, run = drive
+    kinds = {"/path": "nav_msgs/msg/Path", "/tf": "tf2_msgs/msg/TFMessage"}
+    kinds["/joint_states"] = "sensor_msgs/msg/JointState"
+    kinds |= {f"/slip/{wheel}": "geometry_msgs/msg/Vector3Stamped" for wheel in run.wheels}
+    counts = {topic: 1 if topic == "/path" else run.t.size for topic in kinds}
+    with AnyReader([folder / "out.mcap"]) as reader:  # the definitions in the file suffice
+        assert {c.topic: c.msgtype for c in reader.connections} == kinds
+        assert {c.topic: c.msgcount for c in reader.connections} == counts
+        for connection, _, content in reader.messages():
+            reader.deserialize(content, connection.msgtype)
+        for connection in reader.connections:
+            bare = get_typestore(Stores.EMPTY)
+            bare.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+            kind = connection.msgtype
+            assert bare.hash_rihs01(kind) == STORE.hash_rihs01(kind)
+
+
 def test_a_vehicle_without_joints(tmp_path: Path) -> None:
     _ground(tmp_path)
     text = DRIVE.replace("rocky7", "rigid_skid_steer")
@@ -159,6 +180,58 @@ def test_wheels_turn_forward_about_the_left_axis(drive: tuple[Path, Trajectory])
     turned = (before.inv() * after).as_rotvec()
     assert turned[1] == pytest.approx(run["wheel_angle"][-1, 0] - run["wheel_angle"][0, 0], abs=0.1)
     assert turned[1] > 0.5
+
+
+def _chained(message: object) -> dict[str, tuple[Rotation, np.ndarray]]:
+    """Return the poses of all frames in the map from a message of /tf, parents first."""
+    poses = {"map": (Rotation.identity(), np.zeros(3))}
+    for each in message.transforms:
+        turn, place = poses[each.header.frame_id]
+        local = np.array(_numbers(each.transform.translation))
+        own = Rotation.from_quat(_numbers(each.transform.rotation, "xyzw"))
+        poses[each.child_frame_id] = turn * own, place + turn.apply(local)
+    return poses
+
+
+@pytest.mark.parametrize("forward", ["x", "-x"])
+def test_links_and_joints_of_a_urdf_are_those_of_adam(forward: str, tmp_path: Path) -> None:
+    _ground(tmp_path)
+    robot = (DATA / "cart.urdf").read_text()
+    (tmp_path / "cart.urdf").write_text(robot)
+    completion = (DATA / "cart.toml").read_text()
+    (tmp_path / "cart.toml").write_text(f'forward = "{forward}"\n{completion}')
+    text = DRIVE.replace('catalog = "rocky7"', 'file = "cart.toml"')
+    (tmp_path / "p.toml").write_text(text)
+    run = run_problem(load_problem(tmp_path / "p.toml")).trajectory
+    netcdf.write(tmp_path / "out.nc", run)
+    export_mcap(tmp_path / "out.nc", tmp_path / "out.mcap")
+    found = _read(tmp_path / "out.mcap", "mcap")
+    names = found["/joint_states"][0][1].name
+    elements = ElementTree.fromstring(robot).findall("joint")
+    assert set(names) == {j.get("name") for j in elements if j.get("type") != "fixed"}
+    children = {j.get("name"): j.find("child").get("link") for j in elements}
+    oracle = adam_model(robot, list(names))
+    for k, (_, states) in enumerate(found["/joint_states"]):
+        poses = _chained(found["/tf"][k][1])
+        assert set(poses) == {"map", "base_link", *children.values()}
+        root = np.eye(4)
+        root[:3, :3], root[:3, 3] = poses["base_link"][0].as_matrix(), poses["base_link"][1]
+        for link in children.values():
+            expected = oracle.forward_kinematics(link, root, np.array(states.position))
+            turn, place = poses[link]
+            assert_allclose(place, expected[:3, 3], rtol=0, atol=1e-12)
+            assert_allclose(turn.as_matrix(), expected[:3, :3], rtol=0, atol=1e-12)
+        for i, wheel in enumerate(run.wheels):
+            center = [run[f"center_{axis}"][k, i] for axis in "xyz"]
+            assert_allclose(poses[children[wheel]][1], center, rtol=0, atol=1e-11)
+    # the axis of the left wheel points left, that of the right wheel points right
+    signs = {"x": (1, -1), "-x": (-1, 1)}[forward]
+    last = found["/joint_states"][-1][1]
+    for joint, sign in zip(("left_drive", "right_drive"), signs, strict=True):
+        k, i = list(names).index(joint), run.wheels.index(joint)
+        assert last.position[k] == pytest.approx(sign * run["wheel_angle"][-1, i], abs=1e-12)
+        assert last.velocity[k] == pytest.approx(sign * run["wheel_rate"][-1, i], abs=1e-12)
+        assert abs(last.position[k]) > 0.5
 
 
 def test_the_command(drive: tuple[Path, Trajectory], tmp_path: Path) -> None:

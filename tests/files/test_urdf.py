@@ -2,15 +2,14 @@
 
 import re
 from pathlib import Path
-from xml.etree import ElementTree
 
-import adam.numpy
 import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import DATA, hills
+from helpers.urdf import adam_model
 from slipfree import Analytic, DataError, direct_kinematics, settle, simulate
 from slipfree.catalog import differential_drive
 from slipfree.contact.closure import has_exact_closure
@@ -36,26 +35,6 @@ MIMICS = {"bogie": {"rocker_right": ("rocker-left", -1.0)}}
 LINK_OF = re.compile(r'<joint name="([^"]+)".*?<child link="([^"]+)"', re.DOTALL)
 
 
-def adams(name, joints):
-    """Return adam's model; it insists on all that URDF leaves out."""
-    robot = ElementTree.parse(DATA / f"{name}.urdf").getroot()
-    for each in [*robot.findall("transmission"), *robot.findall("ros2_control")]:
-        robot.remove(each)
-    inertials = robot.findall("link/inertial")
-    for each in [*robot.findall("joint"), *inertials]:
-        if each.find("origin") is None:
-            ElementTree.SubElement(each, "origin")
-    for each in robot.findall("joint"):
-        if each.find("axis") is None:
-            ElementTree.SubElement(each, "axis", xyz="1 0 0")
-    for each in robot.iter("origin"):
-        each.attrib = {"xyz": "0 0 0", "rpy": "0 0 0"} | each.attrib
-    for each in inertials:
-        moments = {"ixx": "1", "iyy": "1", "izz": "1", "ixy": "0", "ixz": "0", "iyz": "0"}
-        ElementTree.SubElement(each, "inertia", moments)
-    return adam.numpy.KinDynComputations(ElementTree.tostring(robot, encoding="unicode"), joints)
-
-
 def ours(vehicle, values, rates):
     """Return pose, velocity and angular velocity of every part, in axes x forward, y left."""
     names = list(values)
@@ -79,7 +58,7 @@ def test_poses_and_jacobians_are_those_of_adam(name, rng):
     text = (DATA / f"{name}.urdf").read_text()
     vehicle, links = read_vehicle(DATA / f"{name}.toml"), dict(LINK_OF.findall(text))
     joints = [*FILES[name].values(), *MIMICS.get(name, {})]
-    oracle = adams(name, joints)
+    oracle = adam_model((DATA / f"{name}.urdf").read_text(), joints)
     assert sorted(c.name for c in vehicle.coordinates) == sorted(FILES[name])
     for _ in range(10):
         values, rates = (
@@ -106,7 +85,7 @@ def test_poses_and_jacobians_are_those_of_adam(name, rng):
 def test_centres_of_mass_are_those_of_adam(name, rng):
     vehicle = read_vehicle(DATA / f"{name}.toml")
     joints = [*FILES[name].values(), *MIMICS.get(name, {})]
-    oracle = adams(name, joints)
+    oracle = adam_model((DATA / f"{name}.urdf").read_text(), joints)
     values = dict(zip(FILES[name], rng.uniform(-0.8, 0.8, len(FILES[name])), strict=True))
     given = {FILES[name][key]: value for key, value in values.items()}
     for follower, (leader, factor) in MIMICS.get(name, {}).items():

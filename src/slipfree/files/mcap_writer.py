@@ -12,22 +12,23 @@ from scipy.spatial.transform import Rotation
 
 from slipfree.atomic_files import replace_file
 from slipfree.files.ros_messages import definition, ros_package
+from slipfree.files.urdf.links import LinkPoses, Robot, joint_values, link_poses
 from slipfree.models.poses import FramePoses, part_poses, wheel_poses
 from slipfree.records import Array
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Vehicle
 
 MAP, BASE = "map", "base_link"  # frames of REP 105
 Message = tuple[str, str, dict[str, Any]]  # topic, type, content
 
 
-def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle) -> None:
+def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None = None) -> None:
     """Write a motion as an MCAP file of ROS 2 messages.
 
     Frames have x forward, y left, z up (REP 103). Topics are ``/path`` (nav_msgs/Path, once),
     ``/tf`` (tf2_msgs/TFMessage: ``map`` to ``base_link``, the platform, and ``base_link`` to each
-    wheel), ``/joint_states`` (sensor_msgs/JointState: moving joints and wheels) and ``/slip/WHEEL``
+    wheel; with a URDF, ``map`` to its root link, and all its links), ``/joint_states``
+    (sensor_msgs/JointState: moving joints and wheels) and ``/slip/WHEEL``
     (geometry_msgs/Vector3Stamped: x along, y to the left [m/s]). Times are rounded to nanoseconds.
 
     Parameters
@@ -38,6 +39,8 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle) -> None:
         Motion over terrain, with the pose of the platform, all coordinates and the wheel angles.
     vehicle : Vehicle
         The vehicle.
+    robot : Robot, optional
+        The URDF of the vehicle, whose joints have the signs of their axes.
 
     Raises
     ------
@@ -48,9 +51,9 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle) -> None:
     """
     ros, times = ros_package(), [round(t * 1e9) for t in run.t.tolist()]
     tracks = [
-        _transforms(run, vehicle),
-        _joint_states(run, vehicle),
-        *(_slip(run, wheel) for wheel in run.wheels),
+        _transforms(run, vehicle, robot),
+        _joint_states(run, vehicle, robot),
+        *(_slip(run, wheel, robot.tree.root if robot else BASE) for wheel in run.wheels),
     ]
 
     def fill(part: Path) -> None:
@@ -118,54 +121,76 @@ def _path(run: Trajectory, vehicle: Vehicle, times: Sequence[int]) -> Message:
     return "/path", "nav_msgs/Path", {"header": _header(times[0], MAP), "poses": poses}
 
 
-def _transforms(run: Trajectory, vehicle: Vehicle) -> Iterator[Message]:
-    """Yield the poses of platform and wheels at each sample."""
+def _transforms(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Iterator[Message]:
+    """Yield the poses of the platform, and of wheels or links, at each sample."""
     base, turn = _platform(run, vehicle)
-    origins, rotations = _rep103(wheel_poses(vehicle, run))
-    n, k = origins.shape[:2]
-    inverse = Rotation.from_quat(np.repeat(turn.as_quat(), k, axis=0)).inv()
-    local = inverse.apply((origins - base[:, None]).reshape(-1, 3)).reshape(n, k, 3)
-    turned = (inverse * rotations).as_quat().reshape(n, k, 4)
-    frames = [(MAP, BASE), *((BASE, name) for name in run.wheels)]
-    places = np.concatenate([base[:, None], local], axis=1).tolist()
-    quaternions = np.concatenate([turn.as_quat()[:, None], turned], axis=1).tolist()
+    if robot is None:
+        frames = [LinkPoses(MAP, BASE, base, turn), *_wheel_frames(run, vehicle)]
+    else:
+        root = LinkPoses(MAP, robot.tree.root, base, turn * robot.root_turn)
+        values = {name: placed for name, (placed, _) in _joints(run, vehicle, robot).items()}
+        frames = [root, *link_poses(robot, values)]
+    places = np.stack([frame.origins for frame in frames], axis=1).tolist()
+    quaternions = np.stack([frame.rotation.as_quat() for frame in frames], axis=1).tolist()
     for row in zip(places, quaternions, strict=True):
         transforms = [
             {
-                "frame_id": parent,
-                "child_frame_id": child,
+                "frame_id": frame.parent,
+                "child_frame_id": frame.child,
                 "transform": {"translation": _vector(at), "rotation": _vector(q, "xyzw")},
             }
-            for (parent, child), at, q in zip(frames, *row, strict=True)
+            for frame, at, q in zip(frames, *row, strict=True)
         ]
         yield "/tf", "tf2_msgs/TFMessage", {"transforms": transforms}
 
 
-def _joint_states(run: Trajectory, vehicle: Vehicle) -> Iterator[Message]:
-    """Yield angles [rad] or displacements [m] of moving joints and wheels, and their rates."""
-    moving = [joint for joint in vehicle.joints if joint.coordinates]
-    names = [c.name for c in vehicle.coordinates]
-    q, rates = ca.SX.sym("q", len(names)), ca.SX.sym("rates", len(names))
-    values = dict(zip(names, ca.vertsplit(q), strict=True))
-    positions = ca.vertcat(ca.SX(0, 1), *(evaluate(joint.value, values) for joint in moving))
-    function = ca.Function("joints", [q, rates], [positions, ca.jtimes(positions, q, rates)])
+def _wheel_frames(run: Trajectory, vehicle: Vehicle) -> Iterator[LinkPoses]:
+    """Yield the poses of the wheels in the platform's frame."""
+    base, turn = _platform(run, vehicle)
+    origins, rotations = _rep103(wheel_poses(vehicle, run))
+    turns = rotations.as_quat().reshape(*origins.shape[:2], 4)
+    for k, name in enumerate(run.wheels):
+        local = turn.inv().apply(origins[:, k] - base)
+        yield LinkPoses(BASE, name, local, turn.inv() * Rotation.from_quat(turns[:, k]))
+
+
+def _joints(
+    run: Trajectory, vehicle: Vehicle, robot: Robot | None
+) -> dict[str, tuple[Array, Array | None]]:
+    """Return values [rad, m] of moving joints and wheels, and their rates, None if unknown."""
+    names, wheels = [c.name for c in vehicle.coordinates], [w.name for w in vehicle.wheels]
+    size = len(names) + len(wheels)
+    q, rates = ca.SX.sym("q", size), ca.SX.sym("rates", size)
+    values = dict(zip(names, ca.vertsplit(q)[: len(names)], strict=True))
+    angles = dict(zip(wheels, ca.vertsplit(q)[len(names) :], strict=True))
+    found = joint_values(vehicle, robot, values, angles)
+    placed = ca.vertcat(*found.values())
+    function = ca.Function("joints", [q, rates], [placed, ca.jtimes(placed, q, rates)])
     known = all(f"{name}_rate" in run.columns for name in names)
-    shape = len(names), run.t.size
-    columns = np.array([run[name] for name in names]).reshape(shape)
-    speeds = np.array([run[f"{name}_rate"] for name in names if known])
-    speeds = speeds.reshape(shape) if known else np.zeros(shape)
-    placed, moved = function.map(run.t.size)(columns, speeds)
-    position = np.column_stack([np.array(placed).T, run["wheel_angle"]]).tolist()
-    velocity = np.column_stack([np.array(moved).T, run["wheel_rate"]]).tolist()
-    joints = [*(joint.name for joint in moving), *run.wheels]
-    for now, rate in zip(position, velocity, strict=True):
-        content = {"name": joints, "position": now, "velocity": rate if known else [], "effort": []}
-        yield "/joint_states", "sensor_msgs/JointState", {"frame_id": BASE, **content}
+    columns = [*(run[name] for name in names), *run["wheel_angle"].T]
+    speeds = [*(run[f"{name}_rate"] for name in names if known), *run["wheel_rate"].T]
+    given = np.array(speeds) if known else np.zeros((size, run.t.size))
+    placed_at, moved = (np.array(out) for out in function.map(run.t.size)(np.array(columns), given))
+    return {
+        name: (place, rate if known else None)
+        for name, place, rate in zip(found, placed_at, moved, strict=True)
+    }
 
 
-def _slip(run: Trajectory, wheel: str) -> Iterator[Message]:
+def _joint_states(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Iterator[Message]:
+    """Yield values [rad, m] of moving joints and wheels, and their rates."""
+    joints, frame = _joints(run, vehicle, robot), robot.tree.root if robot else BASE
+    positions = np.column_stack([place for place, _ in joints.values()]).tolist()
+    known = [rate for _, rate in joints.values() if rate is not None]
+    rates = np.column_stack(known).tolist() if known else [[]] * run.t.size
+    for position, velocity in zip(positions, rates, strict=True):
+        content = {"name": [*joints], "position": position, "velocity": velocity, "effort": []}
+        yield "/joint_states", "sensor_msgs/JointState", {"frame_id": frame, **content}
+
+
+def _slip(run: Trajectory, wheel: str, frame: str) -> Iterator[Message]:
     """Yield the slip of a wheel: along, and to the left [m/s]."""
     along, across = run["slip_along", wheel], run["slip_across", wheel]
     for x, right in zip(along.tolist(), across.tolist(), strict=True):
-        content = {"frame_id": BASE, "vector": _vector((x, -right, 0.0))}
+        content = {"frame_id": frame, "vector": _vector((x, -right, 0.0))}
         yield f"/slip/{wheel}", "geometry_msgs/Vector3Stamped", content

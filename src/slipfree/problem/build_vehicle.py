@@ -14,6 +14,7 @@ from slipfree.errors import DataError, ModelError
 from slipfree.files.toml.errors import Fault, name_errors
 from slipfree.files.toml.source_lines import Place
 from slipfree.files.toml.types import NonNegative, Positive, Record
+from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.reader import JointRole, Roles, WheelRole, read_urdf
 from slipfree.files.urdf.tree import read_tree
 from slipfree.files.vehicle_draft import Draft, Guess, UnfitError
@@ -112,6 +113,23 @@ def read_vehicle(path: str | Path) -> Vehicle:
         raise VehicleError(f"{path}:1: {error}", draft=draft) from error
 
 
+def read_robot(spec: schema.Vehicle, folder: Path) -> Robot | None:
+    """Return the URDF of the vehicle of a problem; None if it has another source.
+
+    Parameters and errors are those of `build_vehicle`.
+    """
+    if spec.file is None:
+        return None
+    path, forward = folder / spec.file, "x"
+    if path.suffix.lower() == ".toml":
+        file = open_file(path)
+        if "urdf" not in file.data:
+            return None
+        table = _completion(file)
+        path, forward = path.parent / table.urdf, table.forward
+    return Robot(read_tree(read_bytes(path, "a URDF"), str(path)), forward)
+
+
 def guessed_completion(path: Path, folder: Path) -> str:
     """Return the text of a vehicle file, to write in a folder, with all guesses about a URDF.
 
@@ -163,10 +181,16 @@ def _draft(path: Path) -> Draft:
     )
 
 
-def _completed(file: File) -> Draft:
-    """Return the draft of the vehicle in a URDF that a vehicle file completes."""
+def _completion(file: File) -> UrdfTable:
+    """Return the table of a vehicle file that completes a URDF."""
     tables: Tables = {"joints": lambda _: JointTable, "wheels": lambda _: WheelTable}
     table: UrdfTable = validated(UrdfTable, tables, file)
+    return table
+
+
+def _completed(file: File) -> Draft:
+    """Return the draft of the vehicle in a URDF that a vehicle file completes."""
+    table = _completion(file)
     joints = {
         name: JointRole(each.kind, each.model_dump(exclude_none=True, exclude={"kind"}))
         for name, each in (table.joints or {}).items()

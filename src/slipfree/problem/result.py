@@ -99,12 +99,15 @@ def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
         files of its problem are missing or have changed, or if ``out`` cannot be written.
     """
     from slipfree.files.mcap_writer import write_mcap
+    from slipfree.problem.build_vehicle import read_robot
     from slipfree.problem.verbs.driving import vehicle_of
 
     check_name(out, file, (".mcap",))
     check_motion(file, read(file, lazy=True), ("x", "y", "z", "wheel_angle", "slip_along"))
     result = open_result(file, folder)
-    write_mcap(out, result.trajectory, vehicle_of(result))
+    vehicle, problem = vehicle_of(result), result.problem
+    robot = read_robot(problem.spec.vehicle, problem.folder)
+    write_mcap(out, result.trajectory, vehicle, robot)
 
 
 def problem_of(

@@ -18,6 +18,7 @@ WHEEL = re.compile("wheel|tire|tyre", re.IGNORECASE)
 CASTER = re.compile("cast[eo]r", re.IGNORECASE)
 FOOTPRINT = re.compile("footprint", re.IGNORECASE)  # link on the ground, by REP 120
 BALL = "a caster on a fixed joint slides freely as a ball"
+FORWARD_YAW = {"x": 0.0, "y": np.pi / 2, "-x": np.pi, "-y": -np.pi / 2}  # of the axes [rad]
 STEEP = 0.5  # smallest vertical component of the axis of a steering joint
 
 
@@ -140,7 +141,7 @@ def joint_guess(
 
 def facing_forward(tree: Tree, forward: str) -> Tree:
     """Return a URDF whose root is turned so that an axis of it, such as ``"-y"``, becomes x."""
-    yaw = {"x": 0.0, "y": np.pi / 2, "-x": np.pi, "-y": -np.pi / 2}[forward]
+    yaw = FORWARD_YAW[forward]
     back = rotation_of((0.0, 0.0, -yaw))
 
     def turned(at: Vector) -> Vector:

@@ -20,6 +20,7 @@ from slipfree.files.urdf.guesses import (
     link_frames,
     wheel_guesses,
 )
+from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.tree import Faults, Mimic, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import (
     MAX_LENGTH,
@@ -494,7 +495,7 @@ class _Reading:
             driven = self._is_driven(joint)
         links = [joint.child, *(each.child for each in below)]
         mass = sum(self.tree.links[link].mass or 0.0 for link in links)
-        name = re.sub(r"[^\w-]", "_", joint.name)
+        name = wheel_name(joint.name)
         if name != joint.name:
             self.notes.append(f"joint {joint.name} carries the wheel {name}")
         return Wheel(

@@ -1,0 +1,124 @@
+"""Values of a URDF's joints, and poses of its links, in a motion of its vehicle."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slipfree.files.urdf.guesses import FORWARD_YAW, facing_forward
+from slipfree.files.urdf.tree import Tree, UrdfJoint
+from slipfree.files.vehicle_draft import rotation_of, turned_right
+from slipfree.geometry.frame import unit_vector
+from slipfree.records import Array
+from slipfree.vehicle.formula import evaluate
+from slipfree.vehicle.tree import Vehicle
+
+
+class Robot(NamedTuple):
+    """A URDF from which a vehicle was read.
+
+    Attributes
+    ----------
+    tree : Tree
+        Links and joints, as in the file.
+    forward : {"x", "-x", "y", "-y"}
+        Axis of the root link that points forward.
+    """
+
+    tree: Tree
+    forward: str = "x"
+
+    @property
+    def root_turn(self) -> Rotation:
+        """Rotation of the root link in the platform's frame (x forward, y left)."""
+        return Rotation.from_euler("z", -FORWARD_YAW[self.forward])
+
+
+class LinkPoses(NamedTuple):
+    """Poses of a link in its parent's frame over time.
+
+    Attributes
+    ----------
+    parent, child : str
+        Names of the frames.
+    origins : ndarray, shape (n, 3)
+        Origins. [m]
+    rotation : Rotation
+        Rotations of n samples.
+    """
+
+    parent: str
+    child: str
+    origins: Array
+    rotation: Rotation
+
+
+def wheel_name(joint: str) -> str:
+    """Return the name of the wheel that a joint of a URDF carries."""
+    return re.sub(r"[^\w-]", "_", joint)
+
+
+def joint_values(
+    vehicle: Vehicle, robot: Robot | None, values: Mapping[str, ca.SX], angles: Mapping[str, ca.SX]
+) -> dict[str, ca.SX]:
+    """Return the values of moving joints and of wheels, by the name of their joint [rad, m].
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    robot : Robot or None
+        Its URDF, whose joints have the signs of their axes; joints without effect on the vehicle
+        are at zero or at the closest limit. Without URDF, wheels are positive forward.
+    values, angles : mapping of str to SX
+        Values of the coordinates, and angles of the wheels, by name. [rad or m]
+    """
+    own = {joint.name: evaluate(joint.value, values) for joint in vehicle.joints}
+    if robot is None:
+        moving = {joint.name: own[joint.name] for joint in vehicle.joints if joint.coordinates}
+        return moving | dict(angles)
+    released = {joint.name for joint in vehicle.joints if joint.coordinates}
+    signs, joints = _wheel_signs(vehicle, robot), robot.tree.joints
+
+    def value(joint: UrdfJoint, followers: int = 0) -> ca.SX:
+        if joint.name in own:
+            return own[joint.name]
+        if joint.name in signs:
+            return signs[joint.name] * angles[wheel_name(joint.name)]
+        mimic = joint.mimic
+        if mimic is not None and mimic.joint in joints and followers < len(joints):  # no loop
+            return mimic.offset + mimic.multiplier * value(joints[mimic.joint], followers + 1)
+        return ca.SX(min(max(0.0, joint.lower), joint.upper) if joint.moves else 0.0)
+
+    return {name: value(joint) for name, joint in joints.items() if joint.moves or name in released}
+
+
+def link_poses(robot: Robot, values: Mapping[str, Array]) -> Iterator[LinkPoses]:
+    """Yield the poses of all links but the root, for values of moving joints, shape (n,)."""
+    n = next((value.size for value in values.values()), 1)
+    for joint in robot.tree.joints.values():
+        value = values.get(joint.name, np.zeros(n))
+        axis = unit_vector(joint.axis) if joint.name in values else np.zeros(3)
+        moved, still = value[:, None] * axis, np.zeros((n, 3))
+        slid, turned = (moved, still) if joint.type == "prismatic" else (still, moved)
+        turn = Rotation.from_matrix(rotation_of(joint.turned))
+        origins = np.asarray(joint.at) + turn.apply(slid)
+        yield LinkPoses(joint.parent, joint.child, origins, turn * Rotation.from_rotvec(turned))
+
+
+def _wheel_signs(vehicle: Vehicle, robot: Robot) -> dict[str, float]:
+    """Return 1.0 for each joint that turns with its wheel rolling forward, -1.0 for others."""
+    wheels = {wheel.name: wheel for wheel in vehicle.wheels}
+    signs = {}
+    for joint in facing_forward(robot.tree, robot.forward).joints.values():
+        wheel = wheels.get(wheel_name(joint.name))
+        if wheel is not None and joint.moves:
+            x, y, z = (rotation_of(joint.turned) @ unit_vector(joint.axis)).tolist()
+            along = np.dot(turned_right((x, y, z)), unit_vector(wheel.axle))
+            signs[joint.name] = -float(np.sign(along))
+    return signs
