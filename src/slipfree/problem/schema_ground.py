@@ -86,7 +86,7 @@ class Terrain(Record):
         description="'area': values of a picture are at cell centres; 'point': at nodes",
     )
     spacing: Positive | None = Field(
-        default=None, description="distance between nodes, for scattered points [m]"
+        default=None, description="distance between nodes, for points [m]"
     )
     geographic: Literal["local"] | None = Field(
         default=None, description="conversion of degrees to metres; by default degrees are an error"

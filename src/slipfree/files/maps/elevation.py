@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.maps.point_cloud import read_point_cloud
 from slipfree.files.maps.points import read_points
 from slipfree.files.maps.raster import DRIVERS, Reading, Registration, read_raster
 from slipfree.records import Array, field_overview
@@ -54,13 +55,7 @@ UNREADABLE = (  # exceptions of numpy for a damaged archive
     lzma.LZMAError,
 )
 TO_RASTER = "convert it: gdal_translate in out.tif"
-TO_TEXT = (
-    "write its points as text: pdal translate in{} out.csv --writers.text.order=X,Y,Z "
-    "--writers.text.keep_unspecified=false"
-)
 OTHERS = {
-    ".las": TO_TEXT.format(".las"),
-    ".laz": TO_TEXT.format(".laz"),
     ".zip": "unpack it: unzip in.zip",
     ".gz": "unpack it: gunzip in.gz",
     ".bag": "write the layer of heights of a grid_map message as .npz with arrays x, y, z",
@@ -149,7 +144,8 @@ def read_map(
         (n_x, n_y), all in metres, NaN in holes. ``.tif``, ``.tiff`` (GeoTIFF), ``.asc`` (ESRI
         ASCII grid), ``.hgt`` (SRTM), ``.dt0`` to ``.dt2`` (DTED), ``.img`` (ERDAS), ``.gpkg``,
         ``.nc``, ``.grd`` and others of GDAL, and ``.png`` (grey values): see
-        `read_raster`. ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
+        `read_raster`. ``.xyz``, ``.txt``, ``.csv``: see `read_points`. ``.las``, ``.laz``: see
+        `read_point_cloud`.
     window : tuple of 4 floats, optional
         Part to read, x_min, x_max, y_min, y_max in the coordinates of the file; by default the
         whole map. Only this part of a raster is kept in memory. [m] or [deg]
@@ -158,7 +154,8 @@ def read_map(
     registration : {"area", "point"}, optional
         Position of the values in their cells, required together with ``cell``: see `Reading`.
     spacing : float, optional
-        Node spacing; required for scattered points, not allowed for other files. [m]
+        Node spacing; required for scattered points, chosen by default for point clouds, not
+        allowed for other files. [m]
     geographic : {"local"} or Frame, optional
         Conversion of degrees to metres, required for maps in degrees: ``"local"`` by
         `geographic_to_metric`, or a frame for the coordinates of another map.
@@ -393,6 +390,11 @@ def _read_points(path: Path, ask: Reading) -> Heights:
     return read_points(path, ask.spacing, ask.window)
 
 
+def _read_cloud(path: Path, ask: Reading) -> Heights:
+    """Return the height map of the point cloud in a file."""
+    return read_point_cloud(path, ask.spacing, ask.window)
+
+
 class MapReader(NamedTuple):
     """Format of map files.
 
@@ -415,6 +417,7 @@ READERS: tuple[MapReader, ...] = (
     MapReader((".npz",), _read_npz),
     MapReader(tuple(DRIVERS), read_raster, ("cell", "registration")),
     MapReader((".xyz", ".txt", ".csv"), _read_points, ("spacing",)),
+    MapReader((".las", ".laz"), _read_cloud, ("spacing",)),
 )
 
 

@@ -62,7 +62,7 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
             f"{counts[1]} at spacing = {spacing:g} m; set a smaller spacing"
         )
     i, j = parts(x, y, window)
-    z = _interpolated(points, low, spacing, (i, j))
+    z = interpolate_points(points, low, spacing, (i, j))
     words = (
         f"{len(points)}, a median of {distance:.3g} m apart, for {z.size} nodes {spacing:g} m apart"
     )
@@ -170,7 +170,9 @@ def _distance(places: Array) -> float:
     return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
 
 
-def _interpolated(points: Array, low: Array, spacing: float, part: tuple[slice, slice]) -> Array:
+def interpolate_points(
+    points: Array, low: Array, spacing: float, part: tuple[slice, slice]
+) -> Array:
     """Return heights at nodes, interpolated linearly; NaN outside the convex hull of the points.
 
     Parameters

@@ -9,11 +9,12 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, Literal, NamedTuple, NoReturn
+from typing import Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
 
 DRIVERS = {  # GDAL drivers of files that are whole by themselves, by the ending of the file
@@ -63,21 +64,6 @@ GRIDS = {  # drivers of .grd files by their first four bytes
 CACHE = 64  # GDAL's cache of blocks [MB]
 TO_GRAY = "keep the heights alone: gdal_translate -b 1 in.tif out.tif"
 TO_METRES = "reproject it to metres: gdalwarp -t_srs EPSG:326xx in.tif out.tif (xx: the UTM zone)"
-STRETCH, SPAN = 0.01, 100.0  # largest relative error of lengths, and length of its test [1], [m]
-SPHEROID = re.compile(r'SPHEROID\["[^"]*",([\d.]+),([\d.]+)')
-SEMI_MAJOR, ROUND = 6378137.0, 0.01  # semi-major axis of the earth [m], and its relative tolerance
-COMPOUND = re.compile(r'AUTHORITY\["EPSG","(\d+)"\]\],VERT_CS')
-LOCAL = ("LOCAL_CS", "ENGCRS")
-METRES = {"", "m", "metre", "meter", "metres", "meters"}
-LENGTHS = {  # units of heights [m]
-    **dict.fromkeys(METRES, 1.0),
-    **dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet"), 0.3048),
-    **dict.fromkeys(("us survey foot", "us survey feet", "us-ft", "ftus"), 1200 / 3937),
-    **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 0.01),
-    **dict.fromkeys(("dm", "decimetre", "decimeter"), 0.1),
-    **dict.fromkeys(("mm", "millimetre", "millimeter"), 0.001),
-    **dict.fromkeys(("km", "kilometre", "kilometer"), 1000.0),
-}
 Registration = Literal["area", "point"]
 WORDS = {
     "area": "heights at the middles of cells (pixel is area)",
@@ -197,16 +183,12 @@ def _open_only(path: Path, known: str, opened: ExitStack, name: str, mode: str =
     return opened.enter_context(path.open("rb"))
 
 
-def _refuse(expected: str, found: str, remedy: str) -> NoReturn:
-    """Raise DataError with the descriptions of expected and found content, and a remedy."""
-    raise DataError(f"expected {expected}, found {found}; {remedy}")
-
-
 def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
     """Return the heights in an open raster."""
     _check_band(file)
     place = _place(file, ask)
-    part = i, j = parts(place.x, place.y, ask.window)
+    i, j = parts(place.x, place.y, ask.window)
+    x, y = place.x.nodes(i), place.y.nodes(j)
     top = j.start if place.upward else place.y.size - j.stop
     rows = range(top, top + j.stop - j.start)
     if file.driver == "AAIGrid":
@@ -216,7 +198,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
     facts = (
         ("ground map", f"{source}, {crs}, {WORDS[place.registration]}"),
         *_scale_facts(file),
-        *_lengths(file.crs, place, part),
+        *scale_facts(file.crs, x.mean(), y.mean(), TO_METRES),
     )
     values = file.read(
         1,
@@ -226,8 +208,8 @@ def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
     )
     heights = (values.filled(np.nan) * file.scales[0] + file.offsets[0]) * _unit(file)
     return Heights(
-        place.x.nodes(i),
-        place.y.nodes(j),
+        x,
+        y,
         np.ascontiguousarray((heights if place.upward else heights[::-1]).T),
         facts,
         place.crs,
@@ -253,12 +235,12 @@ def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
             elif not found and len(words) == 2:  # a line of the header: a key and a number
                 keys.add(words[0].lower()[:4])
             else:
-                _refuse(f"numbers in line {n}", repr(wrong.decode(errors="replace")), "correct it")
+                refuse(f"numbers in line {n}", repr(wrong.decode(errors="replace")), "correct it")
     if missing := {b"xllc", b"yllc"} - keys:
         key = min(missing).decode()
-        _refuse(f"{key}enter or {key}orner in the header", "none", "add it")
+        refuse(f"{key}enter or {key}orner in the header", "none", "add it")
     if found != math.prod(shape):
-        _refuse(
+        refuse(
             f"{math.prod(shape)} heights, ncols times nrows",
             f"{found}",
             "correct the header, or copy the file again",
@@ -295,18 +277,18 @@ def _unit(file: Any) -> float:
 def _check_band(file: Any) -> None:
     """Raise DataError unless the file has a single band of heights in metres."""
     if file.count != 1:
-        _refuse("one band of heights", f"{file.count} bands", TO_GRAY)
+        refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
     if kind not in "iuf":
-        _refuse("heights that are numbers", file.dtypes[0], TO_GRAY)
+        refuse("heights that are numbers", file.dtypes[0], TO_GRAY)
     if file.colorinterp[0].name == "palette":
-        _refuse(
+        refuse(
             "heights",
             "colours of a palette",
             "use the elevation model from which the image was drawn",
         )
     if (file.units[0] or "").lower() not in LENGTHS:
-        _refuse(
+        refuse(
             "heights in a unit of length",
             f"the unit {file.units[0]!r}",
             f"correct it with gdal_edit.py -units; known are {', '.join(sorted(LENGTHS)[1:])}",
@@ -319,7 +301,7 @@ def _place(file: Any, ask: Reading) -> _Place:
     They follow from the coordinates in the file, else from ``ask.cell`` and ``ask.registration``.
     """
     if file.gcps[0]:
-        _refuse(
+        refuse(
             "a raster on an upright grid",
             f"{len(file.gcps[0])} ground control points",
             "resample it: gdalwarp in.tif out.tif",
@@ -328,21 +310,21 @@ def _place(file: Any, ask: Reading) -> _Place:
         return _place_by_user(file.width, file.height, ask)
     for name in ("cell", "registration"):
         if (value := getattr(ask, name)) is not None:
-            _refuse(
+            refuse(
                 f"no {name} for a raster that contains coordinates",
                 f"{name} = {value!r}",
                 f"remove {name}, or correct the coordinates in the file with gdal_edit",
             )
     registration = file.tags().get("AREA_OR_POINT", "Area").lower()
     x, y, upward = _axes(file)
-    return _Place(x, y, upward, registration, *_crs(file.crs), placed=True)
+    return _Place(x, y, upward, registration, *system_name(file.crs, TO_METRES), placed=True)
 
 
 def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
     """Return the positions of the nodes of a raster without coordinates."""
     if ask.cell is None or ask.registration is None:
         given = {"cell": ask.cell, "registration": ask.registration}
-        _refuse(
+        refuse(
             f"{' and '.join(name for name, value in given.items() if value is None)} for a raster "
             "without coordinates",
             "none",
@@ -364,7 +346,7 @@ def _axes(file: Any) -> tuple[Axis, Axis, bool]:
     """
     a, b, c, d, e, f = tuple(file.transform)[:6]
     if abs(b) + abs(d) > 1e-12 * (abs(a) + abs(e)) or a <= 0 or e == 0:
-        _refuse(
+        refuse(
             "rows that run along x, from west to east",
             f"a raster that is rotated, sheared or mirrored (x = {a:g} column + {b:g} row + ..., "
             f"y = {d:g} column + {e:g} row + ...)",
@@ -372,79 +354,3 @@ def _axes(file: Any) -> tuple[Axis, Axis, bool]:
         )
     south = f + (e / 2 if e > 0 else e * (file.height - 0.5))
     return Axis(c + a / 2, a, file.width), Axis(south, abs(e), file.height), e > 0
-
-
-def _crs(crs: Any) -> tuple[str, bool]:
-    """Return the name of a coordinate reference system, and whether its unit is the degree."""
-    if crs is None:
-        return "", False
-    wkt, code = crs.to_wkt(), crs.to_epsg()
-    if code is None and (part := COMPOUND.search(wkt)):  # horizontal part of a compound system
-        code = int(part[1])
-    name = crs.to_string() if code is None else f"EPSG:{code}"
-    if not (crs.is_geographic or crs.is_projected or wkt.startswith(LOCAL)):
-        _refuse("a projected or a geographic reference system", name, TO_METRES)
-    globe = SPHEROID.search(wkt)
-    if crs.is_geographic and globe and abs(float(globe[1]) / SEMI_MAJOR - 1) > ROUND:
-        _refuse(
-            "degrees on the earth",
-            f"a body of radius {float(globe[1]):.9g} m ({name})",
-            "project it to metres first: gdalwarp -t_srs '+proj=eqc +lat_ts=... +R=...'",
-        )
-    unit, size = crs.units_factor
-    wanted, expected = (math.radians(1), "degrees") if crs.is_geographic else (1.0, "metres")
-    if abs(size / wanted - 1) > 1e-9:
-        _refuse(f"coordinates in {expected}", f"the unit {unit!r} of {name}", TO_METRES)
-    return name, bool(crs.is_geographic)
-
-
-def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[str, str], ...]:
-    """Return the scale of a projected map as facts; raise DataError if it is more than 1 % from 1.
-
-    In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres.
-    """
-    if crs is None or not crs.is_projected:
-        return ()
-    x, y = (
-        (axis.nodes(each)[0] + axis.nodes(each)[-1]) / 2
-        for axis, each in zip((place.x, place.y), part, strict=True)
-    )
-    found = _metres(crs, x, y)
-    if not np.allclose(found, 1.0, rtol=0, atol=STRETCH):  # NaN outside the projection's domain
-        _refuse(
-            f"a map with a scale error of at most {100 * STRETCH:g} %",
-            f"that 1 m of the map is {found[0]:.4g} m along x and {found[1]:.4g} m along y on the "
-            f"ground at x = {x:.9g}, y = {y:.9g} ({place.crs})",
-            TO_METRES,
-        )
-    return (
-        (
-            "ground map scale",
-            f"1 m of the map is {found[0]:.5f} m along x and {found[1]:.5f} "
-            "m along y on the ellipsoid",
-        ),
-    )
-
-
-def _metres(crs: Any, x: float, y: float) -> tuple[float, float]:
-    """Return the lengths on the ellipsoid of one map metre along x and along y at (x, y) [m]."""
-    from rasterio.crs import CRS
-    from rasterio.warp import transform
-
-    sizes = SPHEROID.search(crs.to_wkt())
-    if sizes is None:
-        return math.nan, math.nan
-    a, inverse = float(sizes[1]), float(sizes[2])
-    e2 = (2 - 1 / inverse) / inverse if inverse else 0.0
-    globe = CRS.from_proj4(f"+proj=longlat +a={a!r} +b={a * math.sqrt(1 - e2)!r} +no_defs")
-    half = SPAN / 2
-    try:
-        places = transform(crs, globe, [x - half, x + half, x, x], [y, y, y - half, y + half])
-    except Exception:  # PROJ raises various exceptions outside the projection's domain
-        return math.nan, math.nan
-    longitude, latitude = (np.radians(each) for each in places)
-    w2 = 1 - e2 * math.sin(latitude[0]) ** 2
-    east = a / math.sqrt(w2) * np.cos(latitude[0]) * np.diff(longitude)[::2]
-    north = a * (1 - e2) / w2**1.5 * np.diff(latitude)[::2]
-    along_x, along_y = (np.hypot(east, north) / SPAN).tolist()
-    return along_x, along_y

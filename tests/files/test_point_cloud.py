@@ -1,0 +1,209 @@
+"""Point clouds: heights of a known surface, holes, units, reference systems, refused files."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from random import Random
+
+import laspy
+import numpy as np
+import pyproj
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from slipfree.errors import DataError
+from slipfree.files.maps.elevation import read_map
+
+WEST, SOUTH = 500000.0, 4.5e6
+
+
+def plane(x, y):
+    return 30 + 0.2 * (x - WEST) - 0.1 * (y - SOUTH)
+
+
+def cloud(path, places, z, *, kind=None, crs: str | None = "EPSG:32633", keys=()):
+    """Write points with millimetres as LAS 1.4, or as LAS 1.2 with GeoTIFF keys."""
+    modern = not keys
+    header = laspy.LasHeader(point_format=6 if modern else 1, version="1.4" if modern else "1.2")
+    header.scales, header.offsets = [1e-3] * 3, [WEST, SOUTH, 0]
+    if keys:
+        record = laspy.vlrs.known.GeoKeyDirectoryVlr()
+        words = np.array([(key, 0, 1, value) for key, value in keys]).reshape(-1)
+        words = np.concatenate([[1, 1, 0, len(keys)], words]).astype("<u2")
+        record.parse_record_data(words.tobytes())
+        header.vlrs.append(record)
+    elif crs is not None:
+        header.add_crs(pyproj.CRS(crs))
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = places[:, 0], places[:, 1], z
+    data.classification = np.zeros(len(z), np.uint8) if kind is None else kind
+    data.write(path)
+    return path
+
+
+def scattered(count=4000, size=20.0):
+    """Return places that millimetres represent exactly, except in a square without points."""
+    places = np.random.default_rng(1).uniform(0, size, (count, 2)).round(3)
+    within = ((places > 8) & (places < 12)).all(axis=1)
+    return places[~within] + [WEST, SOUTH]
+
+
+@pytest.mark.parametrize("ending", ["las", "laz", "LAZ"])
+def test_a_plane_is_exact_and_cells_without_points_are_holes(tmp_path, ending):
+    places = scattered()
+    found = read_map(cloud(tmp_path / f"a.{ending}", places, plane(*places.T)), spacing=1.0)
+    grid = found.grid
+    assert_allclose(grid.x, WEST + np.arange(21), rtol=0, atol=1e-8)
+    assert_allclose(grid.y, SOUTH + np.arange(21), rtol=0, atol=1e-8)
+    assert found.crs == "EPSG:32633"
+    whole = ~grid.holes
+    x, y = np.meshgrid(grid.x, grid.y, indexing="ij")
+    assert_allclose(grid.z[whole], plane(x, y)[whole], rtol=0, atol=1e-3)  # written in millimetres
+    assert grid.holes[9:12, 9:12].all()  # cells about nodes from 9 m to 11 m are empty
+    inner = grid.holes[1:-1, 1:-1]
+    assert np.count_nonzero(inner) == 9
+    facts = dict(found.facts)
+    assert facts["ground points"].startswith(f"all {len(places)} points, ")
+    assert "cells of 1 m; 431 of 441 cells have points" in facts["ground points"]
+    assert "1.00040 m along x" in facts["ground map scale"]
+
+
+def test_the_mean_density_gives_the_width_of_cells(tmp_path):
+    places = scattered()
+    path = cloud(tmp_path / "a.las", places, plane(*places.T))
+    found = read_map(path)
+    words = dict(found.facts)["ground points"]
+    density = float(re.search(r"([\d.]+) per m2", words)[1])
+    assert_allclose(density, 10, rtol=0.05)  # the square without points does not count
+    width = float(f"{np.sqrt(4 / density):.2g}")
+    assert f"cells of {width:g} m, chosen for 4 points in each: set spacing" in words
+    assert_allclose(found.grid.spacing, width)
+
+
+def test_noise_is_averaged_and_no_number_depends_on_the_window(tmp_path):
+    places = scattered(40000)
+    z = plane(*places.T) + np.random.default_rng(3).normal(0, 0.05, len(places))
+    path = cloud(tmp_path / "a.laz", places, z)
+    whole = read_map(path, spacing=1.0).grid
+    x, y = np.meshgrid(whole.x, whole.y, indexing="ij")
+    error = (whole.z - plane(x, y))[1:-1, 1:-1][~whole.holes[1:-1, 1:-1]]
+    assert 0.002 < np.std(error) < 0.05 / np.sqrt(100) * 1.5  # 100 points in each cell
+    part = read_map(path, spacing=1.0, window=(WEST + 3, WEST + 7, SOUTH + 2, SOUTH + 6)).grid
+    assert_array_equal(part.x, whole.x[3:8])
+    assert_allclose(part.z, whole.z[3:8, 2:7], rtol=0, atol=1e-9)
+
+
+def test_ground_points_are_preferred_and_noise_is_left_out(tmp_path):
+    places = scattered()
+    kind = np.random.default_rng(2).choice(np.array([2, 5, 7], np.uint8), len(places))
+    z = plane(*places.T) + np.where(kind == 2, 0.0, 15.0)
+    found = read_map(cloud(tmp_path / "a.las", places, z, kind=kind), spacing=2.0)
+    x, y = np.meshgrid(found.grid.x, found.grid.y, indexing="ij")
+    whole = ~found.grid.holes
+    assert_allclose(found.grid.z[whole], plane(x, y)[whole], rtol=0, atol=1e-3)
+    counts = np.bincount(kind)
+    words = f"{counts[2]} classified as ground, of {counts[2] + counts[5]} points"
+    assert dict(found.facts)["ground points"].startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("crs", "keys", "length", "words"),
+    [
+        ("EPSG:32633+8228", (), 0.3048, "converted from foot (0.3048 m)"),
+        ("EPSG:32633+5703", (), 1.0, "in metres"),
+        (None, ((3072, 32633), (4099, 9003)), 1200 / 3937, "converted from US survey foot"),
+        (None, ((3072, 32633), (4096, 6360)), 1200 / 3937, "converted from US survey foot"),
+        (None, ((3072, 32633),), 1.0, "unit not stated: taken as metres"),
+    ],
+)
+def test_the_unit_of_heights_is_that_of_the_file(tmp_path, crs, keys, length, words):
+    places = scattered()
+    path = cloud(tmp_path / "a.las", places, plane(*places.T) / length, crs=crs, keys=keys)
+    found = read_map(path, spacing=1.0)
+    assert found.crs == "EPSG:32633"
+    assert words in dict(found.facts)["ground map heights"]
+    x, y = np.meshgrid(found.grid.x, found.grid.y, indexing="ij")
+    whole = ~found.grid.holes
+    assert_allclose(found.grid.z[whole], plane(x, y)[whole], rtol=0, atol=2e-3)
+
+
+def test_a_file_without_a_system_has_none(tmp_path):
+    places = scattered()
+    found = read_map(cloud(tmp_path / "a.las", places, plane(*places.T), crs=None), spacing=1.0)
+    assert found.crs == ""
+    assert dict(found.facts)["ground map"] == "LAS 1.4 point cloud, CRS not given"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"crs": "EPSG:4326"}, r"a point cloud in metres, found degrees .*pdal translate"),
+        ({"crs": "EPSG:2263"}, r"found the unit 'US survey foot' of EPSG:2263; .*pdal translate"),
+        ({"keys": ((3076, 9002), (3072, 32767))}, r"in metres, found the unit 'foot'"),
+        ({"keys": ((3072, 32633), (4099, 9036))}, r"a unit of length, found the unit 'EPSG unit"),
+    ],
+)
+def test_other_units_are_refused(tmp_path, options, words):
+    places = scattered()
+    path = cloud(tmp_path / "a.las", places, plane(*places.T), **options)
+    with pytest.raises(DataError, match=rf"a\.las: expected .*{words}"):
+        read_map(path, spacing=1.0)
+
+
+def test_too_few_points_and_lines_are_refused(tmp_path):
+    places = scattered()
+    path = cloud(tmp_path / "a.las", places[:2], plane(*places[:2].T))
+    with pytest.raises(DataError, match="expected at least 3 points, found 2; use another file"):
+        read_map(path)
+    path = cloud(tmp_path / "a.las", places * [0, 1] + [WEST, 0], plane(*places.T))
+    with pytest.raises(DataError, match="points that span a surface, found that they lie on a l"):
+        read_map(path)
+
+
+@pytest.mark.parametrize("ending", ["las", "laz"])
+def test_damaged_files_are_read_or_refused(tmp_path, ending):
+    places = scattered(100)
+    raw = cloud(tmp_path / f"a.{ending}", places, plane(*places.T)).read_bytes()
+    path, rng, refused = tmp_path / f"b.{ending}", Random(4), []
+    for _ in range(60):
+        data = bytearray(raw)
+        for _ in range(rng.choice([1, 2, 5])):
+            data[rng.randrange(600 if rng.random() < 0.7 else len(data))] = rng.randrange(256)
+        path.write_bytes(data if rng.random() < 0.8 else data[: rng.randrange(len(data))])
+        try:
+            read_map(path)
+        except DataError as error:
+            refused.append(str(error))
+    assert len(refused) > 10
+    assert all(words.startswith(f"{path}: expected") for words in refused)
+
+
+def test_a_header_with_too_many_records_is_refused_at_once(tmp_path):
+    places = scattered(100)
+    path = cloud(tmp_path / "a.las", places, plane(*places.T))
+    data = bytearray(path.read_bytes())
+    data[100:104] = b"\xff" * 4  # number of records before the points
+    path.write_bytes(data)
+    with pytest.raises(DataError, match="expected a readable LAS or LAZ file, found 42949672"):
+        read_map(path)
+
+
+def test_without_the_package_the_message_says_how_to_install_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    (tmp_path / "a.laz").write_bytes(b"LASF")
+    with pytest.raises(DataError, match=r"package laspy, .*pip install '\.\[points\]'"):
+        read_map(tmp_path / "a.laz")
+
+
+def test_other_files_do_not_import_the_package(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", x=np.arange(5.0), y=np.arange(5.0), z=np.zeros((5, 5)))
+    code = (
+        "import sys; from slipfree import read_map; read_map('a.npz'); "
+        "print({'laspy', 'lazrs', 'pyproj'} & set(sys.modules))"
+    )
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
