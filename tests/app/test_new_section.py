@@ -178,7 +178,8 @@ def test_it_is_drawn(write: Callable[..., None]) -> None:
             "equator = 0.3",
             "equator = 0.3\nradius = 0.3",
             "radius (wheel 'right'): expected one of name, parent, section, at, driven, rollers, "
-            "axle, grip, mass, static_depth, half_width, equator, found the unknown key 'radius'",
+            "axle, grip, mass, static_depth, inertia, drive, half_width, equator, found the "
+            "unknown key 'radius'",
         ),
     ],
 )

@@ -20,6 +20,7 @@ from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTabl
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.catalog_table import CATALOG
+from slipfree.vehicle.drives import Motor
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.omni import Omni
 from slipfree.vehicle.sections.registry import SECTIONS
@@ -378,7 +379,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
             "radius = 0.1\ntubes = 0.2",
             "v.toml:34: wheels[2].tubes (wheel "
             "'caster'): did you mean 'tube'? expected one of name, parent, section, at, driven, "
-            "rollers, axle, grip, mass, static_depth, radius, tube, found the unknown key 'tubes'",
+            "rollers, axle, grip, mass, static_depth, inertia, drive, radius, tube, found the "
+            "unknown key 'tubes'",
         ),
         (
             'name = "right"',
@@ -396,7 +398,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'frame = "rep103"',
             'frame = "rep103"\nweight = 3',
             "v.toml:3: weight: expected one of "
-            "name, frame, mass, center_of_mass, coordinates, joints, wheels, found the unknown key",
+            "name, frame, mass, center_of_mass, inertia, coordinates, joints, wheels, found the "
+            "unknown key",
         ),
     ],
 )
@@ -641,3 +644,32 @@ def test_vehicles_of_files_are_compared(folder):
     result = command("compare", "p.toml")
     assert result.exit_code == 0, result.stderr
     assert "mine" in result.stdout
+
+
+def test_inertia_and_drives_are_read_with_the_axes_of_the_file(tmp_path):
+    text = LONG.replace('frame = "rep103"', 'frame = "rep103"\ninertia = [1, 2, 3, 0.1, 0.2, 0.3]')
+    motor = "drive = { kind = 'motor', stall = 2.0, no_load = 20, kp = 5.0 }"
+    text = text.replace("radius = 0.1\n", f"radius = 0.1\ninertia = [0.01, 0.006]\n{motor}\n")
+    (tmp_path / "v.toml").write_text(text)
+    vehicle = read_vehicle(tmp_path / "v.toml")
+    assert vehicle.body.inertia == (2, 1, 3, -0.1, -0.3, 0.2)
+    assert vehicle.wheels[2].inertia == (0.01, 0.006)
+    assert vehicle.wheels[2].drive == Motor(2.0, 20.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "line", "words"),
+    [
+        (
+            'frame = "rep103"',
+            "inertia = [1, 2, -3, 0, 0, 0]",
+            "principal moments of inertia must be",
+        ),
+        ("radius = 0.1\n", "drive = { kind = 'steam' }", "with kind, one of rate, torque, motor"),
+        ("radius = 0.1\n", "drive = { kind = 'motor', stall = 2 }", "no_load, kp are required"),
+        ("radius = 0.1\n", "inertia = [0.0, 1.0]", "greater than 0"),
+    ],
+)
+def test_wrong_inertia_and_drives_are_reported(old, line, words, tmp_path):
+    found, _ = faults(tmp_path, LONG.replace(old, f"{old.rstrip()}\n{line}\n"))
+    assert any(words in each for each in found), found

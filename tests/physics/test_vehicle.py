@@ -134,10 +134,10 @@ def changed(**parts):
         (lambda: three_wheeler(wheelbase=0.0), "wheelbase must be a positive length, found 0.0"),
         (lambda: three_wheeler(half_track=-1.0), "half_track must be a positive length"),
         (lambda: three_wheeler(tilt_stop=-0.1), "the lower stop must be below the upper one"),
-        (changed(wheels=VEHICLE.wheels[:2]), "with 3 to 100 wheels, found 2"),
+        (changed(wheels=()), "with 1 to 100 wheels, found 0"),
         (
             changed(wheels=tuple(replace(VEHICLE.wheels[0], name=f"w{k}") for k in range(101))),
-            "with 3 to 100 wheels, found 101",
+            "with 1 to 100 wheels, found 101",
         ),
         (
             changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])),

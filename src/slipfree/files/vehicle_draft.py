@@ -211,7 +211,11 @@ def turned_right(vector: Vector) -> Vector:
 
 
 def _body(body: Body) -> Body:
-    return Body(body.mass, turned_right(body.at))
+    inertia = body.inertia
+    if inertia is not None:
+        xx, yy, zz, xy, xz, yz = inertia
+        inertia = yy, xx, zz, -xy, -yz, xz
+    return Body(body.mass, turned_right(body.at), inertia)
 
 
 def _angles_right(turned: Vector) -> Vector:

@@ -55,6 +55,7 @@ from slipfree.files.vehicle_draft import (
     misfits,
 )
 from slipfree.geometry.frame import Vector
+from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import names_in
 from slipfree.vehicle.sections.base import Section
 from slipfree.vehicle.sections.omni import Omni
@@ -130,10 +131,31 @@ def _known_section(_: Any) -> None:
     raise PydanticCustomError("expected", "{words}", {"words": f"one of {', '.join(SECTIONS)}"})
 
 
+def _drive(value: Any) -> Drive:
+    """Return the drive that a table describes; raise an error for others."""
+    given = dict(value) if isinstance(value, dict) else {}
+    kind = given.pop("kind", None)
+    if kind not in DRIVES:
+        raise _expected(f"a table with kind, one of {', '.join(DRIVES)}")
+    keys = [each.name for each in fields(DRIVES[kind])]
+    needed = [each.name for each in fields(DRIVES[kind]) if each.default is MISSING]
+    numbers = all(isinstance(n, int | float) and not isinstance(n, bool) for n in given.values())
+    if not (set(needed) <= set(given) <= set(keys) and numbers):
+        raise _expected(
+            f"a table of numbers with kind = '{kind}': {', '.join(keys) or 'no further key'}"
+            + (f", of which {', '.join(needed)} are required" if needed else "")
+        )
+    try:
+        return DRIVES[kind](**given)
+    except ModelError as error:
+        raise _expected(str(error)) from error
+
+
 Axis = Annotated[Any, PlainValidator(_axis)]
 At = Annotated[Place3, AfterValidator(_place)]
 Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), AfterValidator(_radians)]
 Name = Annotated[str, Field(min_length=1)]
+Inertia = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
 
 
 class CoordinateTable(Record):
@@ -163,6 +185,7 @@ class JointTable(Record):
     turned: Turned = ORIGIN
     mass: NonNegative = 0.0
     center_of_mass: At = ORIGIN
+    inertia: Inertia | None = None
 
 
 class AnyWheelTable(Record):
@@ -178,6 +201,8 @@ class AnyWheelTable(Record):
     grip: Positive = 1.0
     mass: NonNegative = 0.0
     static_depth: Annotated[Positive, AfterValidator(meters)] | None = None
+    inertia: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = None
+    drive: Annotated[Any, PlainValidator(_drive)] = RATE
 
 
 class WheelTable(AnyWheelTable):
@@ -228,6 +253,7 @@ class VehicleTable(Record):
     frame: Literal["paper", "rep103"]
     mass: NonNegative = 0.0
     center_of_mass: At = ORIGIN
+    inertia: Inertia | None = None
     coordinates: Annotated[tuple[CoordinateTable, ...], Field(strict=False)] = ()
     joints: Annotated[tuple[JointTable, ...], Field(strict=False)] = ()
     wheels: Annotated[
@@ -496,14 +522,25 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
         return tuple(made)
 
     coordinates = build("coordinates", _coordinate)
-    joints = {joint.name: joint for joint in build("joints", _joint)}
+    bodies = [_body(each, faults, ("joints", k)) for k, each in enumerate(table.joints)]
+    made = iter(bodies)
+    joints = {joint.name: joint for joint in build("joints", lambda each: _joint(each, next(made)))}
     parents = {name: joint.parent for name, joint in joints.items()}
     hung, loose = in_order(parents, "platform")
     wheels = build("wheels", lambda each: _wheel(each, SIDEWAYS[table.frame]))
-    body = Body(table.mass, table.center_of_mass)
+    body = _body(table, faults, ())
     ordered = tuple(joints[name] for name in (*hung, *loose))
     draft = Draft(table.name, coordinates, ordered, wheels, body)
-    return draft, [f for f in faults if f.place[0] == "coordinates"]
+    return draft, [f for f in faults if f.place[0] == "coordinates" or f.place[-1] == "inertia"]
+
+
+def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -> Body:
+    """Return the body of a part; add an error to ``faults`` if its inertia is invalid."""
+    try:
+        return Body(table.mass, table.center_of_mass, table.inertia)
+    except ModelError as error:
+        faults.append(Fault((*place, "inertia"), "a valid inertia", str(error)))
+        return Body(table.mass, table.center_of_mass)
 
 
 def _coordinate(table: CoordinateTable) -> Coordinate:
@@ -512,17 +549,17 @@ def _coordinate(table: CoordinateTable) -> Coordinate:
     return Coordinate(**{"words": table.name.replace("_", " "), **given})
 
 
-def _joint(table: JointTable) -> Joint:
-    """Return the joint that a table describes."""
-    given = table.model_dump(exclude={"mass", "center_of_mass"})
-    return Joint(**given, body=Body(table.mass, table.center_of_mass))
+def _joint(table: JointTable, body: Body) -> Joint:
+    """Return the joint that a table describes, with its body."""
+    return Joint(**table.model_dump(exclude={"mass", "center_of_mass", "inertia"}), body=body)
 
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
     """Return the wheel that a table describes; its axle is ``sideways`` by default."""
-    names = {"name", "parent", "at", "driven", "grip", "mass", "static_depth"}
+    names = {"name", "parent", "at", "driven", "grip", "mass", "static_depth", "inertia"}
     axle = sideways if table.axle is None else table.axle
-    return Wheel(**table.model_dump(include=names), section=_section_of(table), axle=axle)
+    given = table.model_dump(include=names)
+    return Wheel(**given, section=_section_of(table), axle=axle, drive=table.drive)
 
 
 def _section_of(table: AnyWheelTable) -> Section:

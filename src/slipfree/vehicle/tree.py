@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
+import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
@@ -22,7 +23,7 @@ MAX_WHEELS = 100  # with more, preparing the models takes minutes
 
 @dataclass(frozen=True)
 class Body:
-    """Mass and centre of mass of a part of a vehicle.
+    """Mass, centre of mass and inertia of a part of a vehicle, without its wheels.
 
     Attributes
     ----------
@@ -30,10 +31,15 @@ class Body:
         Mass, zero or positive. [kg]
     at : tuple of 3 floats
         Centre of mass in the part's frame. [m]
+    inertia : tuple of 6 floats or None
+        ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz``: elements of the inertia tensor about the centre of mass,
+        in the part's axes; None for those of a homogeneous box
+        (`slipfree.vehicle.inertia.body_inertia`). [kg m^2]
     """
 
     mass: float = 0.0
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia: tuple[float, float, float, float, float, float] | None = None
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -44,6 +50,8 @@ class Body:
                 f"body: mass must be zero or positive, found {self.mass} kg; change it"
             )
         check_vector("body: its centre of mass", self.at)
+        if self.inertia is not None:
+            _check_inertia(self.inertia)
 
 
 @dataclass(frozen=True)
@@ -214,7 +222,7 @@ class Vehicle:
     joints : tuple of Joint
         Joints; parents precede their children.
     wheels : tuple of Wheel
-        Wheels; at least 3, at most `MAX_WHEELS`.
+        Wheels, at most `MAX_WHEELS`. Models without inertia need at least 3.
     body : Body
         Mass and centre of mass of the platform. A vehicle without mass has kinematics only, no
         forces.
@@ -224,9 +232,8 @@ class Vehicle:
     Raises
     ------
     ModelError
-        If a name is used twice or is unknown, if a coordinate moves no joint, if the number of
-        wheels is out of range, or if there are more than ``len(wheels) - 3`` suspension
-        coordinates, which the contacts cannot determine.
+        If a name is used twice or is unknown, if a coordinate moves no joint, or if the number of
+        wheels is out of range.
     """
 
     name: str
@@ -271,17 +278,10 @@ class Vehicle:
                 f"coordinate {min(unused)} moves no joint: remove it, or use it in the value of "
                 "a joint"
             )
-        if not 3 <= len(self.wheels) <= MAX_WHEELS:
+        if not 1 <= len(self.wheels) <= MAX_WHEELS:
             raise ModelError(
-                f"expected a vehicle with 3 to {MAX_WHEELS} wheels, found {len(self.wheels)}; add "
+                f"expected a vehicle with 1 to {MAX_WHEELS} wheels, found {len(self.wheels)}; add "
                 "or remove wheels"
-            )
-        given, needed = len(self.of("suspension")), len(self.wheels) - 3
-        if given > needed:
-            have = ", ".join(c.name for c in self.of("suspension"))
-            raise ModelError(
-                f"{len(self.wheels)} wheels need at most {needed} suspension coordinates, found "
-                f"{given} ({have}): make one of them passive or commanded, or remove it"
             )
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
@@ -367,6 +367,22 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
         for c in vehicle.coordinates
     )
     return replace(vehicle, coordinates=coordinates)
+
+
+def _check_inertia(inertia: tuple[float, ...]) -> None:
+    """Raise ModelError unless six numbers are the inertia tensor of a body."""
+    if len(inertia) != 6 or not all(map(math.isfinite, inertia)):
+        raise ModelError(
+            "body: inertia must be six finite numbers Ixx, Iyy, Izz, Ixy, Ixz, Iyz in kg m^2, "
+            f"found {inertia}; correct it"
+        )
+    xx, yy, zz, xy, xz, yz = inertia
+    least = float(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0])
+    if least <= 0:
+        raise ModelError(
+            "body: the principal moments of inertia must be positive, found a least one of "
+            f"{least:.3g} kg m^2; correct the inertia"
+        )
 
 
 def _check_unique(kind: str, names: Iterable[str]) -> None:

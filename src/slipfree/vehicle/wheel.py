@@ -12,6 +12,7 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
 from slipfree.records import field_overview
+from slipfree.vehicle.drives import RATE, Drive
 from slipfree.vehicle.sections.base import Section
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -36,12 +37,19 @@ class Wheel:
     grip : float
         Factor that multiplies the ground's coefficient of friction. [1]
     mass : float
-        Mass, concentrated at the centre. [kg]
+        Mass; its centre is the wheel's centre. [kg]
     axle : {"x", "y", "z"} or tuple of 3 floats
         Direction of the axle in the parent's frame; it points right if the wheel rolls forward.
     static_depth : float or None
         Depth of the wheel in the ground under an equal share of the weight, for vehicles whose
-        wheels cannot all touch a rigid ground; None for 1/50 of the rolling radius. [m]
+        wheels cannot all touch a rigid ground, and for dynamics; None for 1/50 of the rolling
+        radius, or 1/250 in the dynamics of vehicles whose wheels can all touch a rigid ground. [m]
+    inertia : tuple of 2 floats or None
+        Moments of inertia about the axle and about a perpendicular axis through the centre; None
+        for those of a homogeneous cylinder. [kg m^2]
+    drive : Drive
+        Drive of a driven wheel, such as ``Rate()``, ``Torque()`` or ``Motor(...)``, for dynamics
+        (`slipfree.vehicle.drives`).
     """
 
     name: str
@@ -53,6 +61,8 @@ class Wheel:
     mass: float = 0.0
     axle: Axis = "x"
     static_depth: float | None = None
+    inertia: tuple[float, float] | None = None
+    drive: Drive = RATE
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -77,7 +87,11 @@ class Wheel:
             raise ModelError(
                 f"wheel {self.name}: mass must be zero or positive, found {self.mass} kg; change it"
             )
-
+        if self.inertia is not None and not all(0 < each < math.inf for each in self.inertia):
+            raise ModelError(
+                f"wheel {self.name}: inertia must be two positive numbers in kg m^2, found "
+                f"{self.inertia}; change it"
+            )
         try:
             unit_vector(self.axle)
         except ModelError as error:

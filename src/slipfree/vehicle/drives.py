@@ -1,0 +1,77 @@
+"""Drives of wheels: how the input of a driven wheel acts on it in dynamics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from math import inf
+from typing import ClassVar
+
+from slipfree.errors import ModelError
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Drive of a wheel; kinematic and quasi-static models use the rate of every driven wheel.
+
+    Attributes
+    ----------
+    input : tuple of 3 str
+        Name of the input, its unit, and its description, which the wheel's name completes.
+    """
+
+    input: ClassVar[tuple[str, str, str]] = ("rate", "rad s-1", "rate of")
+
+
+@dataclass(frozen=True)
+class Rate(Drive):
+    """Ideal drive: the wheel has the rate of its input, whatever torque that needs."""
+
+
+@dataclass(frozen=True)
+class Torque(Drive):
+    """Drive without controller: the input is the torque on the wheel."""
+
+    input: ClassVar[tuple[str, str, str]] = ("torque", "N m", "torque on")
+
+
+@dataclass(frozen=True)
+class Motor(Drive):
+    """Direct-current motor with a speed controller: the input is the wanted rate of the wheel.
+
+    The torque is ``kp (wanted - rate) + e``, limited to ``stall min(1, 1 - rate / no_load)``
+    forward, and to the mirrored limit backward. The integral ``e`` follows
+    ``e' = ki (wanted - rate - (wanted torque - torque) / kp)``; the last term prevents wind-up.
+
+    Attributes
+    ----------
+    stall : float
+        Largest torque on the wheel, after the gear. [N m]
+    no_load : float
+        Rate of the wheel at which the torque vanishes. [rad/s]
+    kp, ki : float
+        Gains of the controller. [N m s/rad, N m/rad]
+    rotor_inertia : float
+        Moment of inertia of the rotor, times the square of the gear ratio. [kg m^2]
+
+    Raises
+    ------
+    ModelError
+        If a number is not positive; ``ki`` and ``rotor_inertia`` may be zero.
+    """
+
+    stall: float
+    no_load: float
+    kp: float
+    ki: float = 0.0
+    rotor_inertia: float = 0.0
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value, least = getattr(self, each.name), each.name in ("ki", "rotor_inertia")
+            if not (0 < value < inf or (least and value == 0)):
+                words = "zero or positive" if least else "positive"
+                raise ModelError(f"motor: {each.name} must be {words}, found {value}; change it")
+
+
+RATE = Rate()  # the default of all wheels
+DRIVES: dict[str, type[Drive]] = {"rate": Rate, "torque": Torque, "motor": Motor}
