@@ -109,6 +109,24 @@ class SampledCheck(Protocol):
         """Return a message about the violation in a state of shapes (n_x,) and (n_z,)."""
 
 
+class Standing(NamedTuple):
+    """Model of the vehicle at rest, from which the start of a dynamic model is computed.
+
+    Attributes
+    ----------
+    model : Dae
+        Model whose equilibrium is the start.
+    speed : SX, shape (1, 1)
+        Symbol of the speed of the platform along its forward axis. [m/s]
+    x : SX, shape (n_x, 1)
+        States of the dynamic model in the symbols of ``model`` and the speed, in local coordinates.
+    """
+
+    model: Dae
+    speed: ca.SX
+    x: ca.SX
+
+
 class Labels(NamedTuple):
     """Labels of the variables and equations of a `Dae`.
 
@@ -190,6 +208,8 @@ class Dae:
         Initial guess of the equilibrium values of the last ``k`` states, a function of the other
         states. `slipfree.settle` computes these values for given values of the other states. Empty
         if no states are determined by equilibrium.
+    standing : Standing or None
+        Model whose equilibrium `slipfree.settle` computes for a start, if it is not this model.
     lookups : tuple of Lookup
         Coefficients of the ground that the expressions contain as symbols; `function` evaluates
         them.
@@ -235,6 +255,7 @@ class Dae:
     suppress_algebraic: bool = False
     continuation: Continuation | None = None
     rest: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
+    standing: Standing | None = None
     lookups: tuple[Lookup, ...] = ()
 
     def __post_init__(self) -> None:

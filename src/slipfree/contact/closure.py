@@ -57,11 +57,29 @@ def has_exact_closure(vehicle: Vehicle) -> bool:
     return len(vehicle.of("suspension")) == len(vehicle.wheels) - 3
 
 
+def support_fault(vehicle: Vehicle) -> str:
+    """Return why contacts and springs do not determine a vehicle's pose; empty if they do."""
+    wheels = len(vehicle.wheels)
+    loose = [c.name for c in vehicle.of("suspension") if not c.stiffness]
+    if wheels < 3:
+        return f"at least 3 wheels, found {wheels}; add wheels, or use dynamics"
+    if loose and len(vehicle.of("suspension")) > wheels - 3:
+        return (
+            f"at most {wheels - 3} suspension coordinates for {wheels} wheels, or a spring at each "
+            f"of them, found no spring at {', '.join(loose)}; give them a stiffness, make them "
+            "passive or commanded, or remove them"
+        )
+    return ""
+
+
 def check_exact_closure(vehicle: Vehicle, model: str) -> None:
     """Raise ModelError if not all wheels of a vehicle can touch a rigid ground.
 
     The message begins with ``model``, the name of the model that requires it.
     """
+    fault = support_fault(vehicle)
+    if fault:
+        raise ModelError(f"{model}: {vehicle.name!r}: expected {fault}")
     if not has_exact_closure(vehicle):
         wheels, given = len(vehicle.wheels), len(vehicle.of("suspension"))
         raise ModelError(

@@ -134,6 +134,12 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
         raise ModelError(
             f"speed: expected a finite speed other than zero, found {speed} m/s; change it"
         )
+    wrong = [label.full for label in dae.labels.u.wheels if label.unit != "rad s-1"]
+    if wrong:
+        raise ModelError(
+            f"follow: expected rates as inputs of all driven wheels, found {', '.join(wrong)}; "
+            "give these wheels a drive with a rate, such as Motor(...)"
+        )
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
     plan = planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
     v, required = _guidance_rates(dae, path, plan, speed)
@@ -167,7 +173,7 @@ def _guidance_rates(
     d_x, d_y = dae.x.x - reference.x, dae.x.y - reference.y
     along, left = d_x * forward[0] + d_y * forward[1], d_y * forward[0] - d_x * forward[1]
     # the centre's velocity points left of the heading, as it lies ahead of the turning axis
-    turned = dae.x.heading - direction + ca.atan(plan.ahead * curvature)
+    turned = dae.named("heading")[0] - direction + ca.atan(plan.ahead * curvature)
     v = speed * ca.cos(turned) - abs(speed) / base * along
     # left' = v sin, turned' = turning - v curvature: critically damped over a base length
     error = ca.sin(turned)  # smooth where the angle wraps around

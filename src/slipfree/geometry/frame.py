@@ -111,6 +111,16 @@ def platform(
     return place @ turn("z", heading) @ turn("y", roll) @ turn("x", pitch)
 
 
+def rotation_of(attitude: ca.SX) -> ca.SX:
+    """Return the rotation matrix of a unit quaternion ``(w, x, y, z)``, shape (3, 3)."""
+    w, x, y, z = ca.vertsplit(attitude)
+    return ca.vertcat(
+        ca.horzcat(1 - 2 * (y**2 + z**2), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x**2 + z**2), 2 * (y * z - w * x)),
+        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)),
+    )
+
+
 def quaternion(rotation: ca.SX) -> ca.SX:
     """Return the unit quaternion ``(x, y, z, w)`` of a rotation, ``w >= 0``, shape (4, 1).
 

@@ -140,14 +140,17 @@ LIMITS: tuple[Callable[[Quantities], Iterator[Limit]], ...] = (
     relative_curvature,
     friction_map_margin,
     positive_friction,
-    tip_over,
-    lift_off,
 )
+STATIC_LIMITS = (tip_over, lift_off)  # of models without inertia
 
 
-def limits_of(q: Quantities) -> tuple[Limit, ...]:
-    """Return all limits of a model with the given quantities."""
-    return tuple(limit for limits in LIMITS for limit in limits(q))
+def limits_of(q: Quantities, *, static: bool = True) -> tuple[Limit, ...]:
+    """Return all limits of a model with the given quantities.
+
+    ``static`` is whether the model neglects inertia.
+    """
+    functions = (*LIMITS, *STATIC_LIMITS) if static else LIMITS
+    return tuple(limit for limits in functions for limit in limits(q))
 
 
 def _margin(terrain: Terrain, domain: Domain, contact: ContactFrame) -> ca.SX:

@@ -14,7 +14,8 @@ With the depth ``delta_i`` of a wheel, its static depth ``d0``, the weight ``W``
   follow from the equilibrium of these coordinates.
 - The unbalanced force ``F`` on height, inclination and suspension moves them against viscous
   contacts: ``J' diag(c) s_n = F``, with the normal velocities ``s_n = J r`` of the wheels for
-  relaxing rates ``r``, and the viscosities ``c``. Under an unbalanced force ``W / n``, a wheel on
+  relaxing rates ``r``, and the viscosities ``c``; springs of the suspension have viscosities with
+  the same time constant. Under an unbalanced force ``W / n``, a wheel on
   the ground moves at `CONTACT_SPEED` and a wheel in the air at `AIR_SPEED`.
 
 A vehicle rocks where the wheel with the least load changes. There the equilibrium has folds, and
@@ -29,8 +30,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from slipfree.contact.certify import SecondContact
-from slipfree.contact.closure import ContactFrame, closure, contact_frame
+from slipfree.contact.closure import ContactFrame, closure, contact_frame, support_fault
 from slipfree.dae import Dae, Labels
+from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
 from slipfree.laws.protocols import NORMAL, Equations, Motion, SlipLaw, wheel_labels
 from slipfree.lookups import LookupTable
@@ -153,6 +155,7 @@ def balance(parts: Mechanics, press: Press, groups: tuple[list[int], list[int]])
 
 
 def relaxation(
+    vehicle: Vehicle,
     parts: Mechanics,
     press: Press,
     imbalance: ca.SX,
@@ -167,7 +170,10 @@ def relaxation(
     """
     normal, driven = parts.free[2::3, :], parts.driven[2::3, :]
     velocity = normal @ rates + driven @ inputs
-    return normal[:, relaxing].T @ (press.viscosity * velocity) - imbalance
+    time = max(wheel.depth for wheel in vehicle.wheels) / CONTACT_SPEED
+    stiff = [time * c.stiffness / parts.weight for c in vehicle.of("suspension")]
+    springs = ca.DM([0, 0, 0, *stiff]) * rates[relaxing]
+    return normal[:, relaxing].T @ (press.viscosity * velocity) + springs - imbalance
 
 
 def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: float) -> Dae:
@@ -178,6 +184,9 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     vehicle, terrain, slip, smoothing
         As in `slipfree.models.kinematics.direct_kinematics`.
     """
+    fault = support_fault(vehicle)
+    if fault:
+        raise ModelError(f"{vehicle.name!r}: expected {fault}")
     labels = _labels(vehicle, slip)
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
     place, lookups = _place(x, z.position.contacts), LookupTable()
@@ -209,7 +218,9 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         tip_over_margin(vehicle, *place, contacts),
         lookups,
     )
-    rest = relaxation(parts, pressed, balanced.imbalance, pack(z.rates.motion), pack(u), groups[1])
+    rest = relaxation(
+        vehicle, parts, pressed, balanced.imbalance, pack(z.rates.motion), pack(u), groups[1]
+    )
     law = _slip_equations(slip, labels, q, pressed, rest)
     return _dae(labels, x, z, q, pressed, (_alignment(contacts, misses), law))
 

@@ -247,7 +247,8 @@ def sample_plan(program: Program, unknowns: Array) -> Trajectory:
     with suppress(ModelError):
         z[:, 0] = solve_initial_conditions(system, 0.0, x[:, 0], z[:, 1], u[:, 0])
     try:
-        rates = np.array(system.quad.map(t.size)(t[None], x, z[: system.motion_size], u))[:, 1:]
+        watch = system.watch.map(t.size)
+        rates = np.array(watch(t[None], x, z[: system.motion_size], u)[0])[:, 1:]
     except RuntimeError:  # for a failed iterate, forces may have no solution
         rates = np.full((program.task.dae.quad.numel(), t.size - 1), np.nan)
     q = _integrate(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(found.ends))

@@ -169,7 +169,7 @@ class CollocationScheme:
         which = np.minimum(np.searchsorted(ends, t), len(elements) - 1)
         x, z = (np.zeros((len(v), t.size)) for v in (elements[0].x, elements[0].z))
         q = np.zeros((self.system.dae.quad.numel(), t.size))
-        quad = self.system.quad.map(len(self.basis.points))
+        watch = self.system.watch.map(len(self.basis.points))
         given = np.repeat(self.system.u[:, :1], len(self.basis.points), axis=1)
         total = np.zeros((len(q), 1))
         for index, element in enumerate(elements):
@@ -180,7 +180,7 @@ class CollocationScheme:
             x[np.ix_(self.free_states, here)] = element.x[self.free_states] @ free.T
             z[:, here] = element.z @ free.T
             times = element.begin + h * self.basis.points
-            rates = h * np.array(quad(times[None], element.x, element.z, given))
+            rates = h * np.array(watch(times[None], element.x, element.z, given)[0])
             q[:, here] = total + rates @ self.basis.integrals(at).T
             total = total + rates @ self.basis.integrals(np.ones(1)).T
         rest = np.full((self.system.dae.guess.numel() - len(z), t.size), np.nan)

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
+from slipfree.dae import Dae, Standing
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.records import Array, leaves, unpack
@@ -26,6 +26,7 @@ RELAXATION_TIME = 20.0  # of the states that relax to an equilibrium at a start 
 RELAXATION_TOLERANCE = 1e-4  # of their integration
 INCLINATIONS = (("roll", 0.2), ("roll", -0.2), ("pitch", 0.2), ("pitch", -0.2))  # [rad]
 DIFFERENT_ANGLE = 1e-4  # smallest difference of roll or pitch of two stable poses [rad]
+SPEED = "speed"  # name of the initial speed of a dynamic model
 REST_RATE = 1e-5  # largest rate of these states at rest [size/s]
 
 
@@ -50,6 +51,8 @@ def settle(
         Options of the solvers.
     **start : float
         Differential states by name, such as ``x``, ``y``, ``heading``; others are zero. [m, rad]
+        A dynamic model takes ``x``, ``y``, ``heading`` and joints, and the ``speed`` [m/s] of the
+        platform along its forward axis, with wheels that roll at this speed.
 
     Returns
     -------
@@ -70,10 +73,22 @@ def settle(
     >>> print(f"z = {start['z'][0]:.3f} m, pitch = {start['pitch'][0]:.3f} rad")
     z = 0.706 m, pitch = 0.197 rad
     """
+    if dae.standing is not None:
+        speed = start.pop(SPEED, 0.0)
+        run = settle(dae.standing.model, guess=guess, options=options, **start)
+        return _one_sample(dae, _moving_states(dae.standing, run, speed), np.zeros(0), options)
     x, guess = dae.start(**start), dict(guess or {})
     if not dae.rest.numel():
         return _one_sample(dae, x, first_guess(dae, x, guess), options)
     return _settle_by_relaxation(dae, x, start, guess, options)
+
+
+def _moving_states(standing: Standing, run: Trajectory, speed: float) -> Array:
+    """Return the local states of a dynamic model for a vehicle at rest and a speed [m/s]."""
+    model = standing.model
+    symbols = [*model.columns()[:2], standing.speed]
+    states = model.function("states", symbols, [standing.x])
+    return np.array(states(*(model.rows(record, run, -1) for record in "xz"), speed)).ravel()
 
 
 @computing

@@ -421,7 +421,8 @@ def _integrator(
     t_0, x, m, u = symbols
     point = [t_0, x * ca.DM(x_size), m * ca.DM(m_size), u]
     ode, alg = system.core(*point)
-    quad = ca.vertcat(system.quad(*point), observer(ca.vertcat(t_0, system.margin(*point))))
+    quad, margin = system.watch(*point)
+    quad = ca.vertcat(quad, observer(ca.vertcat(t_0, margin)))
     problem = dict(zip("txzu", symbols, strict=True))
     problem |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
     options: dict[str, Any] = {

@@ -60,8 +60,9 @@ class System(NamedTuple):
         unused. If inputs are linear in time, the rows of their slopes follow.
     core : casadi Function
         ``(t, x, m, u) -> (ode, alg)``, the equations of the motion; ``alg`` is without unit.
-    quad : casadi Function
-        ``(t, x, m, u) ->`` rates of the quadratures.
+    watch : casadi Function
+        ``(t, x, m, u) -> (rates of the quadratures, least distance to a limit of the motion)``; the
+        distance is negative beyond a limit, with lengths in sizes of the vehicle.
     blocks, dependent_blocks : tuple of Block
         The algebraic equations of the motion, and those that are solved after it.
     newton : casadi Function
@@ -70,21 +71,17 @@ class System(NamedTuple):
         Derivatives of ``core`` for IDAS; see `slipfree.solve.equations.MotionEquations`.
     outputs : casadi Function
         ``(t, x, z, u) ->`` values of the outputs, limits and inputs.
-    margin : casadi Function
-        ``(t, x, m, u) ->`` least distance to a limit of the motion, negative beyond one; lengths
-        in sizes of the vehicle.
     """
 
     dae: Dae
     u: Array
     core: ca.Function
-    quad: ca.Function
+    watch: ca.Function
     blocks: tuple[Block, ...]
     dependent_blocks: tuple[Block, ...]
     newton: ca.Function
     jacobian: ca.Function
     outputs: ca.Function
-    margin: ca.Function
 
     @property
     def motion_size(self) -> int:
@@ -174,13 +171,12 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         dae,
         np.zeros((u.numel(), 0)),
         equations.core,
-        _quadrature_rates(dae, [dae.t, x, z, u], quad, dependent),
+        _watch_function(dae, [dae.t, x, z, u], quad, bounds, dependent),
         motion,
         dependent,
         equations.newton,
         equations.jacobian,
         dae.function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
-        dae.function("margin", [dae.t, x, m, u], [_limit_margin(dae, bounds, z[m.numel() :])]),
     )
 
 
@@ -198,25 +194,27 @@ def _first_dependent_block(
     return max(first, 1)
 
 
-def _quadrature_rates(
+def _watch_function(
     dae: Dae,
     symbols: list[ca.SX],
     quad: ca.SX,
+    bounds: ca.SX,
     dependent: tuple[Block, ...],
 ) -> ca.Function:
-    """Return the function of the quadrature rates, which solves the dependent blocks."""
+    """Return the function of quadrature rates and margin, which solves the dependent blocks."""
     t, x, z, u = symbols
     count = dependent[0].span.start if dependent else z.numel()
+    margin = _limit_margin(dae, bounds, z[count:])
     if not dependent or not ca.depends_on(quad, z[count:]):
-        return dae.function("quad", [t, x, z[:count], u], [quad])
+        return dae.function("watch", [t, x, z[:count], u], [quad, margin])
     sizes = [each.numel() for each in (t, x, z[:count], u)]
     given = [ca.MX.sym(name, size) for name, size in zip("txmu", sizes, strict=True)]
     guess = dae.function("guess", [x], [dae.guess[count:]])
     found = ca.vertcat(given[2], guess(given[1]))
     for block in dependent:
         found = _solve_symbolically(block, [given[0], given[1], found, given[3]])
-    rates = dae.function("rates", symbols, [quad])
-    return ca.Function("quad", given, [rates(given[0], given[1], found, given[3])])
+    values = dae.function("values", symbols, [quad, margin])
+    return ca.Function("watch", given, list(values(given[0], given[1], found, given[3])))
 
 
 def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:

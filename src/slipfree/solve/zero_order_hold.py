@@ -153,7 +153,7 @@ def _integrate_periods(
     for k in range(n):
         u[:, k] = np.array(law(t[k], x[:, k], system.u[:, min(k, n - 2)])).ravel()
         last = k
-        if k == n - 1 or float(system.margin(t[k], x[:, k], [], u[:, k])) < 0:
+        if k == n - 1 or float(system.watch(t[k], x[:, k], [], u[:, k])[1]) < 0:
             break
         try:
             with suppress_messages():
@@ -174,7 +174,8 @@ def _period_integrator(system: System, period: float, tolerance: float) -> ca.Fu
     t, x = ca.MX.sym("t"), ca.MX.sym("x", system.dae.ode.numel())
     p = ca.MX.sym("p", system.u.shape[0] + 1)
     point = (p[-1] + t, x, ca.MX(0, 1), p[:-1])
-    equations = {"t": t, "x": x, "p": p, "ode": system.core(*point)[0], "quad": system.quad(*point)}
+    ode, quad = system.core(*point)[0], system.watch(*point)[0]
+    equations = {"t": t, "x": x, "p": p, "ode": ode, "quad": quad}
     options = {
         "reltol": tolerance,
         "abstol": tolerance,

@@ -1,0 +1,165 @@
+"""Contact of a wheel that may press into the ground or leave it.
+
+The ground point ``G`` nearest to the wheel satisfies ``(P - G) . t = 0`` for both tangents ``t`` of
+the ground. ``P = C + s(-n, a)`` is the point of the wheel with the outward normal ``-n``, for the
+centre ``C``, the axle ``a`` and the unit normal ``n`` of the ground at ``G``. The gap is
+``(P - G) . n``.
+
+Newton's method finds ``G`` in a lookup function, so that a model contains no unknowns and no
+iteration. The result also contains the inverse Jacobian, height, gradient and Hessian at ``G``. In
+the model one further Newton step, of length zero, has the exact first derivatives of ``G``;
+derivatives of higher order are not exact.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from slipfree.contact.closure import ContactFrame
+from slipfree.geometry.frame import Pose
+from slipfree.lookups import LookupTable, lookup_function
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.sections.base import Section
+from slipfree.vehicle.wheel import Wheel
+
+STEPS = 4  # of Newton's method
+TOLERANCE = 1e-9  # residual of a converged search [m]
+CLEARLY_ABOVE = 0.5  # vertical gap above which a search need not converge [rolling radii]
+
+
+class Touch(NamedTuple):
+    """Contact of a wheel with the ground; positions are local.
+
+    Attributes
+    ----------
+    gap : SX, shape (1, 1)
+        Distance between wheel and ground; negative if the wheel presses into it. [m]
+    frame : ContactFrame
+        Contact frame; its point is that of the wheel's surface.
+    friction : SX, shape (1, 1)
+        Coefficient of friction. [1]
+    """
+
+    gap: ca.SX
+    frame: ContactFrame
+    friction: ca.SX
+
+
+def touch(
+    terrain: Terrain, wheel: Wheel, carrier: Pose, search: ca.Function, lookups: LookupTable
+) -> Touch:
+    """Return the contact of a wheel with a ground.
+
+    Parameters
+    ----------
+    terrain : Terrain
+        The ground.
+    wheel : Wheel
+        The wheel.
+    carrier : Pose
+        Pose of the wheel's carrier, at the wheel's centre.
+    search : casadi Function
+        Result of `search_function` for this ground and the wheel's section.
+    lookups : LookupTable
+        Lookups of the model.
+    """
+    center, axle = carrier.origin, carrier.rotation[:, 0]
+    found = lookups.find(search, ca.vertcat(center, axle), order=1)
+    spot, inverse, height, gradient, hessian = _split(found)
+    off = _miss(wheel.section, spot, center, axle, height, gradient)
+    step = -inverse @ off.residual  # zero, with the derivatives of the ground point
+    slope = gradient + hessian @ step
+    height += ca.dot(gradient + slope, step) / 2
+    at = _miss(wheel.section, spot + step, center, axle, height, slope)
+    forward = ca.cross(at.normal, axle)
+    uprightness = ca.norm_2(forward)
+    along = forward / uprightness
+    frame = ContactFrame(
+        at.point, at.normal, along, ca.cross(along, at.normal), axle, uprightness, hessian
+    )
+    friction = wheel.grip * terrain.friction(at.point[0], at.point[1], lookups)
+    return Touch(at.gap, frame, friction)
+
+
+class _Miss(NamedTuple):
+    """Residual (2, 1) of the nearest point [m], normal, wheel's point [m] and gap [m] there."""
+
+    residual: ca.SX
+    normal: ca.SX
+    point: ca.SX
+    gap: ca.SX
+
+
+def _miss(
+    section: Section, spot: ca.SX, center: ca.SX, axle: ca.SX, height: ca.SX, gradient: ca.SX
+) -> _Miss:
+    normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
+    point = center + section.support(-normal, axle)
+    away = point - ca.vertcat(spot, height)
+    return _Miss(away[:2] + away[2] * gradient, normal, point, ca.dot(away, normal))
+
+
+def _split(found: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Return ground point, inverse Jacobian, height, gradient and Hessian of a search."""
+    spot, inverse, height, gradient, hessian = ca.vertsplit(found, [0, 2, 6, 7, 9, 13])
+    return spot, ca.reshape(inverse, 2, 2), height, gradient, ca.reshape(hessian, 2, 2)
+
+
+def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Function:
+    """Return a function that finds the ground point nearest to a wheel.
+
+    Parameters
+    ----------
+    terrain : Terrain
+        The ground.
+    section : Section
+        Cross-section of the wheel.
+    radius : float
+        Rolling radius. [m]
+
+    Returns
+    -------
+    casadi Function
+        From centre and axle, shape (6, 1), to the nearest point, the inverse Jacobian of the
+        residual, height, gradient and Hessian there, shape (13, 1); NaN if Newton's method does
+        not converge. For a wheel clearly above the ground, the result then is the point below it.
+    """
+    jet, newton = _jet_function(terrain), _newton_function(section)
+    symbol: Any = ca.SX if jet.is_a("SXFunction") else ca.MX
+    asked = symbol.sym("asked", 6)
+    low = newton(0, asked, 0)[1]  # the lowest point of the wheel
+    spot, below = low[:2], jet(low[:2])
+    for k in range(STEPS):
+        spot = spot + newton(spot, asked, jet(spot) if k else below)[0][:2]
+    end = jet(spot)
+    found = newton(spot, asked, end)[0]
+    converged = ca.mmax(ca.fabs(found[6:])) < TOLERANCE
+    far = low[2] - below[0] > CLEARLY_ABOVE * radius
+    missing = ca.if_else(far, ca.vertcat(low[:2], ca.DM.zeros(4), below), ca.DM.nan(13))
+    result = ca.if_else(converged, ca.vertcat(spot, found[2:6], end), missing)
+    return ca.Function("search", [asked], [result], {"cse": True})
+
+
+def _jet_function(terrain: Terrain) -> ca.Function:
+    """Return height, gradient and Hessian of a ground as a function of a point, shape (7, 1)."""
+    spot, lookups = ca.SX.sym("spot", 2), LookupTable()
+    jet = (ca.vec(each) for each in terrain.jet(spot[0], spot[1], lookups))
+    return lookup_function(lookups.lookups, "jet", [spot], [ca.densify(ca.vertcat(*jet))])
+
+
+def _newton_function(section: Section) -> ca.Function:
+    """Return one step of Newton's method for the nearest ground point.
+
+    The function maps a point, a question and a jet to the step, the inverse Jacobian and the
+    residual, shape (8, 1), and to the point of the wheel, shape (3, 1).
+    """
+    spot, asked, jet = ca.SX.sym("spot", 2), ca.SX.sym("asked", 6), ca.SX.sym("jet", 7)
+    at = _miss(section, spot, asked[:3], asked[3:], jet[0], jet[1:3])
+    hessian = ca.reshape(jet[3:], 2, 2)
+    by_jet = ca.vertcat(ca.SX.eye(2), jet[1:3].T, hessian)
+    jacobian = ca.jacobian(at.residual, ca.vertcat(spot, jet[:3])) @ by_jet
+    inverse = ca.inv(jacobian)
+    results = ca.vertcat(-inverse @ at.residual, ca.vec(inverse), at.residual)
+    return ca.Function("newton", [spot, asked, jet], [ca.densify(results), at.point], {"cse": True})

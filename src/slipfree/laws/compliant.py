@@ -1,0 +1,111 @@
+"""Compliant contact: normal force by Hunt and Crossley, regularised Coulomb friction.
+
+With the depth ``d`` of a wheel below the ground, the normal force is
+``N = k max(d, 0) max(0, 1 + c d')``, and the friction force is
+``f = -mu N s / sqrt(|s|^2 + eps^2)`` for the slip velocity ``s``. A wheel at rest on a slope
+therefore creeps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Annotated, NamedTuple
+
+import casadi as ca
+from annotated_types import Ge, Gt, Le, Unit, doc
+
+from slipfree.contact.touch import Touch
+from slipfree.laws.protocols import check_bounds
+from slipfree.vehicle.tree import GRAVITY
+
+SMALLEST_SPEED = 1e-12  # added to speeds under a root, whose derivative is then finite [m/s]
+
+
+class GroundForce(NamedTuple):
+    """Force of the ground on a wheel.
+
+    Attributes
+    ----------
+    normal : SX, shape (1, 1)
+        Component along the ground's normal. [N]
+    tangential : SX, shape (3, 1)
+        Friction force, in fixed axes. [N]
+    energy : SX, shape (1, 1)
+        Elastic energy of the contact. [J]
+    """
+
+    normal: ca.SX
+    tangential: ca.SX
+    energy: ca.SX
+
+
+@dataclass(frozen=True)
+class Compliant:
+    """Compliant contact of wheels with the ground, for dynamics.
+
+    The stiffness of a wheel's contact is its share ``W / n`` of the vehicle's weight over its
+    static depth ``d_0`` (``Wheel.static_depth``); the damping constant is
+    ``c = 2 damping_ratio / sqrt(g d_0)``.
+
+    Attributes
+    ----------
+    damping_ratio : float
+        Damping ratio of the vertical oscillation of the vehicle on its wheels. [1]
+    creep : float
+        Slip velocity ``eps`` at which a wheel transmits 71 % of the friction limit. [m/s]
+    sliding : float
+        Friction of a fast slip over the friction of a slow slip (Stribeck effect). [1]
+    stribeck_speed : float
+        Slip velocity at which friction has changed by 63 % of the difference. [m/s]
+
+    Raises
+    ------
+    ModelError
+        If a number is outside its bounds.
+    """
+
+    damping_ratio: Annotated[
+        float, Ge(0), Le(10), Unit("1"), doc("damping ratio of the vehicle on its wheels")
+    ] = 0.5
+    creep: Annotated[
+        float, Gt(0), Le(1), Unit("m/s"), doc("slip at which friction reaches 71 % of its limit")
+    ] = 1e-3
+    sliding: Annotated[
+        float, Gt(0), Le(1), Unit("1"), doc("friction of a fast slip over that of a slow slip")
+    ] = 1.0
+    stribeck_speed: Annotated[
+        float, Gt(0), Unit("m/s"), doc("slip that reduces friction by 63 % of the difference")
+    ] = 0.01
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    def force(self, touch: Touch, slip: ca.SX, share: float, depth: float) -> GroundForce:
+        """Return the force of the ground on a wheel.
+
+        Parameters
+        ----------
+        touch : Touch
+            Contact of the wheel.
+        slip : SX, shape (3, 1)
+            Velocity of the wheel's material point at the contact, in fixed axes. [m/s]
+        share : float
+            Share of the vehicle's weight. [N]
+        depth : float
+            Depth of the wheel under this share. [m]
+        """
+        stiffness, damping = share / depth, 2 * self.damping_ratio / sqrt(GRAVITY * depth)
+        normal = touch.frame.normal
+        away = ca.dot(normal, slip)
+        pressed = ca.fmax(-touch.gap, 0)
+        load = stiffness * pressed * ca.fmax(0, 1 - damping * away)
+        tangential = slip - away * normal
+        square = ca.sumsqr(tangential)
+        friction = touch.friction
+        if self.sliding < 1:
+            speed = ca.sqrt(square + SMALLEST_SPEED**2)
+            slow = ca.exp(-((speed / self.stribeck_speed) ** 2))
+            friction *= self.sliding + (1 - self.sliding) * slow
+        pull = -friction * load / ca.sqrt(square + self.creep**2) * tangential
+        return GroundForce(load, pull, stiffness / 2 * pressed**2)

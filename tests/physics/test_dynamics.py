@@ -1,0 +1,284 @@
+"""Dynamics against closed forms, invariants, quasi-statics and a second formulation."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from slipfree import Analytic, SolverOptions, catalog, quasi_statics, settle, simulate
+from slipfree.laws.compliant import Compliant
+from slipfree.laws.coulomb import Coulomb
+from slipfree.models.dynamics import dynamics
+from slipfree.vehicle.drives import Motor, Torque
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.tree import GRAVITY, Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+FLAT = Analytic(lambda x, y: 0 * (x + y), mu=0.8)
+LIGHT = Body(1e-9, inertia=(1e-9, 1e-9, 1e-9, 0, 0, 0))
+
+
+def slope(degrees, mu=0.8):
+    """Return a plane that rises along y."""
+    return Analytic(lambda x, y: np.tan(np.deg2rad(degrees)) * y + 0 * x, mu=mu)
+
+
+def states(model, **values):
+    """Return a start of a model at given states; others are zero."""
+    return settle(replace(model, standing=None), **({"attitude_w": 1.0} | values))
+
+
+def moved(model, start, t, tolerance=1e-9, **inputs):
+    """Return the motion from a start, with zero for inputs that are not given."""
+    given = {label.full: 0.0 for part in model.labels.u for label in part} | inputs
+    run = simulate(model, start, model.inputs(**given), t, options=SolverOptions(tolerance))
+    assert run.stop is None
+    return run
+
+
+def lone_wheel(section, mass=2.0, inertia=None, **more):
+    """Return a single free wheel."""
+    wheel = Wheel("w", "platform", (0, 0, 0), section, driven=False, mass=mass, inertia=inertia)
+    return Vehicle("wheel", (), (), (replace(wheel, **more),), LIGHT)
+
+
+def energy(run):
+    """Return kinetic, potential and contact energy along a motion [J]."""
+    return run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
+
+
+def pendulum():
+    """Return two bodies on a platform with joints about skew axes, and one wheel."""
+    coordinates = tuple(Coordinate(name, "passive", f"coordinate {name}") for name in "abc")
+    first = Body(1.0, (0.0, 0.3, -0.1), (0.02, 0.03, 0.04, 0.001, 0.002, -0.003))
+    joints = (
+        Joint("A", "platform", "x", (0, 0, 0), "a", body=first),
+        Joint("B", "A", (0.3, 1, 0.2), (0, 0.5, 0), "b - 0.3*a", body=Body(0.7, (0.1, 0, -0.4))),
+        Joint("C", "B", "z", (0.1, 0.2, 0), "c + 0.1*c**2", "slide", Body(0.3, (0, 0, 0.1))),
+    )
+    wheel = Wheel("w", "C", (0.1, 0, 0.2), Torus(0.03, 0.12), driven=False, mass=0.5)
+    return Vehicle("pendulum", coordinates, joints, (wheel,), Body(1.0))
+
+
+def test_a_tumbling_vehicle_keeps_its_energy_and_falls_freely():
+    model = replace(dynamics(pendulum(), FLAT), limits=(), checks=())
+    start = states(
+        model,
+        z=60.0,
+        velocity_x=0.7,
+        velocity_y=-0.4,
+        omega_x=0.3,
+        omega_y=-0.2,
+        omega_z=0.5,
+        a_rate=2.0,
+        b_rate=-3.0,
+        c_rate=0.4,
+        **{"spin[w]": 20.0},
+    )
+    t = np.linspace(0, 3, 31)
+    run = moved(model, start, t, 1e-10)
+    exchanged = np.ptp(run["kinetic_energy"])
+    assert exchanged > 1000
+    assert np.abs(energy(run) - energy(run)[0]).max() < 1e-8 * exchanged
+    norm = sum(run[f"attitude_{axis}"] ** 2 for axis in "wxyz")
+    assert np.abs(norm - 1).max() < 1e-9
+    # the centre of mass is in free fall: potential energy is that of a parabola
+    height = run["potential_energy"] / (3.5 * GRAVITY)
+    fall = np.polyfit(t, height, 2)
+    assert fall[0] == pytest.approx(-GRAVITY / 2, rel=1e-9)
+    assert np.abs(height - np.polyval(fall, t)).max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("section", "inertia"),
+    [(Sphere(0.1), (0.4 * 2 * 0.01, 0.4 * 2 * 0.01)), (Torus(0.03, 0.12), None)],
+    ids=["ball", "torus"],
+)
+def test_a_wheel_rolls_down_with_the_acceleration_of_the_closed_form(section, inertia):
+    vehicle, angle = lone_wheel(section, inertia=inertia), np.deg2rad(15)
+    radius, axial = vehicle.wheels[0].radius, inertia[0] if inertia else 0.5 * 2 * 0.15**2
+    expected = GRAVITY * np.sin(angle) / (1 + axial / (2 * radius**2))
+    errors = []
+    for creep in (1e-2, 1e-3):
+        model = dynamics(vehicle, slope(15), law=Compliant(creep=creep))
+        depth = radius / 50 * np.cos(angle)  # one wheel: no exact closure
+        start = states(model, z=(radius - depth) / np.cos(angle))
+        run = moved(model, start, np.linspace(0, 2, 3))
+        errors.append(1 - np.hypot(run["velocity_y"], run["velocity_z"])[-1] / 2 / expected)
+    # creep delays the rotation: an error proportional to the creep, 7.6e-6 at 1 mm/s in the lab
+    assert abs(errors[1]) < 3e-5
+    assert errors[1] / errors[0] == pytest.approx(0.1, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("lean", "rho", "section"),
+    [(20, 0.8, Torus(0.03, 0.12)), (35, 0.3, Torus(0.03, 0.12)), (20, 0.8, Disc(0.15))],
+)
+def test_a_leaning_wheel_rolls_on_a_circle(lean, rho, section):
+    mass, b = 2.0, np.deg2rad(lean)
+    r1, r2 = (section.r1, section.r2) if isinstance(section, Torus) else (0.0, 0.15)
+    axial, across = 0.5 * mass * 0.15**2, 0.25 * mass * 0.15**2
+    # steady precession: balance of moments about the contact
+    spin = (rho + r2 * np.sin(b)) / (r1 * np.cos(b) + r2) - np.sin(b)
+    swing = (r1 + r2 * np.cos(b)) * mass * rho
+    swing += np.cos(b) * (axial * spin + across * np.sin(b))
+    omega = np.sqrt(mass * GRAVITY * r2 * np.sin(b) / swing)
+    depth = 1e-5
+    vehicle = lone_wheel(section, mass, (axial, across), static_depth=depth)
+    model = dynamics(vehicle, replace(FLAT, mu=1.0), law=Compliant(creep=1e-4))
+    start = states(
+        model,
+        x=rho,
+        z=r1 + r2 * np.cos(b) - depth,
+        attitude_w=np.cos(b / 2),
+        attitude_y=-np.sin(b / 2),
+        velocity_y=omega * rho,
+        omega_z=omega,
+        **{"spin[w]": omega * spin},
+    )
+    turns = 3 * 2 * np.pi / omega
+    run = moved(model, start, np.linspace(0, turns, 61))
+    angle = np.unwrap(np.arctan2(run["y"], run["x"]))[-1]
+    assert angle / (6 * np.pi) == pytest.approx(1, abs=4e-4)
+    assert np.abs(np.rad2deg(run["roll"]) + lean).max() < 0.01
+
+
+def four_wheels(*, spring=0.0, driven=True, mass=40.0, height=0.25, **wheel):
+    """Return a car without steering; with a spring constant, its wheels are on vertical struts."""
+    length, half_track, radius = 0.7, 0.3, 0.15
+    coordinates, joints, wheels = [], [], []
+    corners = [(end, side) for end in (length, 0.0) for side in (half_track, -half_track)]
+    for k, (y, x) in enumerate(corners):
+        name, parent, at = f"w{k}", "platform", (x, y, 0.0)
+        if spring:
+            rest = -mass / 4 * GRAVITY / spring
+            words = f"stroke {k}"
+            coordinates.append(
+                Coordinate(f"s{k}", "suspension", words, stiffness=spring, rest=rest, damping=150.0)
+            )
+            joints.append(Joint(f"strut{k}", "platform", "z", at, f"s{k}", "slide"))
+            parent, at = f"strut{k}", (0.0, 0.0, 0.0)
+        wheels.append(Wheel(name, parent, at, Torus(0.03, 0.12), driven=driven, mass=2.0, **wheel))
+    body = Body(mass, (0.0, length / 2, height - radius), (1.5, 1.2, 2.0, 0, 0, 0))
+    return Vehicle("car", tuple(coordinates), tuple(joints), tuple(wheels), body)
+
+
+def center_height(vehicle, body_height):
+    """Return the height of the centre of mass of `four_wheels` over the ground [m]."""
+    return (40 * body_height + 8 * 0.15) / vehicle.mass
+
+
+def test_locked_wheels_stop_a_car_in_the_distance_of_coulomb_friction():
+    model = dynamics(
+        four_wheels(static_depth=1e-4), replace(FLAT, mu=0.5), law=Compliant(creep=1e-4)
+    )
+    run = moved(model, settle(model, speed=4.0), np.linspace(0, 2, 5))
+    expected = 4.0**2 / (2 * 0.5 * GRAVITY)
+    # 1 ms until the wheels are locked, and pitch: 5e-5 in the lab for wheels locked at once
+    assert run["y"][-1] == pytest.approx(expected, rel=1e-3)
+    assert run["velocity_y"][-1] == pytest.approx(0, abs=1e-6)
+
+
+def test_a_braking_car_pitches_as_its_springs_yield():
+    spring = 4000.0
+    vehicle = four_wheels(spring=spring, static_depth=1e-4)
+    model = dynamics(vehicle, replace(FLAT, mu=0.5))
+    run = moved(model, settle(model, speed=12.0), np.array([0, 2.0, 2.2, 2.3]), 1e-8)
+    loads, slowing = run["force_normal"][-1], np.diff(run["velocity_y"])[-1] / 0.1
+    assert slowing == pytest.approx(-0.5 * GRAVITY, rel=1e-4)
+    # the centre of mass moves ahead over the contacts as the car pitches
+    lever = center_height(vehicle, 0.25)
+    transfer = vehicle.mass * 0.5 * GRAVITY * lever / 0.7
+    assert loads[:2].sum() - loads[2:].sum() == pytest.approx(2 * transfer, rel=0.03)
+    assert run["pitch"][-1] == pytest.approx(-transfer / (spring * 0.7), rel=0.01)
+
+
+@pytest.mark.parametrize("degrees", [20, 35])
+def test_a_car_with_locked_wheels_creeps_or_slides_down_a_slope(degrees):
+    law, tangent = Compliant(creep=1e-3), np.tan(np.deg2rad(degrees))
+    model = dynamics(four_wheels(static_depth=1e-4), slope(degrees, mu=0.6), law=law)
+    run = moved(model, settle(model), np.array([0, 2.0, 4.0]), 1e-8)
+    along = np.hypot(run["velocity_y"], run["velocity_z"])
+    if degrees == 20:
+        assert along[-1] == pytest.approx(
+            law.creep * tangent / np.sqrt(0.6**2 - tangent**2), rel=1e-3
+        )
+    else:
+        angle = np.deg2rad(degrees)
+        expected = GRAVITY * (np.sin(angle) - 0.6 * np.cos(angle))
+        assert (along[2] - along[1]) / 2 == pytest.approx(expected, rel=1e-4)
+
+
+def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
+    rotors, t = (0.08, 0.04), np.linspace(0, 5, 6)
+    motor = Motor(stall=1e6, no_load=1e6, kp=1e4)
+    loads, yaw_rates = [], []
+    for drive in (None, motor):
+        more = {"inertia": rotors, "static_depth": 1e-4} | ({"drive": drive} if drive else {})
+        model = dynamics(four_wheels(**more), replace(FLAT, mu=1.2))
+        time = model.t
+        rates = {
+            label.full: ca.tanh(time) * 2 / 0.15 * share
+            for label, share in zip(model.labels.u.wheels, (0.7, 1.3, 0.7, 1.3), strict=True)
+        }
+        run = moved(model, settle(model), t, 1e-8, **rates)
+        loads.append(run["force_normal"][-1])
+        yaw_rates.append(run["omega_z"][-1])
+    assert abs(yaw_rates[0]) > 0.5
+    assert yaw_rates[0] == pytest.approx(yaw_rates[1], rel=1e-3)
+    assert np.abs(loads[0] - loads[1]).max() < 0.1
+
+
+def test_the_energy_ledger_of_a_rover_on_waves_balances():
+    waves = Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
+    model = dynamics(catalog.rocky7(), waves)
+    rates = {label.full: 1.0 / 0.065 for label in model.labels.u.wheels}
+    start, t = settle(model), np.linspace(0, 1, 11)
+    for tolerance in (1e-6, 1e-8):
+        run = moved(model, start, t, tolerance, **rates)
+        gain = energy(run) - energy(run)[0] - run["work"] + run["lost_energy"]
+        assert run["work"][-1] > 1
+        assert np.abs(gain).max() < 100 * tolerance * (run["work"][-1] + run["lost_energy"][-1])
+
+
+def test_a_slow_turn_is_that_of_quasi_statics():
+    vehicle = catalog.skid_steer()
+    for speed, error in ((0.05, 1e-4), (0.2, 2e-3)):
+        rates = {
+            f"{wheel.name}_rate": speed / wheel.radius * (1.4 if "right" in wheel.name else 0.6)
+            for wheel in vehicle.wheels
+        }
+        turned, t = [], np.array([0, 2.0, 4.0])
+        for model in (
+            dynamics(vehicle, replace(FLAT, mu=0.7)),
+            quasi_statics(vehicle, replace(FLAT, mu=0.7), law=Coulomb(creep=1e-3)),
+        ):
+            run = moved(model, settle(model), t, 1e-8, **rates)
+            turned.append((run["heading"][2] - run["heading"][1]) / 2)
+        assert turned[0] == pytest.approx(turned[1], rel=error)
+
+
+def test_torque_on_a_wheel_accelerates_a_car():
+    vehicle = four_wheels(drive=Torque(), static_depth=1e-4)
+    model = dynamics(vehicle, FLAT)
+    torques = {label.full: 3.0 for label in model.labels.u.wheels}
+    run = moved(model, settle(model), np.linspace(0, 1, 11), **torques)
+    axial = 4 * 0.5 * 2.0 * 0.15**2
+    expected = 4 * 3.0 / 0.15 / (vehicle.mass + axial / 0.15**2)
+    slope_of_speed = np.polyfit(run.t[5:], run["velocity_y"][5:], 1)[0]
+    assert slope_of_speed == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_motor_stalls_at_its_torque_and_recovers():
+    motor = Motor(stall=2.0, no_load=20.0, kp=5.0, ki=20.0, rotor_inertia=0.01)
+    model = dynamics(four_wheels(drive=motor, static_depth=1e-4), FLAT)
+    rates = {label.full: 5.0 for label in model.labels.u.wheels}
+    run = moved(model, settle(model), np.linspace(0, 8, 81), 1e-7, **rates)
+    torque, rate = run["drive_torque"], run["wheel_rate"]
+    available = 2.0 * np.minimum(1, 1 - rate / 20.0)
+    assert (torque <= available + 1e-9).all()
+    assert torque.max() == pytest.approx(2.0, rel=1e-3)
+    assert rate[-1] == pytest.approx(5.0, rel=1e-3)
