@@ -7,12 +7,12 @@ Ground
     file.
 Vehicle
     `catalog`, vehicles ready for use. `read_vehicle`, from a TOML or URDF file. `Vehicle`, made of
-    `Coordinate`, `Joint`, `Body` and `Wheel`.
+    `Coordinate`, `Joint`, `Body` and `Wheel`, which a `Rate`, `Torque` or `Motor` drives.
 Model, a `Dae`
     `direct_kinematics`, the motion at given wheel rates, with a slip law: `LeastSlip`, `Rolling`.
     `inverse_kinematics`, the wheel rates of a given motion. `quasi_statics`, the motion by gravity
-    and friction, with a wheel-ground law: `Coulomb`. `montana_kinematics`, a second formulation of
-    the direct kinematics.
+    and friction, with a wheel-ground law: `Coulomb`. `dynamics`, the motion with inertia on
+    `Compliant` contacts. `montana_kinematics`, a second formulation of the direct kinematics.
 Start
     `settle`, the vehicle at rest on the ground.
 Inputs

@@ -6,9 +6,11 @@ from .dae import Dae
 from .errors import DataError, ModelError, SlipfreeError
 from .files.maps.elevation import read_map
 from .geometry.path import Path
+from .laws.compliant import Compliant
 from .laws.coulomb import Coulomb
 from .laws.least_slip import LeastSlip
 from .laws.rolling import Rolling
+from .models.dynamics import dynamics
 from .models.inverse import inverse_kinematics
 from .models.kinematics import direct_kinematics
 from .models.montana import cross_check, montana_kinematics
@@ -30,6 +32,7 @@ from .terrain.analytic import Analytic
 from .terrain.base import Grid
 from .terrain.bicubic import Bicubic
 from .trajectory import SolverError, Trajectory
+from .vehicle.drives import Motor, Rate, Torque
 from .vehicle.tree import Body, Coordinate, Joint, Vehicle
 from .vehicle.wheel import Wheel
 from .version import __version__
@@ -38,6 +41,7 @@ __all__ = [
     "Analytic",
     "Bicubic",
     "Body",
+    "Compliant",
     "Coordinate",
     "Cost",
     "Coulomb",
@@ -47,14 +51,17 @@ __all__ = [
     "Joint",
     "LeastSlip",
     "ModelError",
+    "Motor",
     "Outcome",
     "Path",
+    "Rate",
     "Region",
     "Rolling",
     "Route",
     "SlipfreeError",
     "SolverError",
     "SolverOptions",
+    "Torque",
     "Trajectory",
     "Vehicle",
     "Wheel",
@@ -62,6 +69,7 @@ __all__ = [
     "catalog",
     "cross_check",
     "direct_kinematics",
+    "dynamics",
     "follow",
     "inverse_kinematics",
     "load_problem",

@@ -29,7 +29,7 @@ def pitch_plot(drive: Drive) -> Plot:
 def test_a_new_figure_is_drawn_with_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, is_drawn: bool
 ) -> None:
-    monkeypatch.setattr(motion_figures, "FIGURES", (*FIGURES[:5], pitch_plot))
+    monkeypatch.setattr(motion_figures, "FIGURES", (*FIGURES[:6], pitch_plot))
     words = ["run", str(PROBLEM), "-o", str(tmp_path / "r.nc"), "--set", "time.duration=0.2"]
     result = CliRunner().invoke(app, [*words, option])
     assert result.exit_code == 0, result.output

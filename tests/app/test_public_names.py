@@ -19,6 +19,7 @@ NAMES = {
     *("Grid", "Bicubic", "Analytic", "read_map"),
     *("Vehicle", "Coordinate", "Joint", "Body", "Wheel", "catalog", "read_vehicle"),
     *("direct_kinematics", "inverse_kinematics", "montana_kinematics", "quasi_statics"),
+    *("dynamics", "Compliant", "Rate", "Torque", "Motor"),
     *("LeastSlip", "Rolling", "Coulomb"),
     *("follow", "straight", "Path"),
     *("settle", "simulate", "plan", "replan", "cross_check"),
@@ -30,7 +31,7 @@ NAMES = {
 }
 DOCUMENTED = (
     *("direct_kinematics", "inverse_kinematics", "quasi_statics", "montana_kinematics"),
-    *("settle", "simulate", "follow", "plan", "replan", "cross_check"),
+    *("dynamics", "settle", "simulate", "follow", "plan", "replan", "cross_check"),
     *("Cost", "Region", "Path", "Grid", "Bicubic", "Analytic", "Trajectory", "Dae"),
 )
 

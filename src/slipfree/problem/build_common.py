@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,13 @@ from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.problem.unit_checks import check_units
 from slipfree.records import Array, leaves
-from slipfree.solve.settle import settle
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.settle import SPEED, settle
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
+DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are rougher
 TIME_TOLERANCE = 1e-9  # times at a smaller distance count as equal [duration]
 
 
@@ -95,7 +97,17 @@ def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
     values: dict[str, Any] = dict(problem.spec.start)
     values["heading"] = values.get("heading", 0.0) + heading_offset(problem)
     with at(problem, ("start",)):
-        return settle(dae, options=problem.spec.solver.options, **values)
+        return settle(dae, options=solver_options(problem), **values)
+
+
+def solver_options(problem: Problem[S]) -> SolverOptions:
+    """Return the options of the solvers; dynamics has a default tolerance of its own."""
+    spec = problem.spec
+    options: SolverOptions = spec.solver.options
+    is_dynamic = getattr(spec, "model", None) == "dynamics"
+    if is_dynamic and "tolerance" not in spec.solver.model_fields_set:
+        return replace(options, tolerance=DYNAMIC_TOLERANCE)
+    return options
 
 
 def samples(
@@ -130,7 +142,10 @@ def samples(
 
 def check_names(problem: Problem[S], dae: Dae, inputs: Iterable[str] | None) -> None:
     """Raise ProblemError for unknown or missing states and inputs, and for wrong units."""
-    faults = [*name_errors(("start",), problem.spec.start, _names(dae.labels.x))]
+    places = _names(dae.labels.x)
+    if dae.standing is not None:
+        places = [*_names(dae.standing.model.labels.x), SPEED]
+    faults = [*name_errors(("start",), problem.spec.start, places)]
     if inputs is not None:
         known = _names(dae.labels.u)
         faults += name_errors(("inputs",), inputs, known)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from inspect import signature
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from slipfree.dae import Dae
 from slipfree.files.toml.errors import Fault, problem_error
-from slipfree.laws.protocols import GroundLaw, SlipLaw
-from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
+from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
+from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
@@ -18,55 +18,61 @@ from slipfree.problem.problem import Problem, S
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
-DEFAULT_LAW = "coulomb"
 L = TypeVar("L")
+LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
+    "kinematics": SLIP_LAWS,
+    "quasi-static": GROUND_LAWS,
+    "dynamics": CONTACT_LAWS,
+}  # laws of each model; the first is the default
 
 
 def build_model(
     problem: Problem[S], spec: schema.Modelled, vehicle: Vehicle, terrain: Terrain
 ) -> Dae:
     """Return the model of a problem for a vehicle on a ground, with its law."""
-    if spec.model == "kinematics":
-        slip = slip_law(problem, spec)
-        with at(problem, ("slip",)):
-            return direct_kinematics(vehicle, terrain, slip=slip)
-    law = ground_law(problem, spec)
-    with at(problem, ("model",)):
-        return quasi_statics(vehicle, terrain, law=law)
-
-
-def slip_law(problem: Problem[S], spec: schema.Modelled) -> SlipLaw:
-    """Return the slip law, with its parameters, of a problem with the kinematic model."""
-    for name in spec.law.model_fields_set - {spec.slip}:
-        expected = (
-            "model = 'quasi-static', where this law applies"
-            if name in GROUND_LAWS
-            else f"slip = {name!r}, where this law applies"
-        )
-        found = f"model = 'kinematics', slip = {spec.slip!r}; change them, or remove the table"
-        raise problem_error(problem.source, [Fault(("law", name), expected, found)])
-    return _with_parameters(problem, spec, SLIP_LAWS[spec.slip])
+    law = model_law(problem, spec)
+    with at(problem, ("slip",) if spec.model == "kinematics" else ("model",)):
+        if spec.model == "kinematics":
+            return direct_kinematics(vehicle, terrain, slip=law)
+        if spec.model == "quasi-static":
+            return quasi_statics(vehicle, terrain, law=law)
+        return dynamics(vehicle, terrain, law=law)
 
 
 def law_name(spec: schema.Modelled) -> str:
-    """Return the name of the slip law or wheel-ground law of a problem."""
+    """Return the name of the law of a problem's model."""
     if spec.model == "kinematics":
         return spec.slip
-    return next(iter(sorted(spec.law.model_fields_set)), DEFAULT_LAW)
+    return next(iter(sorted(spec.law.model_fields_set)), next(iter(LAWS[spec.model])))
 
 
-def ground_law(problem: Problem[S], spec: schema.Modelled) -> GroundLaw:
-    """Return the wheel-ground law of a quasi-static problem; Coulomb's by default."""
-    name = law_name(spec)
-    if "slip" in spec.model_fields_set:
-        expected = "no slip law with model = 'quasi-static', where forces determine the slip"
-        found = f"{spec.slip!r}; remove the key"
-        raise problem_error(problem.source, [Fault(("slip",), expected, found)])
-    for other in spec.law.model_fields_set - ({name} & set(GROUND_LAWS)):
-        expected = f"one wheel-ground law with model = 'quasi-static', of {', '.join(GROUND_LAWS)}"
-        found = f"{', '.join(sorted(spec.law.model_fields_set))}; remove the other tables"
-        raise problem_error(problem.source, [Fault(("law", other), expected, found)])
-    return _with_parameters(problem, spec, GROUND_LAWS[name])
+def model_law(problem: Problem[S], spec: schema.Modelled) -> Any:
+    """Return the law of a problem's model: a slip law, a wheel-ground law or a contact law."""
+    name, known = law_name(spec), LAWS[spec.model]
+    if spec.model != "kinematics" and "slip" in spec.model_fields_set:
+        expected = f"no slip law with model = {spec.model!r}, where forces determine the slip"
+        raise problem_error(
+            problem.source, [Fault(("slip",), expected, f"{spec.slip!r}; remove the key")]
+        )
+    for other in spec.law.model_fields_set - ({name} & set(known)):
+        raise problem_error(problem.source, [_wrong_law(spec, other)])
+    return _with_parameters(problem, spec, known[name])
+
+
+def _wrong_law(spec: schema.Modelled, name: str) -> Fault:
+    """Return the error of a table of a law that does not apply."""
+    if name in LAWS[spec.model]:
+        tables = ", ".join(sorted(spec.law.model_fields_set))
+        if spec.model == "kinematics":
+            found = f"model = 'kinematics', slip = {spec.slip!r}; change them, or remove the table"
+            return Fault(("law", name), f"slip = {name!r}, where this law applies", found)
+        words = (
+            f"one wheel-ground law with model = {spec.model!r}, of {', '.join(LAWS[spec.model])}"
+        )
+        return Fault(("law", name), words, f"{tables}; remove the other tables")
+    model = next(each for each, laws in LAWS.items() if name in laws)
+    expected = f"model = {model!r}, where this law applies"
+    return Fault(("law", name), expected, f"model = {spec.model!r}; change it, or remove the table")
 
 
 def _with_parameters(problem: Problem[S], spec: schema.Modelled, law: Callable[..., L]) -> L:

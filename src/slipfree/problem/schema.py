@@ -36,7 +36,10 @@ SIZED = (
     "tolerance of the integrator, absolute and relative; lengths relative to the vehicle size [1]"
 )
 COMPILED = "whether to compile the equations; takes seconds once per vehicle, and is cached"
-MODEL = "kinematics: the slip law determines the rates; quasi-static: the wheel-ground law does"
+MODEL = (
+    "kinematics: the slip law determines the rates; quasi-static: the wheel-ground law does, "
+    "without inertia; dynamics: inertia and compliant contact do"
+)
 SLIP = "slip law, for model = 'kinematics': least slip, or rolling without slip"
 LAW = "parameters of the slip law or of the wheel-ground law, in a table of its name"
 INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
@@ -172,6 +175,8 @@ class Motion(Task, Runnable):
 class Modelled(Motion):
     """Keys of problems with a choice of model."""
 
-    model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
+    model: Literal["kinematics", "quasi-static", "dynamics"] = Field(
+        default="kinematics", description=MODEL
+    )
     slip: SlipName = Field(default="least", description=SLIP)
     law: Law = Field(default=Law.model_construct(), description=LAW)

@@ -17,7 +17,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from slipfree.files.toml.types import Record
-from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
+from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.problem.catalog_table import reworded
 
 
@@ -29,9 +29,9 @@ def known_slip(name: str) -> str:
 
 
 def registered_laws() -> dict[str, Any]:
-    """Return by name the laws that have parameters: wheel-ground laws and some slip laws."""
-    slip_laws: dict[str, Any] = dict(SLIP_LAWS)
-    return {name: law for name, law in slip_laws.items() if fields(law)} | GROUND_LAWS
+    """Return by name the laws that have parameters."""
+    laws: dict[str, Any] = {**SLIP_LAWS, **GROUND_LAWS, **CONTACT_LAWS}
+    return {name: law for name, law in laws.items() if fields(law)}
 
 
 @cache

@@ -147,13 +147,18 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
 
 
 def energy(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the work of the drives since the start, the potential energy, and the losses."""
+    """Draw the work of the drives since the start, the energies, and the losses."""
     work = run["work"] - run["work"][0]
     height = run["potential_energy"] - run["potential_energy"][0]
+    lost = work - height
+    if "kinetic_energy" in run:
+        moving = run["kinetic_energy"] - run["kinetic_energy"][0]
+        ax.plot(run.t, moving, label="kinetic energy", color=PALETTE[3])
+        lost = run["lost_energy"] - run["lost_energy"][0]
     ax.plot(run.t, work, label="drives", color=PALETTE[0])
     # long gaps, as it covers the work of the drives where nothing is lost
     ax.plot(run.t, height, label="potential energy", color=PALETTE[2], ls=(0, (6, 6)))
-    ax.plot(run.t, work - height, label="lost", color=PALETTE[1])
+    ax.plot(run.t, lost, label="lost", color=PALETTE[1])
     ax.set_ylabel("energy since the start [J]")
     return style.time_axis(run, _with_zero(ax))
 
@@ -193,6 +198,30 @@ def forces_plot(scene: Drive) -> Plot | None:
     return Plot("forces", caption, lambda: stack(run, panels))
 
 
+def depth(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the depth of every wheel below the ground over time; negative depths are in the air."""
+    _by_wheel(run, 1e3 * run["depth"], ax)
+    ax.set_ylabel("depth [mm]")
+    return style.time_axis(run, _with_zero(ax))
+
+
+def slip_ratio(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the slip ratio of every wheel over time, while the wheel is on the ground."""
+    _by_wheel(run, np.where(run["depth"] > 0, run["slip_ratio"], np.nan), ax)
+    ax.set_ylabel("slip ratio")
+    return style.time_axis(run, _with_zero(ax))
+
+
+def contact_plot(scene: Drive) -> Plot | None:
+    """Return the figure of depth and slip ratio; None for a motion without inertia."""
+    run = scene.run
+    if "slip_ratio" not in run:
+        return None
+    panels = [Panel(partial(depth, run)), Panel(partial(slip_ratio, run))]
+    caption = "Depth and slip ratio of every wheel over time."
+    return Plot("contact", caption, lambda: stack(run, panels))
+
+
 def utilisation_map_plot(scene: Drive) -> Plot | None:
     """Return the map of the friction that the wheels need; None for a vehicle without mass."""
     if "utilisation" not in scene.run:
@@ -207,7 +236,7 @@ def energy_plot(scene: Drive) -> Plot | None:
     if "work" not in run:
         return None
     panels = [Panel(partial(energy, run), 48), Panel(partial(power, run), 32)]
-    caption = "Work of the drives, potential energy, and losses."
+    caption = "Work of the drives, energy of the vehicle, and losses."
     return Plot("energy", caption, lambda: stack(run, panels))
 
 

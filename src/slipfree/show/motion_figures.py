@@ -24,6 +24,7 @@ from slipfree.frames import to_problem_frame
 from slipfree.records import Array
 from slipfree.show import ground_drawing, style
 from slipfree.show.force_figures import (
+    contact_plot,
     energy_plot,
     forces_plot,
     utilisation_map_plot,
@@ -47,6 +48,7 @@ DISTINCT = 0.01  # smallest distance of distinguishable lines [width of the axes
 NEAR = 0.6  # a path with a smaller extent is drawn again, enlarged [extent of the map]
 RELIEF = (0.22, 0.6)  # smallest and largest height of a drawn surface [width]
 POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
+CHECK_COLUMNS = 3  # panels side by side
 CHECKS = {
     "closure_residual": "log",
     "newton_step": "log",
@@ -377,6 +379,7 @@ FIGURES: tuple[Callable[[Drive], Plot | None], ...] = (
     map_plot,
     elevation_plot,
     slip_plot,
+    contact_plot,
     utilisation_plot,
     tilts_plot,
     checks_plot,
@@ -488,6 +491,8 @@ def slipping_directions(run: Trajectory) -> tuple[str, ...]:
 
 def _law(run: Trajectory) -> str:
     """Return a note on the law that determines the slip."""
+    if run.attributes.get("model") == "dynamics":
+        return "Slip of a motion with inertia and compliant contact."
     if run.attributes.get("model") == "quasi-static":
         return "Slip of quasi-static equilibrium under friction, without inertia."
     return "Least slip that the kinematics allows, a lower bound; real slip depends on friction."
@@ -495,8 +500,9 @@ def _law(run: Trajectory) -> str:
 
 def _checks(run: Trajectory) -> Figure:
     names = [name for name in CHECKS if name in run and np.isfinite(run[name]).any()]
-    figure = style.figure(PAGE, 105 * MM)
-    panels = list(figure.subplots(2, 3).ravel())
+    rows = -(-len(names) // CHECK_COLUMNS)
+    figure = style.figure(PAGE, rows * 52.5 * MM)
+    panels = list(np.ravel(figure.subplots(rows, CHECK_COLUMNS)))
     for ax, name in zip(panels, names, strict=False):
         check(run, name, ax)
         if run[name].ndim == 1:

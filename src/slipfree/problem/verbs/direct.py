@@ -21,10 +21,11 @@ from slipfree.problem.build_common import (
     build_vehicle,
     check_names,
     samples,
+    solver_options,
 )
 from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.build_model import build_model, slip_law
+from slipfree.problem.build_model import build_model, model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import INPUTS, VERB, Driver, Modelled, Task
 from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch
@@ -78,7 +79,7 @@ class DirectVerb(DriveVerb):
                         f"expected model = 'kinematics' with formulation = 'montana', found "
                         f"{spec.model!r}; change one of them"
                     )
-                dae = montana_kinematics(vehicle, terrain, slip=slip_law(problem, spec))
+                dae = montana_kinematics(vehicle, terrain, slip=model_law(problem, spec))
         if spec.driver is None:
             driven = "inputs " + ", ".join(spec.inputs or {})
             with at(problem, ("inputs",)):
@@ -92,7 +93,7 @@ class DirectVerb(DriveVerb):
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the motion, complete or up to its stop; there are no further arrays."""
-        return integrate(setup, problem.spec.solver.options, watch), NOTHING
+        return integrate(setup, solver_options(problem), watch), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model, law and formulation."""

@@ -19,6 +19,7 @@ CHECKS = (
     "drift of the assembly",
     "singular value",
     "contact certificate",
+    "energy balance",
     "not converged",
     "diagnostics failed",
     "friction",
@@ -46,16 +47,32 @@ def is_quasi_static(run: Trajectory) -> bool:
     return run.attributes.get("model") == "quasi-static"
 
 
+def is_dynamic(run: Trajectory) -> bool:
+    """Return whether a motion is of the dynamic model."""
+    return run.attributes.get("model") == "dynamics"
+
+
 def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     """Yield facts about a motion with pressed wheels: depths, wheels in the air and rocking."""
     if not has_pressed_wheels(run):
         return
     depth = run["depth"]
+    name, why = (
+        ("compliant contact", "")
+        if is_dynamic(run)
+        else ("pressed wheels", "too many for exact contact; ")
+    )
     yield (
-        "pressed wheels",
-        f"too many for exact contact; depth {depth.max():.3g} m at most, load up to "
+        name,
+        f"{why}depth {depth.max():.3g} m at most, load up to "
         f"{run['load_share'].max():.3g} times an equal share of the weight",
     )
+    if is_dynamic(run):
+        flights = time_in_air(run)
+        yield (
+            "vehicle in the air",
+            f"{sum(flights):.3g} s in all, {max(flights):.3g} s at once" if flights else "never",
+        )
     lifted = (depth < 0).mean(axis=0)
     words = [
         f"{name} at {share:.0%} of the samples, up to {-gap:.2g} m high"
@@ -64,6 +81,9 @@ def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     ]
     yield "wheels in the air", "; ".join(words) or "none"
     found = rocks(run)
+    if is_dynamic(run):
+        yield "lightest wheel", f"changes {len(found)} times"
+        return
     listed = [f"{r.before} to {r.after} at {r.t:.4g} s" for r in found[:MAX_ROCKS]]
     more = ["..."] if len(found) > MAX_ROCKS else []
     yield (
@@ -72,6 +92,14 @@ def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         if found
         else f"{lightest_wheel(run, 0)[0]} all the time",
     )
+
+
+def time_in_air(run: Trajectory) -> list[float]:
+    """Return the durations of the flights of a vehicle, with all wheels in the air [s]."""
+    flying = np.concatenate([[False], (run["depth"] < 0).all(axis=1), [False]])
+    edges = np.flatnonzero(np.diff(flying)).reshape(-1, 2)
+    ends = np.append(run.t, run.t[-1])
+    return [float(ends[last] - run.t[first]) for first, last in edges.tolist()]
 
 
 def start_facts(poses: Sequence[Trajectory]) -> Iterator[tuple[str, str]]:
@@ -99,7 +127,9 @@ def start_facts(poses: Sequence[Trajectory]) -> Iterator[tuple[str, str]]:
 def slip_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     """Yield the facts about the slip of each wheel, and the law that determined it."""
     law = run.attributes.get("law", "least")
-    if is_quasi_static(run):
+    if is_dynamic(run):
+        yield "slip", f"a prediction with inertia, by the wheel-ground law {law!r}"
+    elif is_quasi_static(run):
         yield "slip", f"a quasi-static prediction by the wheel-ground law {law!r}"
     elif law == "least":
         yield "least slip", "the least that kinematics allows: a lower bound, not a prediction"
@@ -160,7 +190,8 @@ def friction_words(run: Trajectory) -> str:
     spread = ", of the forces that this motion needs"
     if "utilisation_best" in run.columns:
         spread += ", distributed by load"
-    spread = f" by the law {run.attributes['law']!r}" if is_quasi_static(run) else spread
+    by_law = is_quasi_static(run) or is_dynamic(run)
+    spread = f" by the law {run.attributes['law']!r}" if by_law else spread
     return f"{words}{spread}" + (
         "" if used[k, i] <= 1 else "; friction is not sufficient for this motion"
     )
@@ -176,6 +207,10 @@ def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str,
     tolerance : float or None
         Tolerance of its integrator; None if it was not integrated.
     """
+    if is_dynamic(run):
+        yield from _energy_facts(run)
+        yield from _missing(run)
+        return
     if run.attributes.get(FORMULATION) == "montana":
         drift, turned = (run[f"drift_{name}"].max() for name in ("position", "rotation"))
         yield "drift of the assembly", f"{drift:.2e} m, {turned:.2e} rad at most"
@@ -189,6 +224,19 @@ def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str,
     yield "singular value", f"{np.fmin.reduce(run['singular_value']):.4g} at least"
     yield "contact certificate", certificate(run)
     yield from _missing(run)
+
+
+def _energy_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the facts about the balance of energy of a dynamic motion."""
+    energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
+    work, lost = (run[name] - run[name][0] for name in ("work", "lost_energy"))
+    yield (
+        "energy",
+        f"work of the drives {work[-1]:.6g} J, lost {lost[-1]:.6g} J, kinetic energy up to "
+        f"{run['kinetic_energy'].max():.6g} J",
+    )
+    imbalance = np.abs(energy - energy[0] - work + lost).max()
+    yield "energy balance", f"closed to {imbalance:.2e} J"
 
 
 def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:

@@ -28,7 +28,7 @@ from slipfree.problem.build_common import (
     wheel_angles_at,
 )
 from slipfree.problem.build_ground import at
-from slipfree.problem.build_model import slip_law
+from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.summary import Facts
 from slipfree.problem.verbs import plan_schema
@@ -325,7 +325,7 @@ def _by_stiffness(
     if has_exact_closure(setup.vehicle) or not found.success:
         return {}
     wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
-    stiff, slip = replace(setup.vehicle, wheels=wheels), slip_law(problem, problem.spec)
+    stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(problem, problem.spec)
     model: Dae = direct_kinematics(stiff, setup.terrain, slip=slip)
     step, options = setup.spec.time.step, setup.spec.solver.options
     try:

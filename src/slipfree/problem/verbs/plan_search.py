@@ -19,7 +19,7 @@ from slipfree.plan.plan import plan
 from slipfree.plan.robust import Tightening, tightened_arguments
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
-from slipfree.problem.build_model import slip_law
+from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import Plan
 from slipfree.problem.verbs.plan_setup import Planning, plan_arguments, settled_start
@@ -115,7 +115,7 @@ def _smoothed_models(problem: Problem[Plan], setup: Planning) -> list[Dae]:
     """
     if has_exact_closure(setup.vehicle):
         return []
-    slip = slip_law(problem, problem.spec)
+    slip = model_law(problem, problem.spec)
     return [
         direct_kinematics(setup.vehicle, setup.terrain, slip=slip, smoothing=width)
         for width in SMOOTHINGS
