@@ -376,6 +376,121 @@ def test_a_problem_with_commands_and_one_with_a_path(
         run_problem(load_problem(tmp_path / "w.toml"))
 
 
+def _states(folder: Path, *messages: tuple[list[str], list[float], list[float]]) -> Path:
+    """Return an MCAP file of JointState messages, one per 0.5 s: names, positions, velocities."""
+    kind, found = "sensor_msgs/msg/JointState", []
+    time, header = STORE.types["builtin_interfaces/msg/Time"], STORE.types["std_msgs/msg/Header"]
+    for k, (names, positions, velocities) in enumerate(messages):
+        stamp = header(time(1_700_000_000 + k // 2, 500_000_000 * (k % 2)), "")
+        arrays = (np.array(each, dtype=float) for each in (positions, velocities, []))
+        found.append(STORE.types[kind](stamp, names, *arrays))
+    folder.mkdir()
+    return _bag(folder, ("/joint_command", kind, found))
+
+
+CART = """\
+verb = "direct"
+[terrain]
+file = "ground.npz"
+[vehicle]
+file = "cart.toml"
+[start]
+x = 0
+[inputs]
+file = "c.mcap"
+[time]
+duration = 1
+step = 0.25
+"""
+
+
+def _cart(folder: Path, *messages: tuple[list[str], list[float], list[float]]) -> Path:
+    """Return a problem of the cart with commands of its joints."""
+    _ground(folder)
+    for name in ("cart.urdf", "cart.toml"):
+        (folder / name).write_text((DATA / name).read_text())
+    _states(folder / "states", *messages).rename(folder / "c.mcap")
+    (folder / "p.toml").write_text(CART)
+    return folder / "p.toml"
+
+
+def test_commands_of_joints_have_the_signs_of_the_urdf(tmp_path: Path) -> None:
+    """The axis of the right wheel points right; joints of no input are ignored."""
+    names = ["lidar_mount", "right_drive", "left_drive"]
+    moves = [(names, [], [9.0, -1.0 - k, 1.0]) for k in range(3)]
+    run = run_problem(load_problem(_cart(tmp_path, *moves))).trajectory
+    rates = run["left_drive_rate"], run["right_drive_rate"]
+    before, after = run.t < 0.45, run.t > 0.55
+    assert_allclose(rates[0], 1)
+    assert_allclose(rates[1][before], 1)
+    assert_allclose(rates[1][after & (run.t < 0.95)], 2)
+    assert "of c.mcap" in str(run.attributes)
+
+
+def test_positions_of_joints_are_reached_at_the_next_message(tmp_path: Path) -> None:
+    moves = [(["left_drive", "right_drive"], [5 + k, -2 * k], []) for k in range(3)]
+    problem = load_problem(_cart(tmp_path, *moves), ["inputs.left_drive_rate=3"])
+    run = run_problem(problem).trajectory
+    angles = run["wheel_angle"][-1] - run["wheel_angle"][0]
+    expected = {"left_drive": 3.0, "right_drive": 4.0}
+    for wheel, angle in expected.items():
+        assert angles[run.wheels.index(wheel)] == pytest.approx(angle, abs=1e-6)
+
+
+def test_exported_joint_states_drive_the_same_motion(
+    drive: tuple[Path, Trajectory], tmp_path: Path
+) -> None:
+    folder, run = drive
+    _ground(tmp_path)
+    start, _, rest = DRIVE.partition("[driver]")
+    inputs = f'[inputs]\nfile = "{(folder / "out.mcap").as_posix()}"\n'
+    (tmp_path / "p.toml").write_text(start + inputs + rest[rest.index("[time]") :])
+    again = run_problem(load_problem(tmp_path / "p.toml")).trajectory
+    # the rates are held for 0.25 s
+    assert_allclose([again[n][-1] for n in "xy"], [run[n][-1] for n in "xy"], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("messages", "words"),
+    [
+        ([(["arm"], [], [1.0])], "commands of some of the joints .*right_drive, found arm"),
+        ([(["left_drive"], [], [1.0])], "right_drive_rate: expected a rate, found none"),
+        ([(["left_drive"], [1.0], []), (["left_drive"], [], [1.0])], "in each message"),
+    ],
+)
+def test_commands_of_joints_that_do_not_suffice(
+    messages: list[tuple[list[str], list[float], list[float]]], words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DataError, match=words):
+        run_problem(load_problem(_cart(tmp_path, *messages)))
+
+
+def test_steering_starts_at_its_first_command(tmp_path: Path) -> None:
+    _ground(tmp_path)
+    names = ["steer", "right", "left"]
+    moves = [(names, [0.1 + 0.1 * k, k, k], []) for k in range(3)]
+    _states(tmp_path / "states", *moves).rename(tmp_path / "c.mcap")
+    text = CART.replace('file = "cart.toml"', 'catalog = "three_wheeler"')
+    (tmp_path / "p.toml").write_text(text)
+    with pytest.raises(DataError, match=r"found 0.1; set steer = 0.1 in \[start\]"):
+        run_problem(load_problem(tmp_path / "p.toml"))
+    run = run_problem(load_problem(tmp_path / "p.toml", ["start.steer=0.1"])).trajectory
+    assert run["steer"][-1] == pytest.approx(0.3, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("inputs.file=3", "the name of an MCAP file in quotes, found 3"),
+        ('inputs.file="c.csv"', "expected a file that ends in .mcap"),
+        ('inputs.left_drive_rate="c.mcap"', r"a number, or an array of \[time, value\] pairs"),
+    ],
+)
+def test_files_of_inputs(value: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=words):
+        run_problem(load_problem(_cart(tmp_path, (["left_drive"], [], [1.0])), [value]))
+
+
 def test_the_libraries_are_imported_only_when_used() -> None:
     code = (
         "import sys, slipfree.cli, slipfree.files.tables, slipfree.problem.result; "

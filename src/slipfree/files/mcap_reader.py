@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
-from math import atan2
+from collections.abc import Iterator, Mapping, Sequence
+from math import atan2, nan
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from slipfree.records import Array
 from slipfree.regular_files import read_bytes
 
 Rows = Mapping[str, Array]
+JOINT_STATE = "sensor_msgs/msg/JointState"
 MESSAGES = {  # types from which a table can be read, by its names
     ("v_x", "v_y", "omega_z"): ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
     ("x", "y", "heading"): ("nav_msgs/msg/Path", "nav_msgs/msg/Odometry"),
@@ -51,22 +52,12 @@ def read_mcap(path: Path, name: str) -> Rows:
             f"{path}: expected a CSV file, found MCAP, from which only paths and commands are "
             "read; convert it"
         )
-    topics: dict[str, list[tuple[int, Any]]] = {}
-    for kind, topic, time, message in _messages(path):
-        if kind in MESSAGES[names]:
-            topics.setdefault(topic, []).append((time, message))
-    if len(topics) != 1:
-        kinds = " or ".join(MESSAGES[names])
-        raise DataError(
-            f"{path}: expected one topic with messages {kinds}, found "
-            f"{', '.join(sorted(topics)) or 'none'}; record or extract one such topic"
-        )
-    (rows,) = topics.values()
+    topic, rows = _only_topic(path, MESSAGES[names])
     stamped = [*_rows(rows)]
     table = np.array([((t - stamped[0][0]) / 1e9, *row) for t, *row in stamped], dtype=float)
     if not table.size or not np.isfinite(table).all():
         raise DataError(
-            f"{path}: expected finite numbers in topic {next(iter(topics))}, found "
+            f"{path}: expected finite numbers in topic {topic}, found "
             f"{'others' if table.size else 'none'}; record the topic again"
         )
     if "heading" in names:
@@ -74,23 +65,79 @@ def read_mcap(path: Path, name: str) -> Rows:
     return dict(zip(("t", *names), table.T, strict=True))
 
 
-def _messages(path: Path) -> Iterator[tuple[str, str, int, Any]]:
-    """Yield type, topic, time of recording [ns] and content of each message of a known type."""
+class JointCommands(NamedTuple):
+    """Commands of a joint over time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times since the first message of the file. [s]
+    positions, velocities : ndarray, shape (n,)
+        Commanded values and rates; NaN without. [rad or m, rad/s or m/s]
+    """
+
+    t: Array
+    positions: Array
+    velocities: Array
+
+
+def read_joint_commands(path: Path) -> dict[str, JointCommands]:
+    """Return the commands in the messages JointState of an MCAP file, by the name of the joint.
+
+    Raises
+    ------
+    DataError
+        If the package mcap-ros2-support is not installed, if the file cannot be read, if it does
+        not have exactly one topic with such messages, or if their times do not increase.
+    """
+    topic, messages = _only_topic(path, (JOINT_STATE,))
+    rows: dict[str, list[tuple[float, float, float]]] = {}
+    first = _time(messages[0][1], messages[0][0])
+    for recorded, message in messages:
+        time = (_time(message, recorded) - first) / 1e9
+        for k, name in enumerate(message.name):
+            position, velocity = (
+                float(values[k]) if k < len(values) else nan
+                for values in (message.position, message.velocity)
+            )
+            rows.setdefault(name, []).append((time, position, velocity))
+    found = {name: JointCommands(*np.array(table).T) for name, table in rows.items()}
+    if any(np.diff(each.t, prepend=-1.0).min() <= 0 for each in found.values()):
+        raise DataError(
+            f"{path}: expected increasing times in topic {topic}, found others; sort the messages"
+        )
+    return found
+
+
+def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, Any]]]:
+    """Return the only topic with messages of some types, and these with their times [ns]."""
+    topics: dict[str, list[tuple[int, Any]]] = {}
+    for topic, time, message in _messages(path, kinds):
+        topics.setdefault(topic, []).append((time, message))
+    if len(topics) != 1:
+        raise DataError(
+            f"{path}: expected one topic with messages {' or '.join(kinds)}, found "
+            f"{', '.join(sorted(topics)) or 'none'}; record or extract one such topic"
+        )
+    return next(iter(topics.items()))
+
+
+def _messages(path: Path, kinds: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, time of recording [ns] and content of each message of some types."""
     ros = ros_package()
     from mcap.reader import make_reader
 
     content, factory = read_bytes(path, "messages as MCAP"), ros.decoder.DecoderFactory()
-    known = {kind for kinds in MESSAGES.values() for kind in kinds}
     try:
         for schema, channel, record in make_reader(io.BytesIO(content)).iter_messages():
-            if schema is not None and schema.name in known:
+            if schema is not None and schema.name in kinds:
                 decode = factory.decoder_for(channel.message_encoding, schema)
                 if decode is None:
                     raise DataError(
                         f"{path}: expected messages of ROS 2 (CDR), found "
                         f"{channel.message_encoding!r} in topic {channel.topic}; convert the file"
                     )
-                yield schema.name, channel.topic, record.log_time, decode(record.data)
+                yield channel.topic, record.log_time, decode(record.data)
     except DataError:
         raise
     except Exception as error:  # the library lets those of its parsers and of codecs pass

@@ -42,6 +42,7 @@ MODEL = (
 )
 SLIP = "slip law, for model = 'kinematics': least slip, or rolling without slip"
 LAW = "parameters of the slip law or of the wheel-ground law, in a table of its name"
+FILE = "file"  # key of [inputs] and [given] that names a file
 INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
 
 

@@ -67,6 +67,12 @@ def _piecewise_constant(value: Any) -> float | Piecewise:
     return tuple((float(t), _number(rate)) for t, rate in pairs)
 
 
+def _piecewise_constant_or_file(value: Any) -> float | Piecewise | str:
+    """Return a constant, times and values of a piecewise constant, or the name of a file."""
+    value = parse_unit(value)
+    return value if isinstance(value, str) and value else _piecewise_constant(value)
+
+
 def _time_function(value: Any) -> float | Piecewise | str:
     """Return a constant, times and values of a piecewise constant, or a formula of time."""
     value = parse_unit(value)
@@ -109,5 +115,6 @@ def not_zero(value: float) -> float:
 
 
 PiecewiseConstant = Annotated[Any, PlainValidator(_piecewise_constant)]
+PiecewiseConstantOrFile = Annotated[Any, PlainValidator(_piecewise_constant_or_file)]
 TimeFunction = Annotated[Any, PlainValidator(_time_function)]
 Range = Annotated[Any, PlainValidator(_range)]

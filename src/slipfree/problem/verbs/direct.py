@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -11,8 +11,9 @@ from pydantic import Field
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.files.netcdf import NOTHING
+from slipfree.files.toml.errors import Fault, format_value
 from slipfree.files.toml.source_lines import Place as KeyPath
-from slipfree.files.toml.types import PiecewiseConstant
+from slipfree.files.toml.types import PiecewiseConstantOrFile
 from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.problem.build_common import (
     Setup,
@@ -26,13 +27,15 @@ from slipfree.problem.build_common import (
 from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model, model_law
+from slipfree.problem.joint_inputs import read_joint_inputs
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import INPUTS, VERB, Driver, Modelled, Task
+from slipfree.problem.schema import FILE, VERB, Driver, Modelled, Task
 from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch
 from slipfree.problem.verbs.drive_facts import FORMULATION
 from slipfree.problem.verbs.driving import DriveVerb, integrate, model_attributes
 from slipfree.records import Array
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
     from slipfree.plan.warm_start import SavedPlan
@@ -42,7 +45,11 @@ class Direct(Modelled):
     """Direct problem: the motion at given rates, or under a driving law."""
 
     verb: Literal["direct"] = Field(description=VERB)
-    inputs: dict[str, PiecewiseConstant] | None = Field(default=None, description=INPUTS)
+    inputs: dict[str, PiecewiseConstantOrFile] | None = Field(
+        default=None,
+        description="rates of driven wheels and commanded joints, by name, or 'file', an MCAP file "
+        "with commands of joints [rad/s, m/s]",
+    )
     driver: Driver | None = Field(default=None, description="a driving law")
     formulation: Literal["closure", "montana"] = Field(
         default="closure",
@@ -53,6 +60,21 @@ class Direct(Modelled):
         **Task.alternatives,
         (): ("inputs", "driver"),
     }
+
+    @property
+    def named_files(self) -> tuple[str, ...]:
+        """Name of the MCAP file of commands; empty without such a file."""
+        file = (self.inputs or {}).get(FILE)
+        return (file,) if isinstance(file, str) else ()
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield an error for each rate that is a text, and for a file that is none."""
+        yield from super().faults()
+        for name, value in (self.inputs or {}).items():
+            if isinstance(value, str) != (name == FILE):
+                words = "a number, or an array of [time, value] pairs"
+                expected = "the name of an MCAP file in quotes" if name == FILE else words
+                yield Fault(("inputs", name), expected, format_value(value))
 
 
 class DirectVerb(DriveVerb):
@@ -69,9 +91,10 @@ class DirectVerb(DriveVerb):
         terrain = build_terrain(problem, ground)
         dae: Dae
         model = dae = build_model(problem, spec, vehicle, terrain)
-        check_names(problem, dae, spec.inputs)
+        given, source = _given(problem, vehicle)
+        check_names(problem, dae, given)
         start = build_start(problem, dae)
-        t, rates = samples(spec.time, spec.inputs or {})
+        t, rates = samples(spec.time, given or {})
         if spec.formulation == "montana":
             with at(problem, ("formulation",)):
                 if spec.model != "kinematics":
@@ -81,7 +104,7 @@ class DirectVerb(DriveVerb):
                     )
                 dae = montana_kinematics(vehicle, terrain, slip=model_law(problem, spec))
         if spec.driver is None:
-            driven = "inputs " + ", ".join(spec.inputs or {})
+            driven = f"inputs {', '.join(rates)}{source}"
             with at(problem, ("inputs",)):
                 inputs = dae.inputs(**rates)
         else:
@@ -110,3 +133,16 @@ class DirectVerb(DriveVerb):
         with at(problem, ("start",)):
             motion = self.solve(again, setup, Watch(), None).trajectory
         return CrossCheck(other, cross_check(result.trajectory, motion))
+
+
+def _given(problem: Problem[Direct], vehicle: Vehicle) -> tuple[dict[str, Any] | None, str]:
+    """Return the inputs of a problem, those of its file included, and a note on the file.
+
+    Rates in the problem replace those in the file.
+    """
+    given = problem.spec.inputs
+    if given is None or FILE not in given:
+        return given, ""
+    file = given[FILE]
+    rates = {name: value for name, value in given.items() if name != FILE}
+    return read_joint_inputs(problem, file, vehicle) | rates, f" of {file}"

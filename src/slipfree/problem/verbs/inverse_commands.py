@@ -18,8 +18,8 @@ from slipfree.models.given_rates import COMMANDS
 from slipfree.problem.build_common import samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
-from slipfree.problem.schema import Time
-from slipfree.problem.verbs.inverse_schema import FILE, Inverse
+from slipfree.problem.schema import FILE, Time
+from slipfree.problem.verbs.inverse_schema import Inverse
 from slipfree.vehicle.formula import evaluate
 
 ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left

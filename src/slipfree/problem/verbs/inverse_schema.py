@@ -11,9 +11,7 @@ from slipfree.files.toml.angles import bare_words
 from slipfree.files.toml.errors import Fault, format_value
 from slipfree.files.toml.source_lines import Place as KeyPath
 from slipfree.files.toml.types import Angles, Column, Record, TimeFunction
-from slipfree.problem.schema import VERB, Motion, Task
-
-FILE = "file"  # the key of [given] that names a CSV file
+from slipfree.problem.schema import FILE, VERB, Motion, Task
 
 
 class Path(Record):
