@@ -183,6 +183,12 @@ def _check_size(width: float, length: float, spacing: float) -> None:
         )
 
 
+def read_source(problem: Problem[Any]) -> tuple[Map, tuple[MapCoordinate, ...]]:
+    """Return the ground before scaling, and the coordinates of its file; empty if equal."""
+    found, _ = _source(problem)
+    return found, _map_coordinates(found, *_scales(problem.spec.terrain))
+
+
 def _source(problem: Problem[S]) -> tuple[Map, str]:
     """Return the ground before scaling, and the description of its origin."""
     spec = problem.spec.terrain

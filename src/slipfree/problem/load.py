@@ -13,6 +13,7 @@ from slipfree.files.toml.errors import (
 )
 from slipfree.files.toml.reader import read_text
 from slipfree.files.toml.source_lines import Source
+from slipfree.problem.geographic_places import convert_places
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
 from slipfree.problem.validation import validated_problem
@@ -111,7 +112,9 @@ def _from_text(
     def schema_of(data: Mapping[str, Any], source: Source) -> type[CommonKeys]:
         return _by_verb(verbs, data, source).schema
 
-    return validated_problem(schema_of, path, text, settings, varied, earlier=earlier)
+    return convert_places(
+        validated_problem(schema_of, path, text, settings, varied, earlier=earlier)
+    )
 
 
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:

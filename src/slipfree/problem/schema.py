@@ -153,8 +153,8 @@ class Task(CommonKeys):
 
     terrain: Terrain = Field(description="the ground")
     start: dict[str, Quantity] = Field(
-        description="x, y, heading (counter-clockwise, from the axis of frame) and joints; "
-        "zero by default [m, rad]"
+        description="x, y (or longitude, latitude in degrees, on a map with a reference system), "
+        "heading (counter-clockwise, from the axis of frame) and joints; zero by default [m, rad]"
     )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {

@@ -69,6 +69,31 @@ def system_name(crs: Any, remedy: str) -> tuple[str, bool]:
     return name, bool(crs.is_geographic)
 
 
+def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, float]:
+    """Return a place in coordinates of a reference system [m or deg].
+
+    Parameters
+    ----------
+    crs : str
+        EPSG code or WKT of the system.
+    longitude, latitude : float
+        WGS 84 coordinates. [deg]
+
+    Returns
+    -------
+    tuple of 2 floats
+        Coordinates to the east and to the north; not finite outside the domain of the projection.
+    """
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    try:
+        x, y = transform(CRS.from_epsg(4326), CRS.from_string(crs), [longitude], [latitude])
+    except Exception:  # PROJ raises various exceptions outside the projection's domain
+        return math.nan, math.nan
+    return x[0], y[0]
+
+
 def scale_facts(crs: Any, x: float, y: float, remedy: str) -> tuple[tuple[str, str], ...]:
     """Return the scale of a projected map as facts; raise DataError if it is more than 1 % from 1.
 

@@ -49,6 +49,8 @@ class KeepOut(Record):
 
     x: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
     y: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
+    longitude: float | None = Field(default=None, description="of the centre, instead of x [deg]")
+    latitude: float | None = Field(default=None, description="of the centre, instead of y [deg]")
     radius: Positive | None = Field(default=None, description="radius of a disc [m]")
     points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
         default=None, description="corners of a polygon [m]"
@@ -133,7 +135,8 @@ class Plan(Modelled):
 
     verb: Literal["plan"] = Field(description=VERB)
     goal: dict[str, Range] = Field(
-        description="ranges of states or unknowns at the end, by name [m, rad]"
+        description="ranges of states or unknowns at the end, by name; also longitude and latitude "
+        "in degrees, as in start [m, rad]"
     )
     costs: dict[str, NonNegative] = Field(
         description="weights of integrals over time: slip, effort, time, energy, or any quantity "

@@ -1,0 +1,108 @@
+"""Conversion of places in longitude and latitude to coordinates of the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from math import degrees, isfinite
+from typing import Any
+
+from slipfree.errors import ModelError
+from slipfree.files.map_coordinates import DEGREES, MapCoordinate
+from slipfree.files.maps.elevation import Map
+from slipfree.files.maps.reference_systems import from_degrees
+from slipfree.files.toml.angles import AngleWithUnit
+from slipfree.files.toml.source_lines import Place as KeyPath
+from slipfree.problem.build_ground import at, read_source
+from slipfree.problem.problem import A, Problem
+from slipfree.problem.schema import Task
+
+
+def convert_places(problem: Problem[A]) -> Problem[A]:
+    """Return a problem with x and y instead of longitude and latitude in all places.
+
+    The reference system is that of the map file; it is read only if a place is in degrees.
+
+    Raises
+    ------
+    ProblemError
+        If a place is incomplete, the map has no reference system, or does not contain the place.
+    """
+    spec = problem.spec
+    if not isinstance(spec, Task):
+        return problem
+    found = [place for place in _places(spec) if any(name in place[1] for name in DEGREES)]
+    if not found:
+        return problem
+    ground, coordinates = read_source(problem)
+    for keys, values in found:
+        with at(problem, keys):
+            spec = _replaced(spec, keys, _in_metres(values, ground, coordinates))
+    return replace(problem, spec=spec)
+
+
+def _places(spec: Task) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
+    """Yield key and values of each place of a problem."""
+    yield ("start",), spec.start
+    if (goal := getattr(spec, "goal", None)) is not None:
+        yield ("goal",), goal
+    for index, values in enumerate(getattr(spec, "way_points", ())):
+        yield ("way_points", index), values
+    for index, region in enumerate(getattr(spec, "keep_out", ())):
+        yield ("keep_out", index), region.model_dump(exclude_none=True)
+
+
+def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
+    """Return a problem's values with a place replaced."""
+    name, old = str(keys[0]), getattr(spec, str(keys[0]))
+    if len(keys) == 1:
+        return spec.model_copy(update={name: values})
+    index = int(keys[1])
+    new = values if isinstance(old[index], Mapping) else type(old[index])(**values)
+    return spec.model_copy(update={name: (*old[:index], new, *old[index + 1 :])})
+
+
+def _in_metres(
+    values: Mapping[str, Any], ground: Map, coordinates: tuple[MapCoordinate, ...]
+) -> dict[str, Any]:
+    """Return the values of a place with x and y instead of longitude and latitude."""
+    if {"x", "y"} & {*values} or not {*DEGREES} <= {*values}:
+        raise ModelError(
+            f"expected longitude and latitude, or x and y, found {', '.join(values)}; give one of "
+            "these pairs"
+        )
+    is_range = isinstance(values["longitude"], tuple)
+    place = [_degrees(values[name], name) for name in DEGREES]
+    if ground.geographic and not ground.crs:
+        x, y = place  # those of the file
+    elif ground.crs:
+        x, y = from_degrees(ground.crs, *place)
+    else:
+        raise ModelError(
+            "expected a map with a reference system for longitude and latitude, found none; give "
+            "x and y, or write the system into the file: gdal_edit.py -a_srs EPSG:326xx in.tif "
+            "(xx: the UTM zone)"
+        )
+    if not (isfinite(x) and isfinite(y)):
+        raise ModelError(
+            f"expected a place in the domain of the map's projection ({ground.crs}), found "
+            f"longitude {place[0]:.9g}, latitude {place[1]:.9g}; correct it"
+        )
+    for each in coordinates:
+        x = (x - each.offset) / each.factor if each.axis == "x" else x
+        y = (y - each.offset) / each.factor if each.axis == "y" else y
+    found = {name: value for name, value in values.items() if name not in DEGREES}
+    return {"x": (x, x), "y": (y, y), **found} if is_range else {"x": x, "y": y, **found}
+
+
+def _degrees(value: float | tuple[float, float], name: str) -> float:
+    """Return a longitude or latitude in degrees, of a number or of a range with equal ends."""
+    low, high = value if isinstance(value, tuple) else (value, value)
+    number = degrees(low) if isinstance(low, AngleWithUnit) else low
+    bound = 90 if name == "latitude" else 360
+    if low != high or abs(number) > bound:
+        found = f"{low:.9g} to {high:.9g}" if low != high else f"{number:.9g}"
+        raise ModelError(
+            f"{name}: expected a number from {-bound} to {bound} degrees, found {found}; correct it"
+        )
+    return float(number)
