@@ -258,6 +258,30 @@ def test_help_needs_no_heavy_imports() -> None:
     assert "check" in found.stdout
 
 
+OPTIONAL = {"trimesh", "xacro", "laspy", "lazrs", "mcap", "mcap_ros2", "rosbags", "yourdfpy"}
+OPTIONAL |= {"pyproj", "rasterio", "viser", "distributed", "xarray", "pandas"}
+
+
+@pytest.mark.parametrize(
+    "words", ["--version", "run p.toml --no-draw --set time.duration=0.2", "info p.nc"]
+)
+def test_optional_libraries_are_imported_only_when_used(folder: Path, words: str) -> None:
+    """A motion on a ground without reference system needs none of them."""
+    _invoke("run", "p.toml", "--no-draw", "--set", "time.duration=0.2")
+    code = (
+        "import sys, slipfree\n"
+        "from slipfree.cli import main\n"
+        f"sys.argv = ['slipfree', *{words.split()}]\n"
+        "try:\n    main()\n"
+        "except SystemExit as end:\n    assert end.code in (0, None)\n"
+        f"assert not {OPTIONAL} & set(sys.modules), {OPTIONAL} & set(sys.modules)\n"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stderr
+
+
 def test_as_a_module(folder: Path) -> None:
     def call(*words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "slipfree", *words]
