@@ -120,6 +120,14 @@ def test_projections_have_the_names_of_the_conventions(
     assert {k: v for k, v in found.items() if k not in ("crs_wkt", "spatial_ref")} == expected
 
 
+def test_further_arrays_have_names(tmp_path: Path) -> None:
+    arrays = {"plan_sizes": np.arange(3.0)}
+    netcdf.write(tmp_path / "a.nc", _motion(), arrays)
+    with netcdf_file(str(tmp_path / "a.nc"), mmap=False) as file:
+        assert file.variables["plan_sizes"].long_name == b"plan sizes"
+    assert list(netcdf.read_arrays(tmp_path / "a.nc")) == ["plan_sizes"]
+
+
 def test_an_unknown_reference_system(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="expected an EPSG code or WKT, found 'EPSG:0'"):
         netcdf.write(tmp_path / "a.nc", _motion(map_crs="EPSG:0"))

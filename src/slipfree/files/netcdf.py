@@ -103,7 +103,9 @@ def write(
             _fill(file, run)
             for name, values in arrays.items():
                 file.createDimension(f"{name}{SIZE}", values.size)
-                file.createVariable(name, "f8", (f"{name}{SIZE}",))[:] = values
+                variable = file.createVariable(name, "f8", (f"{name}{SIZE}",))
+                variable[:] = values
+                variable.long_name = name.replace("_", " ")
 
     replace_file(Path(path), fill)
 
