@@ -1,0 +1,32 @@
+"""2000 mutated URDFs and rasters: each is read, or refused by a clear error, without a hang."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from helpers.fuzz_checks import READ, REFUSED
+from helpers.fuzz_mutants import MUTANTS
+
+BATCH = 250  # mutants that a process reads
+PRINTED = "rasterio._env.log_error"  # prints messages of GDAL that are not UTF-8
+TESTS = Path(__file__).parents[1]
+
+
+@pytest.mark.parametrize("begin", range(0, 1000, BATCH))
+@pytest.mark.parametrize("kind", MUTANTS)
+def test_mutants_are_read_or_refused(kind: str, begin: int) -> None:
+    command = [sys.executable, "-m", "helpers.fuzz_mutants", kind, str(begin), str(begin + BATCH)]
+    done = subprocess.run(command, cwd=TESTS, capture_output=True, text=True, check=False)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    last = lines[-1] if lines else None
+    assert (done.returncode, done.stderr) == (0, ""), last
+    found = [line for line in lines if "name" in line]
+    assert len(found) == BATCH
+    wrong = [line for line in found if line["name"] not in (READ, REFUSED)]
+    assert [line for line in wrong if PRINTED not in line["words"]] == []
+    assert {READ, REFUSED} <= {line["name"] for line in found}
