@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.server
 import struct
+import sys
 import threading
 import warnings
 import zlib
@@ -527,25 +528,108 @@ def test_a_file_that_gdal_cannot_read_is_closed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("driver", "ending"),
+    ("driver", "ending", "dtype", "options"),
     [
-        ("GPKG", "gpkg"),
-        ("netCDF", "nc"),
-        ("netCDF", "grd"),
-        ("GSBG", "grd"),
-        ("GS7BG", "grd"),
-        ("BT", "bt"),
-        ("HF2", "hf2"),
-        ("PCIDSK", "pix"),
+        ("AAIGrid", "asc", "int16", {}),
+        ("GPKG", "gpkg", "int16", {}),
+        ("GPKG", "gpkg", "float32", {"TILE_FORMAT": "TIFF"}),
+        ("netCDF", "nc", "float32", {}),
+        ("netCDF", "grd", "int16", {}),
+        ("GSAG", "grd", "int16", {}),
+        ("GSBG", "grd", "int16", {}),
+        ("GS7BG", "grd", "int16", {}),
+        ("BT", "bt", "int16", {}),
+        ("HFA", "img", "float64", {}),
+        ("HF2", "hf2", "float32", {}),
+        ("HF2", "hfz", "float32", {"COMPRESS": "YES"}),
+        ("JP2OpenJPEG", "jp2", "int16", {"REVERSIBLE": "YES", "QUALITY": "100"}),
+        ("NITF", "ntf", "int16", {}),
+        ("PCIDSK", "pix", "int16", {}),
+        ("PCRaster", "map", "float32", {"PCRASTER_VALUESCALE": "VS_SCALAR"}),
+        ("SIGDEM", "sigdem", "float64", {}),
+        ("GRIB", "grb2", "float32", {}),
+        ("ZMap", "dat", "float32", {}),
+        ("GTiff", "", "float64", {}),
     ],
 )
-def test_rasters_that_are_one_file(tmp_path, driver, ending):
-    whole = geotiff(tmp_path / "whole.tif", np.round(1000 * ROWS), dtype="int16")
-    path = tmp_path / f"map.{ending}"
-    rasterio.shutil.copy(whole, path, driver=driver)
-    found = read_map(path).grid
-    for name in "xyz":
-        assert_allclose(getattr(found, name), getattr(read_grid(whole), name), atol=1e-3)
+def test_rasters_that_are_one_file(tmp_path, driver, ending, dtype, options):
+    """Corner heights and their positions are those of rasterio, whatever the ending."""
+    rows = np.round(1000 * ROWS)
+    whole = geotiff(tmp_path / "whole.tif", rows, dtype=dtype)
+    (tmp_path / "alone").mkdir()
+    path, written = tmp_path / "alone" / f"map.{ending}", tmp_path / f"map.{ending}"
+    rasterio.shutil.copy(whole, written, driver=driver, **options)
+    written.rename(path)
+    found = read_map(path)
+    assert found.crs in ("", UTM)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        dataset = rasterio.open(path)
+    with dataset:
+        heights = dataset.read(1)
+        for row in (0, -1):
+            for column in (0, -1):
+                x, y = dataset.xy(row % dataset.height, column % dataset.width)
+                i, j = np.abs(found.grid.x - x).argmin(), np.abs(found.grid.y - y).argmin()
+                assert_allclose((found.grid.x[i], found.grid.y[j]), (x, y), rtol=0, atol=1e-6)
+                assert_allclose(found.grid.z[i, j], heights[row, column], rtol=0, atol=1e-3)
+    assert_allclose(found.grid.z, rows[::-1].T, rtol=0, atol=1e-3)
+
+
+def test_formats_that_refer_to_other_files_are_not_opened(tmp_path):
+    whole = geotiff(tmp_path / "whole.tif")
+    for driver in ("VRT", "ISIS3"):
+        path = tmp_path / f"{driver}.dem"
+        rasterio.shutil.copy(whole, path, driver=driver)
+        with pytest.raises(DataError, match="not recognized as being in a supported file format"):
+            read_map(path)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "options", "gray"),
+    [
+        ("uint8", {}, True),
+        ("uint8", {"crs": None, "transform": Affine.identity()}, True),
+        ("uint16", {"crs": None, "transform": Affine.identity()}, True),
+        ("uint16", {}, False),
+        ("int16", {"crs": None, "transform": Affine.identity()}, False),
+        ("float32", {"crs": None, "transform": Affine.identity()}, False),
+    ],
+)
+def test_gray_levels_are_told_from_heights(tmp_path, dtype, options, gray):
+    """Gray levels have 8 bits, or are unsigned without a position: as PNGs that were converted."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = geotiff(tmp_path / "map.tif", np.round(100 * ROWS), dtype=dtype, **options)
+    keys = {"cell": 1.0, "registration": "area"} if "transform" in options else {}
+    assert read_map(path, **keys).gray is gray
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(path, "r+") as file:
+            file.scales = (0.1,)
+    assert not read_map(path, **keys).gray
+
+
+def test_a_scale_of_zero_is_refused(tmp_path):
+    path = geotiff(tmp_path / "map.tif")
+    with rasterio.open(path, "r+") as file:
+        file.scales = (0.0,)
+    with pytest.raises(DataError, match=r"a scale of the heights other than 0, .*found 0 and 0; "):
+        read_map(path)
+
+
+def test_messages_of_gdal_that_cannot_be_decoded_are_not_printed(tmp_path, capfd):
+    """GDAL warns with bytes of the file, which rasterio decodes in a callback of its log."""
+    path = geotiff(tmp_path / "map.img", driver="HFA")
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"1:lversion", b"1:\xd1version", 1))  # of no known type
+    hooks = sys.excepthook, sys.unraisablehook
+    try:
+        read_map(path)
+    except DataError as error:
+        assert str(error).startswith(f"{path}: expected")  # noqa: PT017
+    assert (sys.excepthook, sys.unraisablehook) == hooks
+    assert capfd.readouterr().err == ""
 
 
 def test_heights_in_other_units_are_converted(tmp_path):

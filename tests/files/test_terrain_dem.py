@@ -209,13 +209,17 @@ def test_npz_refuses(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("map.sdat", r"ending in .npz, .tif, .* found '.sdat'; convert it"),
+        ("map.sdat", r"ending in .npz, .tif, .* found '.sdat'; header and .*translate"),
         ("map.tif", "map.tif: expected a map, found that it cannot be read"),
-        ("map", "found 'no ending'"),
+        ("junk", "another raster of GDAL in one file, found 'no ending' with unknown"),
+        ("a.zip", "unpack it: unzip in.zip"),
+        ("a.shp", "contours to a raster: gdal_grid .* in.shp out.tif"),
+        ("a.hdr", "name the file with the heights"),
         ("none.asc", "none.asc: expected a map, found that it cannot be read"),
     ],
 )
 def test_other_files(tmp_path, name, words):
+    (tmp_path / "junk").write_bytes(bytes(range(100)))
     with pytest.raises(DataError, match=words):
         read_grid(tmp_path / name)
 

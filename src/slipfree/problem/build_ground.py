@@ -205,7 +205,7 @@ def _source(problem: Problem[S]) -> tuple[Map, str]:
                 raise ModelError(
                     "expected vertical_scale, the metres per gray level of a picture, found none; "
                     f"set vertical_scale: the levels from {low:g} to {high:g} span that many "
-                    "times it in metres"
+                    "times it in metres (1 if the values are metres)"
                 )
         return found, spec.file
     if spec.synthetic is not None:

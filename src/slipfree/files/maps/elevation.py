@@ -17,7 +17,7 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.maps.point_cloud import read_point_cloud
 from slipfree.files.maps.points import read_points
-from slipfree.files.maps.raster import DRIVERS, Reading, Registration, read_raster
+from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
 from slipfree.records import Array, field_overview
 from slipfree.regular_files import regular_file
 from slipfree.terrain.base import Grid
@@ -54,15 +54,34 @@ UNREADABLE = (  # exceptions of numpy for a damaged archive
     zlib.error,
     lzma.LZMAError,
 )
-TO_RASTER = "convert it: gdal_translate in out.tif"
-OTHERS = {
+TO_XYZ = "write its points as text, x y z a line, with the ending .xyz"
+TO_ONE_FILE = (
+    "header and heights are in separate files, of which only one is read: write them as one file: "
+    "gdal_translate in{} out.tif"
+)
+TO_HEIGHTS = "name the file with the heights"
+OTHERS = {  # remedies for formats that are not read
     ".zip": "unpack it: unzip in.zip",
     ".gz": "unpack it: gunzip in.gz",
+    **{each: f"unpack it: tar xf in{each}" for each in (".tar", ".tgz")},
+    ".7z": "unpack it: 7z x in.7z",
     ".bag": "write the layer of heights of a grid_map message as .npz with arrays x, y, z",
     ".vrt": "write what it refers to as one file: gdal_translate in.vrt out.tif",
-    ".shp": "interpolate its points or contours to a raster: gdal_grid in.shp out.tif",
-    ".ply": "write its points as text, x y z a line, with the ending .xyz",
-    ".pcd": "write its points as text, x y z a line, with the ending .xyz",
+    **{
+        each: f"interpolate its points or contours to a raster: gdal_grid -txe ... -tye ... "
+        f"-tr ... in{each} out.tif"
+        for each in (".shp", ".geojson", ".kml", ".dxf")
+    },
+    **dict.fromkeys((".ply", ".pcd", ".obj", ".stl", ".dae", ".glb"), TO_XYZ),
+    ".e57": "write its points as LAS: pdal translate in.e57 out.laz",
+    **{
+        each: TO_ONE_FILE.format(each) for each in (".bil", ".flt", ".sdat", ".ers", ".rst", ".adf")
+    },
+    **dict.fromkeys((".hdr", ".sgrd", ".rdc", ".prj", ".tfw", ".xml"), TO_HEIGHTS),
+    **{
+        each: f"convert it: gdal_translate in{each} out.tif"
+        for each in (".ecw", ".sid", ".h5", ".pdf")
+    },
 }
 Facts = tuple[tuple[str, str], ...]
 
@@ -141,11 +160,9 @@ def read_map(
     ----------
     path : str or Path
         ``.npz``: numpy arrays ``x`` of shape (n_x,), ``y`` of shape (n_y,) and ``z`` of shape
-        (n_x, n_y), all in metres, NaN in holes. ``.tif``, ``.tiff`` (GeoTIFF), ``.asc`` (ESRI
-        ASCII grid), ``.hgt`` (SRTM), ``.dt0`` to ``.dt2`` (DTED), ``.img`` (ERDAS), ``.gpkg``,
-        ``.nc``, ``.grd`` and others of GDAL, and ``.png`` (grey values): see
-        `read_raster`. ``.xyz``, ``.txt``, ``.csv``: see `read_points`. ``.las``, ``.laz``: see
-        `read_point_cloud`.
+        (n_x, n_y), all in metres, NaN in holes. ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
+        ``.las``, ``.laz``: see `read_point_cloud`. Files with other endings are rasters that GDAL
+        reads from one file: see `read_raster`.
     window : tuple of 4 floats, optional
         Part to read, x_min, x_max, y_min, y_max in the coordinates of the file; by default the
         whole map. Only this part of a raster is kept in memory. [m] or [deg]
@@ -171,18 +188,13 @@ def read_map(
     """
     path = Path(path)
     ending = path.suffix.lower()
-    reader = next((each for each in READERS if ending in each.endings), None)
-    if reader is None:
-        known = ", ".join(each for reader in READERS for each in reader.endings)
-        raise DataError(
-            f"{path}: expected a file ending in {known}, found {path.suffix or 'no ending'!r}; "
-            f"{OTHERS.get(ending, TO_RASTER)}"
-        )
+    if ending in OTHERS:
+        raise DataError(f"{path}: {_expected_endings()}, found {ending!r}; {OTHERS[ending]}")
     reading = Reading(window, cell, registration, spacing)
     try:
         _check_keys(ending, reading)
         with regular_file(path, "a map"):
-            found = reader.read(path, reading)
+            found = _reader(ending).read(path, reading)
         _check_degrees(found, local=geographic is not None)
         return _mapped(found, geographic, fill)
     except DataError as error:
@@ -193,20 +205,26 @@ def read_map(
 
 def takes_key(ending: str, key: str) -> bool:
     """Return whether a key of a ground applies to files with an ending such as ``".tif"``."""
-    endings = _endings_with(key)
-    return not endings or ending in endings
+    return key not in KEYS or key in _reader(ending).keys
 
 
-def _endings_with(key: str) -> tuple[str, ...]:
-    """Return the file name endings of the formats that use a key."""
-    return tuple(each for reader in READERS if key in reader.keys for each in reader.endings)
+def _reader(ending: str) -> MapReader:
+    """Return the reader of files with an ending, by default that of rasters."""
+    return next((each for each in READERS if ending in each.endings), RASTERS)
+
+
+def _expected_endings() -> str:
+    """Return the description of the files that can be read."""
+    known = ", ".join(each for reader in READERS for each in reader.endings)
+    return f"expected a file ending in {known}, or another raster of GDAL in one file"
 
 
 def _check_keys(ending: str, reading: Reading) -> None:
     """Raise DataError for arguments that the file format does not use."""
-    for name in ("cell", "registration", "spacing"):
-        value, endings = getattr(reading, name), _endings_with(name)
-        if value is not None and ending not in endings:
+    for name in KEYS:
+        value = getattr(reading, name)
+        if value is not None and not takes_key(ending, name):
+            endings = [each for reader in READERS if name in reader.keys for each in reader.endings]
             raise DataError(
                 f"expected no {name} for a {ending} file, found {value!r}; remove it "
                 f"({name} is for {', '.join(endings)})"
@@ -413,12 +431,27 @@ class MapReader(NamedTuple):
     keys: tuple[str, ...] = ()
 
 
+def _read_raster(path: Path, ask: Reading) -> Heights:
+    """Return the heights in a raster; the error for an unknown format names the known ones."""
+    try:
+        return read_raster(path, ask)
+    except DataError as error:
+        if path.suffix.lower() in FORMATS or UNKNOWN not in str(error):
+            raise
+        raise DataError(
+            f"{_expected_endings()}, found {path.suffix or 'no ending'!r} with unknown contents; "
+            "convert it: gdal_translate in out.tif, or check that it is a map"
+        ) from error
+
+
+RASTERS = MapReader(tuple(FORMATS), _read_raster, ("cell", "registration"))
 READERS: tuple[MapReader, ...] = (
     MapReader((".npz",), _read_npz),
-    MapReader(tuple(DRIVERS), read_raster, ("cell", "registration")),
+    RASTERS,
     MapReader((".xyz", ".txt", ".csv"), _read_points, ("spacing",)),
     MapReader((".las", ".laz"), _read_cloud, ("spacing",)),
 )
+KEYS = ("cell", "registration", "spacing")  # arguments of some formats only
 
 
 def _arrays(path: Path) -> tuple[Array, Array, Array]:

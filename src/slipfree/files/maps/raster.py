@@ -1,11 +1,13 @@
-"""Maps from raster files, read by rasterio (GDAL): GeoTIFF, ASCII grid, SRTM, DTED, IMG, PNG."""
+"""Maps from raster files of one file each, read by rasterio (GDAL)."""
 
 from __future__ import annotations
 
 import math
 import re
+import sys
 import warnings
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,50 +19,47 @@ from slipfree.errors import DataError
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
 
-DRIVERS = {  # GDAL drivers of files that are whole by themselves, by the ending of the file
-    ".tif": "GTiff",
-    ".tiff": "GTiff",
-    ".asc": "AAIGrid",
-    ".hgt": "SRTMHGT",
-    ".dt0": "DTED",
-    ".dt1": "DTED",
-    ".dt2": "DTED",
-    ".img": "HFA",
-    ".png": "PNG",
-    ".gpkg": "GPKG",
+DRIVERS = (  # GDAL drivers that read one file, and follow no references to others
+    *("GTiff", "AAIGrid", "SRTMHGT", "DTED", "HFA", "GPKG", "PNG", "GSBG", "GS7BG", "GSAG", "BT"),
+    *("NWT_GRD", "Terragen", "HF2", "GRIB", "JP2OpenJPEG", "NITF", "PCIDSK", "SIGDEM"),
+    *("GRASSASCIIGrid", "Leveller", "RMF", "BLX", "FIT", "GXF", "ISG", "KRO", "BMP", "GIF", "JPEG"),
+    *("PNM", "SGI", "WEBP"),
+    *("USGSDEM", "ZMap", "GTX", "BYN", "ACE2", "JDEM", "LAN", "LCP", "NGSGEOID", "NOAA_B", "TGA"),
+)  # the last line: formats without a mark in their first bytes
+FORMATS = {  # names of formats by the usual endings of files
+    **dict.fromkeys((".tif", ".tiff"), "GeoTIFF"),
+    ".asc": "ESRI ASCII grid",
+    ".hgt": "SRTM tile",
+    **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
+    ".img": "ERDAS IMG",
+    ".gpkg": "GeoPackage",
     ".nc": "netCDF",
-    ".grd": "GSBG",
-    ".bt": "BT",
-    ".ter": "Terragen",
-    ".dem": "USGSDEM",
-    ".gtx": "GTX",
-    ".jp2": "JP2OpenJPEG",
-    ".hf2": "HF2",
-    ".ntf": "NITF",
-    ".pix": "PCIDSK",
-    ".map": "PCRaster",
+    ".grd": "Surfer grid",
+    ".bt": "Binary Terrain file",
+    ".ter": "Terragen file",
+    ".dem": "USGS DEM",
+    ".jp2": "JPEG 2000 file",
+    ".png": "PNG",
 }
-FORMATS = {
-    "GTiff": "GeoTIFF",
+NAMES = {  # names of formats by drivers
     "AAIGrid": "ESRI ASCII grid",
-    "SRTMHGT": "SRTM tile",
-    "DTED": "DTED",
-    "HFA": "ERDAS IMG",
-    "PNG": "PNG",
     "GPKG": "GeoPackage",
+    "GTiff": "GeoTIFF",
+    "HFA": "ERDAS IMG",
+    "SRTMHGT": "SRTM tile",
 }
-NAMED = {"SRTMHGT": "name the file after its position, as in N45E006.hgt; if it has such a name, "}
-OPTIONS = {"AAIGrid": {"DATATYPE": "Float64"}}  # the default loses digits
-GRIDS = {  # drivers of .grd files by their first four bytes
-    b"DSBB": "GSBG",
-    b"DSRB": "GS7BG",
-    b"DSAA": "GSAG",
-    b"HGPC": "NWT_GRD",
+NAMED = {".hgt": "name the file after its position, as in N45E006.hgt; if it has such a name, "}
+OPTIONS: dict[str, dict[str, str]] = {
+    "AAIGrid": {"DATATYPE": "Float64"}
+}  # the default loses digits
+BY_NAME = {  # drivers whose libraries open files by name only, by the first bytes
     b"CDF\x01": "netCDF",
     b"CDF\x02": "netCDF",
     b"CDF\x05": "netCDF",
     b"\x89HDF": "netCDF",
+    b"RUU ": "PCRaster",
 }
+UNKNOWN = "not recognized as being in a supported file format"  # in errors of GDAL
 CACHE = 64  # GDAL's cache of blocks [MB]
 TO_GRAY = "keep the heights alone: gdal_translate -b 1 in.tif out.tif"
 TO_METRES = "reproject it to metres: gdalwarp -t_srs EPSG:326xx in.tif out.tif (xx: the UTM zone)"
@@ -134,42 +133,81 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
-    driver = _driver(path)
+    ending = path.suffix.lower()
+    with path.open("rb") as file:
+        head = file.read(4)  # raises I/O errors, which GDAL would hide
     # the name of an SRTM tile gives its position; others may have characters that GDAL rejects
-    name = path.name if driver == "SRTMHGT" else f"raster{path.suffix.lower()}"
+    name = path.name if ending == ".hgt" else f"raster{ending if ending.isascii() else ''}"
     try:
         # the stack closes the streams of files that GDAL cannot read
         with (
             ExitStack() as opened,
             warnings.catch_warnings(),
+            _quiet_log(),
             rasterio.Env(GDAL_CACHEMAX=CACHE),
         ):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            options: dict[str, Any] = dict(OPTIONS.get(driver, {}))
-            if driver == "netCDF":  # its library opens files by name only; no file is beside it
+            if head in BY_NAME:  # from a folder without other files
                 folder = Path(opened.enter_context(TemporaryDirectory()))
                 (folder / name).symlink_to(path.resolve())
-                source = str(folder / name)
+                dataset = rasterio.open(folder / name, driver=BY_NAME[head])
             else:
-                source, options["opener"] = name, partial(_open_only, path, name, opened)
-            with rasterio.open(source, driver=driver, **options) as dataset:
+                dataset = _open_alone(name, partial(_open_only, path, name, opened))
+            with dataset:
                 return _from_dataset(dataset, path, ask)
     except DataError:
         raise
     except Exception as error:  # GDAL raises various exceptions for damaged files
         words = re.sub(r"/vsi\w+/", "", str(error.__cause__ or error)).replace(name, path.name)
         raise DataError(
-            f"expected a readable {FORMATS.get(driver, driver)}, found {words.rstrip('.')}; "
-            f"{NAMED.get(driver, '')}copy or download it again: it may be cut off or damaged"
+            f"expected a readable {FORMATS.get(ending, 'raster')}, found {words.rstrip('.')}; "
+            f"{NAMED.get(ending, '')}copy or download it again: it may be cut off or damaged"
         ) from error
 
 
-def _driver(path: Path) -> str:
-    """Return the GDAL driver of a file, by its ending and, of a .grd file, its first bytes."""
-    driver = DRIVERS[path.suffix.lower()]
-    with path.open("rb") as file:
-        head = file.read(4)  # raises I/O errors, which GDAL would hide
-    return GRIDS.get(head, driver) if path.suffix.lower() == ".grd" else driver
+def _open_alone(name: str, opener: Callable[..., BinaryIO]) -> Any:
+    """Return the open dataset of the first driver that can read a file.
+
+    Raises
+    ------
+    RasterioIOError
+        The error of the driver that recognizes the file, or that of unknown formats.
+    """
+    import rasterio
+    from rasterio.errors import RasterioIOError
+
+    known: RasterioIOError | None = None
+    for driver in DRIVERS:
+        try:
+            return rasterio.open(name, driver=driver, opener=opener, **OPTIONS.get(driver, {}))
+        except RasterioIOError as error:
+            words = str(error.__cause__ or error)
+            if known is None or (UNKNOWN in str(known.__cause__ or known) and UNKNOWN not in words):
+                known = error
+    raise known or RasterioIOError(UNKNOWN)
+
+
+@contextmanager
+def _quiet_log() -> Iterator[None]:
+    """Keep errors of rasterio's log off the screen: it cannot decode all messages of GDAL.
+
+    They are raised in a callback of GDAL, where no code can catch them; reading goes on.
+    """
+    hooks = sys.excepthook, sys.unraisablehook
+
+    def report(kind: type[BaseException], *rest: Any) -> None:
+        if not issubclass(kind, UnicodeDecodeError):
+            hooks[0](kind, *rest)
+
+    def report_unraisable(found: Any) -> None:
+        if not issubclass(found.exc_type, UnicodeDecodeError):
+            hooks[1](found)
+
+    sys.excepthook, sys.unraisablehook = report, report_unraisable
+    try:
+        yield
+    finally:
+        sys.excepthook, sys.unraisablehook = hooks
 
 
 def _open_only(path: Path, known: str, opened: ExitStack, name: str, mode: str = "rb") -> BinaryIO:
@@ -194,7 +232,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
     if file.driver == "AAIGrid":
         _check_numbers(path, file.shape, rows)
     crs = place.crs or ("CRS not given" if place.placed else "placed by cell and registration")
-    source = f"{FORMATS.get(file.driver, file.driver)} of {file.dtypes[0]}"
+    source = f"{NAMES.get(file.driver, file.driver)} of {file.dtypes[0]}"
     facts = (
         ("ground map", f"{source}, {crs}, {WORDS[place.registration]}"),
         *_scale_facts(file),
@@ -215,7 +253,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
         place.crs,
         place.geographic,
         place.placed,
-        gray=file.driver == "PNG",
+        gray=_is_picture(file),
     )
 
 
@@ -274,6 +312,14 @@ def _unit(file: Any) -> float:
     return LENGTHS[(file.units[0] or "").lower()]
 
 
+def _is_picture(file: Any) -> bool:
+    """Return whether values are gray levels: without scale and unit, of 8 bits or not placed."""
+    kind = np.dtype(file.dtypes[0])
+    if kind.kind != "u" or (file.scales[0], file.offsets[0]) != (1, 0) or file.units[0]:
+        return False
+    return kind.itemsize == 1 or (file.crs is None and file.transform.is_identity)
+
+
 def _check_band(file: Any) -> None:
     """Raise DataError unless the file has a single band of heights in metres."""
     if file.count != 1:
@@ -286,6 +332,12 @@ def _check_band(file: Any) -> None:
             "heights",
             "colours of a palette",
             "use the elevation model from which the image was drawn",
+        )
+    if not math.isfinite(file.offsets[0]) or not 0 < abs(file.scales[0]) < math.inf:
+        refuse(
+            "a scale of the heights other than 0, and an offset",
+            f"{file.scales[0]:g} and {file.offsets[0]:g}",
+            "correct them: gdal_translate -a_scale 1 -a_offset 0 in.tif out.tif",
         )
     if (file.units[0] or "").lower() not in LENGTHS:
         refuse(
@@ -315,9 +367,11 @@ def _place(file: Any, ask: Reading) -> _Place:
                 f"{name} = {value!r}",
                 f"remove {name}, or correct the coordinates in the file with gdal_edit",
             )
+    # the hemisphere of the zone is in a file beside it
+    crs = None if file.driver == "BT" and file.crs and file.crs.is_projected else file.crs
     registration = file.tags().get("AREA_OR_POINT", "Area").lower()
     x, y, upward = _axes(file)
-    return _Place(x, y, upward, registration, *system_name(file.crs, TO_METRES), placed=True)
+    return _Place(x, y, upward, registration, *system_name(crs, TO_METRES), placed=True)
 
 
 def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
