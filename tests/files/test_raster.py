@@ -641,3 +641,12 @@ def test_heights_in_other_units_are_converted(tmp_path):
         found = read_map(path)
         assert_allclose(found.grid.z, length * ROWS[::-1].T, rtol=1e-15)
         assert f"converted from {unit}" in dict(found.facts)["ground map heights"]
+
+
+def test_a_damaged_header_of_netcdf_claims_no_memory(tmp_path: Path) -> None:
+    """The netCDF library would allocate what the length of the attribute claims, gigabytes."""
+    head = b"CDF\1" + bytes(4) + bytes(8)  # no records, no dimensions
+    attribute = struct.pack(">II4sII", 12, 1, b"", 2**31 - 4, 2**31 - 4)
+    (tmp_path / "g.nc").write_bytes(head + attribute + bytes(64))
+    with pytest.raises(DataError, match="readable netCDF, found a damaged header"):
+        read_map(tmp_path / "g.nc")

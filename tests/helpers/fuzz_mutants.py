@@ -151,6 +151,7 @@ RASTERS: dict[str, tuple[str, str, list[dict[str, Any]]]] = {  # driver, type of
     ".asc": ("AAIGrid", "float32", [{}]),
     ".png": ("PNG", "uint16", [{}]),
     ".img": ("HFA", "float32", [{}]),
+    ".nc": ("netCDF", "float32", [{}]),
     ".gpkg": ("GPKG", "float32", [{}]),
     ".grd": ("GSBG", "float32", [{}]),
     ".bt": ("BT", "float32", [{}]),

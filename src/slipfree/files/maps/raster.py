@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, Literal, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.maps.netcdf_header import check_header
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
 
@@ -148,6 +149,7 @@ def read_raster(path: Path, ask: Reading) -> Heights:
         ):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             if head in BY_NAME:  # from a folder without other files
+                check_header(path)
                 folder = Path(opened.enter_context(TemporaryDirectory()))
                 (folder / name).symlink_to(path.resolve())
                 dataset = rasterio.open(folder / name, driver=BY_NAME[head])
