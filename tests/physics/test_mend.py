@@ -401,3 +401,16 @@ def test_a_picture_needs_the_metres_of_a_gray_level(tmp_path: Path) -> None:
         _grounds(tmp_path, *settings)
     grid, _ = _grounds(tmp_path, *settings, "terrain.vertical_scale=0.01")
     assert_allclose(grid.z, 0.07)
+
+
+def test_heights_that_are_no_metres_on_earth_need_a_scale(tmp_path: Path) -> None:
+    z = 29000 + plane(40, 40, (0.25, 0.25)).z
+    with pytest.raises(ProblemError, match=r"heights from -12000 to 9000 m, .*found 28998.*0\.01"):
+        _grounds(tmp_path, z=z)
+    for setting, factor in (
+        ("vertical_scale=0.01", 0.01),
+        ("vertical_scale=1", 1),
+        ("scale=0.3", 0.3),
+    ):
+        grid, _ = _grounds(tmp_path, f"terrain.{setting}", z=z)
+        assert_allclose(grid.z, factor * z)

@@ -25,6 +25,7 @@ from slipfree.terrain.synthetic import Rock, blank, place_rocks
 from slipfree.trajectory import Trajectory
 
 OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys only for map files
+EARTH = -12000.0, 9000.0  # heights between the deepest ocean and the highest mountain [m]
 
 
 class Ground(NamedTuple):
@@ -200,19 +201,31 @@ def _source(problem: Problem[S]) -> tuple[Map, str]:
         options = {key: getattr(spec, key) for key in OF_FILES}
         with at(problem, ("terrain", "file")):
             found = read_map(problem.folder / spec.file, window=window, **options)
-            if found.gray and "vertical_scale" not in spec.model_fields_set:
-                low, high = found.grid.values.min(), found.grid.values.max()
-                raise ModelError(
-                    "expected vertical_scale, the metres per gray level of a picture, found none; "
-                    f"set vertical_scale: the levels from {low:g} to {high:g} span that many "
-                    "times it in metres (1 if the values are metres)"
-                )
+            if "vertical_scale" not in spec.model_fields_set:
+                _check_heights(found, spec.scale)
         return found, spec.file
     if spec.synthetic is not None:
         with at(problem, ("terrain", "synthetic")):
             return Map(_synthetic(spec.synthetic)), "synthetic"
     with at(problem, ("terrain", "sample")):
         return Map(jacksboro()), "Jacksboro fault (sample of matplotlib)"
+
+
+def _check_heights(found: Map, scale: float) -> None:
+    """Raise ModelError if the heights of a map cannot be metres."""
+    low, high = found.grid.values.min(), found.grid.values.max()
+    if found.gray:
+        raise ModelError(
+            "expected vertical_scale, the metres per gray level of a picture, found none; "
+            f"set vertical_scale: the levels from {low:g} to {high:g} span that many "
+            "times it in metres (1 if the values are metres)"
+        )
+    if not EARTH[0] <= scale * low <= scale * high <= EARTH[1]:
+        raise ModelError(
+            f"expected heights from {EARTH[0]:g} to {EARTH[1]:g} m, as on the earth, found "
+            f"{low:g} to {high:g}; set vertical_scale, the metres per unit of the heights (0.01 "
+            "for centimetres, 0.1 for decimetres, 1 if they are metres)"
+        )
 
 
 def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, str]:

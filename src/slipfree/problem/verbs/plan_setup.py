@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path as File
@@ -28,6 +28,7 @@ from slipfree.problem.build_common import (
 from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model
+from slipfree.problem.geographic_places import convert_places
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.validation import validated_problem
 from slipfree.problem.verbs.plan_goals import (
@@ -54,6 +55,8 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
+HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
+HOLE_CLEARANCE = 2.0  # by which a plan stays farther away from holes [accuracy]
 RUNS = count()
 
 
@@ -244,7 +247,11 @@ def plan_arguments(
     between: Mapping[float, Ranges],
 ) -> dict[str, Any]:
     """Return the arguments of `plan` for a problem."""
-    limits = (*limits_of(model[0], facing(problem, spec.limits)), *_kept_out(keep_out, *model))
+    limits = (
+        *limits_of(model[0], facing(problem, spec.limits)),
+        *_kept_out(keep_out, *model),
+        *_kept_off_holes(spec, model[0]),
+    )
     return {
         "goal": facing(problem, spec.goal),
         "costs": spec.costs,
@@ -274,6 +281,17 @@ def _kept_out(
         )
         for k, region in enumerate(keep_out)
     ]
+
+
+def _kept_off_holes(spec: Plan, dae: Dae) -> Iterator[Limit]:
+    """Yield the limits that keep wheels off holes of the map, unless the problem has its own.
+
+    The search has them from the beginning: it would leave the route, and not find around again.
+    """
+    for limit in dae.limits:
+        own = {limit.label.name, limit.label.full} & {*spec.limits}
+        if limit.label.name == HOLE_MARGIN and not own:
+            yield limit._replace(lower=limit.lower + HOLE_CLEARANCE * spec.plan.accuracy)
 
 
 def settled_start(dae: Dae, setup: Planning) -> Trajectory:
@@ -312,4 +330,6 @@ def source_of(problem: Problem[Plan]) -> PlanSource:
 
 def problem_from(source: PlanSource) -> Problem[Plan]:
     """Return the problem of a source."""
-    return validated_problem(lambda *_: Plan, source.path, source.text, source.settings)
+    return convert_places(
+        validated_problem(lambda *_: Plan, source.path, source.text, source.settings)
+    )
