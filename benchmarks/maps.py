@@ -9,6 +9,8 @@
    elevation errors under which their rates, replayed, keep the limits, and how far from the
    plan's end they end: one plan that uses all the friction that is allowed, and others that were
    asked to leave a reserve.
+
+``python benchmarks/maps.py FOLDER`` prints what `real_maps` says of each map in a folder.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from real_maps import table
 
 from slipfree import (
     Bicubic,
@@ -245,6 +248,8 @@ def planned(limit: float) -> tuple[Trajectory, Setup, PolynomialMotion]:
 if __name__ == "__main__":
     if sys.argv[1:] == ["nothing"]:
         print(json.dumps({"memory": peak()}))
+    elif len(sys.argv) == 2:
+        table(Path(sys.argv[1]))
     elif len(sys.argv) > 1:
         print(json.dumps(drive(sys.argv[1], float(sys.argv[2]))))
     else:

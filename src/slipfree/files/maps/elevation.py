@@ -65,7 +65,8 @@ OTHERS = {  # remedies for formats that are not read
     ".gz": "unpack it: gunzip in.gz",
     **{each: f"unpack it: tar xf in{each}" for each in (".tar", ".tgz")},
     ".7z": "unpack it: 7z x in.7z",
-    ".bag": "write the layer of heights of a grid_map message as .npz with arrays x, y, z",
+    ".bag": "write the layer of heights of a grid_map message as .npz with arrays x, y, z, for "
+    "example with the Python package rosbags",
     ".vrt": "write what it refers to as one file: gdal_translate in.vrt out.tif",
     **{
         each: f"interpolate its points or contours to a raster: gdal_grid -txe ... -tye ... "
