@@ -116,6 +116,9 @@ class Standing(NamedTuple):
     ----------
     model : Dae
         Model whose equilibrium is the start.
+    guess : Dae or None
+        Model with exact contact, whose pose is the initial guess of the equilibrium; None if the
+        wheels cannot all touch a rigid ground.
     speed : SX, shape (1, 1)
         Symbol of the speed of the platform along its forward axis. [m/s]
     x : SX, shape (n_x, 1)
@@ -123,6 +126,7 @@ class Standing(NamedTuple):
     """
 
     model: Dae
+    guess: Dae | None
     speed: ca.SX
     x: ca.SX
 

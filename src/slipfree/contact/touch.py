@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.contact.closure import ContactFrame
 from slipfree.geometry.frame import Pose
@@ -24,9 +25,13 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.sections.base import Section
 from slipfree.vehicle.wheel import Wheel
 
-STEPS = 4  # of Newton's method
+STEPS = 3  # of Newton's method, from the wheel's lowest point
+DAMPED_STEPS = 30  # if these do not converge
+LONGEST_STEP = 0.2  # of damped steps [rolling radii]
 TOLERANCE = 1e-9  # residual of a converged search [m]
-CLEARLY_ABOVE = 0.5  # vertical gap above which a search need not converge [rolling radii]
+CLEARLY_ABOVE = 0.1  # vertical gap above which a search need not converge [rolling radii]
+LARGE = 1e9  # any residual is smaller [m^2]
+DIRECTIONS = np.deg2rad([0, -20, 20, -40, 40, -60, 60])  # of normals of a wheel's lower part [rad]
 
 
 class Touch(NamedTuple):
@@ -128,18 +133,74 @@ def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Fun
     """
     jet, newton = _jet_function(terrain), _newton_function(section)
     symbol: Any = ca.SX if jet.is_a("SXFunction") else ca.MX
-    asked = symbol.sym("asked", 6)
-    low = newton(0, asked, 0)[1]  # the lowest point of the wheel
-    spot, below = low[:2], jet(low[:2])
-    for k in range(STEPS):
-        spot = spot + newton(spot, asked, jet(spot) if k else below)[0][:2]
+    asked, begin = symbol.sym("asked", 6), symbol.sym("begin", 2)
+    lowest = ca.Function("lowest", [asked], _lowest_point(section, jet, asked), {"cse": True})
+    spot = begin
+    for _ in range(STEPS):
+        spot = spot + newton(spot, asked, jet(spot))[0][:2]
+    few = ca.Function("few", [begin, asked], [_result(jet, newton, spot, asked)], {"cse": True})
+    spot = _damped_steps(jet, newton, begin, asked, radius)
+    many = ca.Function("many", [begin, asked], [_result(jet, newton, spot, asked)], {"cse": True})
+
+    question = ca.MX.sym("asked", 6)
+    place, above = lowest(question)
+    found = few(place, question)
+    found = ca.if_else(_converged(found), found, many(place, question), True)
+    in_air = ca.vertcat(place, ca.DM.zeros(4), jet(place))
+    missing = ca.if_else(above > CLEARLY_ABOVE * radius, in_air, ca.DM.nan(13))
+    result = ca.if_else(_converged(found), found[:13], missing)
+    return ca.Function("search", [question], [result])
+
+
+def _lowest_point(section: Section, jet: ca.Function, asked: Any) -> list[Any]:
+    """Return the place and the height above the ground of the wheel's lowest point.
+
+    The points are those of the tread with normals in the direction of travel, at `DIRECTIONS` from
+    the vertical.
+    """
+    center, axle = asked[:3], asked[3:]
+    forward = ca.vertcat(-axle[1], axle[0], 0) / ca.sqrt(ca.sumsqr(axle[:2]) + TOLERANCE**2)
+    best, least = None, None
+    for angle in DIRECTIONS:
+        down = ca.vertcat(0, 0, -np.cos(angle)) + np.sin(angle) * forward
+        point = center + section.support(down, axle)
+        height = point[2] - jet(point[:2])[0]
+        if best is None:
+            best, least = point[:2], height
+        else:
+            best = ca.if_else(height < least, point[:2], best)
+            least = ca.fmin(height, least)
+    return [best, least]
+
+
+def _result(jet: ca.Function, newton: ca.Function, spot: Any, asked: Any) -> Any:
+    """Return the result of a search that ends at a point, and its residual, shape (15, 1)."""
     end = jet(spot)
     found = newton(spot, asked, end)[0]
-    converged = ca.mmax(ca.fabs(found[6:])) < TOLERANCE
-    far = low[2] - below[0] > CLEARLY_ABOVE * radius
-    missing = ca.if_else(far, ca.vertcat(low[:2], ca.DM.zeros(4), below), ca.DM.nan(13))
-    result = ca.if_else(converged, ca.vertcat(spot, found[2:6], end), missing)
-    return ca.Function("search", [asked], [result], {"cse": True})
+    return ca.vertcat(spot, found[2:6], end, found[6:])
+
+
+def _converged(found: ca.MX) -> ca.MX:
+    return ca.norm_inf(found[13:]) < TOLERANCE
+
+
+def _damped_steps(
+    jet: ca.Function, newton: ca.Function, spot: Any, asked: Any, radius: float
+) -> Any:
+    """Return the point after steps of Newton's method of limited length.
+
+    A step is halved until it reduces the residual.
+    """
+    best, least, step = spot, LARGE, 0 * spot
+    for _ in range(DAMPED_STEPS):
+        found = newton(spot, asked, jet(spot))[0]
+        size, full = ca.sumsqr(found[6:]), found[:2]
+        limited = full * ca.fmin(1, LONGEST_STEP * radius / (ca.norm_2(full) + TOLERANCE))
+        better = size < least
+        best, least = ca.if_else(better, spot, best), ca.if_else(better, size, least)
+        step = ca.if_else(better, limited, step / 2)
+        spot = best + step
+    return best
 
 
 def _jet_function(terrain: Terrain) -> ca.Function:

@@ -29,6 +29,7 @@ from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import NORMAL, wheel_labels
 from slipfree.lookups import LookupTable
 from slipfree.models.base import extent, outputs, sizes, touch_function
+from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.labels import labels_of
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import (
@@ -660,8 +661,11 @@ def _standing(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> Standing:
     count, speed = len(joints), ca.SX.sym("speed")
     rolling = [speed / wheel.radius for wheel in vehicle.wheels]
     motors = ca.SX.zeros(len(labels.x.drives))
+    exact = has_exact_closure(vehicle)
+    guess = replace(direct_kinematics(vehicle, terrain), limits=(), checks=()) if exact else None
     return Standing(
         model,
+        guess,
         speed,
         ca.vertcat(
             *(still.x, still.y, still.z, w, x, y, z, *joints),

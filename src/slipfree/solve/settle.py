@@ -75,12 +75,28 @@ def settle(
     """
     if dae.standing is not None:
         speed = start.pop(SPEED, 0.0)
-        run = settle(dae.standing.model, guess=guess, options=options, **start)
+        first = _exact_pose(dae.standing, start, options) | dict(guess or {})
+        run = settle(dae.standing.model, guess=first, options=options, **start)
         return _one_sample(dae, _moving_states(dae.standing, run, speed), np.zeros(0), options)
     x, guess = dae.start(**start), dict(guess or {})
     if not dae.rest.numel():
         return _one_sample(dae, x, first_guess(dae, x, guess), options)
     return _settle_by_relaxation(dae, x, start, guess, options)
+
+
+def _exact_pose(
+    standing: Standing, start: dict[str, float], options: SolverOptions
+) -> dict[str, float]:
+    """Return the pose of a vehicle in exact contact by name, empty if there is none."""
+    if standing.guess is None:
+        return {}
+    wanted = [label.full for label in leaves(standing.model.labels.x)]
+    names = [label.full for label in leaves(standing.guess.labels.x)]
+    try:
+        run = settle(standing.guess, options=options, **start)
+    except ModelError:  # a wrong start is reported by the model at rest
+        return {}
+    return {name: float(run[name][0]) for name in wanted if name not in names}
 
 
 def _moving_states(standing: Standing, run: Trajectory, speed: float) -> Array:
