@@ -160,7 +160,8 @@ def _lowest_point(section: Section, jet: ca.Function, asked: Any) -> list[Any]:
     """
     center, axle = asked[:3], asked[3:]
     forward = ca.vertcat(-axle[1], axle[0], 0) / ca.sqrt(ca.sumsqr(axle[:2]) + TOLERANCE**2)
-    best, least = None, None
+    best: Any = None
+    least: Any = None
     for angle in DIRECTIONS:
         down = ca.vertcat(0, 0, -np.cos(angle)) + np.sin(angle) * forward
         point = center + section.support(down, axle)

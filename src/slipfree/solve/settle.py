@@ -85,7 +85,7 @@ def settle(
 
 
 def _exact_pose(
-    standing: Standing, start: dict[str, float], options: SolverOptions
+    standing: Standing, start: dict[str, Any], options: SolverOptions
 ) -> dict[str, float]:
     """Return the pose of a vehicle in exact contact by name, empty if there is none."""
     if standing.guess is None:
