@@ -126,7 +126,7 @@ def obstacle() -> str | None:
 
 
 class _UnavailableError(Exception):
-    """Missing compiler or unusable cache folder; the message is the reason."""
+    """Compiled functions are not available; the message gives the reason."""
 
 
 def source(functions: Sequence[ca.Function]) -> str:
@@ -186,7 +186,7 @@ def _unusable(cache: Path, error: OSError) -> str:
 
 
 def _is_private(about: os.stat_result) -> bool:
-    """Return whether only this user owns and may write to a file or folder, from its status.
+    """Return whether a file or folder belongs to this user and no one else can write to it.
 
     The result is true on systems without POSIX permissions.
     """

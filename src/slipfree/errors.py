@@ -18,6 +18,6 @@ class DataError(SlipfreeError, ValueError):
 def missing_package(package: str, extra: str) -> str:
     """Return an error message for a missing optional package, with the command to install it."""
     return (
-        f"expected the package {package}, found that it is not installed; in the source folder of "
-        f"slipfree run: python -m pip install '.[{extra}]'"
+        f"expected the package {package!r}, found that it is not installed; install it from the "
+        f"source folder of slipfree: python -m pip install '.[{extra}]'"
     )

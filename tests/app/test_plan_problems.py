@@ -56,7 +56,7 @@ def test_the_start_of_the_search_ends_at_the_goal():
         ),
         (
             ["keep_out=[{ x = 1.0, y = 2.0 }]"],
-            "keep_out[0]: expected either x, y and radius, or points",
+            "keep_out[0]: expected either 'x', 'y' and 'radius' (a disc), or 'points'",
         ),
         (["keep_out=[{ points = [[0, 0], [1, 1]] }]"], "points"),
         (["goal={ heading = 0.0 }"], "goal: expected values for x and y, which the driver"),
@@ -93,7 +93,7 @@ def test_a_way_point_is_passed():
                 'driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
                 "paths = [[[17, 14], [17, 24]]] }"
             ],
-            "expected one of path, paths and file, found several",
+            "expected one of 'path', 'paths' and 'file', found several",
         ),
         (
             ["law.coulomb.creep=1e-3"],

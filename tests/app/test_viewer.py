@@ -416,7 +416,7 @@ def test_without_viser_it_says_what_to_install(
     monkeypatch.setitem(sys.modules, "viser", None)
     done = CliRunner().invoke(app, ["show", str(files[0]), "--no-browser"])
     assert done.exit_code == 2
-    assert "expected the package viser, found that it is not installed" in done.stderr
+    assert "expected the package 'viser', found that it is not installed" in done.stderr
     assert "python -m pip install '.[view]'" in done.stderr
 
 

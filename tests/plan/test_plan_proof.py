@@ -235,7 +235,7 @@ def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
 
 def test_the_plan_of_another_vehicle_is_refused(coarse):
     dae = direct_kinematics(three_wheeler(), Analytic(hills))
-    with pytest.raises(ModelError, match="expected a saved plan of a vehicle with the same wheels"):
+    with pytest.raises(ModelError, match="expected a saved plan with the states, unknowns"):
         asked((dae, settle(dae)), guess((dae, settle(dae))), resume=coarse.saved)
 
 

@@ -207,7 +207,7 @@ def check_outputs(files: list[Path | None], folder: Path | None, problem: Proble
 
 
 def check_page(out: Path, files: Sequence[Path]) -> None:
-    """Raise DataError for an HTML page that cannot be written or is one of the result files."""
+    """Raise DataError if a page is not HTML, cannot be written, or is one of the result files."""
     check_apart(out, files)
     if out.suffix.lower() not in (".html", ".htm"):
         raise DataError(f"{out}: expected a name that ends in .html; choose another name")

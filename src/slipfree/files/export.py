@@ -78,9 +78,13 @@ def export_rates(file: Path, out: Path) -> None:
 
 def check_motion(file: Path, run: Trajectory, needed: Iterable[str]) -> None:
     """Raise DataError if the motion in a result file lacks a needed quantity."""
-    missing = [name for name in needed if name not in run.columns]
+    names = list(needed)
+    missing = [name for name in names if name not in run.columns]
     if missing:
-        raise DataError(f"{file}: expected a path with x, y, z, found no {missing[0]}; {RUN_AGAIN}")
+        listed = ", ".join(names)
+        raise DataError(
+            f"{file}: expected a motion with {listed}, found no {missing[0]}; {RUN_AGAIN}"
+        )
 
 
 def check_name(out: Path, file: Path, endings: Iterable[str]) -> None:

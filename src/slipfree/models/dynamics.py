@@ -130,7 +130,7 @@ def dynamics(
     vehicle : Vehicle
         The vehicle, with mass. Wheels may leave the ground.
     terrain : Terrain
-        The ground, with friction; wheels keep to its domain.
+        The ground, with friction. A motion ends where a contact leaves its domain.
     law : Compliant
         Wheel-ground law.
 

@@ -106,7 +106,7 @@ def inverse_kinematics(
     vehicle : Vehicle
         The vehicle.
     terrain : Terrain
-        The ground; contacts keep to its domain.
+        The ground. A motion ends where a contact leaves its domain.
     given : sequence of str
         Either commands, for any vehicle: some of ``forward``, ``right`` and ``yaw_rate``, the
         velocity of the platform's centre along its heading and across it, and the rate of the

@@ -38,7 +38,7 @@ def direct_kinematics(
     vehicle : Vehicle
         The vehicle.
     terrain : Terrain
-        The ground; contacts keep to its domain.
+        The ground. A motion ends where a contact leaves its domain.
     slip : SlipLaw
         `LeastSlip`, for every vehicle; or `Rolling`, for vehicles that can roll without slip.
     smoothing : float

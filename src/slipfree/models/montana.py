@@ -163,7 +163,8 @@ def montana_kinematics(
     vehicle : Vehicle
         The vehicle, without wheels that have an edge (``Disc``) or rollers.
     terrain : Terrain
-        The ground; contacts keep to its domain. Its third derivatives enter IDAS's Jacobian.
+        The ground. A motion ends where a contact leaves its domain. Third derivatives of the
+        height enter IDAS's Jacobian.
     slip : SlipLaw
         As in the closure model.
     kappa : float

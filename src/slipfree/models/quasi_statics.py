@@ -32,14 +32,14 @@ def quasi_statics(
     *,
     law: GroundLaw = Coulomb(),  # noqa: B008 - a frozen record
 ) -> Dae:
-    """Return the quasi-static model of a vehicle on a ground for given rates.
+    """Return the quasi-static model of a vehicle at given rates of its wheels and joints.
 
     Parameters
     ----------
     vehicle : Vehicle
         The vehicle, with mass.
     terrain : Terrain
-        The ground, with friction; contacts keep to its domain.
+        The ground, with friction. A motion ends where a contact leaves its domain.
     law : GroundLaw
         Wheel-ground law, such as `Coulomb`.
 
@@ -51,12 +51,12 @@ def quasi_statics(
     Raises
     ------
     ModelError
-        If ``law`` is not a wheel-ground law, the vehicle has no mass, or the law does not suit
-        the vehicle or the ground.
+        If ``law`` is not a wheel-ground law, the vehicle has no mass, not all of its wheels can
+        touch a rigid ground, or the law cannot be used with the vehicle or the ground.
 
     Examples
     --------
-    The part of the friction that a cart uses on a side slope of 0.2.
+    Compute the largest friction utilisation of a cart on a side slope of 0.2:
 
     >>> import numpy as np
     >>> from slipfree import Analytic, catalog, quasi_statics, settle, simulate

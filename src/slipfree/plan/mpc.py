@@ -348,7 +348,7 @@ def _sample_motions(
 
 
 def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
-    """Return values at times ``at``, read at each time from the first motion not yet ended."""
+    """Return values of successive motions at times; the first that has not ended applies."""
     values = read(motions[-1][0], _to_fractions(motions[-1], at))
     for motion in reversed(motions[:-1]):
         inside = at <= motion[1] + motion[0].duration

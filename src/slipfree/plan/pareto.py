@@ -151,7 +151,7 @@ def check_count(count: int) -> None:
 
 
 def is_better(point: FrontPoint, other: FrontPoint) -> bool:
-    """Return whether a point replaces another one of the same bound."""
+    """Return whether a point is better than another point with the same bound."""
     if not (point.is_solved and other.is_solved):
         return point.is_solved
     return point.first < other.first

@@ -75,7 +75,7 @@ class Price(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Sentence with the bound, a small change of it, and the saving of cost."""
+        """Sentence that states the relative saving of cost for a small change of the bound."""
         side = "" if self.side == VALUE else f" {self.side}"
         more = "more" if self.rate < 0 else "less"
         return (

@@ -104,7 +104,7 @@ class Replays(NamedTuple):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Clopper-Pearson interval of the share at the level `CONFIDENCE`."""
+        """Clopper-Pearson confidence interval of the share, at the level `CONFIDENCE`."""
         k, n, tail = self.held, self.draws, (1 - CONFIDENCE) / 2
         low = float(betaincinv(k, n - k + 1, tail)) if k else 0.0
         high = float(betaincinv(k + 1, n - k, 1 - tail)) if k < n else 1.0

@@ -113,8 +113,9 @@ def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
     """
     if not np.array_equal(former.model, _model_number(dae)):
         raise ModelError(
-            "plan: expected a saved plan of a vehicle with the same wheels, joints and slip law, "
-            "found a plan of another vehicle or slip law; plan without the saved plan"
+            "plan: expected a saved plan with the states, unknowns and inputs of this model, found "
+            "others (of another vehicle, model or law); restore the vehicle, model and law of the "
+            "saved plan, or plan without it"
         )
     found, away = former.motion, former.shift - np.concatenate(dae.shift)
     unknowns, n_x = found.unknowns.copy(), dae.shift[0].size

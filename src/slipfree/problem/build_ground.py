@@ -149,7 +149,7 @@ def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
 
 
 def _map_coordinates(found: Map, horizontal: float, vertical: float) -> tuple[MapCoordinate, ...]:
-    """Return the coordinates of a map file that differ from those of motions; empty if equal."""
+    """Return a map file's x, y and z as functions of those of motions; empty if all are equal."""
     x0, kx, y0, ky = found.frame
     if found.frame == Frame() and (horizontal, vertical) == (1, 1):
         return ()

@@ -263,7 +263,7 @@ def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body
 
 
 def _arrows(run: Trajectory, terrain: Bicubic, contacts: Array, axles: Array) -> list[Arrows]:
-    """Return the arrows of slip and forces from their components along, across and normal."""
+    """Return the arrows of slip velocities and contact forces; absent quantities are skipped."""
     normals = ground_normals(terrain, contacts)
     along = np.cross(normals, axles)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)

@@ -70,7 +70,7 @@ def curve(swept: Swept, ax: Axes) -> Axes:
 
 
 def heat_map(swept: Swept, ax: Axes) -> Axes:
-    """Draw the mean over repetitions as colours over two keys; grey where no run has a value.
+    """Draw a heat map of the mean over repetitions against two keys; cells without value are grey.
 
     Raises
     ------

@@ -129,7 +129,7 @@ def _connect(address: str) -> Any:
 async def _reach(address: str) -> None:
     """Check that a scheduler accepts a connection.
 
-    A client without a connection would take 20 s to close and print a traceback.
+    A Dask client that cannot connect takes 20 s to close, and prints a traceback.
     """
     from distributed.comm.core import connect
     from distributed.security import Security

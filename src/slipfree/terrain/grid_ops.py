@@ -336,7 +336,7 @@ def smoothed(grid: Grid, deviation: float) -> Smoothed:
     if not 0 < deviation <= extent / 8:
         raise ModelError(
             f"smooth: expected a standard deviation above 0 and at most {extent / 8:.4g} m, an "
-            f"eighth of the ground, found {deviation:g} m; change it"
+            f"eighth of the ground, found {deviation:g} m; choose a value in this range"
         )
     z = averaged(grid.z, grid.spacing, deviation)
     change = (z - grid.z)[~np.zeros_like(z, bool) if grid.holes is None else ~grid.holes]

@@ -96,9 +96,9 @@ def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth
             return CONSTANTS[name]
         case ast.Name(id=name) if name not in FUNCTIONS:
             raise ModelError(
-                f"formula {text!r}: expected one of the names "
-                f"{', '.join(sorted(values)) or '(there are none)'}, found {name!r}; correct the "
-                "formula"
+                f"formula {text!r}: expected "
+                + (f"one of the names {', '.join(sorted(values))}" if values else "no names")
+                + f", found {name!r}; correct the formula"
             )
         case ast.UnaryOp(op=op, operand=only) if type(op) in OPERATORS:
             return OPERATORS[type(op)](_evaluate_node(only, text, values, depth - 1))

@@ -95,7 +95,7 @@ class Reading(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Positions of the nodes of a raster.
+    """Georeferencing of a raster: positions of its nodes.
 
     Attributes
     ----------

@@ -138,7 +138,7 @@ def _spelled(number: WithUnit) -> str:
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """Yield the numbers in a number, a range or a piecewise constant."""
+    """Yield all numbers of a value: a scalar, a range or a piecewise constant."""
     if isinstance(value, float):
         yield value
     elif isinstance(value, tuple):

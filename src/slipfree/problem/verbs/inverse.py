@@ -381,7 +381,7 @@ def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
 
 
 def _with_replay(setup: Setup, run: Trajectory, inputs: Any, options: SolverOptions) -> Trajectory:
-    """Return a motion with its differences from the direct model in its statistics.
+    """Return a motion with statistics of its differences from the direct model.
 
     The direct model is integrated with `inputs`, functions of time; for None, the inputs are
     splines through the samples of the motion.

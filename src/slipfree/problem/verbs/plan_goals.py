@@ -108,7 +108,9 @@ def initial_paths(
             if driver.paths is None:
                 return (path_points(problem, driver),)
             if driver.path is not None or driver.file is not None:
-                raise ModelError("driver: expected one of path, paths and file, found several")
+                raise ModelError(
+                    "driver: expected one of 'path', 'paths' and 'file', found several; keep one"
+                )
             return tuple(np.array(path) for path in driver.paths)
     _check_goal_place(problem, places)
     return _routes(problem, spec, driver, layers, [np.array(place[1:]) for place in places])
@@ -184,8 +186,12 @@ def regions(problem: Problem[S], spec: Plan) -> tuple[Region, ...]:
             elif each.points is None and None not in disc:
                 found.append(Region.disc(*(float(value or 0.0) for value in disc)))
             else:
+                keys = ("x", "y", "radius", "points")
+                given = [repr(key) for key in keys if getattr(each, key) is not None]
                 raise ModelError(
-                    "keep_out: expected either x, y and radius, or points, found others"
+                    "keep_out: expected either 'x', 'y' and 'radius' (a disc), or 'points' (a "
+                    f"polygon), found {', '.join(given) or 'none'}; add the missing keys or remove "
+                    "the others"
                 )
     return tuple(found)
 

@@ -40,9 +40,9 @@ class StartResult(NamedTuple):
     number : int
         Index of the initial guess.
     optimum : LocalOptimum or None
-        Its row in the table of optima; None if the guess does not exist or cannot be used.
+        Entry in the table of local optima; None if the guess does not exist or cannot be used.
     saved : SavedPlan or None
-        The plan; None without optimum.
+        The plan; None if there is no optimum.
     words : str
         Error message; empty without error.
     """
