@@ -44,6 +44,9 @@ TAKES = {
     "dict[str, Positive]": "a table of positive numbers by name",
     "dict[str, Range]": "a table by name: numbers, or `[low, high]`",
     "dict[str, PiecewiseConstant]": "a table by name: numbers, or `[[time, value], ...]`",
+    "dict[str, PiecewiseConstantOrFile]": (
+        'a table by name: numbers, or `[[time, value], ...]`; `file = "x.mcap"` reads commands'
+    ),
     "dict[str, TimeFunction]": (
         "a table by name: numbers, `[[time, value], ...]`, or formulas of `t`"
     ),
