@@ -248,7 +248,7 @@ def test_without_the_package(
     drive: tuple[Path, Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)
-    with pytest.raises(DataError, match=r"mcap-ros2-support, .*install '\.\[ros\]'"):
+    with pytest.raises(DataError, match=r"mcap-ros2-support', .*install '\.\[ros\]'"):
         export_mcap(drive[0] / "out.nc", tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
 

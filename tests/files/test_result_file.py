@@ -157,7 +157,7 @@ def test_frames_without_their_package(
     motion: Trajectory, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(SlipfreeError, match=rf"package {package}, .*install '\.\[xarray\]'"):
+    with pytest.raises(SlipfreeError, match=rf"package '{package}', .*install '\.\[xarray\]'"):
         getattr(motion, f"to_{package}")()
 
 
