@@ -6,10 +6,21 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from slipfree import Analytic, SolverOptions, catalog, quasi_statics, settle, simulate
+from slipfree import (
+    Analytic,
+    SolverOptions,
+    catalog,
+    direct_kinematics,
+    quasi_statics,
+    settle,
+    simulate,
+)
+from slipfree.geometry.frame import Pose, rotation_of
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.coulomb import Coulomb
 from slipfree.models.dynamics import dynamics
+from slipfree.models.multibody import Speeds, mass_matrix, multibody
+from slipfree.solve.settle import stable_poses
 from slipfree.vehicle.drives import Motor, Torque
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
@@ -270,6 +281,58 @@ def test_torque_on_a_wheel_accelerates_a_car():
     expected = 4 * 3.0 / 0.15 / (vehicle.mass + axial / 0.15**2)
     slope_of_speed = np.polyfit(run.t[5:], run["velocity_y"][5:], 1)[0]
     assert slope_of_speed == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_energy_ledger_contains_rotors_and_springs():
+    motor = Motor(stall=8.0, no_load=40.0, kp=5.0, ki=20.0, rotor_inertia=0.05)
+    vehicle = four_wheels(spring=4000.0, drive=motor)
+    waves = Analytic(lambda x, y: 0.02 * ca.sin(5 * y) * ca.cos(4 * x), mu=0.8)
+    model = dynamics(vehicle, waves)
+    rates = {label.full: 10.0 for label in model.labels.u.wheels}
+    run = moved(model, settle(model), np.linspace(0, 2, 21), 1e-8, **rates)
+    gain = energy(run) - energy(run)[0] - run["work"] + run["lost_energy"]
+    assert np.abs(gain).max() < 1e-6 * run["work"][-1]  # the rotors have some 10 J
+
+
+def test_the_mass_matrix_is_the_hessian_of_the_kinetic_energy():
+    vehicle = pendulum()
+    model = dynamics(vehicle, FLAT)
+    x, lookups = model.columns()[0], model.lookups
+    rng, speeds = np.random.default_rng(2), slice(10, 20)
+    point = rng.uniform(-1, 1, x.numel())
+    point[3:7] /= np.linalg.norm(point[3:7])
+    kinetic = model.y.kinetic_energy
+    assert not any(ca.depends_on(kinetic, each.found) for each in lookups)
+    hessian = ca.Function("hessian", [x], [ca.hessian(kinetic, x)[0]])
+    by_energy = np.array(hessian(point))[speeds, speeds]
+    names = [c.name for c in vehicle.coordinates]
+    body = multibody(
+        vehicle,
+        Pose(rotation_of(x[3:7]), x[:3]),
+        dict(zip(names, model.x.joints, strict=True)),
+        Speeds(x[10:13], x[13:16], x[16:19], (x[19],)),
+    )
+    matrix = np.array(ca.Function("matrix", [x], [mass_matrix(body)])(point))
+    np.testing.assert_allclose(matrix, by_energy[:9, :9], rtol=0, atol=1e-13 * np.abs(matrix).max())
+
+
+def test_a_wheel_in_the_air_has_no_second_contact():
+    """Beside a bump that a wheel put down onto the ground would touch."""
+    bump = Analytic(lambda x, y: 0.2 * ca.exp(-(((y - 0.22) / 0.05) ** 2)) + 0 * x, mu=0.8)
+    model = dynamics(lone_wheel(Torus(0.03, 0.12)), bump)
+    run = states(model, z=0.45)
+    assert run["depth"][0, 0] < 0
+    assert run["clearance"].min() > 0
+
+
+def test_the_stable_poses_of_a_rigid_vehicle_are_found():
+    hollow = Analytic(lambda x, y: 0.03 * ca.cos(7 * x) * ca.cos(7 * y), mu=0.8)
+    vehicle = catalog.rigid_skid_steer()
+    poses = stable_poses(dynamics(vehicle, hollow), x=0.1, y=0.2)
+    others = stable_poses(direct_kinematics(vehicle, hollow), x=0.1, y=0.2)
+    assert len(poses) == len(others)
+    for pose, other in zip(poses, others, strict=True):
+        assert pose["roll"][0] == pytest.approx(other["roll"][0], abs=2e-3)
 
 
 def test_a_motor_stalls_at_its_torque_and_recovers():

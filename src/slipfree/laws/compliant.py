@@ -31,13 +31,13 @@ class GroundForce(NamedTuple):
         Component along the ground's normal. [N]
     tangential : SX, shape (3, 1)
         Friction force, in fixed axes. [N]
-    energy : SX, shape (1, 1)
-        Elastic energy of the contact. [J]
+    elastic : SX, shape (1, 1)
+        Elastic part of the normal force, without damping. [N]
     """
 
     normal: ca.SX
     tangential: ca.SX
-    energy: ca.SX
+    elastic: ca.SX
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ class Compliant:
         stiffness, damping = share / depth, 2 * self.damping_ratio / sqrt(GRAVITY * depth)
         normal = touch.frame.normal
         away = ca.dot(normal, slip)
-        pressed = ca.fmax(-touch.gap, 0)
-        load = stiffness * pressed * ca.fmax(0, 1 - damping * away)
+        elastic = stiffness * ca.fmax(-touch.gap, 0)
+        load = elastic * ca.fmax(0, 1 - damping * away)
         tangential = slip - away * normal
         square = ca.sumsqr(tangential)
         friction = touch.friction
@@ -108,4 +108,4 @@ class Compliant:
             slow = ca.exp(-((speed / self.stribeck_speed) ** 2))
             friction *= self.sliding + (1 - self.sliding) * slow
         pull = -friction * load / ca.sqrt(square + self.creep**2) * tangential
-        return GroundForce(load, pull, stiffness / 2 * pressed**2)
+        return GroundForce(load, pull, elastic)

@@ -124,6 +124,19 @@ def touch_function(
     ]
 
 
+def raised_poses(
+    poses: Sequence[Pose], contacts: Sequence[ContactFrame], depths: Sequence[ca.SX]
+) -> tuple[Pose, ...]:
+    """Return the poses of wheels raised until none presses into the ground at its contact.
+
+    The certificate of a single contact then finds second contacts only.
+    """
+    return tuple(
+        pose._replace(origin=pose.origin + ca.fmax(depth, 0) * contact.normal)
+        for pose, contact, depth in zip(poses, contacts, depths, strict=True)
+    )
+
+
 def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tuple[Array, Array]]:
     """Return typical sizes of the unknowns ``z``, and offsets of ``x`` and ``z``.
 

@@ -74,6 +74,17 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     return Labels(x, z, q, u, y, (closures, (), equations))
 
 
+def pressed_labels(vehicle: Vehicle) -> dict[str, tuple[Label, ...]]:
+    """Return the labels of the outputs of wheels that press into the ground, by field."""
+    return {
+        "depth": wheel_labels(vehicle, "depth", "m", "depth below the ground; negative in the air"),
+        "load_share": wheel_labels(
+            vehicle, "load_share", "1", "normal force times number of wheels over the weight"
+        ),
+        "force_normal": wheel_labels(vehicle, *NORMAL) if vehicle.mass else (),
+    }
+
+
 def _turning(name: str, words: str) -> Label:
     return Label(f"{name}_rate", "rad s-1", f"rate of {words}")
 

@@ -12,7 +12,7 @@ separate speed, since a body of revolution has the same inertia in every positio
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import casadi as ca
@@ -97,6 +97,8 @@ class WheelMotion(NamedTuple):
         Motion of the carrier; its x axis is the axle.
     axial : float
         Moment of inertia about the axle. [kg m^2]
+    rotor : float
+        Moment of inertia of the drive, which the spin adds to that of the wheel. [kg m^2]
     speed : SX, shape (1, 1)
         Generalised speed of the wheel, forward positive: its rate relative to the carrier if that
         is prescribed, otherwise its spin relative to fixed axes. [rad/s]
@@ -107,6 +109,7 @@ class WheelMotion(NamedTuple):
     wheel: Wheel
     motion: PartMotion
     axial: float
+    rotor: float
     speed: ca.SX
     prescribed: bool
 
@@ -177,7 +180,6 @@ def multibody(
     platform: Pose,
     coordinates: Mapping[str, ca.SX],
     speeds: Speeds,
-    prescribed: Sequence[bool],
 ) -> Multibody:
     """Return a vehicle as a system of rigid bodies.
 
@@ -191,8 +193,6 @@ def multibody(
         Symbols of all coordinates, by name. [rad, m]
     speeds : Speeds
         Generalised speeds.
-    prescribed : sequence of bool
-        Whether the rate of each wheel relative to its carrier is prescribed.
     """
     still = ca.SX.zeros(3)
     parts = {"platform": PartMotion(platform, speeds.velocity, speeds.omega, still, still)}
@@ -229,14 +229,17 @@ def multibody(
             center = motion.pose.origin + rotation @ ca.DM(body.at)
             tensor = rotation @ ca.sparsify(ca.DM(body_inertia(vehicle, part))) @ rotation.T
             bodies.append(RigidBody(part, body.mass, motion.at(Pose(rotation, center)), tensor))
-    for wheel, speed, given in zip(vehicle.wheels, speeds.wheels, prescribed, strict=True):
+    for wheel, speed in zip(vehicle.wheels, speeds.wheels, strict=True):
+        drive = wheel.acting_drive
         motion = parts[wheel.parent].at(parts[wheel.parent].pose @ wheel.mount)
         axial, across = wheel_inertia(wheel)
         axle = motion.pose.rotation[:, 0]
         about = axle @ axle.T
-        tensor = across * (ca.SX.eye(3) - about) + (axial * about if given else 0)
+        tensor = across * (ca.SX.eye(3) - about) + (axial * about if drive.prescribed else 0)
         bodies.append(RigidBody(wheel.parent, wheel.mass, motion, tensor))
-        wheels.append(WheelMotion(wheel, motion, axial, speed, given))
+        wheels.append(
+            WheelMotion(wheel, motion, axial, drive.added_inertia, speed, drive.prescribed)
+        )
     return Multibody(parts, parents, screws, gears, tuple(bodies), tuple(wheels))
 
 
@@ -343,5 +346,5 @@ def kinetic_energy(system: Multibody) -> ca.SX:
         total += ca.dot(motion.omega, body.inertia @ motion.omega) / 2
     for wheel in system.wheels:
         carried = wheel.turning**2 if wheel.prescribed else 0
-        total += wheel.axial / 2 * (wheel.spin**2 - carried)
+        total += wheel.axial / 2 * (wheel.spin**2 - carried) + wheel.rotor / 2 * wheel.spin**2
     return total

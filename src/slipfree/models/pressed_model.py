@@ -34,7 +34,7 @@ from slipfree.contact.closure import ContactFrame, closure, contact_frame, suppo
 from slipfree.dae import Dae, Labels
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
-from slipfree.laws.protocols import NORMAL, Equations, Motion, SlipLaw, wheel_labels
+from slipfree.laws.protocols import Equations, Motion, SlipLaw
 from slipfree.lookups import LookupTable
 from slipfree.models.base import (
     carriers,
@@ -42,11 +42,12 @@ from slipfree.models.base import (
     joint_rates,
     level_heights,
     outputs,
+    raised_poses,
     sizes,
     spins,
     touch_function,
 )
-from slipfree.models.labels import labels_of
+from slipfree.models.labels import labels_of, pressed_labels
 from slipfree.models.limits import limits_of
 from slipfree.models.quantities import Mechanics, Quantities
 from slipfree.models.records import (
@@ -316,10 +317,7 @@ def _dae(
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     sampled = force_outputs(q, labels.y.forces)
     depths = ca.vertsplit(pressed.depth)
-    touching = tuple(
-        pose._replace(origin=pose.origin + depth * contact.normal)
-        for pose, depth, contact in zip(q.poses, depths, q.contacts, strict=True)
-    )  # wheels raised to touch the ground, so that the certificate finds second contacts only
+    touching = raised_poses(q.poses, q.contacts, depths)
     wheels = touch_function(x, z, touching, q.contacts, q.lookups)
     level = [*rates[:2], rates.heading, *joint_rates(vehicle, rates, q.u)]
     return Dae(
@@ -372,13 +370,7 @@ def _labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     labels = labels_of(vehicle, law, follow=False)
     position, rates = labels.z.position, labels.z.rates
     x = RelaxedState(*labels.x, *position[:4])
-    y = labels.y._replace(
-        depth=wheel_labels(vehicle, "depth", "m", "depth below the ground; negative in the air"),
-        load_share=wheel_labels(
-            vehicle, "load_share", "1", "normal force times number of wheels over the weight"
-        ),
-        force_normal=wheel_labels(vehicle, *NORMAL) if vehicle.mass else (),
-    )
+    y = labels.y._replace(**pressed_labels(vehicle))
     words = "offset of ground point and wheel point {} the wheel"
     offsets = tuple(
         Label("closure", "m", words.format(axis), wheel.name)

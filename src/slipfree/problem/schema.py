@@ -154,7 +154,8 @@ class Task(CommonKeys):
     terrain: Terrain = Field(description="the ground")
     start: dict[str, Quantity] = Field(
         description="x, y (or longitude, latitude in degrees, on a map with a reference system), "
-        "heading (counter-clockwise, from the axis of frame) and joints; zero by default [m, rad]"
+        "heading (counter-clockwise, from the axis of frame), joints, and with model = 'dynamics' "
+        "the speed along the forward axis; zero by default [m, rad, m/s]"
     )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {

@@ -138,7 +138,9 @@ def stable_poses(
     """
     values: dict[str, Any] = dict(start)
     found = [settle(dae, options=options, **values)]
-    for name, angle in INCLINATIONS if dae.rest.numel() else ():
+    standing = dae.standing
+    relaxes = bool(dae.rest.numel()) if standing is None else standing.guess is None
+    for name, angle in INCLINATIONS if relaxes else ():
         try:
             other = settle(dae, options=options, **(values | {name: angle}))
         except ModelError:  # it overturns from there

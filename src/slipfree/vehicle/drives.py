@@ -6,25 +6,61 @@ from dataclasses import dataclass, fields
 from math import inf
 from typing import ClassVar
 
+import casadi as ca
+
 from slipfree.errors import ModelError
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Drive of a wheel; kinematic and quasi-static models use the rate of every driven wheel.
+    """Drive of a wheel; this base class has no torque, as a wheel that is not driven.
+
+    Kinematic and quasi-static models use the rate of every driven wheel.
 
     Attributes
     ----------
     input : tuple of 3 str
         Name of the input, its unit, and its description, which the wheel's name completes.
+    prescribed : bool
+        Whether the wheel has the rate of its input, whatever torque that needs.
+    has_integral : bool
+        Whether a controller has an integral, which is a state of the model.
     """
 
     input: ClassVar[tuple[str, str, str]] = ("rate", "rad s-1", "rate of")
+    prescribed: ClassVar[bool] = False
+    has_integral: ClassVar[bool] = False
+
+    @property
+    def added_inertia(self) -> float:
+        """Moment of inertia of the drive about the axle [kg m^2]."""
+        return 0.0
+
+    def torque(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002
+        """Return the torque on the wheel and the rate of the integral.
+
+        Parameters
+        ----------
+        wanted : SX, shape (1, 1)
+            The input. [rad/s or N m]
+        rate : SX, shape (1, 1)
+            Rate of the wheel. [rad/s]
+        integral : SX, shape (1, 1)
+            Integral of the controller. [N m]
+
+        Returns
+        -------
+        tuple of 2 SX, shape (1, 1)
+            Torque, forward positive [N m], and rate of the integral [N m/s].
+        """
+        return ca.SX(0), ca.SX(0)
 
 
 @dataclass(frozen=True)
 class Rate(Drive):
     """Ideal drive: the wheel has the rate of its input, whatever torque that needs."""
+
+    prescribed: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -32,6 +68,10 @@ class Torque(Drive):
     """Drive without controller: the input is the torque on the wheel."""
 
     input: ClassVar[tuple[str, str, str]] = ("torque", "N m", "torque on")
+
+    def torque(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002
+        """Return the input as torque; there is no integral."""
+        return wanted, ca.SX(0)
 
 
 @dataclass(frozen=True)
@@ -59,6 +99,7 @@ class Motor(Drive):
         If a number is not positive; ``ki`` and ``rotor_inertia`` may be zero.
     """
 
+    has_integral: ClassVar[bool] = True
     stall: float
     no_load: float
     kp: float
@@ -72,6 +113,22 @@ class Motor(Drive):
                 words = "zero or positive" if least else "positive"
                 raise ModelError(f"motor: {each.name} must be {words}, found {value}; change it")
 
+    @property
+    def added_inertia(self) -> float:
+        """Moment of inertia of the rotor, times the square of the gear ratio [kg m^2]."""
+        return self.rotor_inertia
 
+    def torque(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the limited torque of the controller, and the rate of its integral."""
+        error = wanted - rate
+        unlimited = self.kp * error + integral
+        forward, backward = (
+            self.stall * ca.fmin(1, 1 - sign * rate / self.no_load) for sign in (1, -1)
+        )
+        torque = ca.fmax(-backward, ca.fmin(forward, unlimited))
+        return torque, self.ki * (error - (unlimited - torque) / self.kp)
+
+
+NO_DRIVE = Drive()  # of wheels that are not driven
 RATE = Rate()  # the default of all wheels
 DRIVES: dict[str, type[Drive]] = {"rate": Rate, "torque": Torque, "motor": Motor}

@@ -12,7 +12,7 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
 from slipfree.records import field_overview
-from slipfree.vehicle.drives import RATE, Drive
+from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
 from slipfree.vehicle.sections.base import Section
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -114,6 +114,11 @@ class Wheel:
     def depth(self) -> float:
         """Value of ``static_depth``, or 1/50 of the rolling radius if it is None [m]."""
         return self.radius / 50 if self.static_depth is None else self.static_depth
+
+    @property
+    def acting_drive(self) -> Drive:
+        """Drive of the wheel; one without torque if the wheel is not driven."""
+        return self.drive if self.driven else NO_DRIVE
 
     @cached_property
     def radius(self) -> float:

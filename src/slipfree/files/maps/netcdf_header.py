@@ -21,7 +21,7 @@ def check_header(path: Path) -> None:
         if stream.read(4) not in CLASSIC:
             return
     try:
-        with netcdf_file(path.open("rb"), mmap=True):
+        with path.open("rb") as stream, netcdf_file(stream, mmap=True):
             pass
     except DAMAGED as error:
         raise DataError(

@@ -68,7 +68,7 @@ class Direct(Modelled):
         return (file,) if isinstance(file, str) else ()
 
     def faults(self) -> Iterator[Fault]:
-        """Yield an error for each rate that is a text, and for a file that is none."""
+        """Yield errors of inputs of the wrong type: a text as a rate, or a number as a file."""
         yield from super().faults()
         for name, value in (self.inputs or {}).items():
             if isinstance(value, str) != (name == FILE):

@@ -101,7 +101,8 @@ class DriveVerb(MotionVerb):
         """Return the start in the frame of the problem, and facts about start and samples."""
         spec = problem.spec
         start = to_problem_frame(replace(setup.start, attributes={WANTED: spec.frame}))
-        names = dict.fromkeys([*spec.start, "z", "pitch", "roll"])
+        given = [name for name in spec.start if name in start.columns]
+        names = dict.fromkeys([*given, "z", "pitch", "roll"])
         pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
         return start, [
             ("start", f"{pose} (m, rad)"),
@@ -190,6 +191,8 @@ class DriveVerb(MotionVerb):
 def _stable_poses(problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, ...]:
     """Return the stable poses at the start of a motion, in the frame of the problem."""
     model, spec = setup.model, problem.spec
+    if model.standing is not None and model.standing.guess is None:
+        model = model.standing.model
     states = [label.full for label in leaves(model.labels.x)]
     held: dict[str, Any] = {
         name: float(setup.start[name][0]) for name in states[: len(states) - model.rest.numel()]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from slipfree.files.toml.errors import Fault
 from slipfree.files.toml.source_lines import Place as KeyPath
 from slipfree.files.toml.types import (
     NonNegative,
@@ -171,3 +172,10 @@ class Plan(Modelled):
         **Task.alternatives,
         (): ("inputs", "driver"),
     }
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield the errors of common keys, and of a model that plans cannot use."""
+        yield from super().faults()
+        if self.model == "dynamics":
+            found = "'dynamics'; plan without inertia and simulate the rates by a direct problem"
+            yield Fault(("model",), "'kinematics' or 'quasi-static' in a plan", found)

@@ -1,0 +1,222 @@
+"""Outputs of a dynamic model, and the quantities from which its limits are computed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+
+from slipfree.contact.closure import ContactFrame
+from slipfree.contact.touch import Touch
+from slipfree.laws.compliant import GroundForce
+from slipfree.lookups import LookupTable
+from slipfree.models.base import outputs
+from slipfree.models.dynamic_records import DynamicOutputs, DynamicState
+from slipfree.models.multibody import Multibody, WheelMotion, kinetic_energy
+from slipfree.models.quantities import Mechanics, Quantities
+from slipfree.models.records import (
+    Configuration,
+    Dependent,
+    ForceOutputs,
+    Forces,
+    Inputs,
+    Rates,
+)
+from slipfree.models.tip_over import tip_over_margin
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import GRAVITY, Vehicle
+
+LEAST_SPEED = 1e-6  # of a wheel or its rim, below which a slip ratio is reduced [m/s]
+
+
+class Contact(NamedTuple):
+    """Contact of a wheel, its slip velocity (3, 1) [m/s], and the force of the ground on it."""
+
+    touch: Touch
+    slip: ca.SX
+    force: GroundForce
+
+    @property
+    def total(self) -> ca.SX:
+        """Force of the ground on the wheel, shape (3, 1) [N]."""
+        return self.force.normal * self.touch.frame.normal + self.force.tangential
+
+    @property
+    def energy(self) -> ca.SX:
+        """Elastic energy of the contact [J]."""
+        return self.force.elastic * ca.fmax(-self.touch.gap, 0) / 2
+
+    @property
+    def dissipation(self) -> ca.SX:
+        """Power that the contact dissipates [W]."""
+        away = ca.dot(self.touch.frame.normal, self.slip)
+        return self.force.elastic * away - ca.dot(self.total, self.slip)
+
+
+class Effort(NamedTuple):
+    """Torques of the drives of all wheels [N m], and efforts of commanded coordinates [N m, N]."""
+
+    torques: tuple[ca.SX, ...]
+    actuators: tuple[ca.SX, ...]
+
+
+def quantities(
+    vehicle: Vehicle,
+    terrain: Terrain,
+    x: DynamicState,
+    u: Inputs,
+    body: Multibody,
+    contacts: Sequence[Contact],
+    lookups: LookupTable,
+) -> Quantities:
+    """Return the quantities from which limits and outputs are computed."""
+    r = body.parts["platform"].pose.rotation
+    values = [(c.kind, value) for c, value in zip(vehicle.coordinates, x.joints, strict=True)]
+    place = Configuration(
+        x.x,
+        x.y,
+        ca.atan2(r[1, 0], r[0, 0]),
+        tuple(value for kind, value in values if kind != "suspension"),
+    )
+    position = Dependent(
+        x.z,
+        ca.asin(ca.fmax(-1, ca.fmin(1, -r[2, 0]))),
+        ca.atan2(r[2, 1], r[2, 2]),
+        tuple(value for kind, value in values if kind == "suspension"),
+        (),
+    )
+    frames = tuple(each.touch.frame for each in contacts)
+    along, across = (
+        tuple(ca.dot(axis, c.force.tangential) for axis, c in zip(axes, contacts, strict=True))
+        for axes in ([f.along for f in frames], [f.across for f in frames])
+    )
+    return Quantities(
+        vehicle,
+        terrain,
+        place,
+        position,
+        _rates(vehicle, x, place, position.roll),
+        Forces(along, across, tuple(each.force.normal for each in contacts)),
+        u,
+        tuple(wheel.motion.pose for wheel in body.wheels),
+        frames,
+        tuple(each.slip for each in contacts),
+        tuple(wheel.rate for wheel in body.wheels),
+        _mechanics(vehicle, x, body, contacts),
+        tip_over_margin(vehicle, place, position, frames),
+        lookups,
+    )
+
+
+def _mechanics(
+    vehicle: Vehicle, x: DynamicState, body: Multibody, contacts: Sequence[Contact]
+) -> Mechanics:
+    """Return friction, weight, energy and damping; the terms of an equilibrium are empty."""
+    height = sum(each.mass * each.motion.pose.origin[2] for each in body.bodies)
+    loaded = [
+        (c, value, rate)
+        for c, value, rate in zip(vehicle.coordinates, x.joints, x.joint_speeds, strict=True)
+        if c.is_loaded
+    ]
+    springs = sum(c.potential(value) for c, value, _ in loaded)
+    damped = sum(c.damping * rate**2 for c, _, rate in loaded)
+    none, friction = ca.SX(0, 0), tuple(each.touch.friction for each in contacts)
+    energy = ca.SX(GRAVITY * height + springs)
+    return Mechanics(none, none, none, none, friction, vehicle.weight, energy, ca.SX(damped))
+
+
+def _rates(vehicle: Vehicle, x: DynamicState, place: Configuration, roll: ca.SX) -> Rates:
+    """Return the rates of the coordinates of kinematic models."""
+    across, along = ca.cos(place.heading), ca.sin(place.heading)
+    omega_x, omega_y, omega_z = x.omega
+    pitch_rate = (across * omega_x + along * omega_y) / ca.cos(roll)
+    kinds = list(zip(vehicle.coordinates, x.joint_speeds, strict=True))
+    return Rates(
+        x.velocity[0],
+        x.velocity[1],
+        x.velocity[2],
+        omega_z + ca.sin(roll) * pitch_rate,
+        across * omega_y - along * omega_x,
+        pitch_rate,
+        tuple(rate for c, rate in kinds if c.kind == "suspension"),
+        tuple(rate for c, rate in kinds if c.kind == "passive"),
+        (),
+        (),
+    )
+
+
+def limit_quantities(q: Quantities, contacts: Sequence[Contact]) -> Quantities:
+    """Return quantities for limits, whose conditions on contacts hold for wheels in the air."""
+    frames = list[ContactFrame]()
+    for each in contacts:
+        frame, on_ground = each.touch.frame, each.touch.gap < 0
+        upright = ca.if_else(on_ground, frame.uprightness, 1)
+        hessian = ca.if_else(on_ground, frame.hessian, ca.SX.zeros(2, 2))
+        frames.append(frame._replace(uprightness=upright, hessian=hessian))
+    return q._replace(contacts=tuple(frames))
+
+
+def dynamic_outputs(
+    q: Quantities, body: Multibody, contacts: Sequence[Contact], forces: ForceOutputs
+) -> DynamicOutputs:
+    """Return the outputs of the model."""
+    o_x, o_y, _ = q.terrain.origin
+    normal = q.forces.normal
+    wheels = zip(body.wheels, contacts, strict=True)
+    return DynamicOutputs(
+        q.x.heading,
+        q.position.roll,
+        q.position.pitch,
+        q.rates.heading,
+        q.rates.roll,
+        q.rates.pitch,
+        tuple(each.point[0] + o_x for each in q.contacts),
+        tuple(each.point[1] + o_y for each in q.contacts),
+        outputs(q, forces)._replace(
+            depth=tuple(-each.touch.gap for each in contacts),
+            load_share=tuple(each * len(normal) / q.vehicle.weight for each in normal),
+            force_normal=normal,
+        ),
+        tuple(_slip_ratio(wheel, contact) for wheel, contact in wheels),
+        kinetic_energy(body),
+        sum((each.energy for each in contacts), ca.SX(0)),
+    )
+
+
+def dynamic_forces(
+    q: Quantities, contacts: Sequence[Contact], x: DynamicState, effort: Effort
+) -> ForceOutputs:
+    """Return forces, powers and energies; a wheel in the air needs no friction."""
+    along, across, normal, _ = q.forces
+    needed = tuple(
+        ca.if_else(n > 0, ca.hypot(a, c) / n, 0)
+        for a, c, n in zip(along, across, normal, strict=True)
+    )
+    used = tuple(each / mu for each, mu in zip(needed, q.mechanics.friction, strict=True))
+    commanded = [
+        rate
+        for c, rate in zip(q.vehicle.coordinates, x.joint_speeds, strict=True)
+        if c.kind == "commanded"
+    ]
+    efforts, rates = ca.vertcat(*effort.torques, *effort.actuators), (*q.spins, *commanded)
+    return ForceOutputs(
+        along,
+        across,
+        needed,
+        used,
+        effort.torques,
+        effort.actuators,
+        ca.dot(efforts, ca.vertcat(*rates)),
+        q.mechanics.damped + sum(each.dissipation for each in contacts),
+        q.mechanics.potential,
+        q.tip_over_margin,
+    )
+
+
+def _slip_ratio(wheel: WheelMotion, contact: Contact) -> ca.SX:
+    """Return the slip ratio of a wheel, positive if the rim is faster than the wheel [1]."""
+    slip = ca.dot(contact.touch.frame.along, contact.slip)
+    rim = wheel.rate * wheel.wheel.radius
+    fastest = ca.fmax(ca.fabs(rim), ca.fabs(rim + slip))
+    return -slip / ca.fmax(fastest, LEAST_SPEED)

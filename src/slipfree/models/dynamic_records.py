@@ -1,0 +1,135 @@
+"""Records of a dynamic model: states, quadratures and outputs, and their labels."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from slipfree.dae import Labels
+from slipfree.laws.protocols import wheel_labels
+from slipfree.models.labels import labels_of, pressed_labels
+from slipfree.models.records import Inputs, Outputs
+from slipfree.records import Label
+from slipfree.vehicle.tree import Coordinate, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+
+class DynamicState(NamedTuple):
+    """Differential states: pose and speeds of platform, joints and wheels.
+
+    ``attitude`` is the unit quaternion (w, x, y, z) of the platform; ``joints`` are all
+    coordinates, ``joint_speeds`` their rates, and ``spins`` the speeds of the wheels. ``drives``
+    are the integrals of the speed controllers. [m, rad, m/s, rad/s, N m]
+    """
+
+    x: Any
+    y: Any
+    z: Any
+    attitude: tuple[Any, ...]
+    joints: tuple[Any, ...]
+    velocity: tuple[Any, ...]
+    omega: tuple[Any, ...]
+    joint_speeds: tuple[Any, ...]
+    spins: tuple[Any, ...]
+    drives: tuple[Any, ...]
+
+
+class DynamicTotals(NamedTuple):
+    """Quadratures: rotation angles of the wheels [rad], work of the drives and loss of energy [J].
+
+    The sum of kinetic, potential and contact energy is constant if ``work`` is subtracted and
+    ``lost`` is added.
+    """
+
+    wheels: tuple[Any, ...]
+    work: Any
+    lost: Any
+
+
+class DynamicOutputs(NamedTuple):
+    """Outputs of a dynamic model; positions are map coordinates."""
+
+    heading: Any
+    roll: Any
+    pitch: Any
+    heading_rate: Any
+    roll_rate: Any
+    pitch_rate: Any
+    contact_x: tuple[Any, ...]
+    contact_y: tuple[Any, ...]
+    common: Outputs
+    slip_ratio: tuple[Any, ...]
+    kinetic_energy: Any
+    contact_energy: Any
+
+
+def dynamic_labels(vehicle: Vehicle) -> Labels:
+    """Return the labels of the dynamic model of a vehicle with mass."""
+    still = labels_of(vehicle, follow=False)
+    words = "energy lost in contacts and dampers"
+    q = DynamicTotals(still.q.wheels, still.q.work[0], Label("lost_energy", "J", words))
+    u = Inputs(tuple(_input(wheel) for wheel in vehicle.wheels if wheel.driven), still.u.joints)
+    return Labels(_state_labels(vehicle, still), (), q, u, _output_labels(vehicle, still), ())
+
+
+def _input(wheel: Wheel) -> Label:
+    """Return the label of the input of a driven wheel."""
+    name, unit, words = wheel.drive.input
+    return Label(f"{wheel.name}_{name}", unit, f"{words} wheel {wheel.name}, forward positive")
+
+
+def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
+    """Return the labels of the states, from those of a model without inertia."""
+    joints = {label.name: label for label in (*still.x.joints, *still.z.position.suspension)}
+    words = "{} of the platform's quaternion (x right)"
+    spin = (
+        "rate of the wheel, relative to its carrier where the rate is an input, otherwise to fixed "
+        "axes"
+    )
+    return DynamicState(
+        still.x.x,
+        still.x.y,
+        still.z.position.z,
+        tuple(Label(f"attitude_{k}", "1", words.format(k)) for k in "wxyz"),
+        tuple(joints[c.name] for c in vehicle.coordinates),
+        _vector("velocity", "m s-1", "velocity of the platform's centre"),
+        _vector("omega", "rad s-1", "angular velocity of the platform"),
+        tuple(_joint_speed(vehicle, c) for c in vehicle.coordinates),
+        wheel_labels(vehicle, "spin", "rad s-1", spin),
+        tuple(
+            Label("motor_integral", "N m", "integral of the speed controller", wheel.name)
+            for wheel in vehicle.wheels
+            if wheel.acting_drive.has_integral
+        ),
+    )
+
+
+def _output_labels(vehicle: Vehicle, still: Labels) -> DynamicOutputs:
+    """Return the labels of the outputs, from those of a model without inertia."""
+    position, rates = still.z.position, still.z.rates
+    ratio = "excess of the rim's speed over the wheel's, over the larger of both"
+    return DynamicOutputs(
+        still.x.heading,
+        position.roll,
+        position.pitch,
+        rates.heading,
+        rates.roll,
+        rates.pitch,
+        tuple(each.x for each in position.contacts),
+        tuple(each.y for each in position.contacts),
+        still.y._replace(**pressed_labels(vehicle)),
+        wheel_labels(vehicle, "slip_ratio", "1", ratio),
+        Label("kinetic_energy", "J", "kinetic energy"),
+        Label("contact_energy", "J", "elastic energy of the contacts"),
+    )
+
+
+def _joint_speed(vehicle: Vehicle, c: Coordinate) -> Label:
+    """Return the label of the rate of a coordinate; that of an input has the usual name."""
+    name, words = ("speed", "actual rate") if c.kind == "commanded" else ("rate", "rate")
+    return Label(f"{c.name}_{name}", f"{vehicle.unit(c.name)} s-1", f"{words} of {c.words}")
+
+
+def _vector(name: str, unit: str, words: str) -> tuple[Label, ...]:
+    return tuple(
+        Label(f"{name}_{axis}", unit, f"{axis} component of the {words}") for axis in "xyz"
+    )
