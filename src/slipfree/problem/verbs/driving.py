@@ -70,6 +70,7 @@ EXTREMES = Extremes(
     ),
     gained=("work", "potential_energy"),
 )
+STEEPEST = 3.0  # vertical over normal distance from a ground, at a slope of 70 degrees
 SAME = 1e-3  # largest distance of wheels from stored positions and from the ground [radii]
 
 
@@ -280,7 +281,7 @@ def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) 
     columns = zip(vehicle.wheels, run["wheel_u"].T, strict=True)
     x, rho = np.stack([wheel.section.outline(u) for wheel, u in columns], axis=-1)
     off = max(away.max(), np.hypot(along - x, out - rho).max())
-    if not off <= _pressed(run) + SAME * min(wheel.radius for wheel in vehicle.wheels):
+    if not off <= np.abs(_depth(run)).max() + SAME * min(wheel.radius for wheel in vehicle.wheels):
         raise _changed("vehicle", named, f"its wheels are {off:.2g} m from those of the result")
 
 
@@ -291,15 +292,17 @@ def _check_ground(
     problem: Problem[Motion],
 ) -> None:
     """Raise DataError unless the ground matches the contact points of the motion."""
-    off = np.abs(terrain.elevation(run["contact_x"], run["contact_y"]) - run["contact_z"]).max()
-    if not off <= _pressed(run) + SAME * min(wheel.radius for wheel in vehicle.wheels):
+    heights = terrain.elevation(run["contact_x"], run["contact_y"])
+    # points on wheels that press into the ground, or are above it
+    off = (np.abs(heights - run["contact_z"]) - STEEPEST * np.abs(_depth(run))).max()
+    if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
         words = f"it is up to {off:.2g} m from the contact points"
         raise _changed("ground", problem.spec.terrain.file or "not from a file", words)
 
 
-def _pressed(run: Trajectory) -> float:
-    """Return the largest distance between the wheels and the surface of the ground [m]."""
-    return float(np.abs(run["depth"]).max()) if has_pressed_wheels(run) else 0.0
+def _depth(run: Trajectory) -> Array:
+    """Return the depths of the wheels, zero in exact contact [m]."""
+    return run["depth"] if has_pressed_wheels(run) else np.zeros(1)
 
 
 def _changed(what: str, named: str, words: str) -> DataError:
