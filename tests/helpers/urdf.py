@@ -1,15 +1,57 @@
-"""URDFs in the form that an independent library accepts."""
+"""URDFs as text, and in the form that an independent library accepts."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import adam.numpy
 
+ROUND = (
+    '<collision><origin rpy="1.5707963267948966 0 0"/>'
+    '<geometry><cylinder radius="{}" length="0.05"/></geometry></collision>'
+)
+WHEEL = ROUND.format(0.1)
+MESH = '<visual><geometry><mesh filename="package://a/wheel.dae"/></geometry></visual>'
+MASS = '<inertial><mass value="1"/></inertial>'
 
-def adam_model(urdf: str, joints: Sequence[str]) -> Any:
+
+def link(name, shape=""):
+    return f'<link name="{name}">{MASS}{shape}</link>'
+
+
+def joint(name, kind, parent, child, at="0 0 0", axis="0 1 0", rpy="0 0 0", more=""):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{at}" rpy="{rpy}"/><axis xyz="{axis}"/>{more}</joint>'
+    )
+
+
+def wheel(name, at, shape=WHEEL, parent="base", kind="continuous"):
+    return link(name, shape) + joint(f"{name}_joint", kind, parent, name, at)
+
+
+FOUR = "".join(
+    wheel(f"{end}_{side}", f"{x} {y} 0")
+    for end, x in (("front", 0.2), ("rear", -0.2))
+    for side, y in (("left", 0.15), ("right", -0.15))
+)
+TWO = wheel("left_wheel", "0 0.15 0") + wheel("right_wheel", "0 -0.15 0")
+
+
+def written(folder: Path, parts: str, completion: str | None = None) -> Path:
+    """Write a robot with a link ``base`` and further parts, and a vehicle file if given."""
+    file = folder / "robot.urdf"
+    file.write_text(f'<robot name="r">{link("base")}{parts}</robot>')
+    if completion is None:
+        return file
+    (folder / "robot.toml").write_text(f'urdf = "robot.urdf"\n{completion}')
+    return folder / "robot.toml"
+
+
+def adam_model(urdf: str, joints: Sequence[str], backend: Any = adam.numpy) -> Any:
     """Return adam's model of a URDF, completed with all elements that adam requires."""
     robot = ElementTree.fromstring(urdf)
     for each in [*robot.findall("transmission"), *robot.findall("ros2_control")]:
@@ -26,4 +68,4 @@ def adam_model(urdf: str, joints: Sequence[str]) -> Any:
     for each in inertials:
         moments = {"ixx": "1", "iyy": "1", "izz": "1", "ixy": "0", "ixz": "0", "iyz": "0"}
         ElementTree.SubElement(each, "inertia", moments)
-    return adam.numpy.KinDynComputations(ElementTree.tostring(robot, encoding="unicode"), [*joints])
+    return backend.KinDynComputations(ElementTree.tostring(robot, encoding="unicode"), [*joints])

@@ -15,6 +15,7 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.toml.angles import FULL_TURN
 from slipfree.geometry.frame import Vector, unit_vector
+from slipfree.geometry.tensor import in_axes
 from slipfree.records import Array
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
@@ -33,9 +34,10 @@ class Guess(NamedTuple):
     Attributes
     ----------
     table, name : str
-        Table and key of the vehicle file: ``"wheels"`` or ``"joints"``, and the name of a joint.
+        Table of the vehicle file, ``"wheels"`` or ``"joints"``, and the name of a joint; an empty
+        table for a key of the file itself.
     values : mapping of str to float, bool or str
-        Keys in the table of the joint, and their guessed values.
+        Keys in the table of the joint, or the key of the file, and their guessed values.
     reason : str
         What is guessed, and why.
     """
@@ -47,14 +49,19 @@ class Guess(NamedTuple):
 
     @property
     def toml(self) -> str:
-        """Line of the table that overrides the guess, with the guessed values."""
+        """Line of its table, or of the file, that overrides the guess, with the guessed values."""
         words = {True: "true", False: "false"}
-        pairs = (
+        pairs = ", ".join(
             f"{key} = "
             + (words[v] if isinstance(v, bool) else f'"{v}"' if isinstance(v, str) else repr(v))
             for key, v in self.values.items()
         )
-        return f"{toml_key(self.name)} = {{ {', '.join(pairs)} }}"
+        return f"{toml_key(self.name)} = {{ {pairs} }}" if self.table else pairs
+
+    @property
+    def override(self) -> str:
+        """Line of the vehicle file that overrides the guess, with the guessed values."""
+        return f"{self.table} = {{ {self.toml} }}" if self.table else self.toml
 
 
 def toml_key(name: str) -> str:
@@ -211,10 +218,7 @@ def turned_right(vector: Vector) -> Vector:
 
 
 def _body(body: Body) -> Body:
-    inertia = body.inertia
-    if inertia is not None:
-        xx, yy, zz, xy, xz, yz = inertia
-        inertia = yy, xx, zz, -xy, -yz, xz
+    inertia = None if body.inertia is None else in_axes(FORWARD_UP, body.inertia)
     return Body(body.mass, turned_right(body.at), inertia)
 
 

@@ -156,6 +156,9 @@ At = Annotated[Place3, AfterValidator(_place)]
 Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), AfterValidator(_radians)]
 Name = Annotated[str, Field(min_length=1)]
 Inertia = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
+WheelInertia = Annotated[tuple[Positive, Positive], Field(strict=False)]
+Length = Annotated[Positive, AfterValidator(meters)]
+DriveTable = Annotated[Any, PlainValidator(_drive)]
 
 
 class CoordinateTable(Record):
@@ -200,15 +203,15 @@ class AnyWheelTable(Record):
     axle: Axis | None = None
     grip: Positive = 1.0
     mass: NonNegative = 0.0
-    static_depth: Annotated[Positive, AfterValidator(meters)] | None = None
-    inertia: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = None
-    drive: Annotated[Any, PlainValidator(_drive)] = RATE
+    static_depth: Length | None = None
+    inertia: WheelInertia | None = None
+    drive: DriveTable = RATE
 
 
 class WheelTable(AnyWheelTable):
     """Table of a wheel without the key ``section``: a torus, disc or sphere."""
 
-    radius: Annotated[Positive, AfterValidator(meters)]
+    radius: Length
     tube: NonNegative = 0.0
 
 

@@ -4,40 +4,62 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import BeforeValidator, Field
 
 from slipfree.errors import DataError, ModelError
 from slipfree.files.toml.errors import Fault, name_errors
 from slipfree.files.toml.source_lines import Place
 from slipfree.files.toml.types import NonNegative, Positive, Record
+from slipfree.files.urdf.elements import read_tree
+from slipfree.files.urdf.expansion import expanded
+from slipfree.files.urdf.guesses import forward_guess
 from slipfree.files.urdf.links import Robot
-from slipfree.files.urdf.reader import JointRole, Roles, WheelRole, read_urdf
-from slipfree.files.urdf.tree import read_tree
+from slipfree.files.urdf.reader import read_urdf
+from slipfree.files.urdf.roles import NO_ROLES, JointRole, LinkRole, Roles, WheelRole, completed
+from slipfree.files.urdf.tree import Tree
 from slipfree.files.vehicle_draft import Draft, Guess, UnfitError
 from slipfree.files.vehicle_toml import (
     PARTS,
+    At,
+    Axis,
+    DriveTable,
     File,
+    Inertia,
+    Length,
     Tables,
     VehicleError,
-    meters,
+    WheelInertia,
     open_file,
     read_toml,
     validated,
 )
+from slipfree.geometry.frame import unit_vector
 from slipfree.problem import schema
 from slipfree.problem.catalog_table import CATALOG
 from slipfree.regular_files import read_bytes
+from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.tree import Vehicle, actuated
+from slipfree.vehicle.wheel import ORIGIN
+
+ROBOTS = (".urdf", ".xacro")  # endings of robot descriptions
 
 
 class JointTable(Record):
-    """Table of a joint in a file that completes a URDF: its kind, and keys of its coordinate."""
+    """Table of a joint in a file that completes a URDF: its kind, and keys of its coordinate.
+
+    A joint that is not in the URDF has the key ``carries``.
+    """
 
     kind: Literal["commanded", "passive", "suspension", "fixed"]
+    axis: Axis | None = None
+    motion: Literal["turn", "slide"] | None = None
+    carries: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    at: At = ORIGIN
     words: str | None = None
     lower: float | None = None
     upper: float | None = None
@@ -52,10 +74,22 @@ class WheelTable(Record):
     """Table of a wheel in a file that completes a URDF: properties that URDF does not have."""
 
     driven: bool | None = None
-    radius: Annotated[Positive, AfterValidator(meters)] | None = None
+    radius: Length | None = None
     tube: NonNegative | None = None
     grip: Positive = 1.0
     rollers: bool = False
+    mass: NonNegative | None = None
+    inertia: WheelInertia | None = None
+    static_depth: Length | None = None
+    drive: DriveTable = RATE
+
+
+class LinkTable(Record):
+    """Table of a link in a file that completes a URDF: mass properties that override the URDF's."""
+
+    mass: NonNegative | None = None
+    center_of_mass: At | None = None
+    inertia: Inertia | None = None
 
 
 def _expanded_kind(value: Any) -> Any:
@@ -66,12 +100,35 @@ class UrdfTable(Record):
     """Vehicle file with the key ``urdf``, which completes a URDF."""
 
     urdf: Annotated[str, Field(min_length=1)]
+    arguments: dict[str, str] = Field(default_factory=dict)
     name: Annotated[str, Field(min_length=1)] | None = None
     tube: NonNegative = 0.0
-    radius: Annotated[Positive, AfterValidator(meters)] | None = None
-    forward: Literal["x", "-x", "y", "-y"] = "x"
-    joints: dict[str, Annotated[JointTable, BeforeValidator(_expanded_kind)]] | None = None
-    wheels: dict[str, WheelTable] | None = None
+    radius: Length | None = None
+    forward: Literal["x", "-x", "y", "-y"] | None = None
+    joints: dict[str, Annotated[JointTable, BeforeValidator(_expanded_kind)]] = Field(
+        default_factory=dict
+    )
+    wheels: dict[str, WheelTable] = Field(default_factory=dict)
+    links: dict[str, LinkTable] = Field(default_factory=dict)
+
+    @property
+    def roles(self) -> Roles:
+        """Roles of the joints, wheels and links."""
+        own = {"kind", "axis", "motion", "carries", "at"}  # keys that are not of the coordinate
+        joints = {
+            name: JointRole(
+                each.kind,
+                each.model_dump(exclude_none=True, exclude=own),
+                None if each.axis is None else unit_vector(each.axis),
+                each.motion,
+                each.carries,
+                each.at,
+            )
+            for name, each in self.joints.items()
+        }
+        wheels = {name: WheelRole(**dict(each)) for name, each in self.wheels.items()}
+        links = {name: LinkRole(**dict(each)) for name, each in self.links.items()}
+        return Roles(joints, wheels, links, self.tube, self.radius, self.forward)
 
 
 def build_vehicle(spec: schema.Vehicle, folder: Path) -> Vehicle:
@@ -97,14 +154,14 @@ def build_vehicle(spec: schema.Vehicle, folder: Path) -> Vehicle:
 
 
 def read_vehicle(path: str | Path) -> Vehicle:
-    """Return the vehicle of a vehicle file, TOML or URDF.
+    """Return the vehicle of a vehicle file: TOML, URDF or xacro.
 
     Raises
     ------
     VehicleError
         If the vehicle is invalid; it has all errors by file and line, and a draft of valid parts.
     DataError
-        If the file name does not end in .toml or .urdf.
+        If the file name does not end in .toml, .urdf or .xacro.
     """
     draft = _draft(Path(path))
     try:
@@ -120,14 +177,15 @@ def read_robot(spec: schema.Vehicle, folder: Path) -> Robot | None:
     """
     if spec.file is None:
         return None
-    path, forward = folder / spec.file, "x"
+    path, roles, arguments = folder / spec.file, NO_ROLES, {}
     if path.suffix.lower() == ".toml":
         file = open_file(path)
         if "urdf" not in file.data:
             return None
         table = _completion(file)
-        path, forward = path.parent / table.urdf, table.forward
-    return Robot(read_tree(read_bytes(path, "a URDF"), str(path)), forward)
+        path, roles, arguments = path.parent / table.urdf, table.roles, table.arguments
+    tree = read_tree(*_urdf_text(path, arguments))
+    return Robot(completed(tree, roles), roles.forward or forward_guess(tree, roles))
 
 
 def guessed_completion(path: Path, folder: Path) -> str:
@@ -138,9 +196,9 @@ def guessed_completion(path: Path, folder: Path) -> str:
     DataError
         If the file is not a URDF, or its vehicle is invalid.
     """
-    if path.suffix.lower() != ".urdf":
+    if path.suffix.lower() not in ROBOTS:
         raise DataError(f"{path}: expected a URDF, whose guesses can be written; name a URDF")
-    tables: dict[str, dict[str, Guess]] = {"wheels": {}, "joints": {}}
+    tables: dict[str, dict[str, Guess]] = {"": {}, "wheels": {}, "joints": {}}
     for guess in _draft(path).guesses:
         known = tables[guess.table].get(guess.name)
         if known is not None:
@@ -153,7 +211,7 @@ def guessed_completion(path: Path, folder: Path) -> str:
         if found:
             lines += [
                 "",
-                f"[{table}]",
+                *([f"[{table}]"] if table else []),
                 *(f"{each.toml}  # {each.reason}" for each in found.values()),
             ]
     return "\n".join(lines) + "\n"
@@ -161,7 +219,7 @@ def guessed_completion(path: Path, folder: Path) -> str:
 
 def is_vehicle_file(path: Path) -> bool:
     """Return whether a file is a vehicle file, not a problem file."""
-    if path.suffix.lower() in (".urdf", ".xacro"):
+    if path.suffix.lower() in ROBOTS:
         return True
     data = open_file(path).data
     return "verb" not in data and not {*PARTS, "urdf"}.isdisjoint(data)
@@ -172,18 +230,21 @@ def _draft(path: Path) -> Draft:
     if ending == ".toml":
         file = open_file(path)
         return _completed(file) if "urdf" in file.data else read_toml(file)
-    if ending == ".urdf":
-        return _urdf(path, Roles({}, {}))
-    hint = "expand it first: xacro FILE > robot.urdf" if ending == ".xacro" else "check the name"
+    if ending in ROBOTS:
+        return _urdf(path, UrdfTable(urdf=path.name))
     raise DataError(
-        f"{path}: expected a vehicle file that ends in .toml or .urdf, found "
-        f"{repr(path.suffix) if path.suffix else 'no ending'}; {hint}"
+        f"{path}: expected a vehicle file that ends in .toml, .urdf or .xacro, found "
+        f"{repr(path.suffix) if path.suffix else 'no ending'}; check the name"
     )
 
 
 def _completion(file: File) -> UrdfTable:
     """Return the table of a vehicle file that completes a URDF."""
-    tables: Tables = {"joints": lambda _: JointTable, "wheels": lambda _: WheelTable}
+    tables: Tables = {
+        "joints": lambda _: JointTable,
+        "wheels": lambda _: WheelTable,
+        "links": lambda _: LinkTable,
+    }
     table: UrdfTable = validated(UrdfTable, tables, file)
     return table
 
@@ -191,29 +252,31 @@ def _completion(file: File) -> UrdfTable:
 def _completed(file: File) -> Draft:
     """Return the draft of the vehicle in a URDF that a vehicle file completes."""
     table = _completion(file)
-    joints = {
-        name: JointRole(each.kind, each.model_dump(exclude_none=True, exclude={"kind"}))
-        for name, each in (table.joints or {}).items()
-    }
-    given = table.wheels or {}
-    wheels = {name: WheelRole(**each.model_dump()) for name, each in given.items()}
-    path = file.source.path.parent / table.urdf
-    draft = _urdf(path, Roles(joints, wheels, table.tube, table.radius, table.forward), file)
+    draft = _urdf(file.source.path.parent / table.urdf, table, file)
     return draft if table.name is None else replace(draft, name=table.name)
 
 
-def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
-    """Return the draft of the vehicle in a URDF.
+def _urdf_text(path: Path, arguments: Mapping[str, str], by: str = "") -> tuple[bytes, str]:
+    """Return the text of a URDF, expanded from xacro if need be, and its name in messages.
 
-    ``file`` is the vehicle file with the roles, if any; errors in the roles name this file.
+    ``by`` names the file that contains the path, in messages.
     """
-    by = f" (urdf of {file.source.path})" if file else ""
+    if path.suffix.lower() == ".xacro":
+        return expanded(path, arguments), f"{path} (expanded)"
+    return read_bytes(path, f"a URDF{by}"), str(path)
+
+
+def _urdf(path: Path, table: UrdfTable, file: File | None = None) -> Draft:
+    """Return the draft of the vehicle in a URDF that a table completes.
+
+    ``file`` is the vehicle file with the table, if any; errors in the table name this file.
+    """
     try:
-        data = read_bytes(path, f"a URDF{by}")
-        tree = read_tree(data, str(path))
+        by = f" (urdf of {file.source.path})" if file else ""
+        tree = read_tree(*_urdf_text(path, table.arguments, by))
         if file is not None:
-            _check(roles, list(tree.joints), file)
-        return read_urdf(tree, roles)
+            _check(table, tree, file)
+        return read_urdf(tree, table.roles)
     except UnfitError as error:
         raise VehicleError(*error.faults, draft=error.draft) from error
     except DataError as error:
@@ -222,15 +285,53 @@ def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
         raise VehicleError(f"{file.source.path if file else path}:1: {error}") from error
 
 
-def _check(roles: Roles, known: list[str], file: File) -> None:
-    """Raise VehicleError for joints that are not in the URDF, or that are also wheels."""
+def _check(table: UrdfTable, tree: Tree, file: File) -> None:
+    """Raise VehicleError for names that are not in the URDF, and for invalid new joints."""
     faults: list[Fault] = []
-    for table, given in (("joints", roles.joints), ("wheels", roles.wheels)):
-        faults += name_errors((table,), given, known)
-    for name in set(roles.joints) & set(roles.wheels):
+    new = {name for name, each in table.joints.items() if each.carries}
+    faults += name_errors(("joints",), [n for n in table.joints if n not in new], [*tree.joints])
+    faults += name_errors(("wheels",), table.wheels, [*tree.joints])
+    faults += name_errors(("links",), table.links, [*tree.links])
+    for name in set(table.joints) & set(table.wheels):
         place: Place = ("joints", name)
         faults.append(
             Fault(place, "a joint that is not a wheel", "the same name in [wheels]; remove one")
         )
+    carried: list[str] = []
+    for name in new:
+        place, joint = ("joints", name), table.joints[name]
+        faults += [Fault(place, *words) for words in _new_joint_errors(name, joint, tree, carried)]
+        carried += joint.carries
     if faults:
         raise file.error(faults)
+
+
+def _new_joint_errors(
+    name: str, joint: JointTable, tree: Tree, carried: Sequence[str]
+) -> Iterator[tuple[str, str]]:
+    """Yield what was expected and found for each error of a joint that is not in the URDF."""
+    if name in tree.joints or name in tree.links:
+        yield (
+            "a new name for a joint with carries",
+            f"{name!r}, which is in the URDF; rename it, or remove carries",
+        )
+    if joint.axis is None:
+        yield "an axis of the new joint", "none; write axis = [0, 1, 0] for an axis to the left"
+    unknown = [each for each in joint.carries if each not in tree.joints]
+    if unknown:
+        yield (
+            f"joints of the URDF in carries: {', '.join(tree.joints)}",
+            f"{', '.join(unknown)}; correct the names",
+        )
+        return
+    parents = {tree.joints[each].parent for each in joint.carries}
+    if len(parents) > 1:
+        yield (
+            "joints of one link in carries",
+            f"joints of the links {', '.join(sorted(parents))}; add a joint for each link",
+        )
+    if twice := [each for each in joint.carries if each in carried]:
+        yield (
+            "joints that no other new joint carries",
+            f"{', '.join(twice)}; remove them from one of the new joints",
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slipfree.geometry.tensor import tensor
 from slipfree.records import Array
 from slipfree.vehicle.tree import Body, Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -25,8 +26,7 @@ def body_inertia(vehicle: Vehicle, part: str) -> Array:
     """
     body = body_of(vehicle, part)
     if body.inertia is not None:
-        xx, yy, zz, xy, xz, yz = body.inertia
-        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return tensor(body.inertia)
     places = [(0.0, 0.0, 0.0), body.at]
     places += [joint.at for joint in vehicle.joints if joint.parent == part]
     places += [wheel.at for wheel in vehicle.wheels if wheel.parent == part]

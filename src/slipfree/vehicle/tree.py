@@ -12,6 +12,7 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
+from slipfree.geometry.tensor import Elements, tensor
 from slipfree.records import field_overview, overview
 from slipfree.vehicle.formula import evaluate, names_in
 from slipfree.vehicle.wheel import ORIGIN, Wheel
@@ -39,7 +40,7 @@ class Body:
 
     mass: float = 0.0
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    inertia: tuple[float, float, float, float, float, float] | None = None
+    inertia: Elements | None = None
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -369,15 +370,14 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
     return replace(vehicle, coordinates=coordinates)
 
 
-def _check_inertia(inertia: tuple[float, ...]) -> None:
+def _check_inertia(inertia: Elements) -> None:
     """Raise ModelError unless six numbers are the inertia tensor of a body."""
     if len(inertia) != 6 or not all(map(math.isfinite, inertia)):
         raise ModelError(
             "body: inertia must be six finite numbers Ixx, Iyy, Izz, Ixy, Ixz, Iyz in kg m^2, "
             f"found {inertia}; correct it"
         )
-    xx, yy, zz, xy, xz, yz = inertia
-    least = float(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0])
+    least = float(np.linalg.eigvalsh(tensor(inertia))[0])
     if least <= 0:
         raise ModelError(
             "body: the principal moments of inertia must be positive, found a least one of "

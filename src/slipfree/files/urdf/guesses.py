@@ -8,9 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slipfree.files.urdf.frames import STEEP, is_last, is_level, link_frames
+from slipfree.files.urdf.roles import Roles
 from slipfree.files.urdf.tree import Box, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import rotation_of
-from slipfree.geometry.frame import Vector, unit_vector
+from slipfree.geometry.frame import unit_vector
 from slipfree.records import Array
 from slipfree.vehicle.tree import Kind
 
@@ -18,8 +20,7 @@ WHEEL = re.compile("wheel|tire|tyre", re.IGNORECASE)
 CASTER = re.compile("cast[eo]r", re.IGNORECASE)
 FOOTPRINT = re.compile("footprint", re.IGNORECASE)  # link on the ground, by REP 120
 BALL = "a caster on a fixed joint slides freely as a ball"
-FORWARD_YAW = {"x": 0.0, "y": np.pi / 2, "-x": np.pi, "-y": -np.pi / 2}  # of the axes [rad]
-STEEP = 0.5  # smallest vertical component of the axis of a steering joint
+ALONG = 0.9  # least component along x of axles for another direction than x to be forward
 
 
 class WheelGuess(NamedTuple):
@@ -38,18 +39,6 @@ class WheelGuess(NamedTuple):
     radius: float | None
     is_ball: bool
     reason: str
-
-
-def link_frames(tree: Tree) -> dict[str, tuple[Array, Array]]:
-    """Return rotation and origin [m] of each link in the root, with all joints at zero."""
-    frames = {tree.root: (np.eye(3), np.zeros(3))}
-    for joint in tree.joints.values():
-        rotation, origin = frames[joint.parent]
-        frames[joint.child] = (
-            rotation @ rotation_of(joint.turned),
-            origin + rotation @ np.asarray(joint.at),
-        )
-    return frames
 
 
 def wheel_guesses(
@@ -76,9 +65,7 @@ def wheel_guesses(
     for joint in joints:
         link, name = tree.links[joint.child], f"{joint.name} {joint.child}"
         rotation, origin = frames[joint.child]
-        if joint.type not in ("fixed", "continuous") or any(
-            below.moves for below in tree.below(joint.child)
-        ):
+        if joint.type not in ("fixed", "continuous") or not is_last(tree, joint):
             continue
         if not joint.moves and CASTER.search(name):
             depth = max((_depth(box, rotation) for box in link.boxes), default=0.0)
@@ -88,14 +75,14 @@ def wheel_guesses(
                 found[joint.name] = WheelGuess(depth, True, f"{BALL}, as high as its shape")
         elif joint.moves and (abs(float((rotation @ unit_vector(joint.axis))[2])) > STEEP):
             continue
-        elif joint.moves and radius and link.meshed and not link.shapes:
+        elif joint.moves and radius and link.meshes and not link.shapes:
             found[joint.name] = WheelGuess(radius, False, "a mesh, with the given radius")
         elif WHEEL.search(name) and link.shapes:
             found[joint.name] = WheelGuess(None, False, "its name and a round shape")
-        elif WHEEL.search(name) and link.meshed and grounds and origin[2] > grounds[0]:
+        elif WHEEL.search(name) and link.meshes and grounds and origin[2] > grounds[0]:
             heights[joint.name] = float(origin[2] - grounds[0])
     lowest = min(heights.values(), default=0.0)
-    reason = "meshes are not read; radius from the least height above the footprint"
+    reason = "its mesh cannot be read; radius from the least height above the footprint"
     return found | {name: WheelGuess(lowest, False, reason) for name in heights}
 
 
@@ -103,12 +90,6 @@ def _depth(box: Box, rotation: Array) -> float:
     """Return the depth of the lowest point of a box below the origin of its link [m]."""
     half = np.abs((rotation @ rotation_of(box.turned))[2]) @ np.asarray(box.size) / 2
     return float(half - rotation[2] @ np.asarray(box.at))
-
-
-def is_level(tree: Tree, joint: UrdfJoint) -> bool:
-    """Return whether the axis of a joint is nearly level, with all joints at zero."""
-    rotation, _ = link_frames(tree)[joint.child]
-    return abs(float((rotation @ unit_vector(joint.axis))[2])) <= STEEP
 
 
 def joint_guess(
@@ -139,24 +120,23 @@ def joint_guess(
     return None, "with so few wheels, a level axis above them cannot follow the ground"
 
 
-def facing_forward(tree: Tree, forward: str) -> Tree:
-    """Return a URDF whose root is turned so that an axis of it, such as ``"-y"``, becomes x."""
-    yaw = FORWARD_YAW[forward]
-    back = rotation_of((0.0, 0.0, -yaw))
+def forward_guess(tree: Tree, roles: Roles) -> str:
+    """Return the axis of the root link that probably points forward: ``"x"``, ``"y"`` or ``"-y"``.
 
-    def turned(at: Vector) -> Vector:
-        x, y, z = (float(each) for each in back @ np.asarray(at))
-        return x, y, z
-
-    joints = {
-        name: joint._replace(
-            at=turned(joint.at),
-            turned=(joint.turned[0], joint.turned[1], joint.turned[2] - yaw),
-        )
-        if joint.parent == tree.root
-        else joint
-        for name, joint in tree.joints.items()
-    }
-    root = tree.links[tree.root]
-    links = tree.links | {tree.root: root._replace(center=turned(root.center))}
-    return tree._replace(links=links, joints=joints)
+    It is ``"y"`` or ``"-y"`` if the axles of all wheels but casters are along x. Then the wheels
+    roll forward for positive rates of most joints.
+    """
+    frames = link_frames(tree)
+    axles = [
+        float((frames[joint.child][0] @ unit_vector(joint.axis))[0])
+        for joint in tree.joints.values()
+        if joint.type == "continuous"
+        and joint.name not in roles.joints
+        and is_last(tree, joint)
+        and (tree.links[joint.child].shapes or tree.links[joint.child].meshes)
+        and not CASTER.search(f"{joint.name} {joint.child}")
+        and is_level(tree, joint)
+    ]
+    if not axles or min(map(abs, axles)) < ALONG:
+        return "x"
+    return "-y" if sum(axles) > 0 else "y"

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slipfree.files.urdf.guesses import FORWARD_YAW, facing_forward
+from slipfree.files.urdf.frames import FORWARD_YAW, facing_forward
 from slipfree.files.urdf.tree import Tree, UrdfJoint
 from slipfree.files.vehicle_draft import rotation_of, turned_right
 from slipfree.geometry.frame import unit_vector
@@ -25,7 +25,7 @@ class Robot(NamedTuple):
     Attributes
     ----------
     tree : Tree
-        Links and joints, as in the file.
+        Links and joints, completed by a vehicle file.
     forward : {"x", "-x", "y", "-y"}
         Axis of the root link that points forward.
     """

@@ -1,0 +1,422 @@
+"""Reader of the elements of a URDF, checked to form a tree of links and joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from slipfree.files.urdf.tree import (
+    Box,
+    Faults,
+    Link,
+    Mesh,
+    Mimic,
+    Shape,
+    Tree,
+    UrdfJoint,
+)
+from slipfree.files.urdf.xml import Element, parse
+from slipfree.files.vehicle_draft import MAX_LENGTH, degrees_words, in_order, rotation_of
+from slipfree.geometry.frame import Vector
+from slipfree.geometry.tensor import Elements, in_axes, tensor
+from slipfree.vehicle.wheel import ORIGIN
+
+TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
+IGNORED = ("gazebo", "material", "xacro:property", "xacro:arg", "xacro:macro")  # without parts
+MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
+FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
+UNIT_SCALE = (1.0, 1.0, 1.0)
+MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+T = TypeVar("T")
+TRIANGLE = 1e-3  # relative error of the triangle inequality from rounded moments of inertia
+
+
+def read_tree(data: bytes, file: str) -> Tree:
+    """Return the links and joints of a URDF file, checked to form a tree.
+
+    Parameters
+    ----------
+    data : bytes
+        Contents of the file.
+    file : str
+        Name of the file in messages.
+
+    Raises
+    ------
+    DataError
+        If the file is not XML; an `UnfitError` with all errors if its elements are not valid.
+    """
+    robot, faults = parse(data, file), Faults(file)
+    if robot.tag != "robot":
+        faults.add(
+            robot.line,
+            f"expected URDF with the root element <robot>, found <{robot.tag}>; give a URDF file",
+        )
+        faults.stop()
+    robot, omitted = _without_xacro(robot, file, faults)
+    for tag in ("link", "joint"):
+        _check_names(robot, tag, faults)
+    links = {link.name: link for link in (_link(each, faults) for each in robot.all("link"))}
+    joints = {joint.name: joint for joint in (_joint(each, faults) for each in robot.all("joint"))}
+    root = _root(links, joints, faults) if not faults.found else ""
+    if faults.found:
+        faults.stop()
+    hung, _ = in_order({j.child: j.parent for j in joints.values()}, root)
+    by_child = {joint.child: joint for joint in joints.values()}
+    ordered = {by_child[child].name: by_child[child] for child in hung}
+    name = robot.attributes.get("name", "robot")
+    return Tree(file, name, root, links, ordered, frozenset(_actuated(robot)), omitted)
+
+
+def _without_xacro(robot: Element, file: str, faults: Faults) -> tuple[Element, tuple[str, ...]]:
+    """Return a robot without its links that have unexpanded xacro, and the names of these links.
+
+    Raises
+    ------
+    UnfitError
+        If the xacro may belong to the drive train: it is not in a link or a joint, or a continuous
+        joint is at or below it.
+    """
+    parts = [part for part in robot.children if part.tag not in IGNORED]
+    raw = [part for part in parts if any(map(_is_xacro, _everything(part)))]
+    joints = [part for part in parts if part.tag == "joint"]
+    left_out = {_link_of(part) for part in raw}
+    while more := {_link_of(j) for j in joints if _end(j, "parent") in left_out} - left_out:
+        left_out |= more
+    dropped = [each for each in joints if _link_of(each) in left_out]
+    turning = any(each.attributes.get("type") == "continuous" for each in dropped)
+    if raw and (turning or "" in left_out or len(dropped) < len(left_out)):
+        faults.add(
+            raw[0].line,
+            f"expected plain URDF, found xacro in <{raw[0].tag}>, which may belong to the drive "
+            f"train; expand it first: xacro {file} > robot.urdf",
+        )
+        faults.stop()
+    kept = [part for part in parts if _link_of(part) not in left_out]
+    return replace(robot, children=kept), tuple(sorted(left_out))
+
+
+def _link_of(part: Element) -> str:
+    """Return the name of a link, or of the child link of a joint; empty for other elements."""
+    if part.tag == "joint":
+        return _end(part, "child")
+    return part.attributes.get("name", "") if part.tag == "link" else ""
+
+
+def _is_xacro(element: Element) -> bool:
+    """Return whether an element is a command of xacro, or has an expression of it."""
+    return element.tag.startswith("xacro:") or any("${" in t for t in element.attributes.values())
+
+
+def _end(joint: Element, tag: str) -> str:
+    """Return the name of the parent or child link of a joint; empty without one."""
+    end = joint.first(tag)
+    return "" if end is None else end.attributes.get("link", "")
+
+
+def _everything(element: Element) -> Iterator[Element]:
+    """Yield an element and all elements in it."""
+    left = [element]
+    while left:
+        each = left.pop()
+        yield each
+        left += each.children
+
+
+def _check_names(robot: Element, tag: str, faults: Faults) -> None:
+    """Add an error for each name that several elements with the same tag have."""
+    lines: dict[str, list[int]] = {}
+    for element in robot.all(tag):
+        lines.setdefault(element.attributes.get("name", ""), []).append(element.line)
+    for name, found in lines.items():
+        if len(found) > 1:
+            words = (
+                f"{tag} {name!r}: expected a unique name, found {len(found)} {tag}s with it; "
+                "give each a different name"
+            )
+            faults.add(found[1], words)
+
+
+def _link(element: Element, faults: Faults) -> Link:
+    """Return the link of an element."""
+    name = _text(element, "name", faults, "link")
+    inertial = element.first("inertial")
+    mass, center, inertia = None, ORIGIN, None
+    if inertial is not None:
+        center, turned = _origin(inertial, faults, f"link {name!r}")
+        inertia = _inertia(inertial, turned, faults, f"link {name!r}: inertia")
+        weighed = inertial.first("mass")
+        if weighed is not None:
+            mass = _number(weighed, "value", None, faults, f"link {name!r}: mass")
+            if mass < 0:
+                faults.add(
+                    weighed.line,
+                    f"link {name!r}: expected a mass of at least 0 kg, found {mass:g}; correct it",
+                )
+    shapes = _of_geometry(element, _shape, faults, name)
+    meshes = _of_geometry(element, _mesh, faults, name)
+    boxes = _of_geometry(element, _box, faults, name)
+    return Link(name, mass, center, shapes, meshes, boxes, inertia)
+
+
+def _of_geometry(
+    element: Element, read: Callable[[Element, Faults, str], T | None], faults: Faults, link: str
+) -> tuple[T, ...]:
+    """Return what a function reads in the collision elements of a link, else in the visual ones."""
+    for tag in ("collision", "visual"):
+        found = (read(each, faults, link) for each in element.all(tag))
+        if known := tuple(each for each in found if each is not None):
+            return known
+    return ()
+
+
+def _inertia(inertial: Element, turned: Vector, faults: Faults, who: str) -> Elements | None:
+    """Return the inertia tensor of an element in the axes of its link [kg m^2].
+
+    The result is None without the element ``inertia``, or for moments that no body has: principal
+    moments that are not positive, or of which one exceeds the sum of the others.
+    """
+    element = inertial.first("inertia")
+    if element is None:
+        return None
+    xx, yy, zz, xy, xz, yz = (_number(element, key, 0.0, faults, who) for key in MOMENTS)
+    found = (xx, yy, zz, xy, xz, yz)
+    least, middle, most = np.linalg.eigvalsh(tensor(found))
+    if least <= 0 or most > (1 + TRIANGLE) * (least + middle):
+        return None
+    return in_axes(rotation_of(turned), found)
+
+
+def _mesh(element: Element, faults: Faults, link: str) -> Mesh | None:
+    """Return the mesh of a collision or visual element; None for other shapes."""
+    geometry = element.first("geometry")
+    found = geometry.first("mesh") if geometry is not None else None
+    if found is None:
+        return None
+    who = f"link {link!r}"
+    at, turned = _origin(element, faults, f"{who}: {element.tag}")
+    scale = _vector(found, "scale", UNIT_SCALE, faults, f"{who}: mesh")
+    return Mesh(found.attributes.get("filename", ""), scale, at, turned)
+
+
+def _box(element: Element, faults: Faults, link: str) -> Box | None:
+    """Return the box of a collision or visual element; None for other shapes."""
+    geometry = element.first("geometry")
+    found = geometry.first("box") if geometry is not None else None
+    if found is None:
+        return None
+    who = f"link {link!r}"
+    at, turned = _origin(element, faults, f"{who}: {element.tag}")
+    return Box(_vector(found, "size", ORIGIN, faults, f"{who}: box"), at, turned)
+
+
+def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
+    """Return the cylinder or sphere of a collision or visual element; None for other shapes."""
+    geometry = element.first("geometry")
+    at, turned = _origin(element, faults, f"link {link!r}: {element.tag}")
+    for kind in ("cylinder", "sphere"):
+        found = geometry.first(kind) if geometry is not None else None
+        if found is not None:
+            radius = _number(found, "radius", None, faults, f"link {link!r}: {kind}")
+            if not 0 < radius <= MAX_LENGTH:
+                faults.add(
+                    found.line,
+                    f"link {link!r}: expected the radius of a {kind} in metres, greater than 0 and "
+                    f"at most {MAX_LENGTH:g}, found {radius:g}; correct it",
+                )
+            return Shape("cylinder" if kind == "cylinder" else "sphere", radius, at, turned)
+    return None
+
+
+def _joint(element: Element, faults: Faults) -> UrdfJoint:
+    """Return the joint of an element."""
+    name = _text(element, "name", faults, "joint")
+    who, kind = f"joint {name!r}", element.attributes.get("type", "")
+    if kind not in TYPES:
+        expected = f"one of the types {', '.join(TYPES)}"
+        faults.add(element.line, f"{who}: expected {expected}, found {kind!r}; choose one")
+    ends = []
+    for tag in ("parent", "child"):
+        link = _end(element, tag)
+        if not link:
+            faults.add(element.line, f'{who}: expected <{tag} link="..."/>, found none; add it')
+        ends.append(link)
+    at, turned = _origin(element, faults, who)
+    pointed, axis = element.first("axis"), ORIGIN if kind == "fixed" else FORWARD
+    if pointed is not None:
+        axis = _vector(pointed, "xyz", FORWARD, faults, f"{who}: axis")
+        if not math.hypot(*axis) > 0 and kind not in ("fixed", "floating"):
+            faults.add(
+                pointed.line,
+                f"{who}: expected an axis other than zero, found 0 0 0; "
+                'write <axis xyz="0 1 0"/> for an axis to the left',
+            )
+    lower, upper = _limits(element, kind, faults, who)
+    max_rate = _max_rate(element, faults, who)
+    mimic = element.first("mimic")
+    follows = (
+        None
+        if mimic is None
+        else Mimic(
+            _text(mimic, "joint", faults, f"{who}: mimic"),
+            _number(mimic, "multiplier", 1.0, faults, f"{who}: mimic"),
+            _number(mimic, "offset", 0.0, faults, f"{who}: mimic"),
+        )
+    )
+    return UrdfJoint(
+        name,
+        kind,
+        ends[0],
+        ends[1],
+        at,
+        turned,
+        axis,
+        lower,
+        upper,
+        max_rate,
+        follows,
+        element.line,
+    )
+
+
+def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[float, float]:
+    """Return the lower and upper limit of a joint [rad or m].
+
+    They are infinite for kinds of joint without limits, without the attributes ``lower`` and
+    ``upper``, and for absolute values of at least 1000. If only one is given, the other is zero, as
+    in URDF. Their values are checked later, since a vehicle file may override them.
+    """
+    limit = element.first("limit")
+    if kind not in ("revolute", "prismatic", "fixed") or limit is None:
+        return -math.inf, math.inf
+    if not {"lower", "upper"} & set(limit.attributes):
+        return -math.inf, math.inf
+    found = []
+    for key, sign in (("lower", -1), ("upper", 1)):
+        value = _number(limit, key, 0.0, faults, f"{who}: limit")
+        found.append(sign * math.inf if abs(value) >= MAX_LIMIT else value)
+    return found[0], found[1]
+
+
+def _max_rate(element: Element, faults: Faults, who: str) -> float:
+    """Return the rate limit of a joint [rad/s, m/s]; infinite if absent, zero or at least 1000."""
+    limit = element.first("limit")
+    found = 0.0 if limit is None else _number(limit, "velocity", 0.0, faults, f"{who}: limit")
+    return found if 0 < found < MAX_LIMIT else math.inf
+
+
+def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]:
+    """Return position [m] and roll, pitch, yaw [rad] in ``origin``; zeros without an origin."""
+    origin = element.first("origin")
+    if origin is None:
+        return ORIGIN, ORIGIN
+    at = _vector(origin, "xyz", ORIGIN, faults, f"{who}: origin")
+    turned = _vector(origin, "rpy", ORIGIN, faults, f"{who}: origin")
+    if max(map(abs, at)) > MAX_LENGTH:
+        faults.add(
+            origin.line,
+            f"{who}: expected xyz in metres, at most {MAX_LENGTH:g} (did you mean "
+            f"millimetres?), found {origin.attributes['xyz']}; correct it",
+        )
+    for angle in turned:
+        if words := degrees_words(angle):
+            faults.add(origin.line, f"{who}: expected rpy in radians ({words}), found {angle:g}")
+    return at, turned
+
+
+def _vector(element: Element, key: str, default: Vector, faults: Faults, who: str) -> Vector:
+    """Return three numbers of an attribute; add an error if they are invalid."""
+    text = element.attributes.get(key)
+    if text is None:
+        return default
+    values = [_float(part) for part in text.replace(",", " ").split()]
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        faults.add(
+            element.line, f"{who}: expected three numbers in {key}, found {text!r}; correct them"
+        )
+        return default
+    return values[0], values[1], values[2]
+
+
+def _number(element: Element, key: str, default: float | None, faults: Faults, who: str) -> float:
+    """Return the number in an attribute, or ``default`` if the attribute is missing.
+
+    An error is added to ``faults`` if the number is invalid, or if it is missing and ``default`` is
+    None.
+    """
+    text = element.attributes.get(key)
+    if text is None and default is not None:
+        return default
+    value = _float(text or "")
+    if not math.isfinite(value):
+        found = "none" if text is None else repr(text)
+        faults.add(element.line, f"{who}: expected a number in {key}, found {found}; give one")
+        return default or 1.0
+    return value
+
+
+def _float(text: str) -> float:
+    """Return the number in a text; NaN without a number."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _text(element: Element, key: str, faults: Faults, who: str) -> str:
+    """Return the name in an attribute; add an error if it is missing."""
+    if not element.attributes.get(key):
+        faults.add(element.line, f"{who}: expected a name in {key}, found none; give one")
+    return element.attributes.get(key, "")
+
+
+def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) -> str:
+    """Return the name of the root link; add errors if the links and joints do not form a tree."""
+    parent_of: dict[str, UrdfJoint] = {}
+    for joint in joints.values():
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                faults.add(
+                    joint.line,
+                    f"joint {joint.name!r}: expected a link of this file as {role}, found "
+                    f"{link!r}; correct the name or add the link",
+                )
+        if joint.child in parent_of:
+            other = parent_of[joint.child].name
+            faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a tree, found a closed loop: "
+                f"link {joint.child!r} is also the child of joint {other!r}; cut the loop at "
+                "one of these joints",
+            )
+        parent_of[joint.child] = joint
+    if faults.found:
+        return ""
+    roots = [name for name in links if name not in parent_of]
+    if len(roots) > 1:
+        faults.add(
+            1,
+            f"expected one root link, found {', '.join(map(repr, roots))}; connect them by joints",
+        )
+        return ""
+    root = roots[0] if roots else ""
+    _, loose = in_order({child: joint.parent for child, joint in parent_of.items()}, root)
+    if not links or loose:
+        line = parent_of[loose[0]].line if loose else 1
+        found = f"links in a loop: {', '.join(map(repr, loose))}" if loose else "no link"
+        faults.add(line, f"expected a tree of links, found {found}; correct the joints")
+    return root
+
+
+def _actuated(robot: Element) -> Iterator[str]:
+    """Yield the names of the joints with a transmission or a command interface."""
+    for each in robot.all("transmission"):
+        yield from (joint.attributes.get("name", "") for joint in each.all("joint"))
+    for each in robot.all("ros2_control"):
+        for joint in each.all("joint"):
+            if joint.first("command_interface") is not None:
+                yield joint.attributes.get("name", "")

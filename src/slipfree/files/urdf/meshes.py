@@ -1,0 +1,162 @@
+"""Round shapes of wheels whose links have meshes: radius, middle and rounding of the tread."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slipfree.errors import DataError, missing_package
+from slipfree.files.urdf.packages import package_folders
+from slipfree.files.urdf.tree import Mesh, Shape
+from slipfree.files.vehicle_draft import MAX_LENGTH, rotation_of
+from slipfree.records import Array
+from slipfree.regular_files import read_bytes
+
+FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb")
+ROUND = 0.02  # points this close to the largest distance from the axis are on the tread [radius]
+MAX_GAP = np.radians(50.0)  # largest angle about the axis between points on the tread
+FIT = 0.01  # largest error of the circle through the profile of a rounded tread [radius]
+
+
+def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | None:
+    """Return the body of revolution that encloses the meshes of a link, about an axis.
+
+    The axis goes through the link's origin. The radius is the largest distance of a point from the
+    axis. The centre is on the axis, in the middle of the tread. The tube is that of a circle
+    through the outline of the tread, if the outline is such a circle of at most the tread's width;
+    otherwise zero. The result is None for meshes that are not round about the axis.
+
+    Parameters
+    ----------
+    meshes : sequence of Mesh
+        Meshes of a link.
+    axis : ndarray, shape (3,)
+        Unit vector of the axis in the link's frame.
+    folder : Path
+        Folder of the URDF.
+
+    Raises
+    ------
+    DataError
+        If a mesh cannot be read, or if it is too large.
+    """
+    points = np.vstack([_points(mesh, folder) for mesh in meshes])
+    along = points @ axis
+    across = points - along[:, None] * axis
+    distance = np.linalg.norm(across, axis=1)
+    radius = float(distance.max())
+    if not 0 < radius <= MAX_LENGTH:
+        raise DataError(
+            f"expected a mesh in metres, of at most {MAX_LENGTH:g} m, found {meshes[0].name!r} "
+            f"with points {radius:g} m from the axis of its joint; correct its scale"
+        )
+    if _largest_gap(across[distance > (1 - ROUND) * radius], axis) > MAX_GAP:
+        return None
+    tread = distance > radius / 2
+    middle, tube = _tread(along[tread], distance[tread])
+    x, y, z = (middle * axis).tolist()
+    return Shape("mesh", radius, (x, y, z), _angles_to(axis), tube)
+
+
+def _points(mesh: Mesh, folder: Path) -> Array:
+    """Return the vertices of a mesh in the frame of its link, shape (n, 3) [m]."""
+    path = _file_of(mesh.name, folder)
+    try:
+        import trimesh
+    except ImportError as error:
+        raise DataError(missing_package("trimesh", "urdf")) from error
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise DataError(f"expected a mesh in {', '.join(FORMATS)}, found {mesh.name!r}; convert it")
+    data = io.BytesIO(read_bytes(path, "a mesh"))
+    try:
+        scene: Any = trimesh.load_scene(data, file_type=suffix[1:], skip_materials=True)
+        unit = trimesh.units.unit_conversion(scene.units, "meters") if scene.units else 1.0
+        vertices = unit * np.asarray(scene.to_mesh().vertices, float).reshape(-1, 3)
+    except ModuleNotFoundError as error:  # the reader of .dae
+        raise DataError(missing_package(str(error.name), "urdf")) from error
+    except Exception as error:  # trimesh raises errors of many kinds for a damaged file
+        raise DataError(f"expected a mesh, found {mesh.name!r}: {error}; correct it") from error
+    if not vertices.size or not np.isfinite(vertices).all():
+        raise DataError(f"expected a mesh, found no points in {mesh.name!r}; correct it")
+    found: Array = vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
+    return found
+
+
+def _file_of(name: str, folder: Path) -> Path:
+    """Return the file of a mesh, relative to the folder of its URDF or in a package.
+
+    A package is searched in the folders above the URDF, and where ROS looks for packages.
+    """
+    package, _, inside = name.removeprefix("package://").partition("/")
+    if name.startswith("package://"):
+        tried = [root / inside for root in package_folders(package, folder)]
+    else:
+        tried = [folder / name.removeprefix("file://")]
+    for path in tried:
+        if os.path.isfile(path):  # noqa: PTH113 - False for names that are too long, too
+            return path
+    raise DataError(
+        f"expected the mesh {name!r}, found no such file; put its package into a folder above "
+        f"{str(folder)!r}"
+    )
+
+
+def _largest_gap(across: Array, axis: Array) -> float:
+    """Return the largest angle about an axis in which there is no point [rad]."""
+    aside = np.cross(axis, across[0])
+    angles = np.sort(np.arctan2(across @ aside, across @ across[0] * np.linalg.norm(axis)))
+    return float(np.diff([*angles, angles[0] + 2 * np.pi]).max())
+
+
+def _tread(along: Array, distance: Array) -> tuple[float, float]:
+    """Return the middle of a tread along the axis, and the radius of its tube [m].
+
+    Parameters
+    ----------
+    along, distance : ndarray, shape (n,)
+        Coordinate of points along the axis, and their distance from it. [m]
+    """
+    low, high = float(along.min()), float(along.max())
+    middle, width, radius = (low + high) / 2, high - low, float(distance.max())
+    central = np.abs(along - middle) <= 0.4 * width
+    outline = _outline(along[central] - middle, distance[central])
+    if len(outline) < 4:
+        return middle, 0.0
+    # circle about (s, c) of radius t: 2 s a + 2 c d + (t^2 - s^2 - c^2) = a^2 + d^2
+    a, d = outline.T
+    s, c, rest = np.linalg.lstsq(np.column_stack([2 * a, 2 * d, np.ones_like(a)]), a * a + d * d)[0]
+    tube = float(np.sqrt(max(rest + s * s + c * c, 0.0)))
+    error = np.abs(np.hypot(a - s, d - c) - tube).max()
+    if error > FIT * radius or tube > min(width, (1 + FIT) * radius):
+        return middle, 0.0
+    return middle, radius if tube > (1 - FIT) * radius else tube
+
+
+def _outline(along: Array, distance: Array) -> Array:
+    """Return the points of the upper convex outline of a profile, shape (m, 2), in order [m]."""
+    found: list[tuple[float, float]] = []
+    for a, d in sorted(zip(along.tolist(), distance.tolist(), strict=True)):
+        while len(found) > 1 and _is_below(found[-2], found[-1], (a, d)):
+            found.pop()
+        found.append((a, d))
+    return np.array(found)
+
+
+def _is_below(
+    first: tuple[float, float], middle: tuple[float, float], last: tuple[float, float]
+) -> bool:
+    """Return whether a point is not above the line between two others."""
+    (a0, d0), (a1, d1), (a2, d2) = first, middle, last
+    return (a1 - a0) * (d2 - d0) - (d1 - d0) * (a2 - a0) >= 0
+
+
+def _angles_to(axis: Array) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw of a frame whose z axis is a unit vector [rad]."""
+    x, y, z = axis.tolist()
+    return float(np.arctan2(-y, np.hypot(x, z))), float(np.arctan2(x, z)), 0.0

@@ -1,0 +1,220 @@
+"""Roles of joints, wheels and links: information that completes or overrides a URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from slipfree.files.urdf.tree import Link, Tree, UrdfJoint
+from slipfree.geometry.frame import Vector
+from slipfree.geometry.tensor import Elements
+from slipfree.vehicle.drives import RATE, Drive
+from slipfree.vehicle.tree import Kind
+from slipfree.vehicle.wheel import ORIGIN
+
+INFINITE = float("inf")
+
+
+class JointRole(NamedTuple):
+    """Properties of a joint that complete or override those in the URDF.
+
+    Attributes
+    ----------
+    kind : {"commanded", "passive", "suspension", "fixed"}
+        Kind of its coordinate.
+    keywords : mapping of str to Any
+        Keywords of `slipfree.vehicle.tree.Coordinate`.
+    axis : tuple of 3 floats or None
+        Axis in the joint's frame; None for that of the URDF.
+    motion : {"turn", "slide"} or None
+        Motion of the joint; None for that of its type in the URDF.
+    carries : tuple of str
+        Joints that a new joint, which is not in the URDF, carries; empty for joints of the URDF.
+    at : tuple of 3 floats
+        Position of a new joint in the link that carried these joints. [m]
+    """
+
+    kind: Kind | Literal["fixed"]
+    keywords: Mapping[str, Any] = {}
+    axis: Vector | None = None
+    motion: Literal["turn", "slide"] | None = None
+    carries: tuple[str, ...] = ()
+    at: Vector = ORIGIN
+
+
+@dataclass(frozen=True)
+class WheelRole:
+    """Properties of a wheel that complete or override those in the URDF.
+
+    Attributes
+    ----------
+    driven : bool or None
+        Whether the wheel is driven; None to derive it from the transmissions of the URDF.
+    radius : float or None
+        Rolling radius; None for the radius of the shape in the URDF. [m]
+    tube : float or None
+        Radius of the tube of a torus; None for that of a mesh, or ``Roles.tube``. [m]
+    grip : float
+        Factor that multiplies the ground's coefficient of friction. [1]
+    rollers : bool
+        Whether the wheel has rollers (omnidirectional wheel).
+    mass : float or None
+        Mass; None for that of the URDF. [kg]
+    inertia : tuple of 2 floats or None
+        Moments of inertia about the axle and across it; None for those of the URDF. [kg m^2]
+    static_depth : float or None
+        Depth in the ground under an equal share of the weight. [m]
+    drive : Drive
+        Drive of the wheel, for dynamics.
+    """
+
+    driven: bool | None = None
+    radius: float | None = None
+    tube: float | None = None
+    grip: float = 1.0
+    rollers: bool = False
+    mass: float | None = None
+    inertia: tuple[float, float] | None = None
+    static_depth: float | None = None
+    drive: Drive = RATE
+
+
+class LinkRole(NamedTuple):
+    """Mass properties of a link that override those in the URDF; None keeps them.
+
+    Attributes
+    ----------
+    mass : float or None
+        Mass. [kg]
+    center_of_mass : tuple of 3 floats or None
+        Centre of mass in the frame of the link. [m]
+    inertia : tuple of 6 floats or None
+        ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre of mass, in the axes of the link.
+        [kg m^2]
+    """
+
+    mass: float | None = None
+    center_of_mass: Vector | None = None
+    inertia: Elements | None = None
+
+
+@dataclass(frozen=True)
+class Roles:
+    """Information that completes or overrides a URDF.
+
+    Attributes
+    ----------
+    joints : mapping of str to JointRole
+        Kinds of the joints; not required for joints with a transmission, a command interface or a
+        mimic.
+    wheels : mapping of str to WheelRole
+        Properties of wheels by name of their joint. These joints carry wheels even if the URDF has
+        no suitable shape.
+    links : mapping of str to LinkRole
+        Mass properties of links.
+    tube : float
+        Tube radius of wheels whose link is a cylinder. [m]
+    radius : float or None
+        Rolling radius of wheels whose link has no round shape; None for a guess. [m]
+    forward : {"x", "-x", "y", "-y"} or None
+        Axis of the root link that points forward; None for a guess.
+    """
+
+    joints: Mapping[str, JointRole] = field(default_factory=dict)
+    wheels: Mapping[str, WheelRole] = field(default_factory=dict)
+    links: Mapping[str, LinkRole] = field(default_factory=dict)
+    tube: float = 0.0
+    radius: float | None = None
+    forward: str | None = None
+
+
+NO_ROLES = Roles()
+
+
+def completed(tree: Tree, roles: Roles) -> Tree:
+    """Return a URDF with the new joints, released joints, axes and masses of its roles.
+
+    A joint of type fixed becomes revolute if it has an axis, and it or the joint that it mimics has
+    a role other than ``"fixed"``.
+    """
+    for name, role in roles.joints.items():
+        if role.carries:
+            tree = _with_joint(tree, name, role)
+    joints = {name: _with_role(joint, roles) for name, joint in tree.joints.items()}
+    freed = {name for name, joint in joints.items() if joint.moves > tree.joints[name].moves}
+    followers = _followers(joints, freed, roles)
+    joints = {
+        name: joint._replace(type="revolute") if name in followers else joint
+        for name, joint in joints.items()
+    }
+    links = {
+        name: _weighed(link, roles.links[name]) if name in roles.links else link
+        for name, link in tree.links.items()
+    }
+    return tree._replace(joints=joints, links=links)
+
+
+def _with_joint(tree: Tree, name: str, role: JointRole) -> Tree:
+    """Return a URDF with a new joint and a new link of the same name, which carry other joints."""
+    first = tree.joints[role.carries[0]]
+    new = UrdfJoint(
+        name,
+        "prismatic" if role.motion == "slide" else "revolute",
+        first.parent,
+        name,
+        role.at,
+        ORIGIN,
+        role.axis or ORIGIN,
+        -INFINITE,
+        INFINITE,
+        INFINITE,
+        None,
+        first.line,
+    )
+    joints: dict[str, UrdfJoint] = {}
+    for joint in tree.joints.values():
+        if joint.name in role.carries:
+            joints.setdefault(name, new)
+            x, y, z = (np.asarray(joint.at) - role.at).tolist()
+            joint = joint._replace(parent=name, at=(x, y, z))
+        joints[joint.name] = joint
+    return tree._replace(links=tree.links | {name: Link(name, None, ORIGIN)}, joints=joints)
+
+
+def _with_role(joint: UrdfJoint, roles: Roles) -> UrdfJoint:
+    """Return a joint with the axis and the motion of its role, released if it has an axis."""
+    role = roles.joints.get(joint.name)
+    if role is None:
+        return joint
+    joint = joint._replace(axis=role.axis or joint.axis)
+    if role.kind == "fixed" or not any(joint.axis):
+        return joint
+    kind = joint.type if joint.moves else "revolute"
+    return joint._replace(
+        type={"slide": "prismatic", "turn": "revolute"}[role.motion] if role.motion else kind
+    )
+
+
+def _followers(joints: Mapping[str, UrdfJoint], freed: set[str], roles: Roles) -> set[str]:
+    """Return the names of fixed joints with an axis that mimic joints released by their roles."""
+    fixed = [
+        joint
+        for name, joint in joints.items()
+        if not joint.moves and any(joint.axis) and not {name} & {*roles.joints, *roles.wheels}
+    ]
+    found: set[str] = set()
+    while more := {j.name for j in fixed if j.mimic and j.mimic.joint in freed | found} - found:
+        found |= more
+    return found
+
+
+def _weighed(link: Link, role: LinkRole) -> Link:
+    """Return a link with the mass properties of its role."""
+    return link._replace(
+        mass=link.mass if role.mass is None else role.mass,
+        center=role.center_of_mass or link.center,
+        inertia=role.inertia or link.inertia,
+    )

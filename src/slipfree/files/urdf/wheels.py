@@ -1,0 +1,412 @@
+"""Wheels of a URDF: which joints carry them, and their position, size, mass and drive."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.files.urdf.frames import is_last, is_level, link_frames
+from slipfree.files.urdf.guesses import CASTER, WHEEL, wheel_guesses
+from slipfree.files.urdf.links import wheel_name
+from slipfree.files.urdf.meshes import mesh_shape
+from slipfree.files.urdf.roles import Roles, WheelRole
+from slipfree.files.urdf.tree import Findings, Shape, Tree, UrdfJoint
+from slipfree.files.vehicle_draft import rotation_of
+from slipfree.geometry.frame import Vector, unit_vector
+from slipfree.geometry.tensor import tensor
+from slipfree.records import Array
+from slipfree.vehicle.sections.registry import section_of_radii
+from slipfree.vehicle.wheel import ORIGIN, Wheel
+
+MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its joint's axis [radius]
+MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
+MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
+RIGHT = (0.0, -1.0, 0.0)
+
+
+class Wheels:
+    """Recognition and conversion of the wheels of a URDF.
+
+    Parameters
+    ----------
+    tree : Tree
+        The URDF, facing forward along x.
+    roles : Roles
+        Information that completes the URDF.
+    findings : Findings
+        Collection to which errors, notes and guesses are added.
+
+    Attributes
+    ----------
+    tree : Tree
+        The URDF with the round shapes of meshes.
+    joints : list of UrdfJoint
+        Joints that carry wheels.
+    gears : list of str
+        Names of joints whose round shapes are too high to touch the ground.
+    """
+
+    def __init__(self, tree: Tree, roles: Roles, findings: Findings) -> None:
+        self._roles, self._findings = roles, findings
+        self._frames = link_frames(tree)
+        self._unread: dict[str, str] = {}
+        self.tree = self._with_mesh_shapes(tree)
+        self._given = dict(roles.wheels)
+        self._add_guesses()
+        found = [joint for joint in self.tree.joints.values() if self._is_wheel(joint)]
+        self.gears = self._high([j for j in found if j.name not in self._given])
+        self.joints = [joint for joint in found if joint.name not in self.gears]
+        self._add_mesh_findings()
+
+    def wheel(self, joint: UrdfJoint, part_of: Mapping[str, str]) -> Wheel | None:
+        """Return the wheel of a joint, in axes x forward, y left; None with an error if invalid.
+
+        Parameters
+        ----------
+        joint : UrdfJoint
+            Joint that carries the wheel.
+        part_of : mapping of str to str
+            Name of the vehicle's part for each link that belongs to one.
+        """
+        faults = self._findings.faults
+        if joint.parent not in part_of:
+            faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected the parent of a wheel to be the "
+                "platform or a joint, found another wheel; remove one of the wheels",
+            )
+            return None
+        role = self._given.get(joint.name, WheelRole())
+        size = self._size(joint, role)
+        if size is None:
+            return None
+        if not is_last(self.tree, joint):
+            faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a wheel without moving "
+                "joints below it, found some; remove the joints or the wheel",
+            )
+            return None
+        radius, tube, at = size
+        name = wheel_name(joint.name)
+        if name != joint.name:
+            self._findings.notes.append(f"joint {joint.name} carries the wheel {name}")
+        mass, inertia = self._mass(joint)
+        return Wheel(
+            name,
+            part_of[joint.parent],
+            _vector(np.asarray(joint.at) + rotation_of(joint.turned) @ at),
+            section_of_radii(tube, radius - tube, rollers=role.rollers),
+            self._is_driven(joint) if role.driven is None else role.driven,
+            role.grip,
+            mass if role.mass is None else role.mass,
+            self._axle(joint),
+            role.static_depth,
+            role.inertia or inertia,
+            role.drive,
+        )
+
+    def add_notes(self) -> None:
+        """Add notes on the shapes and centres of mass of the wheels."""
+        notes = self._findings.notes
+        self._add_shape_notes()
+        away = [joint.name for joint in self.joints if self._hangs_off(joint)]
+        if away:
+            notes.append(
+                "centre of mass moved from the inertial's origin to the wheel's centre: "
+                f"{', '.join(away)}"
+            )
+        thin = [joint.name for joint in self.joints if self._is_thin(joint)]
+        if thin:
+            notes.append(
+                f"cylinders treated as thin discs; change by tube = ...: {', '.join(thin)}"
+            )
+
+    def _with_mesh_shapes(self, tree: Tree) -> Tree:
+        """Return a URDF with the round shapes of meshes on the links that may be wheels."""
+        links = dict(tree.links)
+        for joint in tree.joints.values():
+            link = links[joint.child]
+            if link.shapes or not link.meshes or not self._may_be_wheel(tree, joint):
+                continue
+            rotation, _ = self._frames[joint.child]
+            axis = unit_vector(joint.axis) if joint.moves else rotation.T @ RIGHT
+            try:
+                shape = mesh_shape(link.meshes, np.asarray(axis), Path(tree.file).parent)
+            except DataError as error:
+                self._unread[joint.name] = str(error)
+                continue
+            if shape is not None:
+                links[joint.child] = link._replace(shapes=(shape,))
+            elif WHEEL.search(f"{joint.name} {joint.child}"):
+                self._unread[joint.name] = (
+                    "expected a mesh that is round about the axis of its joint, found "
+                    f"{link.meshes[0].name!r}, which is not"
+                )
+        return tree._replace(links=links)
+
+    def _may_be_wheel(self, tree: Tree, joint: UrdfJoint) -> bool:
+        """Return whether a joint may carry a wheel, if its mesh is round."""
+        if joint.name in self._roles.wheels:
+            return True
+        if joint.name in self._roles.joints or not is_last(tree, joint):
+            return False
+        if joint.type == "continuous":
+            return is_level(tree, joint)
+        return not joint.moves and bool(WHEEL.search(f"{joint.name} {joint.child}"))
+
+    def _add_guesses(self) -> None:
+        """Add the wheels that the names of joints and links suggest."""
+        unknown = [
+            joint
+            for joint in self.tree.joints.values()
+            if joint.name not in self._roles.joints and not self._is_wheel(joint)
+        ]
+        for name, guess in wheel_guesses(self.tree, unknown, self._roles.radius).items():
+            shape = self._shape(self.tree.joints[name])
+            radius = guess.radius or (shape.radius if shape else None)
+            values: dict[str, float | bool] = {} if radius is None else {"radius": radius}
+            self._given[name] = WheelRole(radius=guess.radius)
+            if guess.is_ball and radius:
+                values |= {"tube": radius, "driven": False, "rollers": True}
+                self._given[name] = WheelRole(False, radius, radius, rollers=True)
+            elif shape is not None and shape.tube:
+                values |= {"tube": shape.tube}
+            self._findings.guess("wheels", name, values, f"a wheel: {guess.reason}")
+
+    def _add_mesh_findings(self) -> None:
+        """Add a guess for each wheel measured in a mesh, and an error for each mesh not read."""
+        for joint in self.joints:
+            shape = self._shape(joint)
+            if shape is not None and shape.kind == "mesh" and joint.name not in self._given:
+                values = {"radius": shape.radius, "tube": shape.tube or self._roles.tube}
+                self._findings.guess("wheels", joint.name, values, "a wheel: a round mesh")
+        for name, words in self._unread.items():
+            joint = self.tree.joints[name]
+            if joint not in self.joints and joint.moves:
+                self._findings.faults.add(
+                    joint.line,
+                    f"joint {name!r}: {words}; or write radius = ... for all wheels that are "
+                    f'meshes, or the kind of the joint in "joints" if it carries no wheel'
+                    f"{self._in_file}",
+                )
+
+    @property
+    def _in_file(self) -> str:
+        return f', in a vehicle file with urdf = "{Path(self.tree.file).name}"'
+
+    def _is_wheel(self, joint: UrdfJoint) -> bool:
+        """Return whether a joint carries a wheel, by its role or its shape."""
+        if joint.name in self._given:
+            return True
+        if joint.type != "continuous" or joint.name in self._roles.joints:
+            return False
+        shape = self._shape(joint)
+        return (
+            is_last(self.tree, joint)
+            and is_level(self.tree, joint)
+            and shape is not None
+            and _is_about(shape, unit_vector(joint.axis))
+        )
+
+    def _high(self, joints: Sequence[UrdfJoint]) -> list[str]:
+        """Return the names of joints whose round shapes are too high to touch the ground.
+
+        Such a shape ends above the lowest one by more than half of the largest radius.
+        """
+        lows: dict[str, tuple[float, float]] = {}
+        for joint in joints:
+            shape, (rotation, origin) = self._shape(joint), self._frames[joint.child]
+            if shape is not None:
+                lows[joint.name] = (float(origin[2]) + _lowest(shape, rotation), shape.radius)
+        lowest = min((low for low, _ in lows.values()), default=0.0)
+        most = lowest + max((radius for _, radius in lows.values()), default=0.0) / 2
+        return [name for name, (low, _) in lows.items() if low > most]
+
+    def _shape(self, joint: UrdfJoint) -> Shape | None:
+        """Return the lowest round shape of a wheel's link; None if it has none.
+
+        Shapes about the axis of a moving joint take precedence. The width of cylinders is ignored,
+        since the wheel becomes a disc or torus at the centre of the cylinder.
+        """
+        shapes, (rotation, _) = self.tree.links[joint.child].shapes, self._frames[joint.child]
+        if joint.moves:
+            axis = unit_vector(joint.axis)
+            shapes = tuple(shape for shape in shapes if _is_about(shape, axis)) or shapes
+        return min(shapes, key=lambda shape: _lowest(shape, rotation), default=None)
+
+    def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
+        """Return rolling radius, tube radius and position of a wheel in its link [m].
+
+        The result is None, with an error added, if they are invalid.
+        """
+        faults, shape = self._findings.faults, self._shape(joint)
+        radius = role.radius or self._radius(shape)
+        if radius is None:
+            reason = self._unread.get(joint.name, "expected a cylinder, a sphere or a mesh as its ")
+            words = reason if joint.name in self._unread else f"{reason}wheel, found none"
+            faults.add(
+                joint.line,
+                f"joint {joint.name!r}: {words}; write wheels = {{ {joint.name} = {{ radius = ... "
+                f"}} }}{self._in_file}",
+            )
+            return None
+        ball = shape is not None and shape.kind == "sphere"
+        mesh_tube = shape.tube if shape is not None else 0.0
+        default = radius if ball else mesh_tube or self._roles.tube
+        tube = default if role.tube is None else role.tube
+        if tube > radius:
+            faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a tube of at most the "
+                f"radius, {radius:g} m, found {tube:g}; reduce it",
+            )
+            return None
+        if shape is None:
+            return radius, tube, ORIGIN
+        if joint.moves and _eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
+            faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a wheel about its axis, "
+                f"found its {shape.kind} at {_spelled(shape.at)} m; move the shape or the "
+                "axis",
+            )
+            return None
+        return radius, tube, shape.at
+
+    def _radius(self, shape: Shape | None) -> float | None:
+        """Return the rolling radius of a wheel without a given one; None if it is unknown [m]."""
+        if shape is None:
+            return None
+        return (shape.kind == "mesh" and self._roles.radius) or shape.radius
+
+    def _mass(self, joint: UrdfJoint) -> tuple[float, tuple[float, float] | None]:
+        """Return the mass of a wheel and its moments of inertia about and across the axle.
+
+        They include the links fixed to the wheel's. The moments are those about the centres of
+        mass, since these become the centre of the wheel; None if a link has a mass without them.
+        """
+        links, frames = [joint.child], {joint.child: np.eye(3)}
+        for below in self.tree.below(joint.child):
+            frames[below.child] = frames[below.parent] @ rotation_of(below.turned)
+            links.append(below.child)
+        heavy = [self.tree.links[link] for link in links if self.tree.links[link].mass]
+        mass = sum(link.mass or 0.0 for link in heavy)
+        if not heavy or any(link.inertia is None for link in heavy):
+            return mass, None
+        total = sum(
+            frames[link.name] @ tensor(link.inertia) @ frames[link.name].T
+            for link in heavy
+            if link.inertia is not None
+        )
+        rotation, _ = self._frames[joint.child]
+        axis = np.asarray(unit_vector(joint.axis)) if joint.moves else rotation.T @ RIGHT
+        axial = float(axis @ total @ axis)
+        return mass, (axial, float(np.trace(total) - axial) / 2)
+
+    def _is_driven(self, joint: UrdfJoint) -> bool:
+        """Return whether a wheel has an actuator; without any, all but casters are driven."""
+        actuated, guess = self.tree.actuated, self._findings.guess
+        if any(wheel.name in actuated for wheel in self.joints):
+            if joint.name not in actuated:
+                reason = "free: other wheels have an actuator"
+                guess("wheels", joint.name, {"driven": False}, reason)
+            return joint.name in actuated
+        above = {each.child for each in self.tree.joints.values() if CASTER.search(each.name)}
+        is_caster = bool(CASTER.search(f"{joint.name} {joint.child}")) or joint.parent in above
+        reason = "free: a caster" if is_caster else "driven: no wheel has an actuator"
+        guess("wheels", joint.name, {"driven": not is_caster}, reason)
+        return not is_caster
+
+    def _axle(self, joint: UrdfJoint) -> Vector:
+        """Return the axle of a wheel in its parent's frame, a unit vector that points to the right.
+
+        Add a note if the rate of the wheel has another sign than that of the joint, or if the wheel
+        rolls sideways.
+        """
+        parent, _ = self._frames[joint.parent]
+        if not joint.moves:
+            return _vector(parent.T @ RIGHT)
+        axis = rotation_of(joint.turned) @ unit_vector(joint.axis)
+        left = float((parent @ axis)[1])
+        if left < -MIN_AXLE_LEFT:
+            self._findings.notes.append(
+                f"wheel {joint.name}: its rate is positive forward, opposite to the sign of "
+                "its joint in the URDF"
+            )
+            return _vector(axis)
+        if left < MIN_AXLE_LEFT:
+            self._findings.notes.append(
+                f"wheel {joint.name}: rolls sideways; its rate has the sign of its joint; if the "
+                "robot drives this way, write forward = 'y' or '-y'"
+            )
+        return _vector(-axis)
+
+    def _add_shape_notes(self) -> None:
+        """Add a note for each wheel whose link has several shapes, with the chosen radius."""
+        alike: dict[str, list[str]] = {}
+        for joint in self.joints:
+            shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
+            given = self._given.get(joint.name, WheelRole()).radius
+            if chosen is None or given is not None or all(s == chosen for s in shapes):
+                continue
+            counts = Counter((s.kind, s.radius) for s in shapes)
+            found = ", ".join(
+                f"{n} {kind}{'s' * (n > 1)} of {radius:g} m" for (kind, radius), n in counts.items()
+            )
+            words = (
+                f"several shapes ({found}), radius {chosen.radius:g} m of the shape about the "
+                "axle that touches level ground first"
+            )
+            alike.setdefault(words, []).append(joint.name)
+        for words, names in alike.items():
+            self._findings.notes.append(
+                f"{words}; override by wheels = {{ {names[0]} = {{ radius = ... }} "
+                f"}}: {', '.join(names)}"
+            )
+
+    def _is_thin(self, joint: UrdfJoint) -> bool:
+        """Return whether a cylinder, or a mesh with a flat tread, becomes a disc by default."""
+        shape, given = self._shape(joint), self._given.get(joint.name, WheelRole())
+        flat = shape is not None and shape.kind != "sphere" and not shape.tube
+        return flat and given.tube is None and not self._roles.tube
+
+    def _hangs_off(self, joint: UrdfJoint) -> bool:
+        """Return whether a wheel's centre of mass is more than 1 mm from its centre."""
+        link, shape = self.tree.links[joint.child], self._shape(joint)
+        at = shape.at if shape else ORIGIN
+        return bool(link.mass) and math.dist(link.center, at) > MASS_OFFSET
+
+
+def _eccentricity(shape: Shape, axis: Vector) -> float:
+    """Return the distance of a shape's centre from an axis through its link's origin [radii]."""
+    return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
+
+
+def _is_about(shape: Shape, axis: Vector) -> bool:
+    """Return whether a shape is rotationally symmetric about an axis through its link's origin."""
+    along = float(rotation_of(shape.turned)[:, 2] @ axis)
+    parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=MAX_ECCENTRICITY)
+    return parallel and _eccentricity(shape, axis) <= MAX_ECCENTRICITY
+
+
+def _lowest(shape: Shape, rotation: Array) -> float:
+    """Return the height of a shape's lowest point above its link's origin [m]."""
+    upward = 0.0
+    if shape.kind != "sphere":
+        upward = min(1.0, abs(float((rotation @ rotation_of(shape.turned))[2, 2])))
+    return float(rotation[2] @ shape.at) - shape.radius * math.sqrt(1 - upward**2)
+
+
+def _vector(array: Array) -> Vector:
+    x, y, z = (float(each) for each in array)
+    return x, y, z
+
+
+def _spelled(at: Vector) -> str:
+    return f"({', '.join(f'{each:g}' for each in at)})"

@@ -1,0 +1,147 @@
+"""Wheels whose links have meshes: radius, middle and tube from the points of the mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from helpers.urdf import joint, link, wheel, written
+from slipfree.cli import app
+from slipfree.problem.build_vehicle import VehicleError, read_vehicle
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
+
+TURN = 'rpy="1.5707963267948966 0 0"'  # from the z axis of a mesh to an axle to the left
+TYRE = trimesh.creation.torus(0.25, 0.05, major_sections=64, minor_sections=32)
+PLATE = trimesh.creation.cylinder(0.1, 0.04, sections=48)
+
+
+def mesh(name: str, origin: str = TURN, scale: str = "1 1 1") -> str:
+    return (
+        f'<visual><origin {origin}/><geometry><mesh filename="{name}" scale="{scale}"/>'
+        "</geometry></visual>"
+    )
+
+
+def tricycle(shape: str, **more: str) -> str:
+    places = ("0.4 0.3 0", "0.4 -0.3 0", "-0.4 0 0")
+    return "".join(wheel(f"part_{k}", at, shape, **more) for k, at in enumerate(places))
+
+
+@pytest.mark.parametrize(
+    ("made", "name", "scale", "section"),
+    [
+        (TYRE, "tyre.stl", "1 1 1", Torus(0.05, 0.25)),
+        (TYRE, "tyre.obj", "0.5 0.5 0.5", Torus(0.025, 0.125)),
+        (TYRE, "tyre.dae", "1 1 1", Torus(0.05, 0.25)),
+        (TYRE, "tyre.ply", "1 1 1", Torus(0.05, 0.25)),
+        (TYRE, "tyre.glb", "1 1 1", Torus(0.05, 0.25)),
+        (PLATE, "plate.stl", "1 1 2", Disc(0.1)),
+        (trimesh.creation.icosphere(4, 0.2), "ball.stl", "1 1 1", Sphere(0.2)),
+    ],
+)
+def test_a_mesh_has_the_radius_and_tube_of_its_body(made, name, scale, section, tmp_path):
+    (tmp_path / name).write_bytes(exported(made, name))
+    vehicle = read_vehicle(written(tmp_path, tricycle(mesh(name, scale=scale))))
+    for each in vehicle.wheels:
+        assert type(each.section) is type(section)
+        assert np.allclose(radii(each.section), radii(section), rtol=1e-3)
+        assert each.driven
+    assert any("a wheel: a round mesh" in note for note in vehicle.notes)
+
+
+def exported(made: trimesh.Trimesh, name: str) -> bytes:
+    data = made.export(file_type=Path(name).suffix[1:])
+    return data.encode() if isinstance(data, str) else data
+
+
+def radii(section: Torus | Disc | Sphere) -> list[float]:
+    return list(vars(section).values())
+
+
+def test_the_unit_of_a_collada_file_counts(tmp_path):
+    large = trimesh.creation.torus(250, 50, major_sections=64, minor_sections=32)
+    text = exported(large, "tyre.dae").replace(
+        b"<up_axis>", b'<unit name="millimeter" meter="0.001"/><up_axis>'
+    )
+    (tmp_path / "tyre.dae").write_bytes(text)
+    vehicle = read_vehicle(written(tmp_path, tricycle(mesh("tyre.dae"))))
+    assert vehicle.wheels[0].radius == pytest.approx(0.3, rel=1e-3)
+
+
+def test_the_wheel_is_in_the_middle_of_the_tread(tmp_path):
+    (tmp_path / "plate.stl").write_bytes(exported(PLATE, "plate.stl"))
+    shape = mesh("plate.stl", f'{TURN} xyz="0 0.07 0"')
+    wheels = read_vehicle(written(tmp_path, tricycle(shape))).wheels
+    at = np.array([each.at for each in wheels])  # x right, y forward
+    assert np.allclose(at, [[-0.37, 0.4, 0], [0.23, 0.4, 0], [-0.07, -0.4, 0]], atol=1e-6)
+
+
+def test_a_package_is_found_in_a_folder_above(tmp_path, monkeypatch):
+    urdf = tmp_path / "robots" / "my_robot" / "urdf"
+    urdf.mkdir(parents=True)
+    (urdf.parent / "meshes").mkdir()
+    (urdf.parent / "meshes" / "plate.stl").write_bytes(exported(PLATE, "plate.stl"))
+    inside = written(urdf, tricycle(mesh("package://my_robot/meshes/plate.stl")))
+    assert read_vehicle(inside).wheels[0].radius == pytest.approx(0.1)
+    (tmp_path / "else").mkdir()
+    outside = written(tmp_path / "else", tricycle(mesh("package://my_robot/meshes/plate.stl")))
+    with pytest.raises(VehicleError, match="found no such file; put its package into a folder"):
+        read_vehicle(outside)
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "robots"))
+    assert read_vehicle(outside).wheels[0].radius == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("wheel.stl", b"junk", "expected a mesh, found no points in 'wheel.stl'"),
+        ("wheel.dae", b"junk", "expected a mesh, found 'wheel.dae'"),
+        ("wheel.step", b"junk", "expected a mesh in .stl, .dae, .obj, .ply, .glb, found"),
+        ("wheel.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "expected a mesh"),
+        (
+            "wheel.stl",
+            exported(trimesh.creation.box((0.1, 0.2, 0.3)), "wheel.stl"),
+            "expected a mesh that is round about the axis of its joint, found 'wheel.stl'",
+        ),
+        (
+            "wheel.stl",
+            exported(trimesh.creation.cylinder(200, 50), "wheel.stl"),
+            "found 'wheel.stl' with points 200 m from the axis of its joint; correct its scale",
+        ),
+    ],
+)
+def test_a_mesh_that_is_no_wheel_is_named(name, data, words, tmp_path):
+    (tmp_path / name).write_bytes(data)
+    parts = tricycle(mesh(name)).replace("part_", "wheel_")
+    with pytest.raises(VehicleError) as found:
+        read_vehicle(written(tmp_path, parts))
+    assert words in str(found.value)
+    assert "or write radius = ... for all wheels" in str(found.value)
+    given = read_vehicle(written(tmp_path, parts, "radius = 0.12"))
+    assert [each.radius for each in given.wheels] == [0.12] * 3
+
+
+def test_an_arm_with_a_mesh_is_no_wheel(tmp_path):
+    (tmp_path / "plate.stl").write_bytes(exported(PLATE, "plate.stl"))
+    bar = trimesh.creation.box((0.4, 0.05, 0.05))
+    (tmp_path / "bar.stl").write_bytes(exported(bar, "bar.stl"))
+    arm = link("arm", mesh("bar.stl")) + joint("shoulder", "continuous", "base", "arm")
+    vehicle = read_vehicle(written(tmp_path, tricycle(mesh("plate.stl")) + arm))
+    assert len(vehicle.wheels) == 3
+    assert not vehicle.coordinates
+
+
+def test_the_written_completion_has_radius_and_tube_of_the_meshes(tmp_path):
+    (tmp_path / "tyre.stl").write_bytes(exported(TYRE, "tyre.stl"))
+    file = written(tmp_path, tricycle(mesh("tyre.stl", f'{TURN} xyz="0 0.03 0"')))
+    out = tmp_path / "full.toml"
+    found = CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])
+    assert found.exit_code == 0, found.output
+    assert read_vehicle(out).wheels == read_vehicle(file).wheels
+    assert "radius = 0.3" in out.read_text()
