@@ -51,7 +51,7 @@ def written(folder: Path, parts: str, completion: str | None = None) -> Path:
     return folder / "robot.toml"
 
 
-def adam_model(urdf: str, joints: Sequence[str], backend: Any = adam.numpy) -> Any:
+def adam_model(urdf: str, joints: Sequence[str]) -> Any:
     """Return adam's model of a URDF, completed with all elements that adam requires."""
     robot = ElementTree.fromstring(urdf)
     for each in [*robot.findall("transmission"), *robot.findall("ros2_control")]:
@@ -68,4 +68,4 @@ def adam_model(urdf: str, joints: Sequence[str], backend: Any = adam.numpy) -> A
     for each in inertials:
         moments = {"ixx": "1", "iyy": "1", "izz": "1", "ixy": "0", "ixz": "0", "iyz": "0"}
         ElementTree.SubElement(each, "inertia", moments)
-    return backend.KinDynComputations(ElementTree.tostring(robot, encoding="unicode"), [*joints])
+    return adam.numpy.KinDynComputations(ElementTree.tostring(robot, encoding="unicode"), [*joints])

@@ -8,6 +8,8 @@ import pytest
 
 from slipfree import (
     Analytic,
+    Bicubic,
+    Grid,
     SolverOptions,
     catalog,
     direct_kinematics,
@@ -345,3 +347,16 @@ def test_a_motor_stalls_at_its_torque_and_recovers():
     assert (torque <= available + 1e-9).all()
     assert torque.max() == pytest.approx(2.0, rel=1e-3)
     assert rate[-1] == pytest.approx(5.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("section", [Disc(0.12), Sphere(0.12)])
+def test_discs_and_balls_stand_on_maps(section):
+    x = np.linspace(-1, 1, 21)
+    plane = Bicubic(Grid(x, x, 0.1 * np.add.outer(x, 0 * x)), mu=0.8)
+    vehicle = catalog.rigid_skid_steer()
+    wheels = tuple(replace(wheel, section=section) for wheel in vehicle.wheels)
+    model = dynamics(replace(vehicle, wheels=wheels), plane)
+    start = settle(model, x=0.0, y=0.0, heading=0.0)
+    run = moved(model, start, np.linspace(0, 0.1, 3), 1e-7)
+    load = run["force_normal"][-1].sum()
+    assert load == pytest.approx(vehicle.mass * GRAVITY * np.cos(np.arctan(0.1)), rel=1e-3)
