@@ -582,8 +582,8 @@ def test_a_problem_drives_a_vehicle_file():
         ("vehicle.file=w.toml", "w.toml: expected a problem file, found that it cannot be read"),
         (
             "vehicle.file=v.txt",
-            "p.toml:3: vehicle: v.txt: expected a vehicle file that ends in .toml or .urdf, "
-            "found '.txt'; check the name",
+            "p.toml:3: vehicle: v.txt: expected a vehicle file that ends in .toml, .urdf or "
+            ".xacro, found '.txt'; check the name",
         ),
     ],
 )

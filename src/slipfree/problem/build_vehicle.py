@@ -231,7 +231,7 @@ def _draft(path: Path) -> Draft:
         file = open_file(path)
         return _completed(file) if "urdf" in file.data else read_toml(file)
     if ending in ROBOTS:
-        return _urdf(path, UrdfTable(urdf=path.name))
+        return _urdf(path)
     raise DataError(
         f"{path}: expected a vehicle file that ends in .toml, .urdf or .xacro, found "
         f"{repr(path.suffix) if path.suffix else 'no ending'}; check the name"
@@ -252,7 +252,7 @@ def _completion(file: File) -> UrdfTable:
 def _completed(file: File) -> Draft:
     """Return the draft of the vehicle in a URDF that a vehicle file completes."""
     table = _completion(file)
-    draft = _urdf(file.source.path.parent / table.urdf, table, file)
+    draft = _urdf(file.source.path.parent / table.urdf, (table, file))
     return draft if table.name is None else replace(draft, name=table.name)
 
 
@@ -266,23 +266,27 @@ def _urdf_text(path: Path, arguments: Mapping[str, str], by: str = "") -> tuple[
     return read_bytes(path, f"a URDF{by}"), str(path)
 
 
-def _urdf(path: Path, table: UrdfTable, file: File | None = None) -> Draft:
-    """Return the draft of the vehicle in a URDF that a table completes.
+def _urdf(path: Path, completion: tuple[UrdfTable, File] | None = None) -> Draft:
+    """Return the draft of the vehicle in a URDF.
 
-    ``file`` is the vehicle file with the table, if any; errors in the table name this file.
+    ``completion`` is the vehicle file that completes it, if any, with its contents; errors in it
+    name this file.
     """
     try:
-        by = f" (urdf of {file.source.path})" if file else ""
+        if completion is None:
+            return read_urdf(read_tree(*_urdf_text(path, {})))
+        table, file = completion
+        by = f" (urdf of {file.source.path})"
         tree = read_tree(*_urdf_text(path, table.arguments, by))
-        if file is not None:
-            _check(table, tree, file)
+        _check(table, tree, file)
         return read_urdf(tree, table.roles)
     except UnfitError as error:
         raise VehicleError(*error.faults, draft=error.draft) from error
     except DataError as error:
         raise error if isinstance(error, VehicleError) else VehicleError(str(error)) from error
     except ModelError as error:
-        raise VehicleError(f"{file.source.path if file else path}:1: {error}") from error
+        where = completion[1].source.path if completion else path
+        raise VehicleError(f"{where}:1: {error}") from error
 
 
 def _check(table: UrdfTable, tree: Tree, file: File) -> None:

@@ -23,4 +23,4 @@ class Disc(Section):
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002 - an edge
         """Return the point of the section with a given outward normal: always the edge [m]."""
-        return ca.DM(0), ca.DM(self.radius)
+        return 0 * axial, self.radius + 0 * axial  # SX or MX, as the normal

@@ -31,4 +31,4 @@ class Sphere(Section):
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
         """Return the radius of the sphere, the same for every normal [m]."""
-        return ca.DM(self.radius)
+        return self.radius + 0 * axial  # SX or MX, as the normal
