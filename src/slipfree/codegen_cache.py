@@ -32,8 +32,10 @@ FOLDER = "SLIPFREE_CACHE"  # environment variable: path of the cache folder; emp
 # The functions are long lists of sums and products: more optimisation does not make them faster,
 # and without optimisation they take three times as long, like the interpreter.
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
-NO_COMPILER = "no C compiler was found: cc, gcc, clang, or the command in CC"
-CACHE_DISABLED = f"{FOLDER} is empty"
+NO_COMPILER = (
+    "no C compiler was found: cc, gcc, clang, or the command in CC; install one, or set CC"
+)
+CACHE_DISABLED = f"{FOLDER} is empty; unset it, or set it to a folder"
 COMPILER_TIMEOUT = 300.0  # [s]
 MIN_OPERATIONS = 300  # smaller functions are not compiled
 MAX_LIBRARIES = 64  # libraries in the cache, of about a megabyte each

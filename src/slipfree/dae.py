@@ -67,7 +67,8 @@ class PiecewiseLinear:
     Attributes
     ----------
     base : ndarray, shape (n - 1,)
-        Value of each linear function ``base + slope t`` at t = 0, in the unit of the input.
+        Value of each linear function ``base + slope t`` at t = 0, for the n - 1 intervals between
+        n samples, in the unit of the input.
     slope : ndarray, shape (n - 1,)
         Rate of each linear function, in the unit of the input per second.
     """
@@ -280,15 +281,15 @@ class Dae:
                 )
         if not 0 < self.size < float("inf"):
             raise ModelError(
-                f"size: expected a positive length in metres, found {self.size}; give the "
-                "extent of the vehicle"
+                f"size: expected a positive length in metres, found {self.size}; give a finite "
+                "length, such as the extent of the vehicle"
             )
         names = [label.full for label in leaves(tuple(self.labels[:5]))]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
             raise ModelError(
                 f"labels: expected a different name for each variable, found {min(twice)!r} twice; "
-                "rename a coordinate of the vehicle"
+                "rename a coordinate of the vehicle or an output"
             )
 
     def __repr__(self) -> str:
@@ -362,6 +363,11 @@ class Dae:
             Motion of this model, in map coordinates.
         index : int
             Index of the sample.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Values in the order of the record, each in the unit of its label.
         """
         labels = leaves(getattr(self.labels, record))
         values = [run.of(label)[index] for label in labels]

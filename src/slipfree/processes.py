@@ -37,7 +37,7 @@ class Pool(Protocol[T_contra, D_co]):
     """Interface of the pools, which execute several tasks at the same time."""
 
     def room(self) -> int:
-        """Return the largest number of unfinished tasks, at least 1.
+        """Return the largest number of tasks that may be unfinished at a time, at least 1.
 
         Raise SlipfreeError if the connection to the pool is lost.
         """

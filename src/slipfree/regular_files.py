@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import stat
@@ -106,6 +107,8 @@ def _checked_size(path: Path, expected: str) -> int:
 
 def _unreadable(path: Path, expected: str, reason: object) -> DataError:
     """Return the error for a file that cannot be read."""
+    is_denied = reason == os.strerror(errno.EACCES)
+    remedy = "check the permissions of the file and its folders" if is_denied else "check the name"
     return DataError(
-        f"{path}: expected {expected}, found that it cannot be read ({reason}); check the name"
+        f"{path}: expected {expected}, found that it cannot be read ({reason}); {remedy}"
     )

@@ -32,7 +32,8 @@ class Stop(NamedTuple):
     ----------
     name : str
         Name of the limit, check or event that ended the motion; otherwise ``"fold"``,
-        ``"no_equilibrium"``, ``"solver"``, ``"interrupted"``, ``"plan"`` or ``"plan_accuracy"``.
+        ``"no_equilibrium"``, ``"solver"``, ``"interrupted"``, ``"plan"``, ``"plan_accuracy"`` or
+        ``"plan_share"``.
     t : float
         Time of the last sample. [s]
     words : str

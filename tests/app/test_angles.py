@@ -157,20 +157,20 @@ def test_a_plan_and_commands_in_degrees(tmp_path: Path) -> None:
             '--set start.heading: expected radians (did you mean 90 degrees? write "90 deg"), '
             "found 90",
         ),
-        (PROBLEM, 'start.x="30 deg"', "start.x: expected a number in m, found a number in rad"),
-        (PROBLEM, 'start.heading="5 deg/s"', "expected a number in rad, found a number in rad/s"),
+        (PROBLEM, 'start.x="30 deg"', "start.x: expected a number in m, found an angle"),
+        (PROBLEM, 'start.heading="5 deg/s"', "expected a number in rad, found an angular rate"),
         (PROBLEM, 'start.heading="5 dog"', 'text with a unit of an angle as in "30 deg" or "5 deg'),
-        (PROBLEM, 'inputs.left_rate="5 deg"', "expected a number in rad/s, found a number in rad"),
+        (PROBLEM, 'inputs.left_rate="5 deg"', "expected a number in rad/s, found an angle"),
         (PROBLEM, "vehicle.tilt_stop=30", '(did you mean 30 degrees? write "30 deg"), found 30'),
         (PROBLEM, 'vehicle.tilt_stop="3 deg/s"', "or text as in \"30 deg\", found '3 deg/s'"),
         (PROBLEM, 'vehicle.half_track="3 deg"', "vehicle.half_track: expected a number"),
         (PLAN, "goal.heading=45", 'write "45 deg"), found 45'),
         (PLAN, "limits.pitch=[-20, 20]", 'write "-20 deg"), found -20'),
-        (PLAN, 'limits.slip_along="3 deg"', "expected a number in m/s, found a number in rad"),
-        (PLAN, 'bounds.right_rate="3 deg"', "expected a number in rad/s, found a number in rad"),
-        (PLAN, 'accelerations.right_rate="3 deg/s"', "a number in rad/s2, found a number in rad/s"),
-        (PLAN, 'way_points=[{at=0.5, heading="1 rad/s"}]', "in rad, found a number in rad/s"),
-        (INVERSE, 'given.forward="3 deg/s"', "expected a number in m/s, found a number in rad/s"),
+        (PLAN, 'limits.slip_along="3 deg"', "expected a number in m/s, found an angle"),
+        (PLAN, 'bounds.right_rate="3 deg"', "expected a number in rad/s, found an angle"),
+        (PLAN, 'accelerations.right_rate="3 deg/s"', "a number in rad/s2, found an angular rate"),
+        (PLAN, 'way_points=[{at=0.5, heading="1 rad/s"}]', "in rad, found an angular rate"),
+        (INVERSE, 'given.forward="3 deg/s"', "expected a number in m/s, found an angular rate"),
     ],
 )
 def test_other_units_and_bare_degrees_are_refused(
@@ -200,9 +200,9 @@ def test_a_vehicle_file_in_degrees(tmp_path: Path) -> None:
     assert (swivel.lower, swivel.upper) == pytest.approx((-pi / 4, pi / 4))
     assert swivel.max_rate == pytest.approx(pi / 6)
     for old, new, words in (
-        ('"45 deg"', '"45 deg/s"', "expected a number in rad, found a number in rad/s"),
+        ('"45 deg"', '"45 deg/s"', "expected a number in rad, found an angular rate"),
         ('"45 deg"', "45", 'expected radians (did you mean 45 degrees? write "45 deg"), found 45'),
-        ('"30 deg/s"', '"30 deg"', "expected a number in rad/s, found a number in rad"),
+        ('"30 deg/s"', '"30 deg"', "expected a number in rad/s, found an angle"),
     ):
         path.write_text(VEHICLE.replace(old, new))
         with pytest.raises(ProblemError) as caught:

@@ -162,7 +162,7 @@ def test_lines_of_keys() -> None:
         (
             "x = [-3, 3]",
             "x = [-3, 3, 4]",
-            "p.toml:4: terrain.synthetic.x: expected an array of 2, found [-3, 3, 4]",
+            "p.toml:4: terrain.synthetic.x: expected an array of 2 elements, found [-3, 3, 4]",
         ),
         (
             "x = [-3, 3]",

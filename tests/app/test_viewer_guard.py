@@ -249,7 +249,7 @@ def test_a_server_that_cannot_be_guarded_is_refused(monkeypatch: pytest.MonkeyPa
             ended.append(self)
 
     monkeypatch.setattr(viser, "ViserServer", Other)
-    with pytest.raises(DataError, match="expected one whose requests can be checked"):
+    with pytest.raises(DataError, match="expected a version of viser whose requests"):
         Guard(print).start(0)
     assert len(ended) == 1
 

@@ -214,7 +214,7 @@ def test_npz_refuses(tmp_path):
         ("junk", "another raster of GDAL in one file, found 'no ending' with unknown"),
         ("a.zip", "unpack it: unzip in.zip"),
         ("a.shp", "contours to a raster: gdal_grid .* in.shp out.tif"),
-        ("a.hdr", "name the file with the heights"),
+        ("a.hdr", "give the name of the file with the heights"),
         ("none.asc", "none.asc: expected a map, found that it cannot be read"),
     ],
 )

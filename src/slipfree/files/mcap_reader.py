@@ -50,7 +50,7 @@ def read_mcap(path: Path, name: str) -> Rows:
     if names is None:
         raise DataError(
             f"{path}: expected a CSV file, found MCAP, from which only paths and commands are "
-            "read; convert it"
+            "read; write the values as CSV"
         )
     topic, rows = _only_topic(path, MESSAGES[names])
     stamped = [*_rows(rows)]
@@ -58,7 +58,7 @@ def read_mcap(path: Path, name: str) -> Rows:
     if not table.size or not np.isfinite(table).all():
         raise DataError(
             f"{path}: expected finite numbers in topic {topic}, found "
-            f"{'others' if table.size else 'none'}; record the topic again"
+            f"{'infinite ones or NaN' if table.size else 'none'}; record the topic again"
         )
     if "heading" in names:
         table[:, -1] = np.unwrap(table[:, -1])
@@ -73,7 +73,7 @@ class JointCommands(NamedTuple):
     t : ndarray, shape (n,)
         Times since the first message of the file. [s]
     positions, velocities : ndarray, shape (n,)
-        Commanded values and rates; NaN without. [rad or m, rad/s or m/s]
+        Commanded values and rates; NaN where a message has none. [rad or m, rad/s or m/s]
     """
 
     t: Array
@@ -104,7 +104,8 @@ def read_joint_commands(path: Path) -> dict[str, JointCommands]:
     found = {name: JointCommands(*np.array(table).T) for name, table in rows.items()}
     if any(np.diff(each.t, prepend=-1.0).min() <= 0 for each in found.values()):
         raise DataError(
-            f"{path}: expected increasing times in topic {topic}, found others; sort the messages"
+            f"{path}: expected increasing times of each joint in topic {topic}, found equal or "
+            "decreasing ones; sort the messages, and keep one for each time"
         )
     return found
 

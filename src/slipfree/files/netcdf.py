@@ -190,8 +190,8 @@ def _check(run: Trajectory) -> None:
     """Raise ModelError for a trajectory without samples or with a reserved name."""
     if run.t.size == 0:
         raise ModelError(
-            "expected a trajectory with at least one sample, found none; write a motion that has "
-            "begun"
+            "expected a trajectory with at least one sample, found none; check the motion before "
+            "writing it"
         )
     taken = RESERVED & {*run.columns, *run.attributes}
     taken |= {name for name in run.attributes if name.startswith(STATISTICS)}
@@ -231,7 +231,7 @@ def _fill(file: Any, run: Trajectory) -> None:
 
 
 def _annotate(node: Any, attributes: Mapping[str, Any]) -> None:
-    """Set attributes of a netCDF file or variable."""
+    """Set attributes of a netCDF file or variable; raise ModelError for a name that scipy uses."""
     for name, value in attributes.items():
         if hasattr(node, name):
             raise ModelError(
@@ -314,7 +314,7 @@ def _fault(path: Path, found: str, remedy: str = REMEDY) -> DataError:
 
 
 def _open(path: Path) -> _File:
-    """Return a result file opened for reading; raise DataError if it is damaged or of others."""
+    """Return a result file opened for reading; raise DataError for any other or a damaged file."""
     with regular_file(path, "a result file of slipfree"):
         with path.open("rb") as stream:
             head = stream.read(4)
@@ -370,7 +370,7 @@ def _trajectory(file: _File) -> Trajectory:
     t = file.values("time").astype(np.float64)
     wheels = file.values("wheel") if "wheel" in variables else np.empty((0, 4), "S1")
     if t.ndim != 1 or not np.isfinite(t).all() or (np.diff(t) < 0).any():
-        raise _fault(file.path, "times that are not finite and ascending")
+        raise _fault(file.path, "times that decrease or are not finite")
     if wheels.ndim != 2 or wheels.dtype != "S1":
         raise _fault(file.path, "a variable 'wheel' that does not contain names")
     names = tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels)

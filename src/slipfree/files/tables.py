@@ -112,6 +112,8 @@ def read_columns(
             continue
         if number == 1 and {*columns} <= {*(names := _names(line))}:
             order, width = [names.index(name) for name in columns], len(names)
+            if width > len(columns):
+                wanted = f"{width} values as in line 1, with numbers for {','.join(columns)}"
             continue
         try:
             row = [float(cells[k]) for k in order] if len(cells) == width else []

@@ -29,7 +29,7 @@ FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 class Guess(NamedTuple):
-    """A guess of what a file does not say, which a vehicle file can override.
+    """A guess of a property that a file does not contain; a vehicle file can override it.
 
     Attributes
     ----------

@@ -132,7 +132,7 @@ def _known_section(_: Any) -> None:
 
 
 def _drive(value: Any) -> Drive:
-    """Return the drive that a table describes; raise an error for others."""
+    """Return the drive that a table describes; raise an error for an invalid table."""
     given = dict(value) if isinstance(value, dict) else {}
     kind = given.pop("kind", None)
     if kind not in DRIVES:
@@ -393,7 +393,7 @@ def read_toml(file: File) -> Draft:
 
 
 def _counted(table: VehicleTable) -> str:
-    """Return the table that messages about too few wheels or too many coordinates name."""
+    """Return the name of the table to correct if there are too few wheels for the coordinates."""
     return "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
 
 
@@ -465,7 +465,8 @@ def _value_errors(table: VehicleTable) -> Iterator[Fault]:
             motions.setdefault(name, set()).add(joint.motion)
     for index, c in enumerate(table.coordinates):
         if not motions[c.name]:
-            expected, found = "a joint whose value uses it", "none; remove it, or add such a joint"
+            expected = "a joint whose value uses the coordinate"
+            found = "none; remove the coordinate, or add such a joint"
             yield Fault(("coordinates", index), expected, found)
         if len(motions[c.name]) > 1:
             expected = "only turning or only sliding joints whose value uses the coordinate"

@@ -108,7 +108,7 @@ def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
 
 
 def frame_motions(runs: Sequence[Trajectory], climber: Climber, ax: Axes) -> Axes:
-    """Set the limits of axes to all motions and a margin of the ground below them."""
+    """Set the limits of axes to contain all motions, with a margin of ground below them."""
     reach = climber.radius + ROOM
     x, z = (np.concatenate([run[name].ravel() for run in runs]) for name in ("axle_x", "axle_z"))
     top = z.max() + reach + max(climber.rear_body.above, climber.front_body.above)

@@ -199,7 +199,7 @@ def forces_plot(scene: Drive) -> Plot | None:
 
 
 def depth(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the depth of every wheel below the ground over time; negative depths are in the air."""
+    """Draw the depth of every wheel in the ground over time; it is negative in the air."""
     _by_wheel(run, 1e3 * run["depth"], ax)
     ax.set_ylabel("depth [mm]")
     return style.time_axis(run, _with_zero(ax))

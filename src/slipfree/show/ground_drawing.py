@@ -25,7 +25,7 @@ Window = tuple[float, float, float, float]
 
 
 def extent(x: Array, y: Array) -> dict[str, Any]:
-    """Return keywords of ``imshow`` for an image of values at nodes with coordinates x, y [m]."""
+    """Return arguments of ``imshow`` for an image of values at nodes with coordinates x, y [m]."""
     dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
     return {
         "extent": (x[0] - dx / 2, x[-1] + dx / 2, y[0] - dy / 2, y[-1] + dy / 2),
@@ -84,6 +84,11 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
     """Return the window around positions, with the proportions of the map if possible [m].
 
     The margin on each side is at least ``pad`` times the extent of the positions, within the map.
+
+    Raises
+    ------
+    ModelError
+        If all positions are outside the map.
     """
     west, east, south, north = whole(grid)
     sides = []

@@ -74,8 +74,8 @@ class Guard:
         if not self._is_used:
             stop(server)
             raise DataError(
-                f"show: found viser {viser.__version__}, expected one whose requests can be "
-                "checked for safety; install it: python -m pip install 'viser>=1.1,<1.2'"
+                "show: expected a version of viser whose requests slipfree can check, found "
+                f"{viser.__version__}; install one: python -m pip install 'viser>=1.1,<1.2'"
             )
         self._check_values(server)
         return server

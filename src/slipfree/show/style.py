@@ -82,7 +82,7 @@ def _columns(labels: list[str], room: int) -> int:
 
 
 def look(k: int) -> dict[str, Any]:
-    """Return keywords of ``plot`` for the k-th line: colour and dashes."""
+    """Return arguments of ``plot`` for the k-th line: colour and dashes."""
     dashes = DASHES[k // len(PALETTE) % len(DASHES)]
     return {"color": PALETTE[k % len(PALETTE)], "ls": dashes}
 

@@ -182,7 +182,7 @@ class Stage:
         self.world.position = np.zeros(3) if anchor is None else anchor - self.actors[0].position
 
     def paint(self, color: str) -> None:
-        """Show the layer of the ground with a name."""
+        """Show the layer of the ground with the given name."""
         for name, node in self.grounds.items():
             node.visible = name == color
 

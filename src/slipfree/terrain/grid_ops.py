@@ -121,7 +121,8 @@ def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
     Raises
     ------
     DataError
-        If the window is empty or contains too few nodes, or if there are too many nodes for memory.
+        If the window is empty, if the map or the window has fewer than 4 nodes along an axis, if
+        more than 5e7 nodes are selected, or if rounding would lose the distances of the nodes.
     """
     _check_axes(x, y)
     found = slice(0, x.size), slice(0, y.size)
@@ -268,7 +269,7 @@ def _any_of_four(mask: Mask) -> Mask:
 
 
 def continue_over_holes(z: Array) -> Array:
-    """Return heights continued smoothly into holes: numbers without a meaning of their own.
+    """Return heights continued smoothly into holes, where they only serve interpolation.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
     Raises
     ------
     ModelError
-        If a spacing is not positive, or a range is empty or not a multiple of the spacing.
+        If the spacing is not positive, or a range is empty or not a multiple of the spacing.
     """
     axes = []
     for name, (first, last) in (("x", x_range), ("y", y_range)):
@@ -138,6 +138,11 @@ def craters(grid: Grid, *, count: int, diameters: tuple[float, float], seed: int
     seed : int
         Seed of the random numbers.
 
+    Raises
+    ------
+    ModelError
+        If the count is negative, or the diameters are not positive and in ascending order.
+
     Notes
     -----
     A crater of diameter D has a depth of 0.2 D from rim crest to floor, and its rim is 0.04 D above
@@ -181,6 +186,12 @@ def rocks(
         Height over diameter. [1]
     seed : int
         Seed of the random numbers.
+
+    Raises
+    ------
+    ModelError
+        If the count is negative, the height ratio is not positive, or the diameters are not
+        positive and in ascending order.
     """
     scattered = _scatter(grid, count, diameters, seed)
     return place_rocks(grid, [Rock(x, y, d, height_ratio * d) for x, y, d in scattered])

@@ -13,7 +13,7 @@ from slipfree.errors import ModelError
 
 @dataclass(frozen=True)
 class Drive:
-    """Drive of a wheel; this base class has no torque, as a wheel that is not driven.
+    """Base class of drives of wheels; it exerts no torque, as for a wheel that is not driven.
 
     Kinematic and quasi-static models use the rate of every driven wheel.
 
@@ -22,9 +22,9 @@ class Drive:
     input : tuple of 3 str
         Name of the input, its unit, and its description, which the wheel's name completes.
     prescribed : bool
-        Whether the wheel has the rate of its input, whatever torque that needs.
+        Whether the wheel rotates at the rate of its input; the torque follows from the motion.
     has_integral : bool
-        Whether a controller has an integral, which is a state of the model.
+        Whether the drive has a controller with an integral term, which is a state of the model.
     """
 
     input: ClassVar[tuple[str, str, str]] = ("rate", "rad s-1", "rate of")
@@ -58,7 +58,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Rate(Drive):
-    """Ideal drive: the wheel has the rate of its input, whatever torque that needs."""
+    """Ideal drive: the wheel rotates at the rate of its input; the torque follows from that."""
 
     prescribed: ClassVar[bool] = True
 
@@ -80,7 +80,7 @@ class Motor(Drive):
 
     The torque is ``kp (wanted - rate) + e``, limited to ``stall min(1, 1 - rate / no_load)``
     forward, and to the mirrored limit backward. The integral ``e`` follows
-    ``e' = ki (wanted - rate - (wanted torque - torque) / kp)``; the last term prevents wind-up.
+    ``e' = ki (wanted - rate - (unlimited torque - torque) / kp)``; the last term prevents wind-up.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class Motor(Drive):
         for each in fields(self):
             value, least = getattr(self, each.name), each.name in ("ki", "rotor_inertia")
             if not (0 < value < inf or (least and value == 0)):
-                words = "zero or positive" if least else "positive"
+                words = "finite and zero or positive" if least else "finite and positive"
                 raise ModelError(f"motor: {each.name} must be {words}, found {value}; change it")
 
     @property

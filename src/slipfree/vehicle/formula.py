@@ -71,11 +71,16 @@ def names_in(text: str) -> frozenset[str]:
 
 
 def _parse(text: str) -> ast.expr:
+    """Return the syntax tree of a formula; raise ModelError for long or invalid text."""
+    if len(text) > MAX_LENGTH:
+        raise ModelError(
+            f"formula {text[:60] + '...'!r}: expected at most {MAX_LENGTH} characters, found "
+            f"{len(text)}; shorten it"
+        )
     try:
-        if len(text) <= MAX_LENGTH:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # text such as '\\d' or 1if is refused below
-                return ast.parse(text.strip(), mode="eval").body
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # text such as '\\d' or 1if is refused below
+            return ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         pass
     raise _formula_error(text, text[:60])

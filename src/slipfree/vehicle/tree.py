@@ -36,6 +36,12 @@ class Body:
         ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz``: elements of the inertia tensor about the centre of mass,
         in the part's axes; None for those of a homogeneous box
         (`slipfree.vehicle.inertia.body_inertia`). [kg m^2]
+
+    Raises
+    ------
+    ModelError
+        If the mass is negative, a number is not finite, or a principal moment of inertia is not
+        positive.
     """
 
     mass: float = 0.0
@@ -80,6 +86,12 @@ class Coordinate:
         there, use the vehicle with that joint locked (`actuated`). [N m/rad or N/m]
     max_rate : float
         Largest rate of its actuator, which steering laws respect. [rad/s or m/s]
+
+    Raises
+    ------
+    ModelError
+        If the stops are not in ascending order, if a number is out of range, or if a commanded
+        coordinate has a spring, a damper or elastic stops.
     """
 
     name: str
@@ -168,6 +180,11 @@ class Joint:
     turned : tuple of 3 floats
         Orientation of the part in the parent's frame at value zero: angles about the parent's x,
         then y, then z axis (roll, pitch, yaw). [rad]
+
+    Raises
+    ------
+    ModelError
+        If a position, the axis or the formula is invalid.
     """
 
     name: str
@@ -223,7 +240,7 @@ class Vehicle:
     joints : tuple of Joint
         Joints; parents precede their children.
     wheels : tuple of Wheel
-        Wheels, at most `MAX_WHEELS`. Models without inertia need at least 3.
+        Wheels, from 1 to 100. Models without inertia need at least 3.
     body : Body
         Mass and centre of mass of the platform. A vehicle without mass has kinematics only, no
         forces.
@@ -233,8 +250,8 @@ class Vehicle:
     Raises
     ------
     ModelError
-        If a name is used twice or is unknown, if a coordinate moves no joint, or if the number of
-        wheels is out of range.
+        If a name is used twice or is unknown, if a coordinate moves no joint, or both a turning
+        and a sliding one, or if the number of wheels is out of range.
     """
 
     name: str
@@ -321,7 +338,9 @@ class Vehicle:
     def masses(
         self, platform: Pose, values: Mapping[str, ca.SX]
     ) -> Iterator[tuple[str, float, ca.SX]]:
-        """Yield name, mass and centre of mass of every part and wheel with a mass [kg, m].
+        """Yield part, mass [kg] and centre of mass [m] of every part and wheel with a mass.
+
+        The part of a wheel is its parent.
 
         Parameters are those of `carriers`.
         """

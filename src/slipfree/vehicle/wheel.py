@@ -50,6 +50,12 @@ class Wheel:
     drive : Drive
         Drive of a driven wheel, such as ``Rate()``, ``Torque()`` or ``Motor(...)``, for dynamics
         (`slipfree.vehicle.drives`).
+
+    Raises
+    ------
+    ModelError
+        If the name has other characters than letters, digits, _ and -, or if a number or the
+        direction of the axle is invalid.
     """
 
     name: str

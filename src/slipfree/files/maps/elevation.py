@@ -54,12 +54,12 @@ UNREADABLE = (  # exceptions of numpy for a damaged archive
     zlib.error,
     lzma.LZMAError,
 )
-TO_XYZ = "write its points as text, x y z a line, with the ending .xyz"
+TO_XYZ = "write its points as text with x y z of one point per line, with the ending .xyz"
 TO_ONE_FILE = (
     "header and heights are in separate files, of which only one is read: write them as one file: "
     "gdal_translate in{} out.tif"
 )
-TO_HEIGHTS = "name the file with the heights"
+TO_HEIGHTS = "give the name of the file with the heights"
 OTHERS = {  # remedies for formats that are not read
     ".zip": "unpack it: unzip in.zip",
     ".gz": "unpack it: gunzip in.gz",
@@ -67,7 +67,7 @@ OTHERS = {  # remedies for formats that are not read
     ".7z": "unpack it: 7z x in.7z",
     ".bag": "write the layer of heights of a grid_map message as .npz with arrays x, y, z, for "
     "example with the Python package rosbags",
-    ".vrt": "write what it refers to as one file: gdal_translate in.vrt out.tif",
+    ".vrt": "write the rasters that it refers to as one file: gdal_translate in.vrt out.tif",
     **{
         each: f"interpolate its points or contours to a raster: gdal_grid -txe ... -tye ... "
         f"-tr ... in{each} out.tif"

@@ -67,7 +67,7 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
     path : Path
         LAS or LAZ file in metres.
     spacing : float or None
-        Width of a cell; nodes are its multiples. None: as wide as `POINTS_PER_CELL` require. [m]
+        Width of a cell; nodes are at its multiples. By default cells have 4 points on average. [m]
     window : tuple of 4 floats or None
         The part to read: x_min, x_max, y_min, y_max. [m]
 
@@ -177,7 +177,7 @@ def _check_header(stream: BinaryIO) -> None:
 
 
 def _laspy() -> Any:
-    """Return the package ``laspy``; raise DataError if it or what it needs is not installed."""
+    """Return the package ``laspy``; raise DataError if it, lazrs or pyproj is not installed."""
     try:
         import laspy
         import lazrs  # noqa: F401  # of compressed files

@@ -29,7 +29,7 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
         Text file with three numbers per line, x, y, z, separated by blanks, commas or semicolons;
         ``#`` begins a comment. A first line of names may give another order of x, y and z. [m]
     spacing : float or None
-        Distance between nodes. [m]
+        Distance between nodes; for None the error message suggests a value. [m]
     window : tuple of 4 floats or None
         The part to read: x_min, x_max, y_min, y_max. [m]
 

@@ -315,7 +315,10 @@ def _unit(file: Any) -> float:
 
 
 def _is_picture(file: Any) -> bool:
-    """Return whether values are gray levels: without scale and unit, of 8 bits or not placed."""
+    """Return whether the values are gray levels of a picture.
+
+    Such values are unsigned, without scale and unit, and of 8 bits or without coordinates.
+    """
     kind = np.dtype(file.dtypes[0])
     if kind.kind != "u" or (file.scales[0], file.offsets[0]) != (1, 0) or file.units[0]:
         return False
@@ -323,7 +326,7 @@ def _is_picture(file: Any) -> bool:
 
 
 def _check_band(file: Any) -> None:
-    """Raise DataError unless the file has a single band of heights in metres."""
+    """Raise DataError unless the file has a single band of heights in a known unit of length."""
     if file.count != 1:
         refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
@@ -337,7 +340,7 @@ def _check_band(file: Any) -> None:
         )
     if not math.isfinite(file.offsets[0]) or not 0 < abs(file.scales[0]) < math.inf:
         refuse(
-            "a scale of the heights other than 0, and an offset",
+            "a scale of the heights other than 0, and an offset, both finite",
             f"{file.scales[0]:g} and {file.offsets[0]:g}",
             "correct them: gdal_translate -a_scale 1 -a_offset 0 in.tif out.tif",
         )
@@ -345,7 +348,7 @@ def _check_band(file: Any) -> None:
         refuse(
             "heights in a unit of length",
             f"the unit {file.units[0]!r}",
-            f"correct it with gdal_edit.py -units; known are {', '.join(sorted(LENGTHS)[1:])}",
+            f"correct it with gdal_edit.py -units; known units: {', '.join(sorted(LENGTHS)[1:])}",
         )
 
 

@@ -22,24 +22,25 @@ class WithUnit(float):
     """A number that was written with a unit, converted to SI units."""
 
     unit: ClassVar[str]
+    words: ClassVar[str]
 
 
 class AngleWithUnit(WithUnit):
     """An angle [rad]."""
 
-    unit = "rad"
+    unit, words = "rad", "an angle"
 
 
 class RateWithUnit(WithUnit):
     """An angular rate [rad/s]."""
 
-    unit = "rad s-1"
+    unit, words = "rad s-1", "an angular rate"
 
 
 class AccelerationWithUnit(WithUnit):
     """An angular acceleration [rad/s2]."""
 
-    unit = "rad s-2"
+    unit, words = "rad s-2", "an angular acceleration"
 
 
 KINDS: dict[str | None, type[WithUnit]] = {
@@ -107,7 +108,7 @@ def unit_faults(
         for number in _numbers(value) if unit else ():
             if isinstance(number, WithUnit) and number.unit != unit:
                 spelled = unit.replace(" s-", "/s").replace("/s1", "/s")
-                found = f"a number in {_spelled(number)}; convert it"
+                found = f"{number.words}; correct the unit"
                 yield Fault((*place, name), f"a number in {spelled}", found)
                 break
             if bare and unit == "rad" and (words := bare_words(number)):
@@ -130,11 +131,6 @@ def in_radians(value: float) -> float:
     if words := bare_words(value):
         raise PydanticCustomError("expected", "{words}", {"words": words})
     return value
-
-
-def _spelled(number: WithUnit) -> str:
-    """Return the unit of a number as in ``rad/s``."""
-    return number.unit.replace(" s-", "/s").replace("/s1", "/s")
 
 
 def _numbers(value: Any) -> Iterator[float]:

@@ -48,7 +48,7 @@ EXPECTED = {
     "less_than": "a number less than {lt:g}",
     "less_than_equal": "a number of at most {le:g}",
     "literal_error": "{expected}",
-    "too_long": "an array of {max_length}",
+    "too_long": "an array of {max_length} elements",
 }
 
 

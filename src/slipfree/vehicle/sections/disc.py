@@ -22,5 +22,5 @@ class Disc(Section):
     radius: float
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002 - an edge
-        """Return the point of the section with a given outward normal: always the edge [m]."""
+        """Return axial and radial coordinates of the edge, the same for every normal [m]."""
         return 0 * axial, self.radius + 0 * axial  # SX or MX, as the normal

@@ -28,13 +28,13 @@ class Omni(Section):
         return f"{self.rim} on rollers"
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the point of the rim with a given outward normal."""
+        """Return axial and radial coordinates of the rim's point with an outward normal [m]."""
         return self.rim.profile(axial, radial)
 
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
-        """Return the point of the rim's surface with a given outward normal."""
+        """Return the point of the rim's surface with an outward normal, shape (3, 1) [m]."""
         return self.rim.support(normal, axle)
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:
-        """Return the radius of curvature of the rim's section."""
+        """Return the radius of curvature of the rim's section for an outward normal [m]."""
         return self.rim.tread_radius(axial, radial)

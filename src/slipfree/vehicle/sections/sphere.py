@@ -22,7 +22,7 @@ class Sphere(Section):
     radius: float
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the point of the section with a given outward normal."""
+        """Return axial and radial coordinates of the point with a given outward normal [m]."""
         return self.radius * axial, self.radius * radial
 
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:  # noqa: ARG002

@@ -25,7 +25,7 @@ class Torus(Section):
     r2: float
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the point of the section with a given outward normal."""
+        """Return axial and radial coordinates of the point with a given outward normal [m]."""
         return self.r1 * axial, self.r2 + self.r1 * radial
 
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
@@ -37,5 +37,5 @@ class Torus(Section):
         return self.r1 * normal + self.r2 * components(normal, axle)[2]
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
-        """Return the radius of the tube."""
+        """Return the radius of the tube, the same for every normal [m]."""
         return self.r1 + 0 * axial  # SX or MX, as the normal
