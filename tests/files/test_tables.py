@@ -30,5 +30,8 @@ def test_a_result_is_a_path(tmp_path: Path) -> None:
 @pytest.mark.parametrize("row", ["1,2", "1,2,3,4", "1,2,x", "1,2,nan"])
 def test_rows_as_long_as_the_first_line(tmp_path: Path, row: str) -> None:
     (tmp_path / "a.csv").write_text(f"y,other,x\n0,0,0\n{row}\n")
-    with pytest.raises(DataError, match=r"a.csv:3: expected two numbers x,y, found '1,2"):
+    with pytest.raises(
+        DataError,
+        match=r"a.csv:3: expected 3 values as in line 1, with numbers for x,y, found '1,2",
+    ):
         read_columns(tmp_path / "a.csv", "xy")

@@ -305,7 +305,7 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'value = "swivel"',
             'value = "0"',
             "v.toml:4: coordinates[0] (coordinate 'swivel'): "
-            "expected a joint whose value uses it, found none",
+            "expected a joint whose value uses the coordinate, found none",
         ),
         (
             'name = "swivel"',
