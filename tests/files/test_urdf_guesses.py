@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from helpers.urdf import FOUR, MESH, ROUND, TWO, joint, link, wheel, written
+from helpers.urdf import FOUR, MASS, MESH, ROUND, TWO, joint, link, wheel, written
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.control.path_following import straight
@@ -229,3 +229,34 @@ def test_steering_hinges_with_turned_frames_steer(tmp_path):
     start = settle(dae)
     run = simulate(dae, start, straight(dae, vehicle, start, speed=0.2), np.linspace(0, 5, 11))
     assert (run["x"][-1], run["y"][-1]) == pytest.approx((0.0, 1.0), abs=1e-5)
+
+
+def test_a_tyre_fixed_to_its_hub_is_the_wheel(tmp_path):
+    """Its cylinder is turned in the tyre's frame, which is turned and moved in the hub's."""
+    whole = read_vehicle(written(tmp_path, FOUR)).wheels
+    tyre = ROUND.format(0.1).replace('rpy="1.5707963267948966 0 0"', 'xyz="0 0 -0.02"')
+    parts = "".join(
+        wheel(f"{end}_{side}", f"{x} {y} 0", "")
+        + link(f"{end}_{side}_tyre", tyre).replace(MASS, "")
+        + joint(
+            f"{end}_{side}_bolt",
+            "fixed",
+            f"{end}_{side}",
+            f"{end}_{side}_tyre",
+            "0 -0.02 0",
+            rpy="1.5707963267948966 0 0",
+        )
+        for end, x in (("front", 0.2), ("rear", -0.2))
+        for side, y in (("left", 0.15), ("right", -0.15))
+    )
+    found = read_vehicle(written(tmp_path, parts)).wheels
+    for one, other in zip(found, whole, strict=True):
+        assert one.at == pytest.approx((other.at[0], other.at[1], 0), abs=1e-15)
+        assert (one.radius, one.driven) == (other.radius, other.driven)
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_the_world_is_no_platform(kind, tmp_path):
+    world = '<link name="world"/>' + joint("free", kind, "world", "base")
+    vehicle = read_vehicle(written(tmp_path, FOUR + world))
+    assert vehicle == read_vehicle(written(tmp_path, FOUR))

@@ -226,7 +226,11 @@ def _angles_right(turned: Vector) -> Vector:
     """Return roll, pitch and yaw [rad], converted from axes x forward to axes x right."""
     if not any(turned[:2]):
         return turned
-    rotation = FORWARD_UP @ rotation_of(turned) @ FORWARD_UP.T
+    return angles_of(FORWARD_UP @ rotation_of(turned) @ FORWARD_UP.T)
+
+
+def angles_of(rotation: Array) -> Vector:
+    """Return the angles about fixed x, then y, then z of a rotation matrix, shape (3, 3) [rad]."""
     z = math.atan2(rotation[1, 0], rotation[0, 0])
     y = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
     sin, cos = math.sin(z), math.cos(z)

@@ -26,6 +26,7 @@ from slipfree.geometry.tensor import Elements, in_axes, tensor
 from slipfree.vehicle.wheel import ORIGIN
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
+FREE = ("floating", "planar")
 IGNORED = ("gazebo", "material", "xacro:property", "xacro:arg", "xacro:macro")  # without parts
 MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
@@ -65,6 +66,10 @@ def read_tree(data: bytes, file: str) -> Tree:
     root = _root(links, joints, faults) if not faults.found else ""
     if faults.found:
         faults.stop()
+    first = [joint for joint in joints.values() if joint.parent == root]
+    if [joint.type in FREE for joint in first] == [True] and not links[root].mass:
+        root = first[0].child  # the link above is the world
+        del links[first[0].parent], joints[first[0].name]
     hung, _ = in_order({j.child: j.parent for j in joints.values()}, root)
     by_child = {joint.child: joint for joint in joints.values()}
     ordered = {by_child[child].name: by_child[child] for child in hung}

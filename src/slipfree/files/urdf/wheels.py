@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,8 +16,8 @@ from slipfree.files.urdf.guesses import CASTER, WHEEL, wheel_guesses
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import mesh_shape
 from slipfree.files.urdf.roles import Roles, WheelRole
-from slipfree.files.urdf.tree import Findings, Shape, Tree, UrdfJoint
-from slipfree.files.vehicle_draft import rotation_of
+from slipfree.files.urdf.tree import Findings, Mesh, Shape, Tree, UrdfJoint
+from slipfree.files.vehicle_draft import angles_of, rotation_of
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import tensor
 from slipfree.records import Array
@@ -27,6 +28,7 @@ MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its joint's
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
 RIGHT = (0.0, -1.0, 0.0)
+T = TypeVar("T", Shape, Mesh)
 
 
 class Wheels:
@@ -55,7 +57,7 @@ class Wheels:
         self._roles, self._findings = roles, findings
         self._frames = link_frames(tree)
         self._unread: dict[str, str] = {}
-        self.tree = self._with_mesh_shapes(tree)
+        self.tree = self._with_mesh_shapes(self._with_fixed_shapes(tree))
         self._given = dict(roles.wheels)
         self._add_guesses()
         found = [joint for joint in self.tree.joints.values() if self._is_wheel(joint)]
@@ -126,6 +128,28 @@ class Wheels:
             notes.append(
                 f"cylinders treated as thin discs; change by tube = ...: {', '.join(thin)}"
             )
+
+    def _with_fixed_shapes(self, tree: Tree) -> Tree:
+        """Return a URDF with the shapes of tyres on their hubs.
+
+        The links that are the last to move, and have no shape, get the shapes and meshes of the
+        links fixed to them.
+        """
+        links = dict(tree.links)
+        for joint in tree.joints.values():
+            hub = links[joint.child]
+            if hub.shapes or hub.meshes or joint.type != "continuous" or not is_last(tree, joint):
+                continue
+            rotation, origin = self._frames[joint.child]
+            shapes: list[Shape] = []
+            meshes: list[Mesh] = []
+            for below in tree.below(joint.child):
+                turn, at = self._frames[below.child]
+                pose = rotation.T @ turn, rotation.T @ (at - origin)
+                shapes += [_moved(shape, *pose) for shape in links[below.child].shapes]
+                meshes += [_moved(mesh, *pose) for mesh in links[below.child].meshes]
+            links[joint.child] = hub._replace(shapes=tuple(shapes), meshes=tuple(meshes))
+        return tree._replace(links=links)
 
     def _with_mesh_shapes(self, tree: Tree) -> Tree:
         """Return a URDF with the round shapes of meshes on the links that may be wheels."""
@@ -381,6 +405,22 @@ class Wheels:
         link, shape = self.tree.links[joint.child], self._shape(joint)
         at = shape.at if shape else ORIGIN
         return bool(link.mass) and math.dist(link.center, at) > MASS_OFFSET
+
+
+def _moved(shape: T, turn: Array, at: Array) -> T:
+    """Return a shape or mesh of a link in the frame of another link.
+
+    Parameters
+    ----------
+    shape : Shape or Mesh
+        The shape in the frame of its link.
+    turn : ndarray, shape (3, 3)
+        Rotation matrix from this frame to the other.
+    at : ndarray, shape (3,)
+        Origin of this frame in the other. [m]
+    """
+    angles = angles_of(turn @ rotation_of(shape.turned))
+    return shape._replace(at=_vector(turn @ shape.at + at), turned=angles)
 
 
 def _eccentricity(shape: Shape, axis: Vector) -> float:
