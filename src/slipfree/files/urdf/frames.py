@@ -37,6 +37,12 @@ def is_last(tree: Tree, joint: UrdfJoint) -> bool:
     return not any(below.moves for below in tree.below(joint.child))
 
 
+def fixed_to_turning(tree: Tree) -> frozenset[str]:
+    """Return the names of the joints below a continuous joint that is the last to move."""
+    turning = [j for j in tree.joints.values() if j.type == "continuous" and is_last(tree, j)]
+    return frozenset(below.name for joint in turning for below in tree.below(joint.child))
+
+
 def facing_forward(tree: Tree, forward: str) -> Tree:
     """Return a URDF whose root is turned so that an axis of it, such as ``"-y"``, becomes x."""
     yaw = FORWARD_YAW[forward]

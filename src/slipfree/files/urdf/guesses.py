@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.files.urdf.frames import STEEP, is_last, is_level, link_frames
+from slipfree.files.urdf.frames import STEEP, fixed_to_turning, is_last, is_level, link_frames
 from slipfree.files.urdf.roles import Roles
 from slipfree.files.urdf.tree import Box, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import rotation_of
@@ -58,7 +58,7 @@ def wheel_guesses(
     radius : float or None
         Rolling radius of wheels whose link has no round shape; None if unknown. [m]
     """
-    frames = link_frames(tree)
+    frames, on_hubs = link_frames(tree), fixed_to_turning(tree)
     grounds = [frames[each][1][2] for each in tree.links if FOOTPRINT.search(each)]
     found: dict[str, WheelGuess] = {}
     heights: dict[str, float] = {}
@@ -66,6 +66,8 @@ def wheel_guesses(
         link, name = tree.links[joint.child], f"{joint.name} {joint.child}"
         rotation, origin = frames[joint.child]
         if joint.type not in ("fixed", "continuous") or not is_last(tree, joint):
+            continue
+        if joint.name in on_hubs:
             continue
         if not joint.moves and CASTER.search(name):
             depth = max((_depth(box, rotation) for box in link.boxes), default=0.0)

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.files.urdf.frames import is_last, is_level, link_frames
+from slipfree.files.urdf.frames import fixed_to_turning, is_last, is_level, link_frames
 from slipfree.files.urdf.guesses import CASTER, WHEEL, wheel_guesses
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import mesh_shape
@@ -182,7 +182,9 @@ class Wheels:
             return False
         if joint.type == "continuous":
             return is_level(tree, joint)
-        return not joint.moves and bool(WHEEL.search(f"{joint.name} {joint.child}"))
+        if joint.moves or joint.name in fixed_to_turning(tree):
+            return False
+        return bool(WHEEL.search(f"{joint.name} {joint.child}"))
 
     def _add_guesses(self) -> None:
         """Add the wheels that the names of joints and links suggest."""
