@@ -407,7 +407,7 @@ def test_steering_angle_needs_motion():
         ),
         (
             {"given": ("velocity_x", "velocity_y", "turn_rate")},
-            "given: expected rates of vel.*, found 'turn_rate'",
+            "given: expected three of vel.*, found 'turn_rate'",
         ),
         ({"given": ("velocity_x", "omega_z", "roll_rate")}, "or Euler rates .*, not both"),
         ({"solve_for": "torques"}, "expected 'rates' or 'angles', found 'torques'"),

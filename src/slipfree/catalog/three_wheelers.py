@@ -74,7 +74,8 @@ def three_wheeler(
     Raises
     ------
     ModelError
-        If a length is not positive or the axle is unknown.
+        If a length is not positive, if the axle is unknown, or if it has no free joint for a given
+        spring, damper or elastic stop.
 
     References
     ----------

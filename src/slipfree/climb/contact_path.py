@@ -95,7 +95,7 @@ def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
     ModelError
         If the floor is not level, if there is no obstacle, or if the vehicle gets stuck: a body
         would have to stand upright, a wheel is caught between two solids, or a leg is longer than
-        the limit.
+        50 m.
     """
     corners = [x for solid in profile.solids[1:] for x, _ in solid.points]
     ends = [x for x in corners if x < max(x for x, _ in profile.solids[0].points)]

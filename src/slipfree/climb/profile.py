@@ -246,13 +246,25 @@ def ramp(angle: float, height: float) -> Profile:
 
 
 def step(height: float) -> Profile:
-    """Return a floor with a plateau of a given height from x = 0 on [m]."""
+    """Return a floor with a plateau of a given height from x = 0 on [m].
+
+    Raises
+    ------
+    ModelError
+        If the height is not positive and finite.
+    """
     _positive(height=height)
     return Profile((*flat().solids, _block(0.0, height, FLOOR_LENGTH)))
 
 
 def kerb(height: float, length: float) -> Profile:
-    """Return a floor with a block of a given height and length from x = 0 on [m]."""
+    """Return a floor with a block of a given height and length from x = 0 on [m].
+
+    Raises
+    ------
+    ModelError
+        If the height or the length is not positive and finite.
+    """
     _positive(height=height, length=length)
     return Profile((*flat().solids, _block(0.0, height, length)))
 

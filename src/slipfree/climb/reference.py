@@ -82,8 +82,8 @@ def capped(speeds: PerAxle, cap: float) -> PerAxle:
     """Return axle speeds relative to that of the middle axle, none above ``cap``.
 
     If the speed of another axle exceeds ``cap`` times that of the middle axle, all speeds are
-    reduced by a common factor; the middle axle's is zero if it cannot move, as with the front axle
-    at a wall.
+    reduced by a common factor; that of the middle axle is zero if it cannot move, as with the front
+    axle at a wall.
     """
     column = ca.vertcat(*speeds)
     size = ca.fmax(ca.fabs(column[1]), ca.mmax(ca.fabs(column)) / cap)
@@ -190,7 +190,7 @@ class Base(NamedTuple):
     radius : float
         Radius of the wheels. [m]
     gear : float
-        Rate of a wheel over the rate of its motor, k in (1).
+        Rate of a wheel over the rate of its motor, k in (1). [1]
     along : float
         Lever arm of wheels 2 and 6 about the vertical axis, R1. [m]
     aside : float

@@ -58,7 +58,10 @@ def has_exact_closure(vehicle: Vehicle) -> bool:
 
 
 def support_fault(vehicle: Vehicle) -> str:
-    """Return why contacts and springs do not determine a vehicle's pose; empty if they do."""
+    """Return an error text if contacts and springs do not determine a vehicle's pose, else "".
+
+    The text follows the word "expected" in messages.
+    """
     wheels = len(vehicle.wheels)
     loose = [c.name for c in vehicle.of("suspension") if not c.stiffness]
     if wheels < 3:

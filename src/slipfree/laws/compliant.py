@@ -55,9 +55,9 @@ class Compliant:
     creep : float
         Slip velocity ``eps`` at which a wheel transmits 71 % of the friction limit. [m/s]
     sliding : float
-        Friction of a fast slip over the friction of a slow slip (Stribeck effect). [1]
+        Ratio of the friction at fast slip to the friction at slow slip (Stribeck effect). [1]
     stribeck_speed : float
-        Slip velocity at which friction has changed by 63 % of the difference. [m/s]
+        Slip velocity with 63 % of the change from the friction at slow to that at fast slip. [m/s]
 
     Raises
     ------
@@ -94,6 +94,11 @@ class Compliant:
             Share of the vehicle's weight. [N]
         depth : float
             Depth of the wheel under this share. [m]
+
+        Returns
+        -------
+        GroundForce
+            Normal force and friction force.
         """
         stiffness, damping = share / depth, 2 * self.damping_ratio / sqrt(GRAVITY * depth)
         normal = touch.frame.normal

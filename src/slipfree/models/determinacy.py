@@ -49,7 +49,8 @@ MIN_RELATIVE_SINGULAR_VALUE = 1e-14  # relative singular value that counts as ze
 def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
     """Return the total derivatives of ``rows`` with respect to commanded coordinates, by name.
 
-    They include the change of the pose with the coordinates, and have the shape of ``rows``.
+    The derivatives include the change of the pose with the coordinates. Each has the shape of
+    ``rows``.
     """
     names = [c.name for c in vehicle.of("commanded")]
     angles = ca.vertcat(ca.SX(0, 1), *(direct.named(name)[0] for name in names))

@@ -51,7 +51,7 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     Raises
     ------
     ModelError
-        If the vehicle has no mass.
+        If the vehicle has no mass, or not all of its wheels can touch a rigid ground.
     """
     if not vehicle.mass:
         raise ModelError(

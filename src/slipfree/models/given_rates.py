@@ -166,7 +166,7 @@ def check_rates(given: Sequence[str]) -> None:
     for name in given:
         if name not in known:
             raise ModelError(
-                f"given: expected rates of {', '.join(known)}, found {name!r}; correct the name"
+                f"given: expected three of {', '.join(known)}, found {name!r}; correct the name"
             )
     if set(given) & set(OMEGA) and set(given) & set(EULER):
         raise ModelError(

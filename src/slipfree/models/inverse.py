@@ -248,6 +248,11 @@ def invert(
         Direct model of the vehicle with the `slip_law` of the given rates.
     given, solve_for, exact, least_margin
         As in `inverse_kinematics`.
+
+    Raises
+    ------
+    ModelError
+        If ``least_margin`` is negative.
     """
     if not least_margin >= 0:
         raise ModelError(

@@ -184,6 +184,11 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     ----------
     vehicle, terrain, slip, smoothing
         As in `slipfree.models.kinematics.direct_kinematics`.
+
+    Raises
+    ------
+    ModelError
+        If contacts and springs do not determine the vehicle's pose.
     """
     fault = support_fault(vehicle)
     if fault:

@@ -93,8 +93,8 @@ class Rates(NamedTuple):
 class Forces(NamedTuple):
     """Forces of the ground on the wheels, one per wheel; empty without mass [N].
 
-    If equilibrium alone does not determine the forces, ``virtual`` are the virtual rates for which
-    they are friction forces. [1, 1/m]
+    If equilibrium alone does not determine the forces, ``virtual`` are the virtual rates that
+    distribute them (`slipfree.models.statics.following_forces`). [1, 1/m]
     """
 
     along: tuple[Any, ...] = ()

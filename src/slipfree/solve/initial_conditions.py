@@ -157,7 +157,7 @@ def _failure_message(system: System, block: Block, point: tuple[Any, ...], first
         words = _violation_message(system, x, state, u)
         if words:
             return f"{message}; {words}"
-    return message
+    return f"{message}; choose another start or initial guess"
 
 
 def _violation_message(system: System, x: Array, z: Array, u: Array) -> str:

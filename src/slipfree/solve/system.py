@@ -284,8 +284,8 @@ def _check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
 def _check_numbers(label: Label, value: Any, intervals: int) -> Array:
     if isinstance(value, ca.MX | str) or np.iscomplexobj(value):
         raise ModelError(
-            f"input {label.full}: expected real numbers or an SX expression, found {value!r}; "
-            "convert it"
+            f"input {label.full}: expected real numbers or an SX expression, found {value!r}; give "
+            "floats, an array, or an expression of the symbols of the model"
         )
     numbers = np.asarray(value, dtype=float)
     if numbers.ndim > 1 or (numbers.ndim == 1 and numbers.size != intervals):
