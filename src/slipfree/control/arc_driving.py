@@ -23,7 +23,7 @@ def turning_axis_offset(vehicle: Vehicle) -> float:
     Raises
     ------
     ModelError
-        As `slipfree.follow` does.
+        If the vehicle has neither steered wheels nor driven wheels on both sides.
     """
     return planar_geometry(vehicle, _symbols(vehicle)).ahead
 
@@ -65,7 +65,7 @@ def arc_inputs(
     Raises
     ------
     ModelError
-        As `slipfree.follow` does.
+        If the vehicle has neither steered wheels nor driven wheels on both sides.
     """
     states = _symbols(vehicle)
     plan, column = planar_geometry(vehicle, states), ca.vertcat(ca.SX(0, 1), *states.values())

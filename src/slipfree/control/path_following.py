@@ -115,8 +115,8 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     Raises
     ------
     ModelError
-        If the speed is zero or not finite, or the vehicle has neither steered wheels nor driven
-        wheels on both sides.
+        If the speed is zero or not finite, if the input of a driven wheel is not its rate, or if
+        the vehicle has neither steered wheels nor driven wheels on both sides.
 
     Examples
     --------

@@ -81,7 +81,7 @@ def homotopy_class(points: Array, obstacles: Array) -> tuple[int, ...]:
 def crossed_rays(
     layers: Traversability, points: Array, obstacles: Array
 ) -> Iterator[tuple[float, Ray]]:
-    """Yield the rays from obstacles that a path crosses, and the distance of the crossing [m].
+    """Yield the distance of a path's crossing from an obstacle [m], and the crossed ray.
 
     The rays have the direction of the axis that is more nearly across the line between the path's
     ends. A path that may not cross a ray passes its obstacle on the other side.

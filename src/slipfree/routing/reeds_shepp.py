@@ -35,7 +35,7 @@ def reeds_shepp(
     turning_radius: float,
     ahead: float = 0.0,
 ) -> tuple[Arc, ...]:
-    """Return the shortest path of a car between two poses, with cusps where it changes the gear.
+    """Return the shortest path of a car between two poses, with cusps where it reverses.
 
     The arcs are those of the middle of the rear axle.
 

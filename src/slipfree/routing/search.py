@@ -112,8 +112,9 @@ def routes(
 ) -> list[Route]:
     """Return several routes of different homotopy classes, in order of cost.
 
-    An alternative is the cheapest route that does not cross one of the rays from obstacles that
-    an earlier route crosses, so that it passes the obstacle on the other side; nearest first.
+    The first route is the cheapest. To find an alternative, the search blocks a ray from an
+    obstacle to the border that an earlier route crosses; the new route then passes the obstacle on
+    the other side. Rays that are crossed near their obstacles are blocked first.
 
     Parameters
     ----------
@@ -123,6 +124,11 @@ def routes(
         Largest number of routes. They belong to different homotopy classes: none can be deformed
         into another without crossing an obstacle (`slipfree.routing.homotopy`). Every alternative
         costs at most twice as much as the cheapest route.
+
+    Returns
+    -------
+    list of Route
+        From 1 to ``count`` routes.
 
     Raises
     ------
