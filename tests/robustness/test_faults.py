@@ -253,7 +253,7 @@ def test_memory_that_runs_out_is_told(folder: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr("slipfree.problem.solve.build", fail)
     found = CliRunner().invoke(app, ["check", "p.toml"])
     assert found.exit_code == 1
-    assert found.stderr.startswith("not enough memory: use a smaller terrain.window")
+    assert found.stderr.startswith("not enough memory: reduce 'terrain.window'")
 
 
 def test_the_package_is_imported_piece_by_piece() -> None:

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 RESULT, FIGURE = b"CDF", b"\x89PNG"  # first bytes of netCDF and PNG files
 OUTPUT = ("output", "file")  # key of a problem file with the name of its result
 NO_MEMORY = (
-    "not enough memory: use a smaller terrain.window or a larger spacing of the ground, or fewer "
-    "samples or intervals"
+    "not enough memory: reduce 'terrain.window', or increase the spacing of the ground or "
+    "'time.step', or use fewer intervals of the plan"
 )
 REFRESH = 0.1  # between two updates of the progress bar [s]
 
@@ -63,7 +63,7 @@ InputFolder = Annotated[
 
 @contextmanager
 def reported() -> Iterator[None]:
-    """Print an error that is raised in the block, and exit with its exit code."""
+    """Print an error raised in the block, and exit with the exit code of its class."""
     try:
         yield
     except (DataError, ModelError) as error:
@@ -84,7 +84,14 @@ def reported() -> Iterator[None]:
 
 @contextmanager
 def about(file: Path) -> Iterator[None]:
-    """Raise errors of the block as DataError whose message begins with the result file."""
+    """Raise errors of the block again, with a message that contains the name of the result file.
+
+    Raises
+    ------
+    DataError
+        For a ModelError or DataError of the block, and for a KeyError, since every result of
+        ``slipfree run`` has the requested quantities and attributes.
+    """
     try:
         yield
     except (ModelError, DataError) as error:
@@ -142,7 +149,8 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
     ------
     DataError
         If a path, with symbolic links resolved, is outside the working folder and the problem's
-        folder, or if it would replace a file that is not a result or a figure.
+        folder, if the result's name does not end in ``.nc`` or has characters that are not allowed,
+        or if a path would replace a file that is not a result or a figure.
     """
     from slipfree.files.netcdf import is_result
 
@@ -177,7 +185,17 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
 
 
 def check_outputs(files: list[Path | None], folder: Path | None, problem: Problem[Any]) -> None:
-    """Raise DataError for outputs that cannot be written or coincide with other files."""
+    """Raise DataError for outputs that cannot be written or coincide with other files.
+
+    Parameters
+    ----------
+    files : list of Path or None
+        Files to write; None for an output that is not requested.
+    folder : Path or None
+        Folder for figures; created later if it does not exist.
+    problem : Problem
+        Problem whose file and input files must not be overwritten.
+    """
     from slipfree.problem.input_files import input_names
 
     taken = {resolve_links(problem.source.path): "the problem file"}
@@ -207,7 +225,10 @@ def check_outputs(files: list[Path | None], folder: Path | None, problem: Proble
 
 
 def check_page(out: Path, files: Sequence[Path]) -> None:
-    """Raise DataError if a page is not HTML, cannot be written, or is one of the result files."""
+    """Raise DataError if a page does not end in .html or .htm, is a result file, or is unwritable.
+
+    ``files`` are the result files that the page shows.
+    """
     check_apart(out, files)
     if out.suffix.lower() not in (".html", ".htm"):
         raise DataError(f"{out}: expected a name that ends in .html; choose another name")
@@ -243,7 +264,7 @@ def check_output(path: Path) -> None:
 
 
 def check_writable(path: Path, folder: Path) -> None:
-    """Raise DataError for a path in an existing folder without write permission."""
+    """Raise DataError if ``folder``, which exists and will contain ``path``, is not writable."""
     if not os.access(folder, os.W_OK):
         raise DataError(
             f"{path}: expected a folder {folder} that may be written to, found one without write "
@@ -255,9 +276,9 @@ def check_writable(path: Path, folder: Path) -> None:
 def interruptible() -> Iterator[Callable[[], None]]:
     """Yield a function that raises KeyboardInterrupt if Ctrl-C was pressed.
 
-    The integrator loses exceptions of signal handlers, so that the handler only stores the first
-    Ctrl-C. A second Ctrl-C raises immediately; a first one after the last call of the function
-    raises at the end of the block.
+    The integrator loses exceptions of signal handlers. The handler therefore only stores the first
+    Ctrl-C, and the next call of the function, or else the end of the block, raises
+    KeyboardInterrupt. A second Ctrl-C raises it immediately.
     """
     pressed = raised = False
 
@@ -297,13 +318,13 @@ def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[
 
 
 def print_facts(facts: list[tuple[str, str]]) -> None:
-    """Print facts, and add them to the JSON object."""
+    """Print facts, pairs of name and text, and add them to the JSON output of the command."""
     add_json_facts(facts)
     show(facts)
 
 
 def show(facts: list[tuple[str, str]]) -> None:
-    """Print facts: as a table on a terminal, as plain lines elsewhere."""
+    """Print facts, pairs of name and text: as a table on a terminal, otherwise as plain lines."""
     if not sys.stdout.isatty():
         width = max(len(name) for name, _ in facts)
         for name, value in facts:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 def check(file: File, settings: Settings = None) -> None:
     """Check a problem, and settle the vehicle on the ground at its start.
 
-    Print facts of the start; the motion is not computed.
+    Print facts about ground, vehicle and start; the motion is not computed.
     """
     with reported():
         from slipfree.problem.solve import build
@@ -66,14 +66,15 @@ def vehicle(
     write: Annotated[
         Path | None,
         typer.Option(
-            "--write", metavar="FILE", help="Write what was guessed about a URDF to a vehicle file."
+            "--write", metavar="FILE", help="Write the guesses about a URDF to a vehicle file."
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Describe the vehicle of a problem or of a vehicle file.
 
-    Print its parts, unknowns, equations, rolling conditions and condition numbers, and its errors.
+    Print parts, unknowns, equations, rolling conditions and condition numbers of the vehicle, and
+    the errors of an invalid one.
     """
     with reported():
         from slipfree.problem.build_vehicle import guessed_completion

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def motion_json(run: Trajectory) -> dict[str, Any]:
-    """Return the JSON object of a motion: samples, stop, statistics and ranges of quantities."""
+    """Return the JSON object of a motion: times, stop, wheels, statistics, ranges of quantities."""
     return {
         "samples": run.t.size,
         "time": {"unit": "s", "first": run.t[0], "last": run.t[-1]},
@@ -29,7 +29,8 @@ def stop_json(stop: Stop | None) -> dict[str, Any] | None:
 def quantities(run: Trajectory) -> dict[str, Any]:
     """Return description, unit, first, last, smallest and largest value of each quantity by name.
 
-    For quantities of wheels, first and last values are arrays of shape (n_wheels,).
+    For quantities of wheels, first and last values are arrays of shape (n_wheels,), and smallest
+    and largest values are those of all wheels. Headings count from the axis of the problem's frame.
     """
     from slipfree.frames import to_problem_frame
 
@@ -47,7 +48,7 @@ def quantities(run: Trajectory) -> dict[str, Any]:
 
 
 def row_json(row: Row) -> dict[str, Any]:
-    """Return the JSON object of one vehicle of a comparison."""
+    """Return the JSON object of one vehicle of ``slipfree compare``."""
     return {
         "name": row.name,
         "wheels": row.wheels,

@@ -88,12 +88,12 @@ _running: list[_CommandOutput] = []  # output of the running command, if there i
 
 
 def _current_output() -> _CommandOutput:
-    """Return the output of the running command; outside commands, a new output."""
+    """Return the output of the running command, or a new one if no command is running."""
     return _running[-1] if _running else _CommandOutput(OutputOptions())
 
 
 def store_options(quiet: bool, verbose: bool, json: bool) -> None:
-    """Store options given before the command's name."""
+    """Store the output options given before the command's name, for that command."""
     _global_options[:] = [OutputOptions(quiet, verbose, json)]
 
 
@@ -153,13 +153,13 @@ def _collecting(name: str, options: OutputOptions) -> Iterator[None]:
 
 
 def _check_folder() -> None:
-    """Report an error and exit if the current folder does not exist."""
+    """Print an error and exit if the current folder does not exist."""
     try:
         Path.cwd()
     except OSError as error:
         print_error(
             f"expected an existing current folder, found a removed one ({error.strerror}); change "
-            "to another folder"
+            "to another folder: cd DIR"
         )
         raise typer.Exit(BAD_INPUT) from error
 
@@ -185,8 +185,11 @@ def print_line(
 
 
 def fail(error: OSError) -> NoReturn:
-    """Report an operating-system error, such as a full disk, and exit."""
-    if error.errno == errno.EPIPE:  # the reader of the output is gone: typer ends silently
+    """Print an operating-system error, such as a full disk, and exit.
+
+    If the reader of the output has closed it, raise the error again; typer then exits silently.
+    """
+    if error.errno == errno.EPIPE:
         raise error
     name = f"{error.filename}: " if error.filename else ""
     print_error(
@@ -197,7 +200,7 @@ def fail(error: OSError) -> NoReturn:
 
 
 def print_json(command: str, code: int, content: Mapping[str, Any]) -> None:
-    """Print the JSON object of a command."""
+    """Print the JSON object of a command: name, exit code and its meaning, then ``content``."""
     head = {"command": command, "exit_code": code, "meaning": MEANINGS[code]}
     text = to_json.dumps(plain({**head, **content}))
     print_line(text.replace("\x7f", r"\u007f"))
@@ -228,7 +231,7 @@ def add_json_file(file: object) -> None:
 
 
 def add_json_lines(name: str, words: str) -> None:
-    """Add lines of text to the JSON object."""
+    """Add the lines of a text to the list ``name`` of the JSON object."""
     _current_output().content.setdefault(name, []).extend(words.splitlines())
 
 
@@ -240,7 +243,7 @@ def warn(words: str) -> None:
 
 
 def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Print a warning of the library once."""
+    """Print a Python warning, unless the command has printed it before."""
     if not set(str(message).splitlines()) <= set(_current_output().content.get("warnings", ())):
         warn(str(message))
 
@@ -253,7 +256,7 @@ def print_error(words: str) -> None:
 
 
 def detail(words: str) -> None:
-    """Print a completed step and the elapsed time on stderr if ``--verbose`` is given."""
+    """Print a text with the elapsed time on stderr if ``--verbose`` is given."""
     output = _current_output()
     if output.options.verbose:
         elapsed = time.perf_counter() - output.began

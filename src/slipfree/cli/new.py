@@ -51,7 +51,7 @@ def new(
 
 
 def write_new_file(text: str, out: Path, force: bool) -> None:
-    """Write a new file; raise DataError if it exists and ``force`` is not set."""
+    """Write a new file; raise DataError if it exists without ``force``, or cannot be written."""
     check_output(out)
     if out.exists() and not force:
         raise DataError(

@@ -100,7 +100,10 @@ def pareto(
         print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
         if front.outcome.exit_code:
             unsolved = sum(not each.is_solved for each in front.points)
-            print_error(f"{unsolved} of {len(front.points)} points are not solved")
+            print_error(
+                f"{unsolved} of {len(front.points)} points are not solved; the reasons are in the "
+                f"last column of {folder / TABLE}"
+            )
             raise typer.Exit(front.outcome.exit_code)
 
 

@@ -77,7 +77,7 @@ def _reports(
 
 
 def _detailed() -> Callable[[str, str], None]:
-    """Return a callback for ``--verbose``: it prints the start of the integration, then times."""
+    """Return a callback for ``--verbose`` that prints the start of the integration, then times."""
     seldom, begun = _sparse(detail, NEW_PHASE), False
 
     def integrated(phase: str, line: str) -> None:
@@ -91,9 +91,9 @@ def _detailed() -> Callable[[str, str], None]:
 
 
 def _sparse(show: Callable[[str], None], apart: float) -> Callable[[str, str], None]:
-    """Return a callback for lines of phases that shows at most one line per ``apart`` seconds.
+    """Return a callback of phase and line that shows at most one line per ``apart`` seconds.
 
-    A new phase is shown after a shorter time.
+    The first line of a new phase is shown already `NEW_PHASE` seconds after the line before.
     """
     last, former = time.monotonic() + FIRST_LINE - NEW_PHASE, ""
 

@@ -125,7 +125,13 @@ def run(
 def _output_paths(
     problem: Problem[Any], out: Path | None, figures: Path | None, *, draw: bool
 ) -> tuple[Path, Path | None]:
-    """Return the result file and the folder for figures, with default paths checked."""
+    """Return the result file and the folder for figures, None without figures.
+
+    Raises
+    ------
+    DataError
+        If a default path could overwrite other files; see `check_default_outputs`.
+    """
     is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
     out = out or Path(output_of(problem))
     folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
@@ -167,7 +173,7 @@ def _solve(problem: Problem[Any], verb: MotionVerb, former: SavedPlan | None) ->
 
 
 def _report_counts(result: Result) -> Result:
-    """Return the result unchanged; print the solver's statistics with ``--verbose``."""
+    """Print the statistics of the solver if ``--verbose`` is given, and return the result."""
     counts = result.trajectory.statistics.items()
     detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
     return result
@@ -212,7 +218,10 @@ def _draw(plots: Sequence[Plot], folder: Path, *, every: bool) -> None:
 
 
 def _cross_check(result: Result) -> None:
-    """Print the eight largest differences between the two formulations of contact."""
+    """Solve again with the other formulation of contact, and print the eight largest differences.
+
+    JSON output contains the differences of all quantities.
+    """
     from slipfree.problem.solve import cross_check
 
     other, found = cross_check(result)

@@ -92,7 +92,13 @@ def _write(part: Path, text: str) -> None:
 
 
 def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]]:
-    """Return the viewer of the kind of motions, and the motions of the result files."""
+    """Return the viewer for the kind of the results, and the motions in the result files.
+
+    Raises
+    ------
+    DataError
+        If the results are of different kinds, such as drives and climbs.
+    """
     from slipfree.problem.result import open_result
     from slipfree.problem.verbs.registry import verb_of
     from slipfree.show.thinning import SCENE_SAMPLES
@@ -107,8 +113,8 @@ def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]
             viewers.setdefault(verb.viewer().noun, verb.viewer())
     if len(viewers) > 1:
         raise DataError(
-            f"show: expected results of one kind, found {' and '.join(viewers)}; run slipfree "
-            "show for each kind separately"
+            f"show: expected results of one kind, found {' and '.join(viewers)}; run slipfree show "
+            "once for each kind"
         )
     return next(iter(viewers.values())), found
 

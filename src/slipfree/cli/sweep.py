@@ -81,8 +81,8 @@ def sweep(
 ) -> None:
     """Run a problem for many values and seeds.
 
-    Write one table, print a summary and draw figures. The same command continues a sweep that was
-    interrupted or killed.
+    Write one table, print a summary and draw figures. Repeat the command to continue a sweep that
+    was interrupted or killed.
     """
     with reported():
         from slipfree.codegen_cache import obstacle
@@ -148,7 +148,7 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration in the largest fitting unit."""
+    """Return a duration as text, in the largest unit of which it has at least two."""
     for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.2g} {unit}"
@@ -156,7 +156,7 @@ def duration(seconds: float) -> str:
 
 
 def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
-    """Warn about finished runs without result file, which were run without ``--keep``."""
+    """Warn about runs that were finished without ``--keep`` and therefore have no result file."""
     from slipfree.sweep.run import missing_results, result_path
 
     if missing := missing_results(folder, plan, rows):
@@ -165,7 +165,7 @@ def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
         file = result_path(folder, plan, first.run)
         words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", str(file)]
         warn(
-            f"--keep: {len(missing)} runs finished without --keep and have no result file; to "
+            f"--keep: {len(missing)} runs were finished without --keep and have no result file; to "
             f"write all, sweep into another folder with -o; to write one: {shlex.join(words)}"
         )
 
@@ -235,7 +235,9 @@ def _draw(plan: Sweep, grids: Sequence[Swept], folder: Path) -> None:
     from slipfree.show.sweep_figures import save_sweep_figures
 
     if len(plan.axes) > MOST_KEYS:
-        print_line(f"no figures: {len(plan.axes)} keys are varied, and figures show at most two")
+        print_line(
+            f"no figures: {len(plan.axes)} keys are varied, and figures show at most {MOST_KEYS}"
+        )
         return
     if plan.count > 1:
         paths = save_sweep_figures(grids, folder)

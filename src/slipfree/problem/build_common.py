@@ -43,7 +43,7 @@ class Setup:
     start : Trajectory
         One sample: the vehicle at its start, at rest or with the given rates of its platform.
     inputs : record
-        Inputs of `dae`: constant rates, rates per interval of `t`, or a driving law.
+        Inputs of ``dae``: constant rates, rates per interval of ``t``, or a driving law.
     t : ndarray, shape (n,)
         Times of the samples. [s]
     driven : str
@@ -88,12 +88,18 @@ def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
 
 
 def heading_offset(problem: Problem[S]) -> float:
-    """Return the angle to add to a heading of the problem to get one from the y axis [rad]."""
+    """Return the angle [rad] to add to a heading of the problem to count it from the y axis."""
     return -OFFSET[getattr(problem.spec, "frame", "paper")]
 
 
 def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
-    """Return the vehicle settled at rest at the start of a problem."""
+    """Return the vehicle settled on the ground at the start of a problem, as one sample.
+
+    Raises
+    ------
+    ProblemError
+        If the vehicle cannot stand at the start.
+    """
     values: dict[str, Any] = dict(problem.spec.start)
     values["heading"] = values.get("heading", 0.0) + heading_offset(problem)
     with at(problem, ("start",)):
@@ -101,7 +107,7 @@ def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
 
 
 def solver_options(problem: Problem[S]) -> SolverOptions:
-    """Return the options of the solvers; dynamics has a default tolerance of its own."""
+    """Return the solver options of a problem; the default tolerance depends on the model."""
     spec = problem.spec
     options: SolverOptions = spec.solver.options
     is_dynamic = getattr(spec, "model", None) == "dynamics"
@@ -114,6 +120,13 @@ def samples(
     time: schema.Time, inputs: Mapping[str, float | schema.Piecewise]
 ) -> tuple[Array, dict[str, float | Array]]:
     """Return the sample times, including jumps of the inputs, and the rates by interval.
+
+    Parameters
+    ----------
+    time : Time
+        Duration and time between samples. [s]
+    inputs : mapping of str to float or tuple of (time, rate)
+        Constant rates, or pairs of the time at which a rate begins and the rate. [s, rad/s or m/s]
 
     Returns
     -------
@@ -141,7 +154,10 @@ def samples(
 
 
 def check_names(problem: Problem[S], dae: Dae, inputs: Iterable[str] | None) -> None:
-    """Raise ProblemError for unknown or missing states and inputs, and for wrong units."""
+    """Raise ProblemError for unknown states, unknown or missing inputs, and wrong units.
+
+    Inputs are not checked if ``inputs``, the names of the given inputs, is None.
+    """
     places = _names(dae.labels.x)
     if dae.standing is not None:
         places = [*_names(dae.standing.model.labels.x), SPEED]

@@ -26,23 +26,38 @@ def build_law(
     vehicle: Vehicle,
     start: Trajectory,
 ) -> Any:
-    """Return inputs by the driving law of a problem, as functions of state and time."""
+    """Return the inputs that the driving law of a problem computes from state and time.
+
+    Raises
+    ------
+    ProblemError
+        If ``path`` and ``file`` do not fit the name of the law, or the law cannot move the vehicle.
+    """
     with at(problem, ("driver",)):
         if driver.name == "straight":
             if driver.path is not None or driver.file is not None:
+                key = "path" if driver.path is not None else "file"
                 raise ModelError(
-                    "driver: expected no path with name = 'straight', found one; use name = "
-                    "'follow', or remove the path"
+                    f"driver: expected no path with name = 'straight', found the key {key!r}; use "
+                    "name = 'follow', or remove the key"
                 )
             return straight(dae, vehicle, start, speed=driver.speed)
         return follow(dae, vehicle, Path(path_points(problem, driver)), speed=driver.speed)
 
 
 def path_points(problem: Problem[S], driver: Driver) -> Array:
-    """Return the points of the path that a driving law follows, shape (n, 2) [m]."""
+    """Return the points of the path that a driving law follows, shape (n, 2) [m].
+
+    Raises
+    ------
+    ModelError
+        If neither or both of ``path`` and ``file`` are given.
+    DataError
+        If the file cannot be read or has no columns x and y.
+    """
     if (driver.path is None) == (driver.file is None):
         raise ModelError(
-            "driver: expected either path, an array of [x, y], or file for name = 'follow', found "
-            + ("none; give one of them" if driver.path is None else "both; remove one")
+            "driver: expected either 'path', an array of [x, y], or 'file' with name = 'follow', "
+            + ("found neither; give one" if driver.path is None else "found both; remove one")
         )
     return np.array(driver.path or read_columns(problem.folder / str(driver.file), "xy"))

@@ -60,7 +60,10 @@ class Ground(NamedTuple):
 
 @contextmanager
 def at(problem: Problem[A], place: Place) -> Iterator[None]:
-    """Raise ModelError and DataError of the block as ProblemError, with file and line of a key."""
+    """Raise ModelError and DataError of the block as ProblemError, with file and line of a key.
+
+    ``place`` is the path of the key, such as ``("terrain", "file")``.
+    """
     try:
         yield
     except (ModelError, DataError) as error:
@@ -75,7 +78,13 @@ def build_ground(problem: Problem[S]) -> Ground:
 
     The order of operations is: read the file inside the window, fill holes, convert degrees to
     metres, scale, cut to the window (if there is no file), smooth, add the random elevation error
-    (``error``), and replace heights by those that a wheel feels (``rolled``).
+    (``error``), and fill the hollows that a wheel cannot touch (``rolled``).
+
+    Raises
+    ------
+    ProblemError
+        If a file cannot be read, heights cannot be metres, the ground is too large, or a key of the
+        table does not apply.
     """
     spec = problem.spec.terrain
     _check_keys(problem)
@@ -100,7 +109,7 @@ def build_ground(problem: Problem[S]) -> Ground:
 
 
 def _check_keys(problem: Problem[S]) -> None:
-    """Raise ProblemError for keys that apply only to map files."""
+    """Raise ProblemError for keys that apply only to map files, if there is no map file."""
     spec = problem.spec.terrain
     for key in OF_FILES:
         read = spec.file is not None or isinstance(spec.friction, str)
@@ -149,7 +158,7 @@ def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
 
 
 def _map_coordinates(found: Map, horizontal: float, vertical: float) -> tuple[MapCoordinate, ...]:
-    """Return a map file's x, y and z as functions of those of motions; empty if all are equal."""
+    """Return x, y and z of a map file as functions of those of motions; empty if all are equal."""
     x0, kx, y0, ky = found.frame
     if found.frame == Frame() and (horizontal, vertical) == (1, 1):
         return ()
@@ -162,7 +171,7 @@ def _map_coordinates(found: Map, horizontal: float, vertical: float) -> tuple[Ma
 
 
 def _map_facts(crs: str, coordinates: Iterable[MapCoordinate]) -> Facts:
-    """Return the reference system of a map file and its coordinates as facts."""
+    """Return facts about a map file: its reference system, and formulas of its coordinates."""
     facts = [("map crs", crs)] if crs else []
     formulas = [
         f"{name if name in DEGREES else f'{name}_file'} = "
@@ -185,7 +194,20 @@ def _check_size(width: float, length: float, spacing: float) -> None:
 
 
 def read_source(problem: Problem[Any]) -> tuple[Map, tuple[MapCoordinate, ...]]:
-    """Return the ground before scaling, and the coordinates of its file; empty if equal."""
+    """Return the map of a problem before scaling, and the coordinates of its file.
+
+    Returns
+    -------
+    found : Map
+        Ground before scaling.
+    coordinates : tuple of MapCoordinate
+        As in `Ground`.
+
+    Raises
+    ------
+    ProblemError
+        If the map cannot be read, or its heights cannot be metres.
+    """
     found, _ = _source(problem)
     return found, _map_coordinates(found, *_scales(problem.spec.terrain))
 
@@ -217,14 +239,15 @@ def _check_heights(found: Map, scale: float) -> None:
     if found.gray:
         raise ModelError(
             "expected vertical_scale, the metres per gray level of a picture, found none; "
-            f"set vertical_scale: the levels from {low:g} to {high:g} span that many "
-            "times it in metres (1 if the values are metres)"
+            "set it to the difference between the highest and the lowest height in metres divided "
+            f"by {high - low:g} (the levels extend from {low:g} to {high:g}), or to 1 if the "
+            "levels are metres"
         )
     if not EARTH[0] <= scale * low <= scale * high <= EARTH[1]:
         raise ModelError(
             f"expected heights from {EARTH[0]:g} to {EARTH[1]:g} m, as on the earth, found "
-            f"{low:g} to {high:g}; set vertical_scale, the metres per unit of the heights (0.01 "
-            "for centimetres, 0.1 for decimetres, 1 if they are metres)"
+            f"{scale * low:g} to {scale * high:g}; set vertical_scale, the metres per unit of the "
+            "heights (0.01 for centimetres, 0.1 for decimetres, 1 if they are metres)"
         )
 
 
@@ -263,7 +286,10 @@ def _synthetic(spec: schema.Synthetic) -> Grid:
 
 
 def filled_words(grid: Grid, run: Trajectory) -> str:
-    """Return a text on the lengths of wheel paths over filled holes; empty without filled holes."""
+    """Return a text on the parts of wheel paths that lie on filled holes of the map.
+
+    The text is empty if the map has no filled holes.
+    """
     if grid.filled is None:
         return ""
     on = grid.touches(grid.filled, run["contact_x"], run["contact_y"])

@@ -29,7 +29,14 @@ LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
 def build_model(
     problem: Problem[S], spec: schema.Modelled, vehicle: Vehicle, terrain: Terrain
 ) -> Dae:
-    """Return the model of a problem for a vehicle on a ground, with its law."""
+    """Return the model of a problem for a vehicle on a ground.
+
+    Raises
+    ------
+    ProblemError
+        If the law does not belong to the model, a parameter is missing, or the model does not
+        support the vehicle or the ground.
+    """
     law = model_law(problem, spec)
     with at(problem, ("slip",) if spec.model == "kinematics" else ("model",)):
         if spec.model == "kinematics":
@@ -40,14 +47,21 @@ def build_model(
 
 
 def law_name(spec: schema.Modelled) -> str:
-    """Return the name of the law of a problem's model."""
+    """Return the name of the law of a problem's model: the given one, or the default."""
     if spec.model == "kinematics":
         return spec.slip
     return next(iter(sorted(spec.law.model_fields_set)), next(iter(LAWS[spec.model])))
 
 
 def model_law(problem: Problem[S], spec: schema.Modelled) -> Any:
-    """Return the law of a problem's model: a slip law, a wheel-ground law or a contact law."""
+    """Return the law of a problem's model: a slip law, a wheel-ground law or a contact law.
+
+    Raises
+    ------
+    ProblemError
+        If a given law does not belong to the model, several laws are given, or a parameter is
+        missing or invalid.
+    """
     name, known = law_name(spec), LAWS[spec.model]
     if spec.model != "kinematics" and "slip" in spec.model_fields_set:
         expected = f"no slip law with model = {spec.model!r}, where forces determine the slip"
@@ -69,14 +83,20 @@ def _wrong_law(spec: schema.Modelled, name: str) -> Fault:
         words = (
             f"one wheel-ground law with model = {spec.model!r}, of {', '.join(LAWS[spec.model])}"
         )
-        return Fault(("law", name), words, f"{tables}; remove the other tables")
+        return Fault(("law", name), words, f"{tables}; keep one of these tables")
     model = next(each for each, laws in LAWS.items() if name in laws)
     expected = f"model = {model!r}, where this law applies"
     return Fault(("law", name), expected, f"model = {spec.model!r}; change it, or remove the table")
 
 
 def _with_parameters(problem: Problem[S], spec: schema.Modelled, law: Callable[..., L]) -> L:
-    """Return a law with the parameters that a problem gives; other parameters have defaults."""
+    """Return a law with the parameters that a problem gives, and defaults of all others.
+
+    Raises
+    ------
+    ProblemError
+        If a parameter without default is missing, or a value is invalid.
+    """
     name = law_name(spec)
     given = spec.law.parameters(name)
     for key, parameter in signature(law).parameters.items():

@@ -313,7 +313,7 @@ def _check(table: UrdfTable, tree: Tree, file: File) -> None:
 def _new_joint_errors(
     name: str, joint: JointTable, tree: Tree, carried: Sequence[str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield what was expected and found for each error of a joint that is not in the URDF."""
+    """Yield expected and found value for each error of a joint that is not in the URDF."""
     if name in tree.joints or name in tree.links:
         yield (
             "a new name for a joint with carries",

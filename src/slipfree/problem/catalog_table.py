@@ -37,14 +37,17 @@ class Found:
 
 
 def fault(place: str | None, expected: str, found: str, hint: str = "") -> InitErrorDetails:
-    """Return an error of pydantic about a key of a table; about the table if ``place`` is None."""
+    """Return a pydantic error about the key ``place`` of a table; None stands for the table."""
     kind = PydanticCustomError("expected", "{words}", {"words": expected, "hint": hint})
     return InitErrorDetails(type=kind, loc=(place,) if place else (), input=Found(found))
 
 
 @cache
 def table_of(base: type[BaseModel], catalog: str) -> type[BaseModel]:
-    """Return the schema for a vehicle of the catalogue: keys of `base` and keyword arguments."""
+    """Return the schema of a table for a vehicle of the catalogue.
+
+    Its keys are those of the schema ``base`` and the keyword arguments of the vehicle's function.
+    """
     function = CATALOG[catalog]
     hints = get_type_hints(function)
     fields: dict[str, Any] = {
@@ -103,7 +106,7 @@ def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel
 
 
 def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
-    """Return a validation error of pydantic with expected and found value in this package's form.
+    """Return a pydantic error as one that states the expected and the found value.
 
     For an unknown key, the expected value is the list of ``known`` keys.
     """

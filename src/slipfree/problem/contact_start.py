@@ -41,7 +41,8 @@ def settle_contact(
     Raises
     ------
     ModelError
-        If the wheel or a name is unknown, or the vehicle cannot stand there.
+        If the wheel or a name is unknown, ``x`` or ``y`` is given, or the vehicle cannot stand with
+        this contact point.
     """
     known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
     if wheel not in known:

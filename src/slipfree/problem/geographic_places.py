@@ -21,12 +21,14 @@ from slipfree.problem.schema import Task
 def convert_places(problem: Problem[A]) -> Problem[A]:
     """Return a problem with x and y instead of longitude and latitude in all places.
 
-    The reference system is that of the map file; it is read only if a place is in degrees.
+    The reference system is that of the map file, which is read only if a place is in degrees.
 
     Raises
     ------
     ProblemError
-        If a place is incomplete, the map has no reference system, or does not contain the place.
+        If a place has only one of longitude and latitude, or also x or y; if a value is out of
+        range or outside the domain of the map's projection; or if the map cannot be read or has no
+        reference system.
     """
     spec = problem.spec
     if not isinstance(spec, Task):
@@ -42,7 +44,7 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
 
 
 def _places(spec: Task) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
-    """Yield key and values of each place of a problem."""
+    """Yield key and values of start, goal, way-points and keep-out regions of a problem."""
     yield ("start",), spec.start
     if (goal := getattr(spec, "goal", None)) is not None:
         yield ("goal",), goal
@@ -65,7 +67,13 @@ def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
 def _in_metres(
     values: Mapping[str, Any], ground: Map, coordinates: tuple[MapCoordinate, ...]
 ) -> dict[str, Any]:
-    """Return the values of a place with x and y instead of longitude and latitude."""
+    """Return the values of a place with x and y instead of longitude and latitude.
+
+    Raises
+    ------
+    ModelError
+        If the place cannot be converted; see `convert_places`.
+    """
     if {"x", "y"} & {*values} or not {*DEGREES} <= {*values}:
         raise ModelError(
             f"expected longitude and latitude, or x and y, found {', '.join(values)}; give one of "
@@ -96,13 +104,20 @@ def _in_metres(
 
 
 def _degrees(value: float | tuple[float, float], name: str) -> float:
-    """Return a longitude or latitude in degrees, of a number or of a range with equal ends."""
+    """Return a longitude or latitude in degrees, from a number or a range with equal ends.
+
+    Raises
+    ------
+    ModelError
+        If the ends of the range differ, or the value is out of range.
+    """
     low, high = value if isinstance(value, tuple) else (value, value)
     number = degrees(low) if isinstance(low, AngleWithUnit) else low
     bound = 90 if name == "latitude" else 360
     if low != high or abs(number) > bound:
         found = f"{low:.9g} to {high:.9g}" if low != high else f"{number:.9g}"
+        remedy = "give one number" if low != high else "correct it"
         raise ModelError(
-            f"{name}: expected a number from {-bound} to {bound} degrees, found {found}; correct it"
+            f"{name}: expected a number from {-bound} to {bound} degrees, found {found}; {remedy}"
         )
     return float(number)

@@ -22,7 +22,7 @@ MISSING = "missing"
 def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
     """Return the file names in the keys ``file`` and ``friction`` of tables, as written there.
 
-    With the default tables, further input files of the verb are included.
+    With the default ``tables``, the names of further input files of the problem's verb are added.
     """
     found = [getattr(spec, name, None) for name in tables]
     names: list[Any] = [getattr(table, "file", None) for table in found]
@@ -53,7 +53,10 @@ def digest(file: Path) -> str:
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:
-    """Return the URDF of a vehicle file, relative to the problem's folder; empty list without."""
+    """Return the URDF named by a vehicle file, relative to the problem's folder.
+
+    The list is empty if the file names no URDF or cannot be read.
+    """
     with suppress(DataError):  # build_vehicle reports errors in the file
         urdf = open_file(folder / name).data.get("urdf")
         if isinstance(urdf, str):

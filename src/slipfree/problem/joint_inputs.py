@@ -23,7 +23,11 @@ START_TOLERANCE = 1e-6  # of the first command of a position [rad, m]
 
 
 class _Actuator(NamedTuple):
-    """Input that moves a joint: ``joint = offset + slope * coordinate or wheel angle``."""
+    """Input that moves a joint: ``joint = offset + slope * q``, with rate ``q'`` of the input.
+
+    ``q`` is a coordinate, or the angle of a wheel if ``is_wheel`` is set; ``name`` is that of the
+    input.
+    """
 
     name: str
     slope: float
@@ -34,20 +38,24 @@ class _Actuator(NamedTuple):
 def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dict[str, Piecewise]:
     """Return the inputs that an MCAP file commands, by name; joints without input are ignored.
 
-    Rates are those of the messages; without rates, each position is reached at the next message.
+    The rates are the commanded velocities. If some messages have no velocity, the rates between two
+    messages are constant, and each position is reached at the time of its message.
 
     Raises
     ------
     ProblemError
-        If the file cannot be read, if it has commands for no input or incomplete ones, or if the
-        first position of a joint is not that of the start.
+        If the file is not an MCAP file or cannot be read, if it has commands for no input or
+        incomplete ones, or if the first position of a joint is not that of the start.
     """
     spec: Motion = problem.spec
     robot = read_robot(spec.vehicle, problem.folder)
     actuators, found = _actuators(vehicle, robot), dict[str, Piecewise]()
     with at(problem, ("inputs", FILE)):
         if not is_mcap(Path(file)):
-            raise DataError(f"{file}: expected a file that ends in .mcap; convert the commands")
+            raise DataError(
+                f"expected an MCAP file, whose name ends in .mcap, found {file!r}; convert the "
+                "commands to MCAP"
+            )
         commands = read_joint_commands(problem.folder / file)
         for joint, actuator in actuators.items():
             if joint in commands and actuator.name not in found:
@@ -56,7 +64,7 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
         if not found:
             raise DataError(
                 f"{file}: expected commands of some of the joints {', '.join(actuators)}, found "
-                f"{', '.join(commands) or 'none'}; rename the joints"
+                f"{', '.join(commands) or 'none'}; rename the joints in the file"
             )
     return found
 
@@ -93,7 +101,13 @@ def _at_zero(value: ca.SX, q: ca.SX) -> ca.DM:
 def _rates(
     joint: str, given: JointCommands, actuator: _Actuator, problem: Problem[Any]
 ) -> Piecewise:
-    """Return the rate of an input over time, from the commands of its joint."""
+    """Return the rate of an input over time, from the commands of its joint.
+
+    Raises
+    ------
+    DataError
+        If a message has neither velocity nor position, or the first position is not at the start.
+    """
     if np.isfinite(given.velocities).all():
         rates = given.velocities / actuator.slope
     elif np.isfinite(given.positions).all():

@@ -40,8 +40,8 @@ def load_problem(
     Raises
     ------
     ProblemError
-        If the file cannot be read, has another command's verb, or does not fit the schema of its
-        verb: all errors, sorted by line.
+        If the file cannot be read, its verb is unknown or belongs to another command, a setting has
+        no valid form, or values do not fit the schema of the verb; all errors, sorted by line.
     """
     return _load(verbs_of(command), path, settings)
 
@@ -71,12 +71,12 @@ def load_variants(
 
 
 def load_again(path: Path, text: str, settings: Sequence[str]) -> Problem[Any]:
-    """Return the problem in a text, as if ``path`` contained it; see `load_problem`."""
+    """Return the problem in a text, with ``path`` as its file; errors as in `load_problem`."""
     return _from_text(verbs_of("run"), path, text, settings)
 
 
 def load_earlier(path: str | Path, settings: Sequence[str] = ()) -> Problem[Any]:
-    """Return the problem in a file of this or an earlier version; see `load_problem`."""
+    """Return the problem in a file of this or an earlier version; errors as in `load_problem`."""
     return _load(verbs_of("run"), path, settings, earlier=True)
 
 

@@ -33,7 +33,7 @@ class Migrated(NamedTuple):
 
 
 def migrate_text(path: Path, text: str) -> Migrated:
-    """Return a problem or vehicle file with current keys.
+    """Rename the old keys in the text of a problem or vehicle file.
 
     Parameters
     ----------

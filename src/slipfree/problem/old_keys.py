@@ -58,7 +58,7 @@ CHANGES = (
 
 
 def old_keys(data: Mapping[str, Any]) -> list[KeyChange]:
-    """Return the key changes that a problem needs."""
+    """Return the changes of keys that the tables of a problem file need."""
     if data.get("verb") not in VERBS:
         return []
     return [

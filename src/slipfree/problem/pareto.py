@@ -84,7 +84,11 @@ class PlanFront(NamedTuple):
 
     @property
     def outcome(self) -> Outcome:
-        """``COMPLETE`` if all points are solved, else the outcome of the first unsolved point."""
+        """Outcome of the front, from those of its points.
+
+        ``COMPLETE`` if all points are solved, ``INTERRUPTED`` if a point is interrupted, otherwise
+        the outcome of the first unsolved point.
+        """
         unsolved = [point.outcome for point in self.points if not point.is_solved]
         if Outcome.INTERRUPTED in unsolved:
             return Outcome.INTERRUPTED
@@ -182,7 +186,15 @@ def plan_front(
 
 
 def _checked(problem: Problem[Any], against: str) -> str:
-    """Return the unit of the second objective; raise an error if there is no front."""
+    """Return the unit of the second objective, after a check of problem and objective.
+
+    Raises
+    ------
+    ProblemError
+        If the problem is not a planning problem or has no weight of the slip.
+    DataError
+        If the second objective is unknown.
+    """
     spec = problem.spec
     if not isinstance(spec, Plan):
         where = problem.source.where(("verb",))
@@ -281,12 +293,15 @@ def _solve_one(
     if point.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
     if is_needed and not point.is_solved:
-        raise SolverError(f"the front cannot begin: {name}: {point.words}")
+        raise SolverError(
+            f"expected a solved and verified plan of the first search of a front ({name}), found: "
+            f"{point.words}"
+        )
     return point
 
 
 def _named(name: str, report: LineCallback | None) -> LineCallback | None:
-    """Return a callback that adds a name to the phase and the line."""
+    """Return a callback that calls ``report`` with a name in front of the phase and of the line."""
     if report is None:
         return None
     return lambda phase, line: report(f"{name}, {phase}", f"{name}, {line}")
@@ -309,7 +324,7 @@ def _task(
 
 
 def _solve_point(task: _PointTask, report: LineCallback | None = None) -> tuple[int, FrontPoint]:
-    """Return the index of a task, and its plan or the reason why there is none."""
+    """Return the index of a task in its batch, and its point: a plan, or the reason for none."""
     return task.order, _planned(task, report)
 
 
@@ -352,7 +367,7 @@ def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
 class _PointSolver:
     """Solver of the points of a front, in this process or in others.
 
-    Ctrl-C ends it: the remaining points are ``INTERRUPTED``.
+    After Ctrl-C it solves no further point; the remaining points are ``INTERRUPTED``.
     """
 
     def __init__(
@@ -372,7 +387,7 @@ class _PointSolver:
         self._pool = None if is_serial else Processes(processes, _solve_point)
 
     def solve(self, tasks: Sequence[FrontTask]) -> list[FrontPoint]:
-        """Return the points of tasks."""
+        """Return the points of tasks in their order; ``INTERRUPTED`` points after Ctrl-C."""
         found: dict[int, FrontPoint] = {}
         if not self._is_interrupted:
             try:
@@ -384,7 +399,7 @@ class _PointSolver:
         return [found.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
 
     def close(self) -> None:
-        """End the processes."""
+        """End the processes of this solver."""
         if self._pool is not None:
             self._pool.close()
 
@@ -416,7 +431,7 @@ class _PointSolver:
             self._report("points", f"{solved} of {self._count} points are solved")
 
     def _store(self, number: int, point: FrontPoint) -> None:
-        """Pass a solution on if it is better than the former one of its point."""
+        """Keep the solution of a point, and pass it to ``keep``, if it is the best one so far."""
         if point.is_solved and is_better(point, self._kept.get(number, FrontPoint(point.bound))):
             self._kept[number] = point
             if self._keep is not None:

@@ -61,7 +61,7 @@ def _line(cells: Iterable[str], widths: Sequence[int]) -> str:
 
 
 def front_rows(front: PlanFront) -> tuple[list[str], list[list[object]]]:
-    """Return column names and rows of the table of a front; numbers in SI units."""
+    """Return column names and rows of the table of a front, with numbers in SI units."""
     names = ["point", "bound", front.against, "slip_per_path", "squared_slip", "smoothness_share"]
     return [*dict.fromkeys([*names, "slope", "outcome", "dominated", "reason"])], [
         [

@@ -46,7 +46,7 @@ def open_result(
     Raises
     ------
     DataError
-        If the file cannot be read.
+        If the file cannot be read or is not a result.
     """
     file = Path(path)
     run = read(file) if samples is None else thin(read(file, lazy=True), samples)
@@ -57,13 +57,13 @@ def open_result(
 
 
 def motion_facts(run: Trajectory) -> Facts:
-    """Return the summary of a motion as pairs of name and text."""
+    """Return the facts of the summary of a motion, pairs of name and text."""
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
     return plain_facts(run) if verb is None else verb.facts(run)
 
 
 def shown(file: Path, name: str, folder: Path | None = None) -> Any:
-    """Return the motion in a result file with its ground and vehicle, for the viewer.
+    """Return the motion in a result file with ground and vehicle, as input of the viewer.
 
     Parameters
     ----------
@@ -161,6 +161,11 @@ def _folder(file: Path, spec: Runnable, recorded: str, folder: Path | None) -> P
     """Return the first of several folders that contains all input files of a problem.
 
     ``recorded`` is the folder in the result file; ``folder``, if given, is the only one tried.
+
+    Raises
+    ------
+    DataError
+        If no folder contains them all.
     """
     needed = input_names(spec, DRAWN)
     here, beside = Path.cwd(), file.absolute().parent

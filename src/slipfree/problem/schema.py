@@ -132,7 +132,7 @@ class CommonKeys(Record):
         return ()
 
     def faults(self) -> Iterator[Fault]:
-        """Yield the errors of values that contradict each other."""
+        """Yield an error for each value that contradicts another one."""
         time = self.time
         if time.step > time.duration:
             expected = f"at most the duration, {time.duration:g} s"

@@ -22,7 +22,7 @@ from slipfree.problem.catalog_table import reworded
 
 
 def known_slip(name: str) -> str:
-    """Return the name of a slip law; raise an error if it is not registered."""
+    """Return the name of a slip law unchanged; raise PydanticCustomError if it is unknown."""
     if name not in SLIP_LAWS:
         raise PydanticCustomError("expected", "one of {names}", {"names": ", ".join(SLIP_LAWS)})
     return name
@@ -65,7 +65,7 @@ class Law(Record):
     @model_validator(mode="wrap")
     @classmethod
     def _by_name(cls, data: Any, handler: ModelWrapValidatorHandler[Law]) -> Law:
-        """Validate each table of parameters by the schema of the law that it names."""
+        """Validate each table by the schema of its law; raise ValidationError with all errors."""
         if cls is not Law or not isinstance(data, dict):
             return handler(data)
         try:

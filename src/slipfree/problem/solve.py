@@ -54,7 +54,7 @@ def run_problem(
     tell : callable, optional
         Called for every iterate of a plan with the phase of the search and a line of text.
     resume : SavedPlan, optional
-        Plan for a warm start.
+        Plan for a warm start; only for planning problems.
 
     Returns
     -------
@@ -64,7 +64,8 @@ def run_problem(
     Raises
     ------
     ProblemError
-        If the problem cannot be built.
+        If the problem cannot be built, or cannot be solved from its start, for example because
+        start, goal and limits of a plan contradict each other.
     SolverError
         If the integrator fails before the first sample; a later failure is the stop of
         the trajectory.

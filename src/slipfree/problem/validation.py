@@ -66,7 +66,7 @@ def validated_problem(
 
 @lru_cache(maxsize=1)
 def _parsed(path: Path, text: str) -> dict[str, Any]:
-    """Return the data in a TOML text, cached since variants of a problem share it."""
+    """Return the data in a TOML text, cached because all variants of a problem have this text."""
     return parse_toml(path, text)
 
 

@@ -57,10 +57,17 @@ def describe(path: Path, settings: Sequence[str] = ()) -> Description:
     The vehicle of a vehicle file stands on level ground. For an invalid vehicle the description has
     the errors and the facts about its known parts.
 
+    Parameters
+    ----------
+    path : Path
+        Problem file or vehicle file.
+    settings : sequence of str
+        Values that replace those of a problem file, as ``key=value``.
+
     Raises
     ------
     DataError
-        If no part of the vehicle can be read.
+        If no part of the vehicle can be read, or settings are given for a vehicle file.
     """
     try:
         if not is_vehicle_file(path):
@@ -236,7 +243,7 @@ def _equations(dae: Dae) -> str:
 
 
 def _shares(draft: Draft) -> Facts:
-    """Return the facts about wheels and joints of a vehicle that may be invalid."""
+    """Return the facts about wheels and joints of the draft of an invalid vehicle."""
 
     def listed(names: list[str]) -> str:
         return f"{len(names)}: {', '.join(names) or 'none'}"
@@ -254,11 +261,11 @@ def _shares(draft: Draft) -> Facts:
 
 
 def conditioning(dae: Dae, start: Trajectory) -> Facts:
-    """Return the condition numbers of the equations at a start, with the least determined motions.
+    """Return the condition numbers of the equations at a start, with the least determined unknowns.
 
-    They are those of the Jacobians in metres and radians, separately for position and rates. The
-    least determined motions are the unknowns with large entries in the right singular vector of the
-    smallest singular value.
+    The condition numbers are those of the Jacobians in metres and radians, separately for the
+    equations of position and of the rates. The least determined unknowns have large entries in the
+    right singular vector of the smallest singular value.
     """
     rest = unpack(dae.u, [0.0] * len(list(leaves(dae.u))))
     system, (x, z) = with_inputs(dae, rest, 0), (dae.rows(record, start, 0) for record in "xz")
