@@ -482,7 +482,7 @@ def test_steering_starts_at_its_first_command(tmp_path: Path) -> None:
     ("value", "words"),
     [
         ("inputs.file=3", "the name of an MCAP file in quotes, found 3"),
-        ('inputs.file="c.csv"', "expected a file that ends in .mcap"),
+        ('inputs.file="c.csv"', "expected an MCAP file, whose name ends in .mcap"),
         ('inputs.left_drive_rate="c.mcap"', r"a number, or an array of \[time, value\] pairs"),
     ],
 )
