@@ -101,8 +101,8 @@ def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
     ends = [x for x in corners if x < max(x for x, _ in profile.solids[0].points)]
     if not ends:
         raise ModelError(
-            "climb: expected a solid on the floor, found a profile with only a floor; add an "
-            "obstacle, such as a step"
+            "climb: expected an obstacle that begins before the end of the floor, the first solid, "
+            "found none; add an obstacle, such as a step"
         )
     end = max(ends) + climber.radius + END_MARGIN
     q, solids = _start(climber, profile, min(ends)), FLOOR
@@ -155,7 +155,7 @@ def rotate_nose_up(vectors: Array) -> Array:
 
 
 def _speed_jacobian(directions: Array, arms: Array) -> Array:
-    """Return the derivatives of the axles' speeds by the rates of q, shape (n, 3, 4).
+    """Return the derivatives of the axles' speeds in the rates of q, shape (n, 3, 4).
 
     The speeds are components along unit vectors, shape (n, 3, 2).
     """
@@ -296,7 +296,7 @@ def _march(
 def _other_gaps(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array]:
-    """Return the gaps between axles' wheels and solids [m], and their derivatives by s [1].
+    """Return the gaps between axles' wheels and solids [m], and their derivatives in s [1].
 
     Both have shape (3, n_solids). The gap of a wheel to the solid on which it stands is infinite.
     """

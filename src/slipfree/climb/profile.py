@@ -223,8 +223,8 @@ def ramp(angle: float, height: float) -> Profile:
     _positive(height=height)
     if not 0 < angle <= math.pi / 2:
         raise ModelError(
-            f"ramp: expected an angle above 0 and at most pi/2 rad, found {angle} rad; give it in "
-            "radians"
+            f"ramp: expected an angle above 0 and at most pi/2 rad, found {angle} rad; give a "
+            "positive angle in radians"
         )
     slope = math.cos(angle) / math.sin(angle)
     if ROOT_DEPTH * slope > FLOOR_LENGTH / 2 or height * slope > FLOOR_LENGTH / 2:

@@ -74,7 +74,7 @@ class Inputs(NamedTuple):
 
 
 class OnSolid(NamedTuple):
-    """Contacts of all axles with one solid, with the fields of `SolidContact` of these names."""
+    """Contacts of all axles with one solid; fields as those of `SolidContact` with their names."""
 
     gap: PerAxle
     load: PerAxle

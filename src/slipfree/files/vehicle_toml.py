@@ -123,7 +123,10 @@ def _axis(value: Any) -> str | Vector:
     ]
     if len(good) == 3 and all(good) and math.hypot(*numbers) > 0:
         return float(numbers[0]), float(numbers[1]), float(numbers[2])
-    raise PydanticCustomError("expected", "'x', 'y', 'z' or a vector [x, y, z] other than zero")
+    raise _expected(
+        "'x', 'y', 'z' or a vector [x, y, z] other than zero, with absolute values below "
+        f"{MAX_LENGTH:g}"
+    )
 
 
 def _known_section(_: Any) -> None:
@@ -148,7 +151,7 @@ def _drive(value: Any) -> Drive:
     try:
         return DRIVES[kind](**given)
     except ModelError as error:
-        raise _expected(str(error)) from error
+        raise _expected(f"a valid drive ({error})") from error
 
 
 Axis = Annotated[Any, PlainValidator(_axis)]
@@ -300,7 +303,7 @@ class File(NamedTuple):
 
 def open_file(path: Path) -> File:
     """Return the contents of a TOML file; raise ProblemError if it cannot be read."""
-    text = read_text(path)
+    text = read_text(path, "a vehicle file")
     data = parse_toml(path, text)
     lines = key_lines(text)
     for part in PARTS:

@@ -306,7 +306,7 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
 def _hessian_rows(
     contacts: _Contacts, y: Array, level: Array, goal: _Goal
 ) -> tuple[Array, Array, Array, Array]:
-    """Return a factor of the Hessian, derivatives by the level, and reciprocals of a and b.
+    """Return a factor of the Hessian, derivatives with respect to the level, and 1 / a and 1 / b.
 
     ``a`` and ``b`` are those of `_newton`.
 
@@ -315,7 +315,8 @@ def _hessian_rows(
     rows : ndarray, shape (n, 3 m, k)
         Factor R of the Hessian ``R' R``.
     radius, slope : ndarray, shape (n, m) and (n, m, k)
-        Derivatives by the level of the friction discs' radii and of the slopes of these radii.
+        Derivatives with respect to the level of the friction discs' radii, and of the slopes of
+        these radii.
     inverse : ndarray, shape (n, 2 m)
         Reciprocals of a, then of b.
     """

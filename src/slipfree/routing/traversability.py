@@ -133,10 +133,10 @@ def traversability(
         Regions that no wheel may touch.
     steepest : float, optional
         Steepest slope that can be climbed; by default the slope that the largest friction can
-        hold, or 30 degrees on a ground without friction. [rad]
+        hold, or 30 degrees on a ground without a friction coefficient. [rad]
     spacing : float, optional
-        Distance between nodes; by default that of the grid, or a sixth of the vehicle's width
-        or length, whichever is smaller, if that is more. [m]
+        Distance between nodes; by default the larger of the node spacing of the grid and a sixth
+        of the vehicle's width or length, whichever of these two is smaller. [m]
 
     Returns
     -------
@@ -173,7 +173,7 @@ def traversability(
     if not 0 < steepest < math.pi / 2:
         raise ModelError(
             f"traversability: steepest must lie between 0 and pi/2 radians, found {steepest}; "
-            "give it in radians, or omit it to use the steepest slope that friction can hold"
+            "give it in radians, or omit it for the default"
         )
     used = None if held is None else np.tan(slope) / held
     limits = Limits(steepest, radius, reach, half, terrain.domain, tuple(keep_out))

@@ -179,7 +179,7 @@ def loads(run: Trajectory, profile: Profile, ax: Axes) -> Axes:
 
 
 def torques(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Draw the torque of one wheel of every axle over time; with the limits if these are near."""
+    """Draw the torque of one wheel of every axle over time, and the torque limits if near."""
     for k, axle in enumerate(AXLES):
         ax.plot(run.t, run["torque", axle], label=axle, **style.look(k) | {"lw": 0.9})
     if climber.torque < 1.5 * np.abs(run["torque"]).max():

@@ -75,8 +75,8 @@ class CollocationScheme:
     basis : RadauBasis
         Polynomials on an element.
     point : casadi Function
-        ``(t, x, z) -> (ode, alg, Jacobian of ode and alg by x and z)`` at all collocation points
-        of an element; ``z`` are the unknowns of the motion.
+        ``(t, x, z) -> (ode, alg, Jacobian of both with respect to x and z)`` at all collocation
+        points of an element; ``z`` are the unknowns of the motion.
     """
 
     system: System

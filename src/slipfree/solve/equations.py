@@ -29,10 +29,10 @@ class MotionEquations(NamedTuple):
     core : casadi Function
         ``(t, x, m, u) -> (ode, alg)``; differentiable with respect to ``x`` and ``m``.
     newton : casadi Function
-        ``(t, x, m, u) -> (alg, its Jacobian by m)``.
+        ``(t, x, m, u) -> (alg, its Jacobian with respect to m)``.
     jacobian : casadi Function
-        ``(t, x, m, p, u) -> (ode_x, alg_x, ode_m, alg_m)``, derivatives by ``x`` and ``m``, with
-        the names that CasADi's interface to IDAS requires; ``p`` is empty.
+        ``(t, x, m, p, u) -> (ode_x, alg_x, ode_m, alg_m)``, derivatives with respect to ``x`` and
+        ``m``, with the names that CasADi's interface to IDAS requires; ``p`` is empty.
     """
 
     core: ca.Function
@@ -52,7 +52,7 @@ class _ModelEquations(NamedTuple):
     values : casadi Function
         ``(t, x, m, v, c) -> (ode, alg)``.
     slopes : casadi Function
-        Jacobian of ``values`` by ``x``, ``m`` and ``v``, with the same arguments.
+        Jacobian of ``values`` with respect to ``x``, ``m`` and ``v``, with the same arguments.
     """
 
     inputs: tuple[bool, ...]

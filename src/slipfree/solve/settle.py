@@ -208,8 +208,8 @@ def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
         name = list(leaves(model.labels.x))[int(np.abs(rates).argmax())].full
         raise ModelError(
             f"the vehicle finds no equilibrium at the start: after {RELAXATION_TIME:g} s, expected "
-            f"rates of at most {REST_RATE:g} scales per second, found {np.abs(rates).max():.1e} of "
-            f"{name}; choose another start"
+            f"rates of at most {REST_RATE:g} rad or vehicle sizes per second, found "
+            f"{np.abs(rates).max():.1e} for {name}; choose another start"
         )
     return run
 

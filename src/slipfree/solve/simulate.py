@@ -324,7 +324,10 @@ def _scaled_rates(system: System, at: Samples) -> list[float]:
 
 
 def _start_after_jump(system: System, samples: Samples, u: Array) -> Samples:
-    """Return the last sample, with unknowns that satisfy the equations after a jump."""
+    """Return the last sample with the unknowns after a jump of the inputs.
+
+    If the equations have no solution there, the sample is returned unchanged.
+    """
     at = _select(samples, [-1])
     if np.array_equal(at.u[:, -1], u):
         return at

@@ -78,11 +78,11 @@ def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
 
 
 def _jump_persists(system: System, t: float, x: Array, z: Array, u: Array, *, least: float) -> bool:
-    """Return whether the unknowns jump at the states ``x``, by ``least`` sizes or more.
+    """Return whether an unknown jumps by at least ``least`` typical sizes at the states ``x``.
 
-    ``x`` are states that the motion reaches after a shorter prediction time. A jump is then as
-    large as after the whole time; continuous changes are smaller. A change below
-    `MIN_LASTING_JUMP` is not a jump.
+    The states ``x`` are reached after a tenth of the prediction time. A jump is then as large as
+    after the whole time; continuous changes are smaller. A change below `MIN_LASTING_JUMP` is not
+    a jump.
     """
     if 2 * least < MIN_LASTING_JUMP:
         return False

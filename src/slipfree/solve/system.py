@@ -66,7 +66,7 @@ class System(NamedTuple):
     blocks, dependent_blocks : tuple of Block
         The algebraic equations of the motion, and those that are solved after it.
     newton : casadi Function
-        ``(t, x, m, u) -> (alg, its Jacobian by m)``.
+        ``(t, x, m, u) -> (alg, its Jacobian with respect to m)``.
     jacobian : casadi Function
         Derivatives of ``core`` for IDAS; see `slipfree.solve.equations.MotionEquations`.
     outputs : casadi Function

@@ -70,7 +70,7 @@ def simulate_sampled(
     if np.abs(np.diff(t) - period).max() > PERIOD_TOLERANCE * period:
         raise ModelError(
             "t: expected evenly spaced times for a sampled controller, found steps from "
-            f"{np.diff(t).min():.9g} to {np.diff(t).max():.9g} s; use one step"
+            f"{np.diff(t).min():.9g} to {np.diff(t).max():.9g} s; use a constant step"
         )
     if dae.guess.numel():
         raise ModelError(

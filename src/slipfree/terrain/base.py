@@ -43,7 +43,7 @@ class Jet(NamedTuple):
 
 
 def jet_of(height: ca.SX, x: ca.SX, y: ca.SX) -> Jet:
-    """Return a height expression with its first and second derivatives by ``x`` and ``y``."""
+    """Return a height expression with its first and second derivatives in ``x`` and ``y``."""
     place = ca.vertcat(x, y)
     gradient = ca.gradient(height, place)
     return Jet(height, gradient, ca.jacobian(gradient, place))

@@ -392,8 +392,8 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
     """
     if not (rms > 0 and correlation > 0):
         raise ModelError(
-            f"error: expected rms and correlation above 0 m, found {rms:g} m and {correlation:g} "
-            "m; change them, or remove the error"
+            f"elevation error: expected rms and correlation above 0 m, found {rms:g} m and "
+            f"{correlation:g} m; change them, or remove the error"
         )
     rng = np.random.default_rng(seed)
     # variance 2 / correlation**2 of each component: E cos(k d) = exp(-(d / correlation)**2)

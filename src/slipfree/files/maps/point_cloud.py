@@ -29,6 +29,10 @@ TO_METRES = (
     "reproject it to metres: pdal translate in.laz out.laz reprojection "
     "--filters.reprojection.out_srs=EPSG:326xx (xx: the UTM zone)"
 )
+TO_METRIC_HEIGHTS = (
+    "convert them to metres and state the horizontal system alone: pdal translate in.laz out.laz "
+    "assign --filters.assign.value='Z = Z * METRES_PER_UNIT' --writers.las.a_srs=EPSG:326xx"
+)
 
 
 class _Cloud(NamedTuple):
@@ -218,7 +222,7 @@ def _vertical_unit(keys: dict[int, int], vertical: Any) -> str:
         axes = [axis for axis in vertical.axis_info if axis.direction in ("up", "down")]
         name = axes[0].unit_name if axes else ""
     if name.lower() not in LENGTHS:
-        refuse("heights in a unit of length", f"the unit {name!r}", TO_METRES)
+        refuse("heights in a unit of length", f"the unit {name!r}", TO_METRIC_HEIGHTS)
     return name
 
 

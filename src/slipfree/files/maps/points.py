@@ -36,8 +36,9 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
     Raises
     ------
     DataError
-        If the file is not such a table, if ``spacing`` is None or too large, or if the points lie
-        on a line or have fewer than three different positions.
+        If the file is not such a table, if a coordinate exceeds 1e12 m, if ``spacing`` is None or
+        too large, if the window contains too few nodes, or if the points lie on a line or have
+        fewer than three different positions.
     """
     columns = _columns(path)
     if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:

@@ -39,20 +39,33 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
     except ValueError as error:  # Python limits the length of integers
         raise ProblemError(
             f"{path}: expected integers of at most {sys.get_int_max_str_digits()} digits, found a "
-            "longer one; shorten it, or write it as 1e..."
+            "longer one; shorten it"
         ) from error
 
 
-def read_text(path: Path) -> str:
-    """Return the text of a TOML file; raise ProblemError if it is not UTF-8 or over 10 MB."""
+def read_text(path: Path, expected: str = "a problem file") -> str:
+    """Return the text of a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    expected : str
+        Description of the file in messages.
+
+    Raises
+    ------
+    ProblemError
+        If the file cannot be read, is not UTF-8, or is larger than 10 MB.
+    """
     try:
-        with regular_file(path, "a problem file") as size:
+        with regular_file(path, expected) as size:
             if size > MAX_BYTES:
                 raise DataError(
                     f"{path}: expected a TOML file of at most {MAX_BYTES / 1e6:g} MB, found "
                     f"{size / 1e6:.3g} MB; check the name"
                 )
-            raw = read_bytes(path, "a problem file")
+            raw = read_bytes(path, expected)
     except DataError as error:
         raise ProblemError(str(error)) from error
     try:
