@@ -230,7 +230,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'axis = "z"',
             "axis = [0, 0, 0]",
             "v.toml:11: joints[0].axis (joint 'fork'): expected "
-            "'x', 'y', 'z' or a vector [x, y, z] other than zero, found [0, 0, 0]",
+            "'x', 'y', 'z' or a vector [x, y, z] other than zero, with absolute values below 100, "
+            "found [0, 0, 0]",
         ),
         ('axis = "z"', 'axis = "up"', "v.toml:11: joints[0].axis (joint 'fork'): expected 'x', "),
         (
@@ -579,7 +580,7 @@ def test_a_problem_drives_a_vehicle_file():
             "--set vehicle.mass: expected one of catalog, file, actuated, found the "
             "unknown key 'mass'",
         ),
-        ("vehicle.file=w.toml", "w.toml: expected a problem file, found that it cannot be read"),
+        ("vehicle.file=w.toml", "w.toml: expected a vehicle file, found that it cannot be read"),
         (
             "vehicle.file=v.txt",
             "p.toml:3: vehicle: v.txt: expected a vehicle file that ends in .toml, .urdf or "

@@ -166,7 +166,9 @@ def test_what_cannot_be_climbed_is_refused():
     overhang = Solid(((0.2, 0.0), (1.0, 0.0), (1.0, 0.3), (-0.1, 0.3)))
     with pytest.raises(ModelError, match=r"front wheels.*caught between two solids"):
         legs(seven_wheels(), Profile((*flat().solids, overhang)))
-    with pytest.raises(ModelError, match="expected a solid on the floor"):
+    with pytest.raises(
+        ModelError, match="expected an obstacle that begins before the end of the floor"
+    ):
         legs(seven_wheels(), flat())
     slanted = Solid(((-5.0, -1.0), (5.0, -1.0), (5.0, 0.5), (-5.0, 0.0)))
     block = Solid(((0.0, -1.0), (1.0, -1.0), (1.0, 0.5), (0.0, 0.5)))

@@ -357,7 +357,7 @@ def history(plan: Climb, unknowns: Array) -> Trajectory:
     Returns
     -------
     Trajectory
-        Columns of all `LABELS`. Statistics: ``mu`` and ``duration``.
+        Columns of all `LABELS`. Statistics: ``mu`` [1] and ``duration`` [s].
     """
     where, middles, climber = plan.nlp.where, plan.middles, plan.climber
     b = np.maximum(unknowns[where["b"]], 0.0)

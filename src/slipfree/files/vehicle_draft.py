@@ -39,7 +39,7 @@ class Guess(NamedTuple):
     values : mapping of str to float, bool or str
         Keys in the table of the joint, or the key of the file, and their guessed values.
     reason : str
-        What is guessed, and why.
+        Guessed property, and the reason for the guessed values.
     """
 
     table: str
@@ -78,7 +78,7 @@ class Draft:
     name, coordinates, joints, wheels, body, notes
         Fields of `slipfree.vehicle.tree.Vehicle` with the same names and types.
     guesses : tuple of Guess
-        What was guessed.
+        Guesses that the reader made.
     """
 
     name: str

@@ -513,9 +513,9 @@ def _names_in(formula: str) -> frozenset[str]:
 
 
 def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
-    """Return the draft of the valid parts, and the errors of invalid coordinates.
+    """Return the draft of the valid parts, and the errors of coordinates and inertias.
 
-    Errors of other parts are found by the checks of names, parents and values.
+    Other errors are found by the checks of names, parents and values.
     """
     faults: list[Fault] = []
 

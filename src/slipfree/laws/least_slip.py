@@ -78,7 +78,7 @@ def _multiplier(constraint: Label) -> Label:
 
 
 def slip_unit(unit: str) -> str:
-    """Return the unit of the derivative of a squared slip velocity with respect to a rate."""
+    """Return the unit of a derivative of squared slip velocity, from that of the variable."""
     return {
         "m s-1": "m s-1",
         "rad s-1": "m2 s-1",

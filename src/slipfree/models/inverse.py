@@ -291,7 +291,7 @@ def _solved_for_rates(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Da
 def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
     """Return the inverse model for three given rates, with steering angles as unknowns.
 
-    It neglects the slip that the steering rates cause.
+    The model neglects the slip that the steering rates cause.
     """
     joints = direct.u.joints
     still = substitute(direct, joints, [ca.SX(0)] * len(joints))

@@ -99,7 +99,7 @@ def _draw_points(front: DrawnFront, values: Array, given: float, ax: Axes) -> No
 
 
 def _draw_tangents(front: DrawnFront, ax: Axes) -> None:
-    """Draw a short tangent at each solved point, with the derivative as slope."""
+    """Draw a short tangent at each solved point, by the derivative with respect to the bound."""
     label = "slope (price)"
     for k in np.flatnonzero(np.isfinite(front.objective) & (front.slopes < 0)):
         away = TANGENT * front.second[k] * np.array([-1.0, 1.0])

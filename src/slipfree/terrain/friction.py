@@ -58,8 +58,7 @@ def check_friction(mu: Friction) -> None:
         )
     elif not 0 < mu < math.inf:
         raise ModelError(
-            f"friction: mu must be positive and finite, found {mu}; correct it (for ice give a "
-            "small number)"
+            f"friction: mu must be positive and finite, found {mu}; for ice give a small number"
         )
 
 

@@ -269,7 +269,7 @@ def _any_of_four(mask: Mask) -> Mask:
 
 
 def continue_over_holes(z: Array) -> Array:
-    """Return heights continued smoothly into holes, where they only serve interpolation.
+    """Return heights continued smoothly into holes, as placeholders for the spline.
 
     Parameters
     ----------

@@ -123,7 +123,14 @@ class _Place(NamedTuple):
 
 
 def read_raster(path: Path, ask: Reading) -> Heights:
-    """Return the heights in a raster file, only inside ``ask.window`` if it is not None.
+    """Return the heights in a raster file.
+
+    Parameters
+    ----------
+    path : Path
+        File of a format that GDAL reads from one file.
+    ask : Reading
+        Window, and cell and registration for a raster without coordinates.
 
     Raises
     ------
