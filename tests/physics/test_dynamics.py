@@ -6,16 +6,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from helpers.dynamics import FLAT, center_height, four_wheels, moved, slope, states
 from slipfree import (
     Analytic,
     Bicubic,
     Grid,
-    SolverOptions,
     catalog,
     direct_kinematics,
     quasi_statics,
     settle,
-    simulate,
 )
 from slipfree.geometry.frame import Pose, rotation_of
 from slipfree.laws.compliant import Compliant
@@ -30,26 +29,7 @@ from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import GRAVITY, Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-FLAT = Analytic(lambda x, y: 0 * (x + y), mu=0.8)
 LIGHT = Body(1e-9, inertia=(1e-9, 1e-9, 1e-9, 0, 0, 0))
-
-
-def slope(degrees, mu=0.8):
-    """Return a plane that rises along y."""
-    return Analytic(lambda x, y: np.tan(np.deg2rad(degrees)) * y + 0 * x, mu=mu)
-
-
-def states(model, **values):
-    """Return a start of a model at given states; others are zero."""
-    return settle(replace(model, standing=None), **({"attitude_w": 1.0} | values))
-
-
-def moved(model, start, t, tolerance=1e-9, **inputs):
-    """Return the motion from a start, with zero for inputs that are not given."""
-    given = {label.full: 0.0 for part in model.labels.u for label in part} | inputs
-    run = simulate(model, start, model.inputs(**given), t, options=SolverOptions(tolerance))
-    assert run.stop is None
-    return run
 
 
 def lone_wheel(section, mass=2.0, inertia=None, **more):
@@ -157,31 +137,6 @@ def test_a_leaning_wheel_rolls_on_a_circle(lean, rho, section):
     angle = np.unwrap(np.arctan2(run["y"], run["x"]))[-1]
     assert angle / (6 * np.pi) == pytest.approx(1, abs=4e-4)
     assert np.abs(np.rad2deg(run["roll"]) + lean).max() < 0.01
-
-
-def four_wheels(*, spring=0.0, driven=True, mass=40.0, height=0.25, **wheel):
-    """Return a car without steering; with a spring constant, its wheels are on vertical struts."""
-    length, half_track, radius = 0.7, 0.3, 0.15
-    coordinates, joints, wheels = [], [], []
-    corners = [(end, side) for end in (length, 0.0) for side in (half_track, -half_track)]
-    for k, (y, x) in enumerate(corners):
-        name, parent, at = f"w{k}", "platform", (x, y, 0.0)
-        if spring:
-            rest = -mass / 4 * GRAVITY / spring
-            words = f"stroke {k}"
-            coordinates.append(
-                Coordinate(f"s{k}", "suspension", words, stiffness=spring, rest=rest, damping=150.0)
-            )
-            joints.append(Joint(f"strut{k}", "platform", "z", at, f"s{k}", "slide"))
-            parent, at = f"strut{k}", (0.0, 0.0, 0.0)
-        wheels.append(Wheel(name, parent, at, Torus(0.03, 0.12), driven=driven, mass=2.0, **wheel))
-    body = Body(mass, (0.0, length / 2, height - radius), (1.5, 1.2, 2.0, 0, 0, 0))
-    return Vehicle("car", tuple(coordinates), tuple(joints), tuple(wheels), body)
-
-
-def center_height(vehicle, body_height):
-    """Return the height of the centre of mass of `four_wheels` over the ground [m]."""
-    return (40 * body_height + 8 * 0.15) / vehicle.mass
 
 
 def test_locked_wheels_stop_a_car_in_the_distance_of_coulomb_friction():

@@ -96,7 +96,9 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
         tuple(_joint_speed(vehicle, c) for c in vehicle.coordinates),
         wheel_labels(vehicle, "spin", "rad s-1", spin),
         tuple(
-            Label("motor_integral", "N m", "integral of the speed controller", wheel.name)
+            Label(
+                f"{wheel.name}_motor_integral", "N m", f"integral of the controller of {wheel.name}"
+            )
             for wheel in vehicle.wheels
             if wheel.acting_drive.has_integral
         ),
