@@ -222,13 +222,13 @@ def ending(case: Case) -> Ending:
 def ledger(motion: Trajectory) -> float:
     """Return the largest error of the energy balance, over 100 x tolerance x energy.
 
-    The energy is one joule, since the tolerance of the work is absolute too, and the largest of
-    work, lost energy, kinetic energy and change of potential energy.
+    The energy is one joule, since the tolerance of the work is absolute too, and the sum of work,
+    lost energy, kinetic energy and change of potential energy.
     """
     kinetic, potential, contact = (
         motion[f"{name}_energy"] for name in ("kinetic", "potential", "contact")
     )
     total, work, lost = kinetic + potential + contact, motion["work"], motion["lost_energy"]
     error = np.abs(total - total[0] - work + lost).max()
-    energy = 1 + max(np.abs(work).max(), lost.max(), kinetic.max(), np.ptp(potential))
+    energy = 1 + np.abs(work).max() + lost.max() + kinetic.max() + np.ptp(potential)
     return float(error / (100 * TOLERANCE * energy))
