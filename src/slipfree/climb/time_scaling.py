@@ -187,7 +187,10 @@ def climb(
 
 
 def _mesh(leg: Leg, count: int, *, halt: bool) -> Array:
-    """Return nodes whose spacing grows linearly with the distance from points of rest."""
+    """Return nodes along a leg, at smaller intervals near the points of rest.
+
+    The leg begins at rest; with ``halt`` it also ends at rest.
+    """
     part = np.linspace(0, 1, count)
     return leg.length * np.sin(np.pi / 2 * part) ** 2 if halt else leg.top * part**2
 

@@ -82,7 +82,7 @@ def reeds_shepp(
     if not 0 < turning_radius < math.inf:
         raise ModelError(
             f"turning_radius: expected a positive number, found {turning_radius:g} m; give a "
-            "finite one"
+            "positive, finite one"
         )
     x, y, heading = goal
     spread = 2 * np.pi * np.arange(HEADINGS) / HEADINGS + start[2]

@@ -67,7 +67,7 @@ class Region(ABC):
         ------
         ModelError
             If there are fewer than three points, if points are not finite or coincide, or if edges
-            cross or touch.
+            cross, touch or fold back.
         """
         return _Polygon(tuple((x, y) for x, y in points))
 

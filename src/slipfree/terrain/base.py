@@ -353,7 +353,8 @@ def _check_axis(name: str, axis: Array) -> None:
         node = int(np.argmin(steps > 0)) + 1
         raise DataError(
             f"grid: axis {name} must increase, found {name}[{node - 1}] = {axis[node - 1]:.9g} "
-            f"followed by {name}[{node}] = {axis[node]:.9g}; sort it, and the heights with it"
+            f"followed by {name}[{node}] = {axis[node]:.9g}; sort axis and heights together, and "
+            "remove repeated nodes"
         )
     _check_uniform(name, axis, steps)
 

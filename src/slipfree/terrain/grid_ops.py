@@ -263,7 +263,7 @@ def hole_distance(grid: Grid) -> Array:
 
 
 def _any_of_four(mask: Mask) -> Mask:
-    """Return whether any of four neighbours is marked, shape (n_x - 1, n_y - 1)."""
+    """Return whether any of four neighbouring entries is marked, shape (n_x - 1, n_y - 1)."""
     found: Mask = mask[:-1, :-1] | mask[1:, :-1] | mask[:-1, 1:] | mask[1:, 1:]
     return found
 

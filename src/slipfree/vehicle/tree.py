@@ -176,7 +176,7 @@ class Joint:
     motion : {"turn", "slide"}
         Rotation about the axis, or translation along it.
     body : Body
-        Mass of the part without its wheels.
+        Mass, centre of mass and inertia of the part without its wheels.
     turned : tuple of 3 floats
         Orientation of the part in the parent's frame at value zero: angles about the parent's x,
         then y, then z axis (roll, pitch, yaw). [rad]
