@@ -20,7 +20,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 SLIPFREE = Path(sys.executable).with_name("slipfree")
-STOPS_EARLY = ("paper_inverse", "traction_ice")  # exit code 1 (docs/problems.md)
+STOPS_EARLY = (
+    "paper_inverse",
+    "traction_ice",
+    "dynamics_tip_over",
+)  # exit code 1 (docs/problems.md)
 PACKAGES = (
     "slipfree",
     "casadi",
@@ -74,6 +78,7 @@ OTHERS = [
     ["run problems/paper_direct.toml --cross-check --csv table.csv --no-draw -o crossed.nc"],
     ["run problems/paper_direct.toml --set solver.compiled=true --no-draw -o compiled.nc"],
     ["run problems/traction_ice.toml --set terrain.friction=0.9 --no-draw -o arrives.nc"],
+    ["run problems/dynamics_skid_turn.toml --set model=quasi-static --no-draw -o slow_turn.nc"],
     ["run problems/climb_step.toml --animation climb_step.gif --no-draw -o animated.nc"],
     [
         "sweep problems/paper_direct.toml --vary inputs.left_rate=0.3:0.5:3"

@@ -38,6 +38,71 @@ def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path):
     assert page.exit_code == 0, page.output
 
 
+def test_a_car_jumps_from_a_ledge(tmp_path):
+    file = tmp_path / "r.nc"
+    name = PROBLEMS / "dynamics_ledge.toml"
+    done = invoke("run", name, "-o", file, "--set", "time.duration=0.8", "--figures-all")
+    assert done.exit_code == 0, done.output
+    run = open_result(file).trajectory
+    flying = (run["depth"] < 0).all(axis=1)
+    t = run.t[flying]
+    assert f"{t[-1] - t[0] + 0.005:.3g} s in all" in done.output
+    assert "4 of single wheels" in done.output
+    lifted = run["depth"] < 0
+    for quantity in ("slip_along", "slip_across", "slip_ratio", "force_normal"):
+        assert np.abs(run[quantity][lifted]).max() == 0
+    travel = run["front_left_travel"]
+    assert travel[lifted[:, 2]].min() < -0.02  # the spring pushes the wheel down in the air
+    assert travel.max() > 0.02  # and yields at the landing
+    film = invoke("show", file, "--animation", tmp_path / "film.gif")
+    assert film.exit_code == 0, film.output
+
+
+def test_skid_steering_depends_on_the_model_and_with_inertia_on_the_speed(tmp_path):
+    """At half the rates in twice the time, a quarter of the difference is left."""
+    file, ends = tmp_path / "r.nc", {}
+    for model, factor in (("kinematics", 1), ("quasi-static", 1), ("dynamics", 1), ("dynamics", 2)):
+        wheels = [f"{end}_{side}_rate" for end in ("front", "rear") for side in ("left", "right")]
+        rates = [f"{name}={factor * (2 if 'left' in name else 4)}" for name in wheels]
+        options = [f"model={model}", f"inputs={{{','.join(rates)}}}", f"time.duration={6 / factor}"]
+        settings = [word for each in options for word in ("--set", each)]
+        name = PROBLEMS / "dynamics_skid_turn.toml"
+        done = invoke("run", name, "-o", file, "--no-draw", *settings)
+        assert done.exit_code == 0, done.output
+        run = open_result(file).trajectory
+        ends[model, factor] = np.array([run["x"][-1], run["y"][-1]])
+    still = ends["quasi-static", 1]
+    slow, fast = (np.hypot(*(ends["dynamics", k] - still)) for k in (1, 2))
+    assert np.hypot(*(ends["kinematics", 1] - still)) > 0.2
+    assert slow < 0.03
+    assert 3 < fast / slow < 6
+
+
+def test_a_motor_spins_its_wheel_on_ice(tmp_path):
+    file = tmp_path / "r.nc"
+    done = invoke("run", PROBLEMS / "dynamics_ice.toml", "-o", file, "--no-draw")
+    assert done.exit_code == 0, done.output
+    assert "diagnostics failed" not in done.output
+    run = open_result(file).trajectory
+    on_ice = run["contact_x", "rear_left"] < 0.2
+    assert (run["slip_ratio", "rear_left"][1:][on_ice[1:]] > 0.5).mean() > 0.5
+    assert run["slip_ratio", "rear_left"][-1] < 0.01  # off the ice
+    assert np.abs(run["slip_along", "rear_right"]).max() < 0.01
+    assert run["drive_torque", "rear_right"].max() == pytest.approx(8, abs=1e-6)
+
+
+def test_a_car_that_tips_over_stops_at_a_named_limit(tmp_path):
+    file, problem = tmp_path / "r.nc", PROBLEMS / "dynamics_tip_over.toml"
+    done = invoke("run", problem, "-o", file, "--no-draw")
+    assert done.exit_code == 1, done.output
+    assert "(upright): the platform overturns" in done.output
+    assert open_result(file).trajectory["tip_over_margin"][-1] < 0
+    rates = [f"inputs.rear_{side}_rate=13.3" for side in ("left", "right")]
+    settings = [word for each in ("start.speed=2", *rates) for word in ("--set", each)]
+    slower = invoke("run", problem, "-o", file, "--no-draw", *settings)
+    assert slower.exit_code == 0, slower.output
+
+
 def test_a_check_gives_the_start_at_equilibrium():
     done = invoke("check", ROCKS)
     assert done.exit_code == 0, done.output

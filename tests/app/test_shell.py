@@ -115,6 +115,8 @@ def test_an_example_is_copied_with_what_it_needs(folder: Path) -> None:
     copied = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("deep/**/*.toml"))
     assert copied == ["deep/er/vehicles/trailer.toml", "deep/er/your_vehicle.toml"]
     assert _invoke("check", "deep/er/your_vehicle.toml").exit_code == 0
+    assert _invoke("examples", "dynamics_ice", "--to", "map").exit_code == 0
+    assert _invoke("check", "map/dynamics_ice.toml").exit_code == 0
     again = _invoke("examples", "your_vehicle", "--to", "deep/er")
     assert again.exit_code == 2
     assert "replace them with --force" in again.stderr

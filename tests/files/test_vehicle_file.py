@@ -277,8 +277,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'kind = "suspension"',
             "v.toml:4: coordinates: expected at most 0 "
             "suspension coordinates for 3 wheels, one for each beyond three, found 1, 1 too many: "
-            "swivel; remove "
-            "1, or set the kind of 1 of them to 'passive' or 'commanded', or add wheels",
+            "swivel; remove 1, or set the kind of 1 of them to 'passive' or 'commanded', add "
+            "wheels, or give each a stiffness",
         ),
         (
             LONG[

@@ -63,7 +63,6 @@ def examples(
 
 def _shipped() -> dict[str, Traversable]:
     """Return the shipped problems and vehicles by name."""
-    from importlib.resources import files
 
     def below(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:
         for each in sorted(folder.iterdir(), key=lambda each: (each.is_dir(), each.name)):
@@ -72,7 +71,14 @@ def _shipped() -> dict[str, Traversable]:
             elif each.name.endswith(".toml"):
                 yield path + each.name.removesuffix(".toml"), each
 
-    return dict(below(files("slipfree") / FOLDER, ""))
+    return dict(below(_folder(), ""))
+
+
+def _folder() -> Traversable:
+    """Return the folder of the shipped problems."""
+    from importlib.resources import files
+
+    return files("slipfree") / FOLDER
 
 
 def _list(shipped: Mapping[str, Traversable]) -> None:
@@ -97,10 +103,11 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
         name = wanted.pop()
         texts[f"{name}.toml"] = text = shipped[name].read_text(encoding="utf-8")
         above = PurePosixPath(name).parent
-        needed = {
-            (above / each).as_posix().removesuffix(".toml") for each in _files(tomllib.loads(text))
-        }
-        wanted += [each for each in needed if each in shipped and f"{each}.toml" not in texts]
+        for each in {(above / file).as_posix() for file in _files(tomllib.loads(text))} - {*texts}:
+            if (other := each.removesuffix(".toml")) in shipped:
+                wanted.append(other)
+            elif (data := _folder() / each).is_file():
+                texts[each] = data.read_text(encoding="utf-8")
     places = {to / name: text for name, text in sorted(texts.items())}
     for out in places:
         check_name(out)

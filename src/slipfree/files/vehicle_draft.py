@@ -117,6 +117,8 @@ class UnfitError(DataError):
 def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     """Yield an error if there are too few wheels or too many suspension coordinates.
 
+    Springs at all suspension coordinates determine the pose of the vehicle, whatever their number.
+
     Yields
     ------
     expected, found : str
@@ -126,12 +128,14 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     if count < 3:
         yield "at least three wheels, so that the vehicle can stand", f"{count}; add wheels"
         return
+    if all(c.stiffness for c in draft.of("suspension")):
+        return
     most = count - 3
     if (more := len(given) - most) > 0:
         yield (
             f"at most {most} suspension coordinates for {count} wheels, one for each beyond three",
             f"{len(given)}, {more} too many: {', '.join(given)}; remove {more}, or set the kind of "
-            f"{more} of them to 'passive' or 'commanded', or add wheels",
+            f"{more} of them to 'passive' or 'commanded', add wheels, or give each a stiffness",
         )
 
 

@@ -160,10 +160,11 @@ def limit_quantities(q: Quantities, contacts: Sequence[Contact]) -> Quantities:
 def dynamic_outputs(
     q: Quantities, body: Multibody, contacts: Sequence[Contact], forces: ForceOutputs
 ) -> DynamicOutputs:
-    """Return the outputs of the model."""
+    """Return the outputs of the model; the slip of a wheel in the air is zero."""
     o_x, o_y, _ = q.terrain.origin
     normal = q.forces.normal
-    wheels = zip(body.wheels, contacts, strict=True)
+    slips = tuple(ca.if_else(each.touch.gap < 0, each.slip, 0) for each in contacts)
+    wheels = zip(body.wheels, contacts, slips, strict=True)
     return DynamicOutputs(
         q.x.heading,
         q.position.roll,
@@ -173,12 +174,12 @@ def dynamic_outputs(
         q.rates.pitch,
         tuple(each.point[0] + o_x for each in q.contacts),
         tuple(each.point[1] + o_y for each in q.contacts),
-        outputs(q, forces)._replace(
+        outputs(q._replace(slips=slips), forces)._replace(
             depth=tuple(-each.touch.gap for each in contacts),
             load_share=tuple(each * len(normal) / q.vehicle.weight for each in normal),
             force_normal=normal,
         ),
-        tuple(_slip_ratio(wheel, contact) for wheel, contact in wheels),
+        tuple(_slip_ratio(*each) for each in wheels),
         kinetic_energy(body),
         sum((each.energy for each in contacts), ca.SX(0)),
     )
@@ -214,9 +215,9 @@ def dynamic_forces(
     )
 
 
-def _slip_ratio(wheel: WheelMotion, contact: Contact) -> ca.SX:
+def _slip_ratio(wheel: WheelMotion, contact: Contact, velocity: ca.SX) -> ca.SX:
     """Return the slip ratio of a wheel, positive if the rim is faster than the wheel [1]."""
-    slip = ca.dot(contact.touch.frame.along, contact.slip)
+    slip = ca.dot(contact.touch.frame.along, velocity)
     rim = wheel.rate * wheel.wheel.radius
     fastest = ca.fmax(ca.fabs(rim), ca.fabs(rim + slip))
     return -slip / ca.fmax(fastest, LEAST_SPEED)

@@ -80,10 +80,11 @@ def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         if share
     ]
     yield "wheels in the air", "; ".join(words) or "none"
-    found = rocks(run)
     if is_dynamic(run):
-        yield "lightest wheel", f"changes {len(found)} times"
+        left = ((depth[:-1] >= 0) & (depth[1:] < 0)).sum()
+        yield "lift-offs", f"{left} of single wheels"
         return
+    found = rocks(run)
     listed = [f"{r.before} to {r.after} at {r.t:.4g} s" for r in found[:MAX_ROCKS]]
     more = ["..."] if len(found) > MAX_ROCKS else []
     yield (

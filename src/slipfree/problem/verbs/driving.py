@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -194,11 +194,11 @@ def _stable_poses(problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, .
     model, spec = setup.model, problem.spec
     if model.standing is not None and model.standing.guess is None:
         model = model.standing.model
-    states = [label.full for label in leaves(model.labels.x)]
-    held: dict[str, Any] = {
-        name: float(setup.start[name][0]) for name in states[: len(states) - model.rest.numel()]
-    }
-    poses = stable_poses(model, options=spec.solver.options, **held) if model.rest.numel() else ()
+    poses: Sequence[Trajectory] = ()
+    if relaxed := model.rest.numel():
+        states = [label.full for label in leaves(model.labels.x)][:-relaxed]
+        held: dict[str, Any] = {name: float(setup.start[name][0]) for name in states}
+        poses = stable_poses(model, options=spec.solver.options, **held)
     return tuple(
         to_problem_frame(replace(pose, attributes={WANTED: spec.frame}))
         for pose in poses or (setup.start,)
@@ -241,11 +241,9 @@ def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
     diagnostics: dict[str, Callable[[Trajectory], Trajectory]] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
     }
-    if (
-        setup.vehicle.mass
-        and has_exact_closure(setup.vehicle)
-        and not is_determinate(setup.vehicle)
-    ):
+    vehicle = setup.vehicle
+    has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
+    if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
         diagnostics[BEST.name] = partial(best_utilisation, setup.vehicle, setup.terrain)
     failures = []
     for name, diagnose in diagnostics.items():
