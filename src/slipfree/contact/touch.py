@@ -22,6 +22,7 @@ from slipfree.contact.closure import ContactFrame
 from slipfree.geometry.frame import Pose
 from slipfree.lookups import LookupTable, lookup_function
 from slipfree.terrain.base import Terrain
+from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections.base import Section
 from slipfree.vehicle.wheel import Wheel
 
@@ -131,25 +132,40 @@ def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Fun
         residual, height, gradient and Hessian there, shape (13, 1); NaN if Newton's method does
         not converge. For a wheel clearly above the ground, the result then is the point below it.
     """
+    radii = section.torus_radii
+    if isinstance(terrain, Bicubic) and radii is not None:
+        compiled = terrain.nearest_point(*radii, radius)
+        if compiled is not None:
+            return compiled
+    return _search_graph(terrain, section, radius)
+
+
+def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Function:
+    """Return the search as a graph; for maps and tori, `nearest` of `kernel.c` does the same."""
     jet, newton = _jet_function(terrain), _newton_function(section)
     symbol: Any = ca.SX if jet.is_a("SXFunction") else ca.MX
-    asked, begin = symbol.sym("asked", 6), symbol.sym("begin", 2)
-    lowest = ca.Function("lowest", [asked], _lowest_point(section, jet, asked), {"cse": True})
-    spot = begin
+    asked, begin, gap = symbol.sym("asked", 6), symbol.sym("begin", 2), symbol.sym("gap")
+    place, above = _lowest_point(section, jet, asked)
+    spot = place
     for _ in range(STEPS):
         spot = spot + newton(spot, asked, jet(spot))[0][:2]
-    few = ca.Function("few", [begin, asked], [_result(jet, newton, spot, asked)], {"cse": True})
-    spot = _damped_steps(jet, newton, begin, asked, radius)
-    many = ca.Function("many", [begin, asked], [_result(jet, newton, spot, asked)], {"cse": True})
+    found = _result(jet, newton, spot, asked)
+    results = [place, above, found[:13], _converged(found)]
+    first = ca.Function("first", [asked], results, {"cse": True})
+
+    found = _result(jet, newton, _damped_steps(jet, newton, begin, asked, radius), asked)
+    in_air = ca.vertcat(begin, ca.DM.zeros(4), jet(begin))
+    missing = ca.if_else(gap > CLEARLY_ABOVE * radius, in_air, ca.DM.nan(13))
+    result = ca.if_else(_converged(found), found[:13], missing)
+    kept = symbol.sym("kept", 13)
+    given = [begin, gap, asked, kept]
+    second = ca.Function("second", given, [result], {"cse": True})
+    # not `ca.if_else`, whose branches would evaluate `first` again
+    choose = ca.Function.if_else("choose", ca.Function("keep", given, [kept]), second)
 
     question = ca.MX.sym("asked", 6)
-    place, above = lowest(question)
-    found = few(place, question)
-    found = ca.if_else(_converged(found), found, many(place, question), True)
-    in_air = ca.vertcat(place, ca.DM.zeros(4), jet(place))
-    missing = ca.if_else(above > CLEARLY_ABOVE * radius, in_air, ca.DM.nan(13))
-    result = ca.if_else(_converged(found), found[:13], missing)
-    return ca.Function("search", [question], [result])
+    place, above, found, done = first(question)
+    return ca.Function("search", [question], [choose(done, place, above, question, found)])
 
 
 def _lowest_point(section: Section, jet: ca.Function, asked: Any) -> list[Any]:
@@ -181,8 +197,9 @@ def _result(jet: ca.Function, newton: ca.Function, spot: Any, asked: Any) -> Any
     return ca.vertcat(spot, found[2:6], end, found[6:])
 
 
-def _converged(found: ca.MX) -> ca.MX:
-    return ca.norm_inf(found[13:]) < TOLERANCE
+def _converged(found: Any) -> Any:
+    x, y = ca.vertsplit(ca.fabs(found[13:]))
+    return ca.logic_and(x < TOLERANCE, y < TOLERANCE)  # the maximum would ignore NaN
 
 
 def _damped_steps(

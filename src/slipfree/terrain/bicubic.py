@@ -134,6 +134,18 @@ class Bicubic:
         cell, key = self._cell
         return polynomial_jet(lookups.find(cell, ca.vertcat(x, y, key)), CUBIC, x, y)
 
+    def nearest_point(self, r1: float, r2: float, radius: float) -> ca.Function | None:
+        """Return the compiled search for the ground point nearest to a torus; None without kernel.
+
+        It equals `slipfree.contact.touch.search_function`; parameters are the radii of the tube
+        and of the circle of tube centres, and the rolling radius. [m]
+        """
+        if self._kernel is None:
+            return None
+        asked = ca.MX.sym("asked", 6)
+        question = ca.vertcat(asked, ca.DM([r1, r2, radius, self._kernel.key]))
+        return ca.Function("search", [asked], [self._kernel.nearest(question)])
+
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the coefficient of friction at a local point; 1 without a coefficient [1]."""
         return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)

@@ -1,15 +1,17 @@
-/* Bicubic spline grounds in plain C: the polynomial of the cell at a point, as CasADi calls external
- * functions. `kernel.py` opens grounds and says what the numbers mean; `bicubic.py` does the same
+/* Bicubic spline grounds in plain C: the polynomial of the cell at a point, and the point nearest to
+ * a wheel, as CasADi calls external functions. `kernel.py` opens grounds and says what the numbers mean; `bicubic.py` does the same
  * without a compiler, and is what this is tested against.
  *
  * Every ground that is open has a slot, whose function carries its number in its name: groundN,
- * from (x, y, key) to the middle of the cell and the 16 derivatives there, orders in x fastest.
+ * from (x, y, key) to the middle of the cell and the 16 derivatives there, orders in x fastest; and
+ * nearestN, which does what contact/touch.py says and does without a compiler.
  * CasADi counts its own uses of it (incref, decref); a slot in use is not given away. The key tells
  * grounds apart that have had the same slot: functions of another one, say from another process,
  * give no number instead of its heights.
  */
 #include <math.h>
 #include <stddef.h>
+#include <string.h>
 
 #ifdef _WIN32
 #define API __declspec(dllexport)
@@ -18,7 +20,7 @@
 #endif
 
 #define SLOTS 64
-#define LAYOUT 2 /* of the numbers below; kernel.py expects it */
+#define LAYOUT 3 /* of the numbers below; kernel.py expects it */
 #define ON_KNOT 1e-10 /* a point nearer to a knot than this, in cells, lies on it */
 
 typedef long long int casadi_int;
@@ -84,8 +86,8 @@ static double height(const Ground *g, double x, double y) {
 }
 
 /* A key of another ground gives NaN, not an error: integrators and searches recover from it. */
-static int refused(const Ground *g, const double **arg, double *res, int count) {
-  if (g->table && arg[0] && arg[0][2] == g->key) return 0;
+static int refused(const Ground *g, const double **arg, int place, double *res, int count) {
+  if (g->table && arg[0] && arg[0][place] == g->key) return 0;
   while (count--) res[count] = NAN;
   return 1;
 }
@@ -94,7 +96,7 @@ static int polynomial(const Ground *g, const double **arg, double *res) {
   double a, b, i, j, middle[4][4], line[4], scale_x = 1, scale;
   const double *c;
   int m, n, k;
-  if (!res || refused(g, arg, res, 18)) return 0;
+  if (!res || refused(g, arg, 2, res, 18)) return 0;
   c = corner(g, arg[0][0], arg[0][1], &a, &b, &i, &j);
   basis(0.5, 3, middle);
   res[0] = g->x + (i + 0.5) * g->h_x;
@@ -114,21 +116,180 @@ static int polynomial(const Ground *g, const double **arg, double *res) {
   return 0;
 }
 
-/* Sparsity in CasADi's layout: rows, columns, where columns begin, rows of the entries. */
-static const casadi_int POINT[] = {3, 1, 0, 3, 0, 1, 2},
-  FOUND[] = {18, 1, 0, 18, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17};
+/* Constants of the search for the nearest point; the same as in contact/touch.py. */
+#define STEPS 3
+#define DAMPED_STEPS 30
+#define LONGEST_STEP 0.2
+#define TOLERANCE 1e-9
+#define CLEARLY_ABOVE 0.1
+#define LARGE 1e9
 
-#define SLOT(N)                                                                                    \
-  API casadi_int ground##N##_n_in(void) { return 1; }                                              \
-  API casadi_int ground##N##_n_out(void) { return 1; }                                             \
-  API const casadi_int *ground##N##_sparsity_in(casadi_int k) { return k ? NULL : POINT; }         \
-  API const casadi_int *ground##N##_sparsity_out(casadi_int k) { return k ? NULL : FOUND; }        \
-  API void ground##N##_incref(void) { grounds[N].uses++; }                                         \
-  API void ground##N##_decref(void) { grounds[N].uses--; }                                         \
-  API int ground##N(const double **arg, double **res, casadi_int *iw, double *w, int mem) {        \
-    (void)iw, (void)w, (void)mem;                                                                  \
-    return polynomial(&grounds[N], arg, res[0]);                                                   \
+/* Wheels with the section of a torus, in the order of the function's arguments. */
+typedef struct {
+  double center[3], axle[3], r1, r2, radius;
+} Wheel;
+
+/* Results in the order of the function's results, and the residual. Matrices are symmetric or by
+ * columns. */
+typedef struct {
+  double spot[2], inverse[4], height, gradient[2], hessian[4], residual[2];
+} Nearest;
+
+static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* Height, gradient and Hessian at the spot. */
+static void jet(const Ground *g, Nearest *at) {
+  double a, b, i, j, in_x[4][4], in_y[4][4], d[3][3] = {{0}};
+  const double *c = corner(g, at->spot[0], at->spot[1], &a, &b, &i, &j);
+  int m, n, k;
+  basis(a - i, 3, in_x);
+  basis(b - j, 3, in_y);
+  for (m = 0; m < 4; m++, c += g->width)
+    for (n = 0; n < 3; n++) {
+      double line = in_y[n][0] * c[0] + in_y[n][1] * c[1] + in_y[n][2] * c[2] + in_y[n][3] * c[3];
+      for (k = 0; k + n < 3; k++) d[k][n] += in_x[k][m] * line;
+    }
+  at->height = d[0][0];
+  at->gradient[0] = d[1][0] / g->h_x;
+  at->gradient[1] = d[0][1] / g->h_y;
+  at->hessian[0] = d[2][0] / (g->h_x * g->h_x);
+  at->hessian[1] = at->hessian[2] = d[1][1] / (g->h_x * g->h_y);
+  at->hessian[3] = d[0][2] / (g->h_y * g->h_y);
+}
+
+/* The wheel's point with an outward normal, and the radial unit vector there; returns the radial
+ * component of the normal. */
+static double support(const Wheel *w, const double n[3], double point[3], double away[3]) {
+  const double *a = w->axle, axial = dot(n, a);
+  double cross[3] = {n[1] * a[2] - n[2] * a[1], n[2] * a[0] - n[0] * a[2], n[0] * a[1] - n[1] * a[0]};
+  double radial = sqrt(dot(cross, cross));
+  int i;
+  for (i = 0; i < 3; i++) {
+    away[i] = (n[i] - axial * a[i]) / radial;
+    point[i] = w->center[i] + w->r1 * n[i] + w->r2 * away[i];
   }
+  return radial;
+}
+
+/* Puts the spot under the wheel's lowest point and returns the vertical gap there. */
+static double lowest(const Ground *g, const Wheel *w, double spot[2]) {
+  /* cosines and sines of 0, -20, 20, -40, 40, -60 and 60 degrees */
+  static const double directions[7][2] = {
+    {1, 0},
+    {0.9396926207859084, -0.3420201433256687}, {0.9396926207859084, 0.3420201433256687},
+    {0.7660444431189780, -0.6427876096865393}, {0.7660444431189780, 0.6427876096865393},
+    {0.5, -0.8660254037844386}, {0.5, 0.8660254037844386}};
+  const double *a = w->axle, length = sqrt(a[0] * a[0] + a[1] * a[1] + TOLERANCE * TOLERANCE);
+  double point[3], away[3], gap, least = 0;
+  int k;
+  for (k = 0; k < 7; k++) {
+    double s = directions[k][1];
+    double down[3] = {-s * a[1] / length, s * a[0] / length, -directions[k][0]};
+    support(w, down, point, away);
+    gap = point[2] - height(g, point[0], point[1]);
+    if (k == 0 || gap < least) spot[0] = point[0], spot[1] = point[1];
+    least = k ? fmin(gap, least) : gap;
+  }
+  return least;
+}
+
+/* All results at the spot; the step of Newton's method, if there is room for it. */
+static void newton(const Ground *g, const Wheel *w, Nearest *at, double *step) {
+  const double *grad = at->gradient, *hess = at->hessian, *f = at->residual;
+  double n[3], point[3], away[3], radial, axial, norm, det, z, jac[2][2], *inv = at->inverse;
+  int i, k;
+  jet(g, at);
+  norm = sqrt(1 + (grad[0] * grad[0] + grad[1] * grad[1]));
+  n[0] = grad[0] / norm, n[1] = grad[1] / norm, n[2] = -1 / norm; /* out of the wheel */
+  radial = support(w, n, point, away);
+  axial = dot(n, w->axle);
+  z = point[2] - at->height;
+  for (i = 0; i < 2; i++) at->residual[i] = point[i] - at->spot[i] + z * grad[i];
+  for (k = 0; k < 2; k++) { /* derivatives along x, y */
+    const double *h = hess + 2 * k, turn = (grad[0] * h[0] + grad[1] * h[1]) / (norm * norm);
+    double dn[3] = {h[0] / norm - n[0] * turn, h[1] / norm - n[1] * turn, -n[2] * turn}, dp[3];
+    double bend = dot(dn, w->axle), shrink = axial * bend / radial; /* of -radial */
+    for (i = 0; i < 3; i++)
+      dp[i] = w->r1 * dn[i]
+              + w->r2 * (dn[i] - bend * w->axle[i] + shrink * away[i]) / radial;
+    for (i = 0; i < 2; i++) jac[i][k] = dp[i] - (i == k) + (dp[2] - grad[k]) * grad[i] + z * h[i];
+  }
+  det = jac[0][0] * jac[1][1] - jac[0][1] * jac[1][0];
+  inv[0] = jac[1][1] / det, inv[1] = -jac[1][0] / det;
+  inv[2] = -jac[0][1] / det, inv[3] = jac[0][0] / det;
+  for (i = 0; i < 2 && step; i++) step[i] = -(inv[i] * f[0] + inv[i + 2] * f[1]);
+}
+
+static int converged(const Nearest *at) {
+  return fabs(at->residual[0]) < TOLERANCE && fabs(at->residual[1]) < TOLERANCE;
+}
+
+/* Steps of limited length, halved until they reduce the residual. */
+static void damped(const Ground *g, const Wheel *w, Nearest *at) {
+  double best[2] = {at->spot[0], at->spot[1]}, step[2] = {0, 0}, full[2], least = LARGE, size, part;
+  int k, i;
+  for (k = 0; k < DAMPED_STEPS; k++) {
+    newton(g, w, at, full);
+    size = at->residual[0] * at->residual[0] + at->residual[1] * at->residual[1];
+    part = fmin(1, LONGEST_STEP * w->radius
+                       / (sqrt(full[0] * full[0] + full[1] * full[1]) + TOLERANCE));
+    for (i = 0; i < 2; i++) {
+      if (size < least) best[i] = at->spot[i];
+      step[i] = size < least ? part * full[i] : step[i] / 2;
+      at->spot[i] = best[i] + step[i];
+    }
+    if (size < least) least = size;
+  }
+  at->spot[0] = best[0], at->spot[1] = best[1];
+  newton(g, w, at, NULL);
+}
+
+static int nearest(const Ground *g, const double **arg, double *res) {
+  const Wheel *w = (const Wheel *)arg[0];
+  Nearest at;
+  double place[2] = {0, 0}, above, step[2];
+  int k;
+  if (!res || refused(g, arg, 9, res, 13)) return 0;
+  above = lowest(g, w, place);
+  at.spot[0] = place[0], at.spot[1] = place[1];
+  for (k = 0; k < STEPS; k++) {
+    newton(g, w, &at, step);
+    at.spot[0] += step[0], at.spot[1] += step[1];
+  }
+  newton(g, w, &at, NULL);
+  if (!converged(&at)) {
+    at.spot[0] = place[0], at.spot[1] = place[1];
+    damped(g, w, &at);
+  }
+  if (!converged(&at)) {
+    at.spot[0] = place[0], at.spot[1] = place[1];
+    jet(g, &at);
+    for (k = 0; k < 4; k++) at.inverse[k] = 0;
+    if (!(above > CLEARLY_ABOVE * w->radius))
+      for (k = 0; k < 13; k++) ((double *)&at)[k] = NAN;
+  }
+  memcpy(res, &at, 13 * sizeof(double));
+  return 0;
+}
+
+/* Dense columns in CasADi's layout: rows, columns, 1. */
+static const casadi_int POINT[] = {3, 1, 1}, CELL[] = {18, 1, 1}, WHEEL[] = {10, 1, 1},
+  NEAREST[] = {13, 1, 1};
+
+#define FUNCTION(NAME, N, INPUT, OUTPUT, COMPUTE)                                                  \
+  API casadi_int NAME##N##_n_in(void) { return 1; }                                                \
+  API casadi_int NAME##N##_n_out(void) { return 1; }                                               \
+  API const casadi_int *NAME##N##_sparsity_in(casadi_int k) { return k ? NULL : INPUT; }           \
+  API const casadi_int *NAME##N##_sparsity_out(casadi_int k) { return k ? NULL : OUTPUT; }         \
+  API void NAME##N##_incref(void) { grounds[N].uses++; }                                           \
+  API void NAME##N##_decref(void) { grounds[N].uses--; }                                           \
+  API int NAME##N(const double **arg, double **res, casadi_int *iw, double *w, int mem) {          \
+    (void)iw, (void)w, (void)mem;                                                                  \
+    return COMPUTE(&grounds[N], arg, res[0]);                                                      \
+  }
+#define SLOT(N)                                                                                    \
+  FUNCTION(ground, N, POINT, CELL, polynomial)                                                     \
+  FUNCTION(nearest, N, WHEEL, NEAREST, nearest)
 SLOT(0) SLOT(1) SLOT(2) SLOT(3) SLOT(4) SLOT(5) SLOT(6) SLOT(7) SLOT(8) SLOT(9)
 SLOT(10) SLOT(11) SLOT(12) SLOT(13) SLOT(14) SLOT(15) SLOT(16) SLOT(17) SLOT(18) SLOT(19)
 SLOT(20) SLOT(21) SLOT(22) SLOT(23) SLOT(24) SLOT(25) SLOT(26) SLOT(27) SLOT(28) SLOT(29)

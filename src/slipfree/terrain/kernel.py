@@ -1,7 +1,8 @@
 """Compiled evaluator of bicubic grounds, if a compiler was found at installation.
 
 `kernel.c` looks up the polynomial of a cell, as `slipfree.terrain.bicubic` does with CasADi
-interpolants. CasADi calls it as an external function.
+interpolants, and the ground point nearest to a wheel, as `slipfree.contact.touch` does with a
+CasADi graph. CasADi calls both as external functions.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from slipfree.records import Array
 
 KEY_BITS = 52  # bits of integers that a double represents exactly
-LAYOUT = 2  # version of the arguments of `kernel.c`; libraries of other versions are not used
+LAYOUT = 3  # version of the arguments of `kernel.c`; libraries of other versions are not used
 
 
 class Layout(NamedTuple):
@@ -57,6 +58,9 @@ class Opened(NamedTuple):
         ``[x, y, key] -> [x_0, y_0, h, h_x, h_xx, h_xxx, h_y, h_xy, ...]``: the centre of the cell
         and the 16 derivatives there, in local coordinates. The slot is not reused while
         the function, or any function that contains it, exists.
+    nearest : casadi Function
+        ``[C, a, r1, r2, r, key]`` to the results of `slipfree.contact.touch.search_function`, for
+        the centre, the axle, the radii of the torus and the rolling radius of a wheel.
     library : ctypes.CDLL
         The compiled evaluator.
     """
@@ -64,6 +68,7 @@ class Opened(NamedTuple):
     slot: int
     key: float
     function: ca.Function
+    nearest: ca.Function
     library: ctypes.CDLL
 
     def heights(self, x: Array, y: Array) -> Array:
@@ -104,7 +109,10 @@ def register_ground(table: Array, layout: Layout) -> Opened | None:
         compiled.kernel_open(
             slot, _pointer(table), ctypes.c_longlong(table.shape[1]), _pointer(numbers)
         )
-        return Opened(slot, key, ca.external(f"ground{slot}", compiled._name), compiled)
+        cell, nearest = (
+            ca.external(f"{name}{slot}", compiled._name) for name in ("ground", "nearest")
+        )
+        return Opened(slot, key, cell, nearest, compiled)
 
 
 _LOCK = threading.Lock()

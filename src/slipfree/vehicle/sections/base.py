@@ -48,6 +48,14 @@ class Section(ABC):
 
     rollers: ClassVar[bool] = False
 
+    @property
+    def torus_radii(self) -> tuple[float, float] | None:
+        """Radii of the tube and of the circle of tube centres; None if this is not a torus [m].
+
+        A torus with ``r1 = 0`` is a disc, one with ``r2 = 0`` a sphere.
+        """
+        return None
+
     def __post_init__(self) -> None:
         for each in fields(self):
             value = getattr(self, each.name)

@@ -21,6 +21,11 @@ class Disc(Section):
 
     radius: float
 
+    @property
+    def torus_radii(self) -> tuple[float, float]:
+        """Radii of the disc as a torus [m]."""
+        return 0.0, self.radius
+
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002 - an edge
         """Return axial and radial coordinates of the edge, the same for every normal [m]."""
         return 0 * axial, self.radius + 0 * axial  # SX or MX, as the normal

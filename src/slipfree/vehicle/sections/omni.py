@@ -27,6 +27,11 @@ class Omni(Section):
         """Return the kind and dimensions of the rim, followed by "on rollers"."""
         return f"{self.rim} on rollers"
 
+    @property
+    def torus_radii(self) -> tuple[float, float] | None:
+        """Radii of the rim as a torus; None if it is not one [m]."""
+        return self.rim.torus_radii
+
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return axial and radial coordinates of the rim's point with an outward normal [m]."""
         return self.rim.profile(axial, radial)

@@ -21,6 +21,11 @@ class Sphere(Section):
 
     radius: float
 
+    @property
+    def torus_radii(self) -> tuple[float, float]:
+        """Radii of the sphere as a torus [m]."""
+        return self.radius, 0.0
+
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return axial and radial coordinates of the point with a given outward normal [m]."""
         return self.radius * axial, self.radius * radial

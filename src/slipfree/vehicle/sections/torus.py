@@ -24,6 +24,11 @@ class Torus(Section):
     r1: float
     r2: float
 
+    @property
+    def torus_radii(self) -> tuple[float, float]:
+        """Radii of the tube and of the circle of tube centres [m]."""
+        return self.r1, self.r2
+
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return axial and radial coordinates of the point with a given outward normal [m]."""
         return self.r1 * axial, self.r2 + self.r1 * radial
