@@ -77,12 +77,31 @@ def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
     found = json.loads(
         called("track", folder / "p.nc", *settings, "--period", 0.5, "-o", out, "--json")
     )["facts"]
-    assert list(found) == ["plan", "open loop", "follow", "replanned"]
+    assert list(found) == [
+        "plan",
+        "open loop",
+        "quasi-static",
+        "dynamics",
+        "follow",
+        "replanned",
+    ]
+    without = {name: found.pop(name) for name in ("quasi-static", "dynamics")}
+    assert all("not simulated: " in words for words in without.values())  # no friction is given
+    assert "coefficient of friction" in without["dynamics"]
     ends = {name: float(words.split()[1]) for name, words in found.items()}
     assert ends["plan"] == 0
     assert ends["replanned"] < ends["open loop"]
     assert "8 cycles, 0 failed" in found["replanned"]
     assert read(out).t[-1] == pytest.approx(4.0)
+
+
+def test_a_plan_is_driven_with_forces_and_with_inertia(folder: Path) -> None:
+    settings = ["--set", "terrain.friction=0.8", "--period", "2", "--json"]
+    found = json.loads(called("track", folder / "p.nc", *settings))["facts"]
+    ends = {name: float(words.split()[1]) for name, words in found.items()}
+    assert ends["open loop"] < 1e-5 < ends["quasi-static"] < 0.01
+    assert ends["quasi-static"] != ends["dynamics"] < 0.05
+    assert "rms slip" in found["dynamics"]
 
 
 def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:

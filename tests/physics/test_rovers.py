@@ -39,6 +39,7 @@ from slipfree.plan.plan import plan
 from slipfree.records import leaves, pack
 from slipfree.solve import initial_conditions
 from slipfree.terrain.rolled import rolled
+from slipfree.vehicle.inertia import body_inertia
 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
@@ -234,6 +235,13 @@ def test_at_a_loose_tolerance_it_is_near():
     run = rocky_run(rover_ground(), 0.0, 0.0, tolerance=1e-4)
     assert np.linalg.norm(np.subtract([run[n][-1] for n in "xy"], ENDS[0.0, 0.0][:2])) < 3e-4
     assert run["closure_residual"].max() < 1e-5
+
+
+def test_rocky_7_has_the_inertia_that_another_code_assumes():
+    """A box of 0.40 x 0.26 x 0.16 m (wmrde): 11/12 (0.26^2 + 0.16^2) kg m^2 about the long axis."""
+    found = body_inertia(rocky7(mass=11.0), "platform")
+    assert_allclose(np.diag(found), [0.170133, 0.085433, 0.208633], atol=1e-6)
+    assert rocky7(mass=0.0).body.inertia is None
 
 
 def test_rocky_7_settles_from_poor_guesses(monkeypatch):

@@ -6,12 +6,14 @@ The platform's axes are x right, y forward, z up. Masses are rounded values; wit
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, radians, sin
 from typing import Literal, NamedTuple
 
 from slipfree.catalog.carts import SIDES
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Vector
+from slipfree.geometry.tensor import Elements
 from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
@@ -140,7 +142,8 @@ def rocky7(
     """Return the Rocky 7 rover of JPL [1]_, with the dimensions used by [2]_.
 
     It has six driven wheels of 65 mm radius; the front pair is steered. The masses are rounded
-    from the 15 kg of the whole rover. The platform's centre of mass lies on the rockers' axis.
+    from the 15 kg of the whole rover. The platform's centre of mass lies on the rockers' axis. Its
+    inertia is that of a homogeneous box of 0.26 x 0.40 x 0.16 m, as assumed by [3]_.
 
     Parameters
     ----------
@@ -166,6 +169,8 @@ def rocky7(
     .. [2] M. Tarokh and G. McDermott, "Kinematics modeling and analyses of articulated rovers",
            IEEE Transactions on Robotics 21(4), 2005; as in the vehicle file of wmrde
            (N. Seegmiller).
+    .. [3] N. Seegmiller, github.com/nealseegmiller/wmrde, ``MATLAB/demo/model/rocky.m`` (Lb, Wb,
+           Hb).
     """
     if steered not in ("front", "corners"):
         raise ModelError(
@@ -181,7 +186,7 @@ def rocky7(
         "middle": Station(half_track, bogie[0] + half, axles, on_bogie=True, steered=False),
         "rear": Station(half_track, bogie[0] - half, axles, on_bogie=True, steered=corners),
     }
-    return rocker_bogie(
+    rover = rocker_bogie(
         "rocky7",
         stations,
         differential=(ahead, above),
@@ -193,6 +198,14 @@ def rocky7(
         wheel_mass=wheel_mass,
         grip=grip,
     )
+    return replace(rover, body=replace(rover.body, inertia=_box_inertia(mass, (0.26, 0.40, 0.16))))
+
+
+def _box_inertia(mass: float, sides: Vector) -> Elements | None:
+    """Return the inertia of a homogeneous box about its centre [kg m^2]; None without mass."""
+    x, y, z = (side**2 for side in sides)
+    part = mass / 12
+    return (part * (y + z), part * (x + z), part * (x + y), 0.0, 0.0, 0.0) if mass else None
 
 
 def open_source_rover(
@@ -208,7 +221,8 @@ def open_source_rover(
     It has six driven wheels of 75 mm radius; the four at the corners are steered. Horizontal
     positions of the wheels are those of its configuration file, pivots those of its simulation
     model, both rounded to 5 mm where they differ. The platform's centre is above the middle axle,
-    at the height of the rockers' axis.
+    at the height of the rockers' axis. Its inertia is estimated, since that of the simulation model
+    belongs to a box of 1 x 0.55 x 0.2 m, which is larger than the rover.
 
     Parameters
     ----------

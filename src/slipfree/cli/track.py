@@ -48,7 +48,8 @@ def track(
     """Follow a plan in a changed world, by replanning.
 
     Print the final error and the slip, and compare them with those of two other controllers: the
-    plan's inputs without feedback, and the driving law. Changes of the world are given by --set, as
+    plan's inputs without feedback, and the driving law. The inputs are simulated with three models:
+    that of the plan, quasi-statics and dynamics. Changes of the world are given by --set, as
     in terrain.error.rms=0.02.
     """
     with reported(), about(file):

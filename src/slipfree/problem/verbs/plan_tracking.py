@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +14,8 @@ from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.geometry.path import Path as GroundPath
+from slipfree.models.dynamics import dynamics
+from slipfree.models.quasi_statics import quasi_statics
 from slipfree.plan.mpc import horizon
 from slipfree.plan.plan import Plan
 from slipfree.plan.tracking import track_plan
@@ -23,10 +26,13 @@ from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import problem_of
-from slipfree.problem.verbs.plan import PlanVerb
+from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb
 from slipfree.problem.verbs.plan_search import find_plan
+from slipfree.records import leaves
 from slipfree.solve.options import SolverOptions
+from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
+from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import SolverError, Trajectory, path_length
 from slipfree.vehicle.tree import Vehicle
 
@@ -60,6 +66,15 @@ class TrackingTest(NamedTuple):
     motions: tuple[Followed, ...]
 
 
+class World(NamedTuple):
+    """The changed world: vehicle, ground, model, and the vehicle settled at the start."""
+
+    vehicle: Vehicle
+    terrain: Bicubic
+    dae: Dae
+    start: Trajectory
+
+
 def follow_plan(
     file: Path,
     changes: Sequence[str] = (),
@@ -71,9 +86,10 @@ def follow_plan(
 ) -> TrackingTest:
     """Follow the plan of a result file in a changed world, with three controllers.
 
-    The plan's inputs are simulated as they are; the driving law `slipfree.follow` follows its path
-    at its mean speed; and a moving window replans from the measured state at every period. The
-    controllers know the plan's ground and vehicle, not the changed ones.
+    The plan's inputs are simulated as they are, also with quasi-statics and with dynamics; the
+    driving law `slipfree.follow` follows its path at its mean speed; and a moving window replans
+    from the measured state at every period. The controllers know the plan's ground and vehicle, not
+    the changed ones.
 
     Parameters
     ----------
@@ -105,15 +121,15 @@ def follow_plan(
     setup = PlanVerb().build(planned)
     duration = saved.motion.duration
     found = find_plan(planned, setup, [], saved, lambda *_: True, duration)
-    vehicle, world, start = _world(real)
+    world = _world(real)
     window = duration / WINDOWS_PER_PLAN if window is None else window
     period = window / CYCLES_PER_WINDOW if period is None else period
     frame = horizon(found, span=window)
     options = planned.spec.solver.options
     tracked = track_plan(
         frame,
-        world,
-        start,
+        world.dae,
+        world.start,
         period=period,
         options=options,
         progress=progress,
@@ -124,10 +140,11 @@ def follow_plan(
         (
             Followed(
                 "open loop",
-                simulate_plan(world, start, found.motion, step=step, options=options),
+                simulate_plan(world.dae, world.start, found.motion, step=step, options=options),
                 "inputs of the plan",
             ),
-            _followed(found, vehicle, world, start, step, options),
+            *_with_forces(found, real, world),
+            _followed(found, world, step, options),
             Followed(
                 "replanned",
                 tracked.run,
@@ -137,21 +154,72 @@ def follow_plan(
     )
 
 
-def _world(problem: Problem[Any]) -> tuple[Vehicle, Dae, Trajectory]:
-    """Return vehicle, model and start of the changed world."""
+def _world(problem: Problem[Any]) -> World:
+    """Return the changed world, with the model of its problem."""
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
     terrain = build_terrain(problem, ground)
     dae: Dae = build_model(problem, problem.spec, vehicle, terrain)
-    return vehicle, dae, build_start(problem, dae)
+    return World(vehicle, terrain, dae, build_start(problem, dae))
+
+
+def _with_forces(found: Plan, problem: Problem[Any], world: World) -> Iterator[Followed]:
+    """Yield the motions under the plan's inputs with quasi-statics and with dynamics.
+
+    With dynamics the vehicle starts at the plan's speed along its forward axis.
+    """
+    if problem.spec.model != "quasi-static":
+        yield _with_model("quasi-static", quasi_statics, found, problem, world)
+    run = found.replay
+    heading, pitch = run["heading"][0], run["pitch"][0]
+    level = run["velocity_y"][0] * np.cos(heading) - run["velocity_x"][0] * np.sin(heading)
+    speed = level * np.cos(pitch) + run["velocity_z"][0] * np.sin(pitch)
+    yield _with_model("dynamics", dynamics, found, problem, world, speed=float(speed))
+
+
+def _with_model(
+    name: str,
+    model: Callable[[Vehicle, Bicubic], Dae],
+    found: Plan,
+    problem: Problem[Any],
+    world: World,
+    speed: float | None = None,
+) -> Followed:
+    """Return the motion under the plan's inputs with another model of the changed world.
+
+    ``speed`` is the initial speed, of a model with inertia. [m/s]
+    """
+    options = problem.spec.solver.options
+    options = replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
+    names = {**problem.spec.start, "heading": 0.0}
+    values: dict[str, Any] = {key: float(world.start[key][0]) for key in names}
+    if speed is not None:
+        values[SPEED] = speed
+    try:
+        dae = model(world.vehicle, world.terrain)
+        _check_inputs(dae, world.dae)
+        start = settle(dae, options=options, **values)
+        step = problem.spec.time.step
+        run = simulate_plan(dae, start, found.motion, step=step, options=options)
+    except (ModelError, SolverError) as error:
+        return Followed(name, None, f"not simulated: {error}")
+    return Followed(name, run, "inputs of the plan")
+
+
+def _check_inputs(dae: Dae, planned: Dae) -> None:
+    """Raise ModelError unless a model has the inputs of the plan's model."""
+    expected, names = ([label.full for label in leaves(each.labels.u)] for each in (planned, dae))
+    if names != expected:
+        raise ModelError(
+            f"expected the inputs of the plan, {', '.join(expected)}, found {', '.join(names)}; "
+            "give the wheels drives whose input is a rate"
+        )
 
 
 def _followed(
     found: Plan,
-    vehicle: Vehicle,
-    world: Dae,
-    start: Trajectory,
+    world: World,
     step: float,
     options: SolverOptions,
 ) -> Followed:
@@ -163,8 +231,8 @@ def _followed(
     times = np.append(np.arange(0.0, duration - 0.5 * step, step), duration)
     try:
         path = GroundPath(points)
-        law = follow(world, vehicle, path, speed=path.length / duration)
-        run = simulate(world, start, law, times, options=options)
+        law = follow(world.dae, world.vehicle, path, speed=path.length / duration)
+        run = simulate(world.dae, world.start, law, times, options=options)
         return Followed(name, run, "along the path of the plan")
     except SolverError as error:
         return Followed(name, error.trajectory, str(error))
