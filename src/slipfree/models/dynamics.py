@@ -192,10 +192,8 @@ def _contacts(
     vehicle: Vehicle, terrain: Terrain, law: Compliant, body: Multibody, lookups: LookupTable
 ) -> list[Contact]:
     """Return the contacts of the wheels; wheels with equal sections share a search."""
-    searches = {
-        wheel.section: search_function(terrain, wheel.section, wheel.radius)
-        for wheel in vehicle.wheels
-    }
+    radii = {wheel.section: wheel.radius for wheel in vehicle.wheels}
+    searches = {each: search_function(terrain, each, radius) for each, radius in radii.items()}
     found, share = list[Contact](), vehicle.weight / len(vehicle.wheels)
     for each in body.wheels:
         pose, search = each.motion.pose, searches[each.wheel.section]
