@@ -5,11 +5,11 @@
 1. microseconds of CPU of a search for the ground point nearest to a wheel: on a formula, on a map
    with the compiled search, on a map without it;
 2. for three vehicles at four speeds, on a formula and on its bicubic map: steps and CPU time of the
-   integration per metre, at the loosest tolerance of 1e-4 to 1e-7 with an error below 0.1 mm
+   integration per metre, at the loosest tolerance of 1e-5 to 1e-7 with an error below 0.1 mm
    against 1e-10; interpreted and compiled.
 
 The time of the integration is that of `simulate` with two samples, the least of a few runs, less
-that of a run whose duration is a tenth, over nine tenths of the path. ``python
+that of a run whose duration is a thousandth. ``python
 benchmarks/dynamics.py search`` prints the first part alone, ``... rocky7`` (or ``car``,
 ``three_wheeler``) one vehicle.
 """
@@ -33,7 +33,7 @@ from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Vehicle
 
 SPEEDS = (0.1, 0.3, 1.0, 3.0)  # [m/s]
-TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7)
+TOLERANCES = (1e-5, 1e-6, 1e-7)  # 1e-4 is not reliable
 EXACT, ALLOWED = 1e-10, 1e-4  # tolerance of the reference [1]; error [m]
 MU, RISE, REPEATS = 0.8, 0.3, 3  # friction [1]; time in which the rates rise [s]; runs
 SPACING, HALF = 0.1, 9.0  # of maps, and half their side [m]
@@ -134,7 +134,7 @@ class Drive:
     def cpu(self, tolerance: float, **more: Any) -> float:
         """Return the CPU time of the integration [s], without preparation and samples."""
         times = [
-            [self.run(tolerance, 2, part, **more).statistics["cpu_seconds"] for part in (1.0, 0.1)]
+            [self.run(tolerance, 2, part, **more).statistics["cpu_seconds"] for part in (1.0, 1e-3)]
             for _ in range(REPEATS)
         ]
         whole, short = np.min(times, axis=0)
@@ -150,7 +150,7 @@ def loosest(drive: Drive) -> tuple[Cost, float]:
         error = max(np.abs(run[name] - exact[name]).max() for name in "xyz")
         if error < ALLOWED:
             break
-    cpu = drive.cpu(tolerance) / 0.9
+    cpu = drive.cpu(tolerance)
     return Cost(run.statistics["steps"] / length, 1e3 * cpu / length, error, tolerance), length
 
 
@@ -163,7 +163,7 @@ def vehicle_costs(name: str) -> None:
         for kind, ground in grounds(height).items():
             drive = Drive(vehicle, ground, speed)
             cost, length = loosest(drive)
-            compiled = 1e3 * drive.cpu(cost.tolerance, compiled=True) / 0.9 / length
+            compiled = 1e3 * drive.cpu(cost.tolerance, compiled=True) / length
             words.append(
                 f"{kind} {cost.tolerance:.0e} {1e3 * cost.error:.3f} mm {cost.steps:4.0f} "
                 f"{cost.cpu:5.1f} {compiled:5.1f}"
