@@ -260,7 +260,11 @@ def test_there_is_no_plan_without_enough_friction():
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ("plan.friction=2", "--set plan.friction: expected at most friction.static, 0.75, found 2"),
+        (
+            "plan.friction=2",
+            "--set plan.friction: expected at most friction.static, 0.75, found 2; reduce it, or "
+            "increase friction.static",
+        ),
         (
             "control.law=fixed",
             "--set control.law: expected only the keys 'speed' and "

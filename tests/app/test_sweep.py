@@ -399,7 +399,7 @@ def test_results_that_were_not_kept_are_told(file: Path) -> None:
     assert sweep_in(file.parent, *words).exit_code == 0
     result = sweep_in(file.parent, *words, "--keep")
     assert result.exit_code == 0
-    assert "--keep: 1 runs finished without --keep and have no result file" in result.stderr
+    assert "--keep: 1 run finished without --keep and has no result file" in result.stderr
     command = result.stderr[result.stderr.index("slipfree run") :].split()
     assert CliRunner().invoke(app, [*command[1:], "--no-draw"]).exit_code == 0
     assert "no result file" not in sweep_in(file.parent, *words, "--keep").stderr

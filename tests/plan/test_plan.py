@@ -147,7 +147,7 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
             "cost_limits: expected a positive limit of 'effort', found 0",
         ),
         ({"duration": 0.0}, "expected a positive duration"),
-        ({"limits": {"steer": (1.0, -1.0)}}, "bounds of 'steer' must ascend"),
+        ({"limits": {"steer": (1.0, -1.0)}}, "ascending bounds of 'steer'"),
         (
             {"way_points": {1.0: {"x": 0.0}}},
             "way_points: expected fractions of the duration between 0 and 1",

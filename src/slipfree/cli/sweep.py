@@ -164,8 +164,9 @@ def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
         sets = [word for each in (*plan.settings, *first.settings) for word in ("--set", each)]
         file = result_path(folder, plan, first.run)
         words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", str(file)]
+        runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
         warn(
-            f"--keep: {len(missing)} runs were finished without --keep and have no result file; to "
+            f"--keep: {len(missing)} {runs} finished without --keep and {have} no result file; to "
             f"write all, sweep into another folder with -o; to write one: {shlex.join(words)}"
         )
 

@@ -33,8 +33,8 @@ class Violation(NamedTuple):
     bound, value : float
         Violated bound and value of the quantity, in the label's unit and in map coordinates.
     role : str
-        Kind of constraint: ``"equation"``, ``"limit"``, ``"input"``, ``"goal"``, or such as
-        ``"way-point at 0.5"``.
+        Kind of constraint: ``"equation"``, ``"limit"``, ``"input"``, ``"cost"``, ``"goal"``, or for
+        a way-point its name, for example ``"way-point at 0.5"``.
     """
 
     label: Label
@@ -178,7 +178,7 @@ def _interval_groups(program: Program, row_block: RowBlock) -> Iterator[Constrai
 def worst_violations(
     program: Program, values: Array, tolerance: float
 ) -> Iterator[tuple[float, Violation]]:
-    """Yield the relative size and the largest violation of each violated bound.
+    """Yield the largest violation of each violated bound, with its relative size first.
 
     Parameters
     ----------

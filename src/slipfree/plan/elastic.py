@@ -186,7 +186,7 @@ def _opposing_bounds(
 def _elastic_program(
     program: Program, soft: list[tuple[ConstraintGroup, float]], sizes: Array
 ) -> Program:
-    """Return the program with a slack for each bound, appended to the unknowns.
+    """Return the program with a slack for each bound in ``soft``, appended to the unknowns.
 
     The slacks are scaled by ``sizes``. The cost is the sum of the scaled slacks plus the cost of
     the original program with its weights.
@@ -256,7 +256,7 @@ def _elastic_functions(
 
 
 def _start_bounds(program: Program, bounds: Array, free: float) -> Array:
-    """Return bounds of the unknowns, all except those of start and duration set to ``free``."""
+    """Return bounds of the unknowns; those of start and duration are kept, all others ``free``."""
     kept = np.full(bounds.size, free)
     for where in (program.layout.first, program.layout.duration):
         kept[where] = bounds[where]
@@ -270,5 +270,5 @@ def _sparse_matrix(values: Array, rows: Index, columns: Index, shape: tuple[int,
 
 
 def _row_values(program: Program, unknowns: Array, weights: Array) -> Array:
-    """Return the values of all rows, shape (n_g,)."""
+    """Return the values of all rows for unknowns that are not scaled, shape (n_g,)."""
     return np.array(program.jacobian(unknowns / program.scale, weights)[0]).ravel()

@@ -124,7 +124,7 @@ class _IterateWatcher(ca.Callback):
         return "stop"
 
     def get_sparsity_in(self, index: int) -> ca.Sparsity:
-        """Return the shape of an argument."""
+        """Return the sparsity of an argument: a dense column."""
         n_w, n_g, n_p = self.sizes
         sizes = {"f": 1, "x": n_w, "lam_x": n_w, "g": n_g, "lam_g": n_g, "lam_p": n_p}
         return ca.Sparsity.dense(sizes[ca.nlpsol_out(index)], 1)
@@ -154,7 +154,7 @@ class _IterateWatcher(ca.Callback):
 
 
 def largest_violation(program: Program, rows: Array) -> float:
-    """Return the largest violation of the bounds of the rows, in the unit of that row."""
+    """Return the largest violation of the bounds of all rows, in the unit of the violated row."""
     return float(np.maximum(rows - program.g_upper, program.g_lower - rows).max(initial=0.0))
 
 

@@ -21,7 +21,10 @@ def rate_of(label: Label) -> Label:
 
 
 def subject(label: Label, role: str) -> str:
-    """Return a text for the constrained quantity, such as ``input right_rate``."""
+    """Return a text for a constrained quantity, such as ``input right_rate``.
+
+    ``role`` is the kind of constraint, as in `slipfree.plan.constraints.Violation`.
+    """
     whose = "the vehicle" if label.wheel is None else f"wheel {label.wheel}"
     if role == INPUT:
         return f"input {label.full}"
@@ -42,7 +45,10 @@ def number(label: Label, value: float) -> str:
 
 
 def missed_words(sizes: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """Return a list of violations as text, such as ``x at the goal by 3.1e-04 m``."""
+    """Return violations as text, such as ``x at the goal by 3.1e-04 m``.
+
+    ``sizes`` and ``units`` are the violations and their units by name.
+    """
     return ", ".join(
         f"{name} by {size:.1e} {unit_words(units[name])}".rstrip() for name, size in sizes.items()
     )

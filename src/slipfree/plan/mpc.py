@@ -124,8 +124,9 @@ def horizon(
     Raises
     ------
     ModelError
-        If the window is longer than the plan, a number is not positive, or the model, costs, limits
-        or goal depend on time, since times of a window begin at zero.
+        If ``span`` is not positive or exceeds the duration of the plan, another number is out of
+        range, or the model, costs, limits or goal depend on time, since times of a window begin at
+        zero.
     """
     length, task = plan.motion.duration, plan.program.task
     _check_task(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
@@ -175,7 +176,18 @@ def _check_task(task: PlanTask, numbers: dict[str, int]) -> None:
 
 
 def first_cycle(window: Horizon) -> Cycle:
-    """Return the cycle at the beginning of the plan, iterated until it converges."""
+    """Return the cycle at the beginning of the plan, iterated until it converges.
+
+    Parameters
+    ----------
+    window : Horizon
+        Moving window, from `slipfree.plan.mpc.horizon`.
+
+    Raises
+    ------
+    SolverError
+        If the iterations fail.
+    """
     program, layout = window.program, window.program.layout
     first = _sample_motions(window, [(window.plan, 0.0)], 0.0, window.span)
     blank = Cycle(
@@ -348,7 +360,10 @@ def _sample_motions(
 
 
 def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
-    """Return values of successive motions at times; the first that has not ended applies."""
+    """Return values at times ``at``, each of the first motion that has not ended yet.
+
+    ``read`` takes a motion and fractions of its duration.
+    """
     values = read(motions[-1][0], _to_fractions(motions[-1], at))
     for motion in reversed(motions[:-1]):
         inside = at <= motion[1] + motion[0].duration

@@ -76,7 +76,7 @@ class Optimality(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Sentence with the result of the check."""
+        """Result of the check as text, for summaries."""
         weak = f"; strict complementarity fails at {self.weak} bounds" if self.weak else ""
         if not self.directions:
             return f"the active constraints determine the plan{weak}"

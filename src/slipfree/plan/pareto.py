@@ -109,16 +109,17 @@ def pareto_front(
     Raises
     ------
     ModelError
-        If fewer than two points are requested, an objective of ``least`` or ``best`` is not
-        positive, or one of them is not solved.
+        If fewer than two points are requested, or ``least`` or ``best`` is not solved or has a
+        second objective that is not positive.
     """
     check_count(count)
     for name, point in (("second", least), ("first", best)):
         if not point.is_solved or not point.second > 0:
+            why = f" ({point.words})" if point.words else ""
             raise ModelError(
                 f"pareto_front: expected a solution of least {name} objective, with a positive "
-                f"second objective, found {point.outcome.title} with {point.second:g}; "
-                f"{point.words}"
+                f"second objective, found the outcome {point.outcome.title!r}{why} and the second "
+                f"objective {point.second:g}; give a solved point"
             )
     lowest = (1 + SLACK) * least.second
     if lowest >= best.second:
@@ -167,7 +168,7 @@ def _batches(count: int) -> Iterator[list[int]]:
 
 
 def _neighbours(found: dict[int, FrontPoint], k: int) -> Iterator[FrontPoint]:
-    """Yield the nearest solved points below and above; the first point starts from below only."""
+    """Yield the nearest solved points below and above point ``k``; only below for the first one."""
     solved = [j for j, point in found.items() if point.is_solved]
     yield found[max(j for j in solved if j < k)]
     if k:
@@ -177,7 +178,7 @@ def _neighbours(found: dict[int, FrontPoint], k: int) -> Iterator[FrontPoint]:
 def _keep_better(
     found: dict[int, FrontPoint], tasks: Sequence[FrontTask], points: Sequence[FrontPoint]
 ) -> None:
-    """Add the points of tasks where they are better than those found before."""
+    """Store the points of tasks in ``found`` where they are better than the stored points."""
     for task, point in zip(tasks, points, strict=True):
         if is_better(point, found.setdefault(task.number, point)):
             found[task.number] = point

@@ -71,7 +71,7 @@ PlanProgress = Callable[[str, Iterate], bool]
 
 
 class SolvedStage(NamedTuple):
-    """One of the programs that were solved during a search.
+    """Program that was solved during a search for a plan.
 
     Attributes
     ----------
@@ -299,8 +299,11 @@ def plan(
     Raises
     ------
     ModelError
-        If a name is unknown, a number is not valid, or start, goal and limits contradict each
-        other.
+        If a name is unknown, a number is not valid, start, goal and limits contradict each other,
+        no guess is given, ``resume`` is a plan of another model, or a lookup of the model lacks
+        derivatives.
+    SolverError
+        If a further guess or the plan cannot be simulated from the start.
 
     Examples
     --------
@@ -374,7 +377,13 @@ def plan(
 def _named_guesses(
     task: PlanTask, start: Trajectory, given: Sequence[Trajectory], starts: int, seed: int
 ) -> list[tuple[str, Trajectory]]:
-    """Return names and motions of the given guesses and of further guesses."""
+    """Return names and motions of initial guesses: those given, then further ones up to ``starts``.
+
+    Raises
+    ------
+    ModelError
+        If no guess is given.
+    """
     if not given:
         raise ModelError(
             "plan: guess: expected at least one motion as initial guess, found none; give one, "
@@ -406,9 +415,9 @@ def _best_verified(
 ) -> tuple[_SearchState, Verification, tuple[LocalOptimum, ...]]:
     """Return the best search with its verification, and a table of all searches.
 
-    The searches are refined and simulated in order, until a simulation is accurate, a program is
-    not solved or the user stops the search. The best search is the accurate search, else the first
-    search.
+    The solutions of the searches are refined and simulated in order, until a simulation is
+    accurate, a program is not solved or the user stops the search. The best search is the accurate
+    one, or the first one if none is accurate.
     """
     tried: list[tuple[_SearchState, Verification]] = []
     for search in searches:
@@ -461,9 +470,9 @@ def _rank(program: Program, search: _SearchState) -> tuple[bool, float]:
 def _solve_in_stages(
     program: Program, first: Array, of: str, progress: PlanProgress | None
 ) -> _SearchState:
-    """Solve the program; if slip is a cost, solve first without this cost.
+    """Solve the program; if slip is a cost, solve it before without this cost.
 
-    The second search starts from the solution of the first one.
+    The search with all costs starts from the solution without slip cost.
     """
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}without slip cost" if slips else f"{of}all costs"
@@ -600,8 +609,8 @@ def _warm_guess(program: Program, first: Array) -> Solution:
 def _violated_limits(task: PlanTask, run: Trajectory, beyond: float) -> list[Limit]:
     """Return the limits of the model that a plan violates and that are not in its task.
 
-    A violation counts if it is larger than ``beyond``. The returned limits are narrower by
-    `LIMIT_CLEARANCE` on both sides.
+    A violation counts if it is larger than ``beyond``, which is negative to include limits that
+    the plan almost reaches. The returned limits are narrower by `LIMIT_CLEARANCE` on both sides.
     """
     have = {limit.label.full for limit in task.limits}
     missed = []

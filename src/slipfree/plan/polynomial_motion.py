@@ -103,7 +103,7 @@ def motion_of(program: Program, unknowns: Array) -> PolynomialMotion:
 
 
 def first_intervals(motion: PolynomialMotion, count: int) -> PolynomialMotion:
-    """Return a motion up to the end of one of its intervals, given by the number of intervals."""
+    """Return the part of a motion on its first ``count`` intervals."""
     mesh, old, values = motion.mesh, motion.layout, motion.unknowns
     n_u = old.inputs.shape[1]
     own = mesh._replace(ends=mesh.ends[: count + 1] / mesh.ends[count])

@@ -41,8 +41,8 @@ class Price(NamedTuple):
     label : Label
         Label of the limited quantity, without wheel: the price is the sum over all wheels.
     role : str
-        Kind of limit: ``"limit"``, ``"input"``, ``"goal"``, ``"duration"``, ``"cost"``, or such as
-        ``"way-point at 0.5"``.
+        Kind of limit: ``"limit"``, ``"input"``, ``"goal"``, ``"duration"``, ``"cost"``, or for a
+        way-point its name, for example ``"way-point at 0.5"``.
     side : str
         Side of the bound: ``"at most"``, ``"at least"``, or ``"value"`` for equal bounds.
     bound : float
@@ -118,7 +118,10 @@ def limit_prices(program: Program, solution: Solution) -> tuple[Price, ...]:
 
 
 def prices_words(prices: Sequence[Price]) -> str:
-    """Return a text of the largest prices, at most five."""
+    """Return a text with the largest prices, at most five, and the number of the others.
+
+    Prices are omitted if a small change of the bound saves less than 0.01 % of the cost.
+    """
     named = [each.words for each in prices if abs(each.share) * each.step >= MIN_SHARE]
     if not named:
         return "no limit increases the cost noticeably"

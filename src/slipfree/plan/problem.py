@@ -23,18 +23,30 @@ ROUNDED_FRACTION = 0.01  # rounding of a square root at zero [bound]
 
 
 def duration_of(value: float | Range) -> Range:
-    """Return the smallest and the largest duration in s, from a number or a range."""
+    """Return the smallest and the largest duration in s, from a number or a range.
+
+    Raises
+    ------
+    ModelError
+        If a duration is not positive and finite, or the range descends.
+    """
     low, high = (value, value) if isinstance(value, int | float) else value
     if not 0 < low <= high < np.inf:
         raise ModelError(
-            "plan: duration: expected a positive duration or an ascending range (smallest, "
-            f"largest), found {value} s; use positive numbers"
+            "plan: duration: expected a positive, finite duration or an ascending range of such "
+            f"durations (smallest, largest), found {value} s; correct it"
         )
     return float(low), float(high)
 
 
 def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
-    """Return the terms of the cost from weights by name, or the given terms unchanged."""
+    """Return the terms of the cost from weights by name, or the given terms unchanged.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown or a weight is negative.
+    """
     if not isinstance(given, Mapping):
         return tuple(given)
     costs = []
@@ -54,14 +66,19 @@ def cost_limits_of(
     """Return the terms of the cost and the limits of their integrals, by index of the term.
 
     Limited terms that are not among the costs are added with weight 0.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown or a limit is not positive and finite.
     """
     names, terms = [cost.name for cost in costs], list(costs)
     limits = []
     for name, highest in given.items():
         if not 0 < highest < np.inf:
             raise ModelError(
-                f"plan: cost_limits: expected a positive limit of {name!r}, found {highest}; "
-                "increase it or remove the limit"
+                f"plan: cost_limits: expected a positive, finite limit of {name!r}, found "
+                f"{highest}; change it or remove the limit"
             )
         if name not in names:
             names.append(name)
@@ -116,7 +133,13 @@ def _squared_unit(dae: Dae, name: str) -> str:
 
 
 def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
-    """Return limits from ranges by name, in map coordinates, or the given limits unchanged."""
+    """Return limits from ranges by name, in map coordinates, or the given limits unchanged.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown or a range descends.
+    """
     if not isinstance(given, Mapping):
         return tuple(given)
     return tuple(
@@ -125,11 +148,17 @@ def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[L
 
 
 def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
-    """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities."""
+    """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities.
+
+    Raises
+    ------
+    ModelError
+        If the name is unknown or the range descends.
+    """
     low, high = (bounds, bounds) if isinstance(bounds, int | float) else bounds
     if not low <= high:
         raise ModelError(
-            f"plan: bounds of {name!r} must ascend, found {low} to {high}; exchange them"
+            f"plan: expected ascending bounds of {name!r}, found {low} to {high}; exchange them"
         )
     found = False
     for record, shift in (("x", dae.shift[0]), ("z", dae.shift[1]), ("u", None), ("y", None)):
@@ -169,12 +198,18 @@ def timed_conditions(
     goal: Mapping[str, float | Range] | Sequence[Limit],
     way_points: Mapping[float, Mapping[str, float | Range] | Sequence[Limit]],
 ) -> Iterator[TimedCondition]:
-    """Yield the conditions at the way-points in order of time, then those at the goal."""
+    """Yield the conditions at the way-points in order of time, then those at the goal.
+
+    Raises
+    ------
+    ModelError
+        If a fraction is not between 0 and 1, a name is unknown, or a range descends.
+    """
     for fraction, wanted in sorted(way_points.items()):
         if not 0 < fraction < 1:
             raise ModelError(
                 "plan: way_points: expected fractions of the duration between 0 and 1, found "
-                f"{fraction:g}; give conditions at 1 as the goal"
+                f"{fraction:g}; use fractions in between, and the goal for conditions at the end"
             )
         yield TimedCondition(fraction, _to_limits(dae, wanted))
     yield TimedCondition(1.0, _to_limits(dae, goal))
@@ -189,7 +224,13 @@ def _to_limits(
 
 
 def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
-    """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
+    """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2).
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown or a range descends.
+    """
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
     for name, (low, high) in given.items():
@@ -200,14 +241,20 @@ def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
             )
         if not low <= high:
             raise ModelError(
-                f"plan: bounds of {name!r} must ascend, found {low} to {high}; exchange them"
+                f"plan: expected ascending bounds of {name!r}, found {low} to {high}; exchange them"
             )
         bounds[names.index(name)] = low, high
     return bounds
 
 
 def _initial_bounds(dae: Dae, given: Mapping[str, Range], initial: Mapping[str, float]) -> Array:
-    """Return the bounds of all inputs at the beginning, equal for given values, shape (n_u, 2)."""
+    """Return the bounds of all inputs at the beginning, equal for given values, shape (n_u, 2).
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown, or a value is outside the bounds of its input.
+    """
     bounds = bounds_of(dae, given)
     values = bounds_of(dae, {name: (value, value) for name, value in initial.items()})
     fixed = np.clip(values, bounds[:, :1], bounds[:, 1:])

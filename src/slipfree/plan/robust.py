@@ -1,4 +1,7 @@
-"""Tighten the limits of a plan until a share of its simulations in drawn worlds keeps them."""
+"""Tighten the limits of a plan until a share of its simulations in drawn worlds keeps them.
+
+A drawn world is the model with random errors, for example of ground, friction and inputs.
+"""
 
 from __future__ import annotations
 
@@ -31,14 +34,15 @@ FINAL = 0  # stream of the draws that only the reported shares use
 
 
 class Bound(NamedTuple):
-    """A bound of a limit, goal or way-point, or another requirement.
+    """A bound of a limit, goal or way-point, or the requirement that the motion reaches its end.
 
     Attributes
     ----------
     name : str
-        Name of the limited quantity, such as ``"utilisation[left]"`` or ``"y at the goal"``.
+        Name of the limited quantity, such as ``"utilisation[left]"`` or ``"y at the goal"``;
+        otherwise a description, such as ``"motion ends early (roll)"``.
     side : str
-        ``"lower"`` or ``"upper"``; empty for another requirement.
+        ``"lower"`` or ``"upper"``; empty for the requirement that the motion reaches its end.
     """
 
     name: str
@@ -52,7 +56,7 @@ Tightening = Mapping[Bound, float]
 
 
 class Replay(NamedTuple):
-    """Simulation of a plan in a drawn world.
+    """Simulation of a plan in a drawn world, compared with the bounds.
 
     Attributes
     ----------
@@ -69,7 +73,7 @@ class Replay(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether no bound is violated."""
+        """Whether the simulation violates no bound."""
         return max(self.excess.values(), default=0.0) <= 0
 
 
@@ -139,7 +143,8 @@ class RobustPlan(NamedTuple, Generic[P]):
     rounds : int
         Number of times that the limits were tightened.
     failure : str
-        Reason why the limits were not tightened further; empty if that was not tried or solved.
+        Reason why the last round could not tighten the limits as far as intended; empty if it
+        could, or if no round was needed.
     """
 
     plan: P
@@ -185,6 +190,12 @@ def robust_plan(
         Number of draws of a round, and of the final test.
     seed : int
         Seed of all draws.
+
+    Returns
+    -------
+    RobustPlan
+        Last solved plan, with its simulations for the draws of the final test. The share may still
+        be missed, after five rounds or if tighter limits are not solved.
     """
     now, tightening, rounds, failure = first, dict[Bound, float](), 0, ""
     for stream in range(FINAL + 1, FINAL + 1 + MAX_ROUNDS):
@@ -220,7 +231,7 @@ def _tighten_gradually(
 
 
 def _sum(first: Tightening, second: Tightening, factor: float) -> dict[Bound, float]:
-    """Return the sum of a tightening and of another one with a factor."""
+    """Return the tightening ``first`` plus ``factor`` times ``second``."""
     return {
         bound: first.get(bound, 0.0) + factor * second.get(bound, 0.0)
         for bound in {**first, **second}
@@ -280,8 +291,8 @@ def _tightened(limits: Sequence[Limit], tightening: Tightening, role: str) -> It
         limit = limit._replace(lower=limit.lower + lower, upper=limit.upper - upper)
         if limit.lower > limit.upper:
             raise ModelError(
-                f"the range of {_bound(limit, '', role)} is narrower than the tightening of its "
-                "bounds"
+                f"expected a range of {_bound(limit, '', role)} at least as wide as the tightening "
+                f"of its bounds, {lower + upper:.3g}, found a narrower one; widen the range"
             )
         yield limit
 
@@ -311,7 +322,7 @@ def replay_of(
     planned : tuple of Dae and PolynomialMotion
         Model of the plan, and the plan.
     run : Trajectory
-        Simulation of its inputs.
+        Simulation of the planned inputs in the drawn world.
     accuracy : float
         Violation that is tolerated, in the unit of each quantity.
     goal : float or None
@@ -377,7 +388,10 @@ def _excess(
     accuracy: float,
     tolerance: float | None,
 ) -> Iterator[tuple[Bound, float]]:
-    """Yield every bound of limits, and the largest value beyond it."""
+    """Yield every finite bound of limits, and the largest value beyond it.
+
+    Values up to ``accuracy``, or ``tolerance`` for conditions with equal bounds, are tolerated.
+    """
     values, tolerated = limit_values(dae, limits, samples), tolerated_excess(limits, accuracy)
     for limit, row, least in zip(limits, values, tolerated, strict=True):
         is_point = bool(role) and limit.lower == limit.upper

@@ -59,7 +59,7 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
     Parameters
     ----------
     blocks : sequence of NlpBlock
-        Blocks; a row of the program is the sum of all rows of blocks with its index.
+        Blocks; rows of blocks with the same index are added up to one row of the program.
     scale : ndarray, shape (n_w,)
         Scale of the unknowns; the blocks take the unknowns of the program times this scale.
     n_p : int
@@ -261,7 +261,7 @@ def _row_column(sparsity: ca.Sparsity) -> tuple[Index, Index]:
 
 
 def _repeat_constants(found: Sequence[Columns], count: int) -> list[ca.MX]:
-    """Return each result as one column, with scalar entries repeated ``count`` times."""
+    """Return each result as one column, with scalar entries repeated for all ``count`` points."""
     return [
         ca.vertcat(
             ca.MX(0, 1),

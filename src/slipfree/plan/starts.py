@@ -83,6 +83,11 @@ def further_guesses(
         the duration, even with the perturbation halved four times.
     seed : int
         Seed of the random perturbations.
+
+    Raises
+    ------
+    SolverError
+        If a simulation fails before its first sample.
     """
     t = guess.t - guess.t[0]
     inputs = np.array([guess.of(label) for label in leaves(dae.labels.u)])
@@ -133,7 +138,7 @@ def count_distinct(optima: Sequence[LocalOptimum]) -> int:
 
 
 def distances(optima: Sequence[LocalOptimum]) -> list[float]:
-    """Return the largest distance of each path from the first path in m, at equal fractions."""
+    """Return the largest distance of each path from the first in m, at equal fractions of time."""
     first = optima[0].path
     return [float(np.linalg.norm(each.path - first, axis=0).max(initial=0.0)) for each in optima]
 

@@ -84,8 +84,8 @@ def track_plan(
     duration, dae = window.plan.duration, window.program.task.dae
     if not 0 < period <= duration:
         raise ModelError(
-            f"period: expected above 0 and at most {duration:g} s, the duration of the plan, found "
-            f"{period:g} s; choose a period in this range"
+            f"period: expected a period above 0 and at most {duration:g} s, the duration of the "
+            f"plan, found {period:g} s; choose a period in this range"
         )
     for record in ("x", "u"):
         found, expected = (

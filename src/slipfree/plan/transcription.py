@@ -226,10 +226,20 @@ def transcribe(
 ) -> Program:
     """Return the nonlinear program of an optimal control problem on a mesh.
 
+    Parameters
+    ----------
+    task : PlanTask
+        Optimal control problem.
+    mesh : CollocationMesh
+        Intervals, and degree of the polynomials on them.
+    options : SolverOptions
+        Whether to compile the functions of the program.
+
     Raises
     ------
     ModelError
-        If the degree of the mesh is not 1 to 5.
+        If the degree of the mesh is not 1 to 5, or a lookup of the model is exact only up to
+        derivatives of an order below 4.
     """
     if mesh.degree not in ALLOWED_DEGREES:
         raise ModelError(
@@ -304,7 +314,7 @@ def _root_function(points: NlpBlock, made: ProgramFunctions, layout: VariableLay
 def variable_layout(
     mesh: CollocationMesh, counts: tuple[int, int, int], *, continuous: bool
 ) -> VariableLayout:
-    """Return the layout, without roots, for given numbers of states, unknowns and inputs."""
+    """Return the layout without roots; ``counts`` are numbers of states, unknowns and inputs."""
     n_x, n_z, n_u = counts
     count, degree = mesh.ends.size - 1, mesh.degree
     block = n_u + degree * (n_x + n_z)

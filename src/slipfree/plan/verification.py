@@ -74,6 +74,11 @@ def verify_plan(
         Largest admissible difference and violation, each in its unit.
     step : float
         Largest time between samples of the simulation. [s]
+
+    Raises
+    ------
+    SolverError
+        If the simulation fails before its first sample.
     """
     found = motion_of(program, unknowns)
     dae, limits = program.task.dae, program.task.limits
@@ -125,7 +130,7 @@ def _units(task: PlanTask) -> dict[str, str]:
 
 
 def limit_name(limit: Limit) -> str:
-    """Return the name of the limited quantity, with its wheel."""
+    """Return the name of the limited quantity with its wheel, such as ``utilisation[left]``."""
     return limit.label.full.replace("_limit", "")
 
 
@@ -158,7 +163,10 @@ def _condition_excess(
 
 
 def tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
-    """Return the tolerance of each limit: the accuracy or 1 % of its range, if that is smaller."""
+    """Return the tolerance of each limit: the smaller of ``accuracy`` and 1 % of its range.
+
+    For equal bounds it is ``accuracy``.
+    """
     widths = np.array([limit.upper - limit.lower for limit in limits])
     return np.where(
         widths > 0, np.minimum(accuracy, LIMIT_WIDTH_FRACTION * np.abs(widths)), accuracy
@@ -238,7 +246,24 @@ def simulate_plan(
     step: float,
     options: SolverOptions = SolverOptions(),
 ) -> Trajectory:
-    """Simulate a model under the inputs of a plan, to its end or to the first failure."""
+    """Simulate a model under the inputs of a plan, to its end or to the first failure.
+
+    Parameters
+    ----------
+    dae, start : Dae, Trajectory
+        Model, and trajectory whose last sample is the start.
+    found : PolynomialMotion
+        The plan.
+    step : float
+        Largest time between samples. [s]
+    options : SolverOptions
+        Options of the integrator.
+
+    Raises
+    ------
+    SolverError
+        If the simulation fails before its first sample.
+    """
     # Limits are often violated just after kinks of the inputs: Chebyshev points are dense there.
     lengths = np.diff(found.ends)
     counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), MIN_INTERVAL_SAMPLES).astype(

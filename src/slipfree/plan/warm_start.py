@@ -127,7 +127,7 @@ def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
 
 
 def from_arrays(arrays: Mapping[str, Array], where: str) -> SavedPlan:
-    """Return the saved plan from the arrays of a file; ``where`` names it in the error message.
+    """Return the saved plan in the arrays of a file; ``where`` names the file in error messages.
 
     Raises
     ------

@@ -242,7 +242,10 @@ class _WindowSearch(NamedTuple):
         )
 
     def nearest(self, run: Trajectory, low: float, high: float) -> float:
-        """Return the arc length, in a range, of the route's point nearest to a motion's end [m]."""
+        """Return the arc length of the route's point nearest to the end of a motion [m].
+
+        Only arc lengths from ``low`` to ``high`` are searched.
+        """
         x, y = (float(run[name][-1]) for name in "xy")
         s = np.linspace(low, high, int((high - low) * POINTS_PER_METRE) + 2)
         at = self.route.at(s)
@@ -309,12 +312,15 @@ def plan_windows(
     Raises
     ------
     ModelError
-        If speed or lengths are out of range, or an argument of `plan` is not valid.
+        If speed or lengths are out of range, an argument of `plan` is not valid, or ``resume`` is
+        a plan of another model or cannot be simulated to its end.
     SolverError
         If no motion along the route can be simulated from the start.
     """
     if not speed > 0:
-        raise ModelError(f"speed: expected a positive speed, found {speed:g} m/s; change it")
+        raise ModelError(
+            f"plan_windows: speed: expected a positive speed, found {speed:g} m/s; change it"
+        )
     if not 0 < overlap < length:
         raise ModelError(
             "plan_windows: expected a positive overlap shorter than the window, found a window of "
@@ -409,7 +415,13 @@ def _end_inputs(dae: Dae, motion: PolynomialMotion, bounds: Array) -> dict[str, 
 def _former_part(
     dae: Dae, start: Trajectory, saved: SavedPlan, step: float, options: SolverOptions
 ) -> _Part:
-    """Return a former plan as a part, simulated anew."""
+    """Return a former plan as the first part of a long plan, simulated again.
+
+    Raises
+    ------
+    ModelError
+        If it is a plan of another model, or its simulation ends early.
+    """
     motion = local_motion(saved, dae)
     replay = simulate_plan(dae, start, motion, step=step, options=options)
     if replay.stop is not None:

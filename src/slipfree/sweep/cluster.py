@@ -61,7 +61,7 @@ class Cluster:
             raise self._gone()
         if (now := time.monotonic()) - self._asked > PATIENCE:
             before, self._asked = self._workers, now
-            with suppress(OSError):  # of a scheduler that goes away: the status tells
+            with suppress(OSError):  # if the scheduler stops, the status changes
                 self._workers = len(self._client.nthreads())
             if bool(before) != bool(self._workers):
                 self._warn(f"--scheduler {self._address}: {BACK if self._workers else NONE_LEFT}")
@@ -103,7 +103,13 @@ class Cluster:
 
 
 def _connect(address: str) -> Any:
-    """Return a client of a scheduler after a check of its workers."""
+    """Return a Dask client of a scheduler after a check of its workers.
+
+    Raises
+    ------
+    DataError
+        If distributed is not installed, no scheduler responds, or the workers cannot be used.
+    """
     try:
         from distributed import Client
     except ImportError as error:

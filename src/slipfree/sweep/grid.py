@@ -224,7 +224,7 @@ def axis_of(text: str) -> Axis:
     Raises
     ------
     DataError
-        If the text has neither form.
+        If the text has neither form, a value is empty or given twice, or a range is not valid.
     """
     key, equals, rest = text.partition("=")
     try:
@@ -264,7 +264,10 @@ def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
 
 
 def _comparison_key(value: str) -> object:
-    """Return a key equal for ``1`` and ``1.0``, and for a word with and without quotes."""
+    """Return an object that is equal for values with the same meaning in TOML.
+
+    Such values are ``1`` and ``1.0``, or a word with and without quotes.
+    """
     try:
         found = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -307,7 +310,13 @@ def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
 
 
 def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
-    """Return equally spaced numbers, integers if the ends and the step are integers."""
+    """Return equally spaced numbers as text, integers if the ends and the step are integers.
+
+    Raises
+    ------
+    DataError
+        If there are fewer than two or too many values, or the ends are equal or not finite.
+    """
     low, high, n = float(first), float(last), int(count)
     if not (2 <= n <= MOST_RUNS and low != high and isfinite(low) and isfinite(high)):
         raise DataError(

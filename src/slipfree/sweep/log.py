@@ -51,7 +51,7 @@ class Row(NamedTuple):
     words : str
         Reason of the stop or failure, or description of the end of a complete run.
     t : float or None
-        Time reached; None if it failed. [s]
+        Time reached by the motion; None for a failed or lost run. [s]
     figures : mapping of str to (float, str)
         Values and units of its metrics, by name.
     seconds : float
@@ -98,7 +98,7 @@ class Rows:
         return self.read(sorted(self._offsets))
 
     def read(self, runs: Iterable[int]) -> Iterator[Row]:
-        """Yield the rows of finished runs."""
+        """Yield the rows of finished runs with the given numbers, in this order."""
         with self._path.open("rb") as file:
             for run in runs:
                 file.seek(self._offsets[run][0])
@@ -204,7 +204,13 @@ class Log:
             self._file.close()
 
     def _lock(self) -> None:
-        """Lock the file for other processes until it is closed or this process ends."""
+        """Lock the file for other processes until it is closed or this process ends.
+
+        Raises
+        ------
+        DataError
+            If another process has locked it.
+        """
         if fcntl is None:
             return
         try:
@@ -273,7 +279,7 @@ class Log:
                 )
 
     def _write(self, what: Mapping[str, Any]) -> int:
-        """Write a line of JSON; return the byte at which it begins."""
+        """Write a line of JSON; return the byte at which it begins; raise DataError on failure."""
         try:
             offset = self._file.seek(0, os.SEEK_END)
             self._file.write(json.dumps(what, allow_nan=False).encode() + b"\n")
@@ -291,7 +297,7 @@ class Log:
 
 
 def _how(key: str, old: Any, new: Any) -> str:
-    """Return the difference of two values of the first line, as text."""
+    """Return a text about the former and the new value of a key in the first line of a log."""
     if key == "problem":
         return ""
     if key == "files":

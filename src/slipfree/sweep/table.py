@@ -69,7 +69,7 @@ def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str,
     Raises
     ------
     DataError
-        If no run has one of the given metrics.
+        If no run has a requested metric.
     """
     known = rows.units
     if not names:
@@ -85,9 +85,10 @@ def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str,
 
 
 def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
-    """Return metrics over the grid and the repetitions; NaN for runs without them.
+    """Return metrics over the grid and the repetitions, by name; NaN for runs without them.
 
-    The result also contains ``complete`` and, for plans, ``within_limits``.
+    The arrays have one axis per varied key and a last one for the repetitions. The result also
+    contains ``complete`` and, for plans, ``within_limits``.
     """
     names = dict.fromkeys([*figures, COMPLETE, KEPT])
     units = {name: unit for name, unit in rows.units.items() if name in names}
@@ -106,7 +107,7 @@ def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
 def sweep_facts(
     sweep: Sweep, rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]
 ) -> Facts:
-    """Return the main facts about a sweep as names and texts."""
+    """Return the facts of the summary of a sweep, pairs of name and text."""
     spreads = (fact for name in figures for fact in _spreads(found[name]))
     return [*_outcomes(sweep, rows), *_within_limits(len(rows), found.get(KEPT)), *spreads]
 
@@ -127,7 +128,7 @@ def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
 
 
 def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
-    """Yield the seeds of every key that the repetitions change."""
+    """Yield the range of seeds of every key that the repetitions change, as facts."""
     for i, key in enumerate(sweep.seeds):
         first = sweep.seed + i * sweep.repeat
         yield f"  {key}", f"{first} to {first + sweep.repeat - 1}"

@@ -59,12 +59,12 @@ class Done(NamedTuple):
 
 
 def without_motion(task: Task, outcome: str, words: str, seconds: float = 0.0) -> Done:
-    """Return the result of a run that failed or was lost."""
+    """Return the result of a run without motion, with outcome failed or lost and the reason."""
     return Done(
         Row(task.run, own_settings(task), outcome, words, None, {COMPLETE: (0.0, "1")}, seconds)
     )
 
 
 def own_settings(task: Task) -> tuple[str, ...]:
-    """Return the settings of this run that other runs do not share."""
+    """Return the settings of a task that are specific to its run."""
     return task.settings[len(task.settings) - task.own :]

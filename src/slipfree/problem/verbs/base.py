@@ -250,7 +250,7 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def facts(self, run: Trajectory) -> Facts:
-        """Return the summary of a motion as names and texts."""
+        """Return the facts of the summary of a motion, pairs of name and text."""
 
     @abstractmethod
     def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
@@ -279,15 +279,18 @@ class MotionVerb(Verb):
         """
 
     def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:
-        """Return the attributes of the result file that are specific to this verb."""
+        """Return the attributes of the result file that are of this verb only; none by default."""
         return {}
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
-        """Return warnings about a motion."""
+        """Return warnings about a motion; none by default."""
         return ()
 
     def verification(self, run: Trajectory) -> dict[str, Quantity]:
-        """Return differences from an independent computation, and violations of limits, by name."""
+        """Return differences from an independent computation and violations of limits, by name.
+
+        The result is empty by default.
+        """
         return {}
 
     def cross_check(self, result: Result) -> CrossCheck:
@@ -301,7 +304,13 @@ class MotionVerb(Verb):
         raise NotImplementedError(CROSS_CHECK)
 
     def animate(self, result: Result, file: Path) -> None:
-        """Write an animation of a result to a file."""
+        """Write an animation of a result to a file (GIF or MP4).
+
+        Raises
+        ------
+        DataError
+            If ground or vehicle differ from those of the motion, or the file cannot be written.
+        """
         from slipfree.show.film import animate
 
         title = result.trajectory.attributes.get("title", "")
@@ -309,7 +318,7 @@ class MotionVerb(Verb):
 
 
 class Extremes(NamedTuple):
-    """Names of quantities whose last values and extremes are metrics.
+    """Names of the quantities whose last values, extremes or changes are metrics.
 
     Attributes
     ----------
@@ -329,7 +338,7 @@ class Extremes(NamedTuple):
     gained: tuple[str, ...] = ()
 
     def of(self, run: Trajectory) -> dict[str, Quantity]:
-        """Return the metrics of a motion by name."""
+        """Return the metrics of a motion by name; quantities that it does not have are omitted."""
         found = {f"end_{name}": (name, run[name][-1]) for name in _shared(self.end, run)}
         for name in _shared(self.largest, run):
             found[f"{name}_largest"] = name, np.abs(run[name]).max()
@@ -349,7 +358,10 @@ def _shared(names: Sequence[str], run: Trajectory) -> list[str]:
 
 
 def differences(run: Trajectory, *prefixes: str) -> dict[str, Quantity]:
-    """Return the statistics of a motion whose names begin with a prefix, with units."""
+    """Return the statistics of a motion whose names begin with one of the prefixes, with units.
+
+    The unit is that of the quantity named after the prefix, and empty if there is none.
+    """
     found = {}
     for prefix in prefixes:
         for name, size in run.statistics.items():

@@ -127,7 +127,14 @@ class ClimbVerb(MotionVerb):
     metrics_shown = ("climb_up", "climb_true_slip", "climb_limited")
 
     def build(self, problem: Problem[climb_schema.Climb]) -> Climbing:
-        """Return the model, the start and the inputs of a problem."""
+        """Return the model, the start and the inputs of a problem.
+
+        Raises
+        ------
+        ProblemError
+            If obstacle, vehicle, contact law or control are not valid, keys contradict each other,
+            or the vehicle cannot stand on the floor in front of the obstacle.
+        """
         spec = problem.spec
         profile = _profile(problem)
         with at(problem, ("vehicle",)):
@@ -174,7 +181,15 @@ class ClimbVerb(MotionVerb):
         watch: Watch,
         resume: SavedPlan | None,
     ) -> Solution:
-        """Return the motion of a climb, which tracks a plan if the problem has a table ``plan``."""
+        """Return the motion of a climb, which tracks a plan if the problem has a table ``plan``.
+
+        Raises
+        ------
+        ProblemError
+            If a plan is not possible, for example because the vehicle gets stuck.
+        SolverError
+            If no plan is found, or the integrator fails before the first sample.
+        """
         spec = problem.spec
         if spec.plan is None:
             return Solution(_judged(_simulated(spec, setup, watch), setup), setup)
@@ -197,7 +212,7 @@ class ClimbVerb(MotionVerb):
         return start, [("start", f"{place} (m, m/s)"), ("samples", samples)]
 
     def facts(self, run: Trajectory) -> Facts:
-        """Return the summary of a climb as names and texts."""
+        """Return the facts of the summary of a climb, pairs of name and text."""
         return [*climb_facts(run)]
 
     def metrics(self, run: Trajectory, spec: climb_schema.Climb) -> dict[str, Quantity]:
@@ -229,7 +244,7 @@ class ClimbVerb(MotionVerb):
         return Viewer("climbs", climb_scene)
 
     def shown(self, result: Result, name: str) -> Climbed:
-        """Return the motion of a result with ground and vehicle, for the viewer."""
+        """Return the motion of a result with ground and vehicle, as input of the viewer."""
         from slipfree.show.climb_scene import Climbed
 
         climber, profile = _vehicle_and_ground(result)
@@ -238,7 +253,13 @@ class ClimbVerb(MotionVerb):
 
 
 def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
-    """Return vehicle and ground of a result; they are rebuilt if the result is from a file."""
+    """Return vehicle and ground of a result, from its set-up or else from its problem.
+
+    Raises
+    ------
+    DataError
+        If the result is from a file without problem, or input files are missing.
+    """
     if result.setup is not None:
         return result.setup.climber, result.setup.profile
     problem = result.problem
@@ -247,7 +268,7 @@ def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
 
 
 def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
-    """Raise ProblemError for control keys or a friction that the tracking cannot use."""
+    """Raise ProblemError for control keys or a friction that the tracking of a plan cannot use."""
     spec = problem.spec
     given = spec.control.model_dump(exclude_none=True, exclude={"speed", "proportional"})
     words = "only the keys 'speed' and 'proportional' in [control] with a [plan]"
@@ -255,7 +276,8 @@ def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
     mu = spec.plan.friction if spec.plan else None
     if mu is not None and mu > spec.friction.static:
         expected = f"at most friction.static, {spec.friction.static:g}"
-        faults.append(Fault(("plan", "friction"), expected, f"{mu:g}"))
+        found = f"{mu:g}; reduce it, or increase friction.static"
+        faults.append(Fault(("plan", "friction"), expected, found))
     if faults:
         raise problem_error(problem.source, faults)
 
@@ -276,7 +298,14 @@ class _Times(NamedTuple):
 
 
 def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Climber) -> _Times:
-    """Return the times of the computation: of the samples, or of a sampled controller."""
+    """Return the times of the computation: of the samples, or of a sampled controller.
+
+    Raises
+    ------
+    ProblemError
+        If the period of the controller is too large, does not divide the time between samples, or
+        the integrator cannot be used with it.
+    """
     period, time = problem.spec.control.period, problem.spec.time
     if period is None:
         return _Times(samples(time, {})[0], 0)
@@ -296,7 +325,13 @@ def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Clim
 
 
 def _profile(problem: Problem[climb_schema.Climb]) -> Profile:
-    """Return the ground of a climb; errors contain the line of an invalid polygon."""
+    """Return the ground of a climb.
+
+    Raises
+    ------
+    ProblemError
+        If an obstacle, a polygon or the file is not valid, with the line of its key.
+    """
     spec = problem.spec.profile
     for name, make in OBSTACLES.items():
         given = getattr(spec, name)
@@ -315,7 +350,15 @@ def _profile(problem: Problem[climb_schema.Climb]) -> Profile:
 
 
 def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, ...]:
-    """Return the polygons of a CSV file with the columns solid, x, z and corners in order."""
+    """Return the polygons of a CSV file with the columns solid, x, z and corners in order.
+
+    Raises
+    ------
+    ModelError
+        If the corners of a solid are not in consecutive rows or not those of a convex polygon.
+    DataError
+        If the file cannot be read.
+    """
     rows = read_columns(problem.folder / name, ("solid", "x", "z"), "corners of solids")
     found: list[Solid] = []
     numbers = [number for number, _ in groupby(row[0] for row in rows)]
@@ -350,7 +393,14 @@ def _start(
     profile: Profile,
     contact: CompliantContact,
 ) -> Trajectory:
-    """Return the vehicle on the floor with its front wheels at a distance from the obstacle."""
+    """Return the vehicle on the floor with its front wheels at a distance from the obstacle.
+
+    Raises
+    ------
+    ProblemError
+        If no obstacle can be touched, wheels are inside a solid or not on the floor, or the
+        contacts are too soft.
+    """
     spec = problem.spec.start
     sunk = _sunk(problem, climber, contact)
     with at(problem, ("profile",)):
@@ -398,7 +448,7 @@ def _sunk(
         expected = (
             f"at least {softest:.3g} N/m, so that wheels sink in by at most {1e3 * SUNK:g} mm"
         )
-        found = f"{contact.stiffness:g}"
+        found = f"{contact.stiffness:g}; increase it"
         faults.append(Fault(("contact", "stiffness"), expected, found))
     if faults:
         raise problem_error(problem.source, faults)
@@ -409,6 +459,11 @@ def _first_contact(climber: Climber, profile: Profile) -> float:
     """Return x of the front axle where its wheels first touch an obstacle [m].
 
     The distance from a convex solid along a line is convex, so that it decreases to zero once.
+
+    Raises
+    ------
+    ModelError
+        If wheels on the floor can touch no solid.
     """
     from scipy.optimize import brentq, minimize_scalar  # imported here: the import takes 0.2 s
 
@@ -458,7 +513,7 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
         return Fault(
             ("start", "distance"),
             "at least 0 m, so that the vehicle starts outside all solids",
-            f"{distance:g} m: {inside}",
+            f"{distance:g} m: {inside}; increase the distance",
         )
     remedy = "move the solid"
     return Fault(("start",), "a vehicle that starts outside all solids", f"{inside}; {remedy}")
@@ -476,7 +531,10 @@ def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Plann
 
 
 def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
-    """Return a motion with its ending, its averages and the friction of a slow climb."""
+    """Return a motion with the description of its end, averages, and friction of a slow climb.
+
+    The samples are reduced to those of the result if a sampled controller has more steps.
+    """
     end = climb_ending(run, setup.climber, setup.profile)
     words = f"{end.name}: {end.words}"
     slow = _slow(setup)
@@ -527,7 +585,10 @@ def _averages(run: Trajectory, setup: Climbing) -> dict[str, float]:
 
 
 def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
-    """Return the friction that a quasi-static climb needs, by name, and its description."""
+    """Return the friction that a quasi-static climb needs, as a statistic, and its description.
+
+    Without a result, the description is the reason.
+    """
     try:
         need = least_friction(setup.climber, setup.profile)
     except (ModelError, SolverError) as error:

@@ -70,7 +70,7 @@ def plan_climb(
     ModelError
         If the vehicle gets stuck, or a coefficient of friction is given for the cost "friction".
     SolverError
-        If a leg needs more friction than is available.
+        If a leg needs more friction than is available, or the solver finds no plan of a leg.
     """
     found = legs(climber, profile)
     fastest = speed if spec.speed is None else spec.speed
@@ -128,7 +128,7 @@ def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
 
 
 def arrays_of(plan: Trajectory) -> dict[str, Array]:
-    """Return the samples of a plan by name, with one array per axle, for a result file."""
+    """Return the samples of a plan as arrays for a result file, by name; one per axle if needed."""
     found = {"plan_time": plan.t}
     for name, column in plan.columns.items():
         if column.values.ndim == 1:
@@ -178,7 +178,8 @@ def _check_friction(found: Sequence[Leg], least: Sequence[float], mu: float) -> 
     if least[worst] > mu:
         raise SolverError(
             f"plan, {_leg(worst, found[worst])}: expected a coefficient of friction of at "
-            f"least {least[worst]:.3f}, found {mu:g}; use a lower obstacle or more friction"
+            f"least {least[worst]:.3f}, found {mu:g}; lower the obstacle, or increase the "
+            "coefficient: plan.friction, or friction.static if plan.friction is not given"
         )
 
 

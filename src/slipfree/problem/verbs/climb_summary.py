@@ -26,7 +26,7 @@ WINDOW = (
 
 
 def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the main facts about a climb as names and texts."""
+    """Yield the facts of the summary of a climb, pairs of name and text."""
     yield "climb", run.attributes[ENDING]
     yield duration_fact(run)
     tilts = ", ".join(

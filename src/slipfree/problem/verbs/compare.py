@@ -112,7 +112,7 @@ class Row(NamedTuple):
 
 
 def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple[Ground, list[Row]]:
-    """Return the ground and the results of each vehicle.
+    """Compare vehicles on one ground; return the ground and the results of each vehicle.
 
     Parameters
     ----------
@@ -125,6 +125,8 @@ def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple
     ------
     ProblemError
         If the problem cannot be built.
+    SolverError
+        If a motion fails before its first sample.
     """
     ground, rows = build_ground(problem), []
     terrain = build_terrain(problem, ground)

@@ -68,7 +68,7 @@ class Direct(Modelled):
         return (file,) if isinstance(file, str) else ()
 
     def faults(self) -> Iterator[Fault]:
-        """Yield errors of inputs of the wrong type: a text as a rate, or a number as a file."""
+        """Yield the errors of common keys, and of inputs of the wrong type."""
         yield from super().faults()
         for name, value in (self.inputs or {}).items():
             if isinstance(value, str) != (name == FILE):
@@ -84,7 +84,14 @@ class DirectVerb(DriveVerb):
     options = (CROSS_CHECK,)
 
     def build(self, problem: Problem[Direct]) -> Setup:
-        """Return the model, the settled start and the inputs of a problem."""
+        """Return the model, the settled start and the inputs of a problem.
+
+        Raises
+        ------
+        ProblemError
+            If ground, vehicle, law, start or inputs are not valid, or the model does not support
+            the formulation of contact.
+        """
         spec, ground = problem.spec, build_ground(problem)
         with at(problem, ("vehicle",)):
             vehicle = build_vehicle(spec.vehicle, problem.folder)
@@ -115,7 +122,7 @@ class DirectVerb(DriveVerb):
     def drive(
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion, complete or up to its stop; there are no further arrays."""
+        """Return the motion, complete or up to its stop, and an empty mapping of arrays."""
         return integrate(setup, solver_options(problem), watch), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
@@ -136,9 +143,9 @@ class DirectVerb(DriveVerb):
 
 
 def _given(problem: Problem[Direct], vehicle: Vehicle) -> tuple[dict[str, Any] | None, str]:
-    """Return the inputs of a problem, those of its file included, and a note on the file.
+    """Return the inputs of a problem, including those of its MCAP file, and a note on the file.
 
-    Rates in the problem replace those in the file.
+    Rates in the problem replace those in the file. The inputs are None under a driving law.
     """
     given = problem.spec.inputs
     if given is None or FILE not in given:

@@ -180,7 +180,10 @@ def force_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def friction_words(run: Trajectory) -> str:
-    """Return the description of the largest friction utilisation, with wheel and time."""
+    """Return the description of the largest utilisation of friction, with wheel and time.
+
+    On a ground without coefficient of friction, describe the largest coefficient needed.
+    """
     used = run["utilisation"]
     k, i = np.unravel_index(int(used.argmax()), used.shape)
     where = f"at most (wheel {run.wheels[i]}, t = {run.t[k]:.4g} s)"
@@ -200,6 +203,9 @@ def friction_words(run: Trajectory) -> str:
 
 def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str, str]]:
     """Yield the facts about residuals, conditioning and the contact certificate.
+
+    For a dynamic motion, yield those about the balance of energy instead. Diagnostics that did not
+    converge are listed for all motions.
 
     Parameters
     ----------
@@ -256,7 +262,11 @@ def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def certificate(run: Trajectory) -> str:
-    """Return a text on whether each wheel has a single contact point, with the least margins."""
+    """Return the text of the contact certificate: each wheel has a single contact point.
+
+    It begins with "clean" if this is certain at all samples, otherwise with "broken", and contains
+    the least margins.
+    """
     clearance, curvature = (run[name].min() for name in UNIQUE)
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"
     if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:

@@ -89,7 +89,10 @@ class DriveVerb(MotionVerb):
     def drive(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion without diagnostics, and arrays for the result file."""
+        """Return the motion without diagnostics, and further arrays for the result file by name.
+
+        Parameters and errors are those of `MotionVerb.solve`.
+        """
 
     def solve(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
@@ -117,7 +120,7 @@ class DriveVerb(MotionVerb):
         return f"{setup.t.size} to {setup.t[-1]:g} s"
 
     def facts(self, run: Trajectory) -> Facts:
-        """Return the summary of a motion as names and texts."""
+        """Return the facts of the summary of a motion, pairs of name and text."""
         run = to_problem_frame(run)
         return [
             *path_facts(run),
@@ -131,7 +134,7 @@ class DriveVerb(MotionVerb):
         ]
 
     def own_facts(self, run: Trajectory) -> Facts:
-        """Return the facts specific to this verb."""
+        """Return the facts of the summary that are specific to this verb; none by default."""
         return []
 
     def trust_facts(self, run: Trajectory) -> Facts:
@@ -170,7 +173,13 @@ class DriveVerb(MotionVerb):
         return Viewer("motions over terrain", drive_scene)
 
     def shown(self, result: Result, name: str) -> Driven:
-        """Return the motion of a result with ground and vehicle, for the viewer."""
+        """Return the motion of a result with ground and vehicle, as input of the viewer.
+
+        Raises
+        ------
+        DataError
+            If ground or vehicle differ from those of the motion.
+        """
         from slipfree.show.drive_scene import Driven
 
         run, problem = result.trajectory, result.problem
@@ -190,7 +199,10 @@ class DriveVerb(MotionVerb):
 
 
 def _stable_poses(problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, ...]:
-    """Return the stable poses at the start of a motion, in the frame of the problem."""
+    """Return the stable poses at the start of a motion, that of the motion first.
+
+    Headings count from the axis of the problem's frame. With exact contact there is one pose.
+    """
     model, spec = setup.model, problem.spec
     if model.standing is not None and model.standing.guess is None:
         model = model.standing.model
@@ -211,7 +223,7 @@ def model_attributes(spec: Modelled) -> dict[str, str]:
 
 
 def ground_of(result: Result) -> Ground:
-    """Return the ground of a result; it is rebuilt if the result is from a file."""
+    """Return the ground of a result, from its set-up or else built from its problem."""
     return build_ground(result.problem) if result.setup is None else result.setup.ground
 
 
@@ -225,7 +237,13 @@ def vehicle_of(result: Result) -> Vehicle:
 
 
 def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:
-    """Return the motion, or its part up to a failure of the integrator."""
+    """Return the motion, or its part up to a failure of the integrator.
+
+    Raises
+    ------
+    SolverError
+        If the integrator fails before the first sample.
+    """
     try:
         return simulate(
             setup.dae, setup.start, setup.inputs, setup.t, options=options, progress=watch.time
@@ -237,7 +255,7 @@ def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:
 
 
 def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
-    """Return a motion with its diagnostics; those that fail are named in its attributes."""
+    """Return a motion with its diagnostics; its attributes name those that fail, with the error."""
     diagnostics: dict[str, Callable[[Trajectory], Trajectory]] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
     }
@@ -257,13 +275,13 @@ def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
 
 
 def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
-    """Return a motion with the attribute ``filled_ground``, the wheels' paths over filled holes."""
+    """Return a motion with an attribute about wheel paths over filled holes, if there are holes."""
     words = filled_words(grid, run)
     return replace(run, attributes={**run.attributes, "filled_ground": words}) if words else run
 
 
 def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) -> None:
-    """Raise DataError unless the vehicle matches the wheels and contacts of the motion."""
+    """Raise DataError unless the vehicle has the wheels, joints and contacts of the motion."""
     named = problem.spec.vehicle.file or str(problem.spec.vehicle.catalog)
     wheels = tuple(wheel.name for wheel in vehicle.wheels)
     if wheels != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:

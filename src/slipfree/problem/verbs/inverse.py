@@ -90,7 +90,14 @@ class InverseVerb(DriveVerb):
         return tuple(sorted(plots, key=lambda plot: plot.name not in ("map", "rates")))
 
     def build(self, problem: Problem[Inverse]) -> Setup:
-        """Return the models, the start and the inputs of a problem."""
+        """Return the models, the start and the inputs of a problem.
+
+        Raises
+        ------
+        ProblemError
+            If given rates or path are not valid, the vehicle cannot be moved by them, or ground,
+            vehicle or start are not valid.
+        """
         spec = problem.spec
         points = _points(problem, spec)
         with at(problem, ("vehicle",)):
@@ -127,7 +134,7 @@ class InverseVerb(DriveVerb):
     def drive(
         self, problem: Problem[Inverse], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion with its differences from the direct model; no further arrays."""
+        """Return the motion with its differences from the direct model, and an empty mapping."""
         spec, options, inputs = problem.spec, problem.spec.solver.options, None
         if _is_collocated(spec, setup):
             run, inputs = _collocate(setup, options, watch)
@@ -179,6 +186,11 @@ def _given_rates(
 
     For a path the rates are zeros. Their names are those of commands if the steering angle is
     unknown and the vehicle cannot roll without slip, else those of the rates to impose.
+
+    Raises
+    ------
+    ProblemError
+        If names, number or kinds of the rates are not valid, or the key ``exact`` does not apply.
     """
     if points is None and are_commands(spec.given or ()):
         return read_commands(problem, spec)
@@ -241,7 +253,15 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
 
 
 def _points(problem: Problem[S], spec: Inverse) -> Array | None:
-    """Return t, x, y, heading of the way-points [s, m, m, rad], shape (4, n); None without path."""
+    """Return t, x, y, heading of the way-points [s, m, m, rad], shape (4, n); None without path.
+
+    The headings count from the y axis.
+
+    Raises
+    ------
+    ProblemError
+        If the file cannot be read, or times or headings are not valid.
+    """
     path = spec.path
     if path is None:
         return None
@@ -253,7 +273,7 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
             if is_mcap(Path(path.file)) and spec.frame != "rep103":
                 raise DataError(
                     "expected frame = 'rep103' with a path in MCAP, whose headings count from x, "
-                    f"found {spec.frame!r}; set frame"
+                    f"found {spec.frame!r}; set frame = 'rep103'"
                 )
             rows = read_columns(problem.folder / path.file, COLUMNS)
         points = np.array(rows, dtype=float).reshape(-1, len(COLUMNS)).T
@@ -269,7 +289,7 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
 
 
 def _time_errors(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:
-    """Yield errors in the times of a path."""
+    """Yield an error for too few or unordered times of a path, or an end before the motion's."""
     if t.size < MIN_POINTS:
         yield Fault(place, f"at least {MIN_POINTS} way-points", f"{t.size}; add way-points")
     elif t[0] != 0 or not (np.diff(t) > 0).all():
@@ -383,7 +403,7 @@ def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
 def _with_replay(setup: Setup, run: Trajectory, inputs: Any, options: SolverOptions) -> Trajectory:
     """Return a motion with statistics of its differences from the direct model.
 
-    The direct model is integrated with `inputs`, functions of time; for None, the inputs are
+    The direct model is integrated with ``inputs``, functions of time; for None, the inputs are
     splines through the samples of the motion.
     """
     direct, gaps, words = setup.model, dict[str, float](), ""

@@ -26,7 +26,10 @@ ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_
 
 
 def are_commands(given: Collection[str]) -> bool:
-    """Return whether given rates are commands: rates in the heading frame, or a file of them."""
+    """Return whether names of given rates are those of commands.
+
+    Commands are rates of the platform in its heading frame, or the key of a file with such rates.
+    """
     names = set(given)
     return FILE in names or (bool(names) and (names <= set(COMMANDS) or names <= set(ROBOT)))
 
@@ -37,7 +40,8 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     Raises
     ------
     ProblemError
-        If the file cannot be read, or a name is unknown, occurs twice or is of another frame.
+        If the file cannot be read, a name is unknown, occurs twice or is of another frame, a
+        formula is not a finite function of t, or the key ``steering`` does not fit commands.
     """
     given, columns, words = dict(spec.given or {}), dict[str, Any](), []
     if (file := given.pop(FILE, None)) is not None:
@@ -64,7 +68,13 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
 
 
 def _read_file(file: Path) -> dict[str, Piecewise]:
-    """Return the commands of a CSV file by name; a command is constant until the next row."""
+    """Return the commands of a CSV file by name; a command is constant until the next row.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, its first line is not valid, or times do not increase from 0.
+    """
     names = read_names(file, "commands")
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
@@ -96,13 +106,13 @@ def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -
     """Yield errors in commands: names of other kinds, repeated names, wrong frame or steering."""
     if spec.steering != "angle":
         expected = f"'angle' with given rates {', '.join(COMMANDS)}"
-        yield Fault(("steering",), expected, repr(spec.steering))
+        yield Fault(("steering",), expected, f"{spec.steering!r}; remove the key")
     for name in given:
         if not are_commands({name, *columns}):
             yield Fault(
                 ("given", name),
                 f"rates of the same kind as {', '.join(columns)} in the CSV file",
-                repr(name),
+                f"{name!r}; remove it, or give all rates in one frame",
             )
         elif name in columns:
             expected, found = "only rates that are not in the CSV file", f"{name!r}; remove it"
@@ -110,7 +120,8 @@ def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -
     if spec.frame != "rep103" and (robot := [n for n in (*columns, *given) if n in ROBOT]):
         place = ("given", robot[0] if robot[0] in given else FILE)
         expected = f"{', '.join(COMMANDS)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
-        yield Fault(place, expected, f"{robot[0]} in the frame {spec.frame!r}")
+        found = f"{robot[0]} in the frame {spec.frame!r}; change the frame or the rates"
+        yield Fault(place, expected, found)
 
 
 def _check_formula(text: str, time: Time) -> None:

@@ -152,7 +152,7 @@ class PlanVerb(DriveVerb):
         return f"{problem.spec.time.step:g} s apart or less, depending on the intervals of the plan"
 
     def own_facts(self, run: Trajectory) -> Facts:
-        """Return the facts about costs of the plan and differences of its simulation."""
+        """Return the facts about the plan: costs, simulation, optimality, slip and friction."""
         return [*plan_facts(run)]
 
     def verification(self, run: Trajectory) -> dict[str, Quantity]:
@@ -218,7 +218,7 @@ def figure_options(setup: Planning) -> dict[str, Any]:
 
 
 def _violations(found: Plan | LongPlan, accuracy: float) -> dict[str, str]:
-    """Return the description of violations in the simulation, as an attribute if there are any."""
+    """Return the description of violations in the simulation, as an attribute; empty if none."""
     sizes = {name: size for name, size in found.violation.items() if size > ROUNDING}
     if not sizes:
         return {}
@@ -283,7 +283,10 @@ def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], b
 
 
 def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
-    """Return the description of the quasi-static motion under the plan's inputs, if possible."""
+    """Return the description of the quasi-static motion under the plan's inputs, as an attribute.
+
+    The result is empty without mass, friction or exact contact, and for quasi-static plans.
+    """
     able = has_exact_closure(setup.vehicle) and setup.vehicle.mass and setup.terrain.has_friction
     if not (found.success and able and setup.spec.model != "quasi-static"):
         return {}
@@ -321,7 +324,10 @@ def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
 def _by_stiffness(
     problem: Problem[plan_schema.Plan], setup: Planning, found: Plan
 ) -> dict[str, str]:
-    """Return how far the motion with stiffer wheels ends from a plan with pressed wheels."""
+    """Return the distance between the ends of the plan and of a motion with stiffer wheels.
+
+    It is described in an attribute; the result is empty for a vehicle with exact contact.
+    """
     if has_exact_closure(setup.vehicle) or not found.success:
         return {}
     wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
@@ -344,7 +350,7 @@ def _stopped(_words: str, _iterate: Iterate) -> bool:
 
 
 def _statistics(found: Plan | LongPlan) -> dict[str, float]:
-    """Return the costs of a plan, and the errors of its simulation."""
+    """Return the statistics of a plan: iterations, times, costs, and errors of its simulation."""
     times = [stage.seconds for stage in found.stages]
     return {
         "plan_iterations": float(sum(stage.iterations for stage in found.stages)),

@@ -66,7 +66,13 @@ def key_of(place: str) -> str:
 
 
 def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
-    """Return the ranges of quantities at the way-points, by fraction of the duration."""
+    """Return the ranges of quantities at the way-points, by fraction of the duration.
+
+    Raises
+    ------
+    ProblemError
+        If a way-point has no fraction between 0 and 1, or the fraction of another one.
+    """
     found: dict[float, Ranges] = {}
     for index, each in enumerate(spec.way_points):
         wanted = dict(each)
@@ -75,7 +81,7 @@ def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
             if not 0 < low == high < 1:
                 raise ModelError(
                     "way_points: expected the key 'at', a fraction of the duration between 0 and "
-                    f"1, found {spelled((low, high))}"
+                    f"1, found {spelled((low, high)) if 'at' in each else 'none'}; set it"
                 )
             if low in found:
                 raise ModelError(
@@ -99,7 +105,14 @@ def facing(problem: Problem[S], wanted: Ranges) -> Ranges:
 def initial_paths(
     problem: Problem[S], spec: Plan, layers: Traversability, places: tuple[Place, ...]
 ) -> tuple[Array, ...]:
-    """Return the paths of the initial guesses: given paths, or routes over the ground."""
+    """Return the paths of the initial guesses: given paths, or routes over the ground.
+
+    Raises
+    ------
+    ProblemError
+        If the keys of the driver contradict each other, a file cannot be read, the goal has no
+        position, or there is no route.
+    """
     driver = spec.driver
     if driver is None or driver.name in ("straight", "reeds-shepp"):
         return ()
@@ -117,11 +130,12 @@ def initial_paths(
 
 
 def _check_goal_place(problem: Problem[S], places: tuple[Place, ...]) -> None:
-    """Raise ProblemError if the goal has no position."""
+    """Raise ProblemError if the goal does not have both x and y."""
     if places[-1][0] != "goal":
         where = problem.source.where(("goal",))
         raise ProblemError(
-            f"{where}: expected values for x and y, which the driver needs, found none; add them"
+            f"{where}: expected values for x and y, which the driver needs, found only "
+            f"{', '.join(problem.spec.goal)}; add the missing values"
         )
 
 
@@ -131,6 +145,13 @@ def cusp_goal(
     """Return x, y [m] and heading of the goal, None without heading, for a path with cusps.
 
     The heading is measured from the y axis. [rad]
+
+    Raises
+    ------
+    ProblemError
+        If the goal has no position.
+    ModelError
+        If there are way-points, the speed is negative, or keys of other drivers are given.
     """
     _check_goal_place(problem, places)
     if len(places) > 2:
@@ -143,9 +164,11 @@ def cusp_goal(
             f"found {driver.speed:g} m/s; change its sign"
         )
     if driver.path or driver.file or driver.paths or driver.count > 1:
+        others = [key for key in ("path", "file", "paths") if getattr(driver, key)]
+        others += ["count"] if driver.count > 1 else []
         raise ModelError(
-            "driver: expected only speed and turning_radius with name = 'reeds-shepp', found path, "
-            "file, paths or count; remove them"
+            "driver: expected only speed and turning_radius with name = 'reeds-shepp', found also "
+            f"{', '.join(others)}; remove the other keys"
         )
     _, x, y = places[-1]
     heading = facing(problem, spec.goal).get("heading")
@@ -155,7 +178,13 @@ def cusp_goal(
 def _routes(
     problem: Problem[S], spec: Plan, driver: Guide, layers: Traversability, places: list[Array]
 ) -> tuple[Array, ...]:
-    """Return the points of routes from start to goal; of one route if there are way-points."""
+    """Return the points of routes from start to goal; of one route if there are way-points.
+
+    Raises
+    ------
+    ProblemError
+        If there is no route, or several routes are requested with way-points.
+    """
     with at(problem, ("driver",)):
         if len(places) == 2:
             count = max(driver.count, spec.plan.starts)
@@ -165,8 +194,8 @@ def _routes(
             return tuple(path.points for path in found)
         if driver.count > 1:
             raise ModelError(
-                f"driver: expected count = 1 with way-points, found {driver.count}; several routes "
-                "are searched only without way-points"
+                f"driver: expected count = 1 with way-points, found {driver.count}; set count = 1, "
+                "or remove the way-points"
             )
         legs = [
             route(layers, first, second, turning_radius=driver.turning_radius)
@@ -176,7 +205,13 @@ def _routes(
 
 
 def regions(problem: Problem[S], spec: Plan) -> tuple[Region, ...]:
-    """Return the keep-out regions of a problem."""
+    """Return the keep-out regions of a problem.
+
+    Raises
+    ------
+    ProblemError
+        If a region is neither a disc nor a valid polygon.
+    """
     found: list[Region] = []
     for index, each in enumerate(spec.keep_out):
         with at(problem, ("keep_out", index)):

@@ -1,4 +1,8 @@
-"""Plans that hold on a share of drawn worlds: errors of the map, of friction and of the inputs."""
+"""Plans that hold on a share of drawn worlds.
+
+A drawn world has random errors of the map, of the friction and of the gains of the inputs. A plan
+holds on it if its simulation there keeps all limits.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +56,7 @@ MAX_LISTED = 4  # largest number of bounds in a line of the summary
 
 
 class Tested(NamedTuple):
-    """A plan, and results of its simulations with randomly drawn uncertainties.
+    """A plan, and results of its simulations in drawn worlds.
 
     Attributes
     ----------
@@ -90,6 +94,8 @@ def make_robust(
 ) -> Tested:
     """Tighten the limits of a plan until it holds on a share of drawn worlds.
 
+    After Ctrl-C, the last accurate plan is returned, with an interruption as its stop.
+
     Parameters
     ----------
     problem, setup : Problem, Planning
@@ -97,7 +103,7 @@ def make_robust(
     first : FoundPlan
         Plan with the limits as given.
     robust : Robust
-        Drawn worlds and share.
+        Uncertainties of the drawn worlds, numbers of draws, and required share.
     progress : callable
         As for `plan`.
     report : callable or None
@@ -202,7 +208,10 @@ def drawn_terrain(setup: Planning, draw: Draw, robust: Robust) -> Bicubic:
 
 
 def drawn_motion(found: PolynomialMotion, draw: Draw, deviation: float) -> PolynomialMotion:
-    """Return a plan with a drawn gain of each input, which is 1 on average."""
+    """Return a plan with each input multiplied by a random gain of mean 1.
+
+    ``deviation`` is the standard deviation of the gains.
+    """
     where = found.layout.inputs
     errors = np.random.default_rng(_seed(draw, 2)).standard_normal(where.shape[1])
     unknowns = found.unknowns.copy()
@@ -211,7 +220,7 @@ def drawn_motion(found: PolynomialMotion, draw: Draw, deviation: float) -> Polyn
 
 
 def _seed(draw: Draw, part: int) -> int:
-    """Return the seed of a part of a draw."""
+    """Return the seed of a part of a draw: 0 heights, 1 friction, 2 inputs."""
     return int(np.random.SeedSequence((*draw, part)).generate_state(1)[0])
 
 
@@ -241,7 +250,7 @@ def _lines(found: RobustPlan[FoundPlan], first: FoundPlan) -> Iterator[tuple[str
 
 
 def _listed(parts: Sequence[str]) -> str:
-    """Return the first parts of a list, and the number of further ones."""
+    """Return the first four texts of a list, and the number of the others."""
     rest = len(parts) - MAX_LISTED
     return ", ".join(parts[:MAX_LISTED]) + (f" and {rest} more" if rest > 0 else "")
 

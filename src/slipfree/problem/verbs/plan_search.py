@@ -38,6 +38,18 @@ def guess_motion(setup: Planning, start: tuple[Any, Array]) -> Trajectory:
     If the guess follows a path and the goal has x and y, the motion ends at its sample nearest to
     the goal; ranges of x and y are represented by their middle. If the integrator fails after the
     first sample, the motion ends where the integrator stopped.
+
+    Parameters
+    ----------
+    setup : Planning
+        Set-up of the problem.
+    start : tuple of (record, ndarray)
+        Inputs of the guess, and times of its samples. [s]
+
+    Raises
+    ------
+    SolverError
+        If the integrator fails before the first sample.
     """
     law, t = start
     try:
@@ -63,9 +75,10 @@ def find_plan(
     length: float,
     tightening: Tightening = MappingProxyType({}),
 ) -> FoundPlan:
-    """Return the plan of a problem; pressed wheels start from smoother load laws.
+    """Return the plan of a problem.
 
-    Each plan starts from the one before. If a sharper law fails, the plan before it is returned.
+    For wheels that press into the ground, plans with smoother load laws are computed before, and
+    each search starts from the plan before. If a search fails, the plan before is returned.
 
     Parameters
     ----------
@@ -81,6 +94,13 @@ def find_plan(
         Duration of the plan if the problem gives none. [s]
     tightening : mapping of Bound to float
         Distance of each tightened bound from the given one, in the unit of the quantity.
+
+    Raises
+    ------
+    ProblemError
+        If start, goal and limits contradict each other, or ``resume`` is a plan of another model.
+    SolverError
+        If the plan cannot be simulated from the start.
     """
     spec, found, saved = problem.spec, None, resume
     for dae in (*([] if resume else _smoothed_models(problem, setup)), setup.dae):

@@ -97,7 +97,8 @@ def build_planning(problem: Problem[Plan]) -> Planning:
     Raises
     ------
     ProblemError
-        If goal, limits or initial guess do not suit vehicle and ground.
+        If ground, vehicle or start are not valid, names are unknown, the goal cannot be reached,
+        or limits, windows, drawn worlds or initial guess do not suit vehicle and ground.
     """
     spec = problem.spec
     ground = build_ground(problem)
@@ -147,7 +148,11 @@ def build_planning(problem: Problem[Plan]) -> Planning:
 
 
 def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None:
-    """Raise ProblemError if the drawn worlds of a problem do not suit it."""
+    """Raise ProblemError for a table ``plan.robust`` that cannot be used.
+
+    It needs an uncertainty, a ground with friction for that of friction, and a plan without
+    windows.
+    """
     robust = spec.plan.robust
     if robust is None:
         return
@@ -164,7 +169,8 @@ def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None
             )
         if spec.plan.window is not None:
             raise ModelError(
-                "plan.robust: not possible together with plan.window; remove one of them"
+                "plan.robust: expected a plan without windows, found plan.window; remove one of "
+                "them"
             )
 
 
@@ -203,7 +209,10 @@ def _starts(
 def _path_guess(
     dae: Dae, vehicle: Vehicle, points: Array, speed: float, t: Array
 ) -> tuple[Any, Array]:
-    """Return the inputs of a law that follows a path, and its times up to the end of the path."""
+    """Return the inputs of a law that follows a path, and sample times up to the end of the path.
+
+    The times are those of ``t`` in s; ``speed`` is in m/s.
+    """
     path = Path(points)
     count = int((t <= path.length / abs(speed)).sum())
     return follow(dae, vehicle, path, speed=speed), t[: max(count, 2)]
@@ -217,7 +226,13 @@ def _cusp_guess(
     start: Trajectory,
     places: tuple[Place, ...],
 ) -> tuple[Any, Array]:
-    """Return the inputs along the shortest path with cusps to the goal, and times of samples."""
+    """Return the inputs along the shortest path with cusps to the goal, and times of samples [s].
+
+    Raises
+    ------
+    ProblemError
+        If the driver, the goal or the duration do not suit such a path.
+    """
     spec = problem.spec
     with at(problem, ("driver",)):
         goal = cusp_goal(problem, spec, driver, places)
@@ -225,7 +240,7 @@ def _cusp_guess(
         arcs = reeds_shepp(first, goal, driver.turning_radius, turning_axis_offset(vehicle))
         if not arcs:
             raise ModelError(
-                "driver: expected a goal apart from the start, found the start; move it"
+                "driver: expected a goal apart from the start, found the start; move the goal"
             )
         values = {c.name: float(start[c.name][-1]) for c in vehicle.of("commanded")}
         pieces, duration = arc_inputs(dae, vehicle, arcs, values, speed=driver.speed)
@@ -246,7 +261,24 @@ def plan_arguments(
     model: tuple[Dae, Vehicle, Bicubic],
     between: Mapping[float, Ranges],
 ) -> dict[str, Any]:
-    """Return the arguments of `plan` for a problem."""
+    """Return the arguments of `plan` for a problem: goal, costs, limits, way-points and bounds.
+
+    Parameters
+    ----------
+    problem, spec : Problem, Plan
+        The problem, and its record.
+    keep_out : tuple of Region
+        Keep-out regions.
+    model : tuple of Dae, Vehicle and Bicubic
+        Model, vehicle and ground.
+    between : mapping of float to mapping
+        Ranges of quantities at the way-points, by fraction of the duration.
+
+    Raises
+    ------
+    ModelError
+        If a limit has an unknown name.
+    """
     limits = (
         *limits_of(model[0], facing(problem, spec.limits)),
         *_kept_out(keep_out, *model),
@@ -286,7 +318,8 @@ def _kept_out(
 def _kept_off_holes(spec: Plan, dae: Dae) -> Iterator[Limit]:
     """Yield the limits that keep wheels off holes of the map, unless the problem has its own.
 
-    The search has them from the beginning: it would leave the route, and not find around again.
+    The search has these limits from its beginning: otherwise its first plan may cross a hole, and
+    the later searches, which start from it, do not find a way around.
     """
     for limit in dae.limits:
         own = {limit.label.name, limit.label.full} & {*spec.limits}
@@ -295,7 +328,13 @@ def _kept_off_holes(spec: Plan, dae: Dae) -> Iterator[Limit]:
 
 
 def settled_start(dae: Dae, setup: Planning) -> Trajectory:
-    """Return the start of a plan, settled for another model of the vehicle."""
+    """Return the start of a plan, settled for another model ``dae`` of the vehicle.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle cannot stand there.
+    """
     values: dict[str, Any] = {
         label.full: float(setup.start.of(label)[-1]) for label in leaves(dae.labels.x)
     }
@@ -312,7 +351,8 @@ class PlanSource(NamedTuple):
     settings : tuple of str
         Settings of the option ``--set``.
     run : int
-        Number of the run in this process; files are read again for another run.
+        Number of the run in this process. It distinguishes sources of different runs in caches, so
+        that input files are read again.
     """
 
     path: File
@@ -322,14 +362,14 @@ class PlanSource(NamedTuple):
 
 
 def source_of(problem: Problem[Plan]) -> PlanSource:
-    """Return the source of a problem, with the number of another run."""
+    """Return the source of a problem, with a new number of the run."""
     source = problem.source
     settings = tuple(dict.fromkeys(source.settings.values()))
     return PlanSource(source.path, source.text, settings, next(RUNS))
 
 
 def problem_from(source: PlanSource) -> Problem[Plan]:
-    """Return the problem of a source."""
+    """Return the problem of a source; errors are those of `slipfree.problem.load.load_problem`."""
     return convert_places(
         validated_problem(lambda *_: Plan, source.path, source.text, source.settings)
     )

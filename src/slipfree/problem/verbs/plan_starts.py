@@ -72,6 +72,8 @@ def best_start(
     ------
     SlipfreeError
         If a process dies, or no start can be simulated.
+    KeyboardInterrupt
+        If ``report`` raises it before a start is solved.
     """
     count = max(problem.spec.plan.starts, len(setup.starts))
     with at(problem, ("plan",)):
@@ -83,7 +85,13 @@ def best_start(
 def _solve_starts(
     source: PlanSource, count: int, report: Callable[[str, str], None] | None
 ) -> tuple[list[StartResult], bool]:
-    """Return the plans of all starts, the best first, and whether Ctrl-C ended the search."""
+    """Return the plans of all starts, the best first, and whether Ctrl-C ended the search.
+
+    Raises
+    ------
+    ModelError
+        If no start can be simulated.
+    """
     found: list[StartResult] = []
     is_interrupted = False
 
@@ -109,7 +117,10 @@ def _solve_starts(
 
 
 def solve_start(task: tuple[PlanSource, int]) -> StartResult:
-    """Return the plan of one of several starts, given by its number, of a problem."""
+    """Return the plan from one of several initial guesses; errors are stored in the result.
+
+    ``task`` contains the source of the problem and the number of the guess.
+    """
     source, number = task
     try:
         problem = problem_from(source)
@@ -142,12 +153,12 @@ def _going_on(_words: str, _iterate: Iterate) -> bool:
 
 
 def _start_result(number: int, name: str, found: FoundPlan) -> StartResult:
-    """Return the plan of a start as it is sent to the parent."""
+    """Return the part of a plan that is sent to the parent process, with the name of its start."""
     return StartResult(number, found.optima[0]._replace(start=name), found.saved)
 
 
 def starts_words(results: Sequence[StartResult]) -> str:
-    """Return the number of local optima, and their table, a line each."""
+    """Return a text: a line with the number of local optima, then a line for each start."""
     optima = [each.optimum for each in results if each.optimum is not None]
     found = count_distinct(optima)
     head = f"{found} local {'optimum' if found == 1 else 'optima'} from {len(optima)} starts"

@@ -109,15 +109,21 @@ def follow_plan(
     Raises
     ------
     DataError
-        If the file does not contain a plan.
+        If the file does not contain a plan, input files are missing, or the changed problem cannot
+        be built, for example because the vehicle cannot stand at the start.
     ModelError
-        If period or window do not suit the plan, or the vehicle cannot stand at the start.
+        If period or window do not suit the plan, or the changed vehicle has other joints or wheels.
+    SolverError
+        If the first window cannot be solved, or a motion fails before its first sample.
     """
     run = read(file)
     saved = from_arrays(read_arrays(file), str(file))
     planned, real = (problem_of(file, run, folder, each) for each in ((), changes))
     if not isinstance(planned.spec, PlanVerb.schema):
-        raise DataError(f"{file}: expected the result of a plan, found one of {planned.spec.verb}")
+        raise DataError(
+            f"{file}: expected the result of a plan, found one of verb = {planned.spec.verb!r}; "
+            "give the result of a planning problem"
+        )
     setup = PlanVerb().build(planned)
     duration = saved.motion.duration
     found = find_plan(planned, setup, [], saved, lambda *_: True, duration)
@@ -223,7 +229,7 @@ def _followed(
     step: float,
     options: SolverOptions,
 ) -> Followed:
-    """Return the motion under the driving law along the plan's path at its mean speed."""
+    """Return the attempt of the driving law to follow the plan's path at its mean speed."""
     run, name = found.replay, "follow"
     points = np.column_stack([run["x"], run["y"]])
     points = np.concatenate([points[:-1:PATH_SPACING], points[-1:]])

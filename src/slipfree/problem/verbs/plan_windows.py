@@ -79,8 +79,8 @@ def _contradictions(
     if not has_exact_closure(vehicle):
         yield (
             ("plan", "window"),
-            f"plan.window: expected a vehicle whose wheels all touch the ground by its kinematics, "
-            f"found {vehicle.name}, whose wheels are pressed into it; remove plan.window",
+            "plan.window: expected a vehicle with exact contact of all wheels, found "
+            f"{vehicle.name}, whose wheels press into the ground; remove plan.window",
         )
     speed = abs(spec.driver.speed) if spec.driver else 1.0
     least = Path(paths[0]).length / speed
@@ -116,7 +116,7 @@ def long_plan(
     resume: SavedPlan | None,
     progress: PlanProgress,
 ) -> LongPlan:
-    """Return the plan of a problem in windows.
+    """Return the plan of a problem along a route, planned in windows.
 
     Parameters
     ----------
@@ -130,6 +130,13 @@ def long_plan(
         Plan in windows from which the search continues.
     progress : callable
         As for `plan_windows`.
+
+    Raises
+    ------
+    ProblemError
+        If speed, lengths or limits are not valid, or ``resume`` is a plan of another model.
+    SolverError
+        If no motion along the route can be simulated from the start.
     """
     spec = problem.spec
     window, speed = spec.plan.window or 0.0, spec.driver.speed if spec.driver else 0.0
@@ -155,7 +162,7 @@ def long_plan(
 
 
 def windows_words(found: LongPlan) -> str:
-    """Return number, size and time of the windows of a plan."""
+    """Return a text with number, iterations and computing time of the windows of a plan."""
     windows, metres = found.windows, found.windows[-1].end
     counts = [window.iterations for window in windows]
     seconds = sum(window.seconds for window in windows)

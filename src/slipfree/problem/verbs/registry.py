@@ -43,12 +43,12 @@ def verb_of(problem: Problem[Runnable]) -> MotionVerb:
 
 
 def check_option(problem: Problem[Any], option: str) -> None:
-    """Raise ProblemError if the verb of a problem does not support an option of ``slipfree run``.
+    """Check that the verb of a problem supports an option of ``slipfree run``.
 
     Raises
     ------
     ProblemError
-        If the verb does not support it; the message names the verbs that do.
+        If the verb does not support the option; the message names the verbs that do.
     """
     if option in verb_of(problem).options:
         return
