@@ -93,7 +93,9 @@ if hasattr(os, "register_at_fork"):
 
 
 def computing(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function during whose calls forks in other threads wait, for at most 10 s.
+    """Decorate a function so that forks of the process in other threads wait until its calls end.
+
+    A fork waits for at most 10 s.
 
     Raises
     ------

@@ -18,7 +18,7 @@ Frame = Literal["paper", "rep103"]
 STORED = "frame"  # attribute of a motion: frame of its samples
 WANTED = "problem_frame"  # attribute of a motion: frame of its problem
 OFFSET: dict[str, float] = {"paper": 0.0, "rep103": pi / 2}  # heading minus that from y [rad]
-HEADING = Label("heading", "rad", "counter-clockwise angle of the left axis from the y axis")
+HEADING = Label("heading", "rad", "counter-clockwise angle of the forward axis from the x axis")
 
 
 def to_problem_frame(run: Trajectory) -> Trajectory:

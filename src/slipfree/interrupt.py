@@ -112,7 +112,7 @@ def with_interrupt_guard(function: Callable[P, R]) -> Callable[P, R]:
 
 @contextmanager
 def ended_by_interrupt(end: Callable[[], object]) -> Iterator[None]:
-    """Call a function at Ctrl-C, before the SIGINT handler, to end the wait in this context.
+    """Call a function at Ctrl-C, before the SIGINT handler, to end a wait inside this context.
 
     After Ctrl-C the end of the context raises KeyboardInterrupt, even if the handler raises no
     exception. Outside the main thread the context has no effect.

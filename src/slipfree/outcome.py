@@ -1,4 +1,4 @@
-"""Outcomes of motions: complete, or why a motion ended early."""
+"""Outcomes of motions: complete, or the kind of an early end."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ INCOMPLETE_EXIT_CODE = 1
 
 
 class Outcome(Enum):
-    """Outcome of a motion: complete, or why it ended early.
+    """Outcome of a motion: complete, or the kind of its early end.
 
-    The value of a member is a title, as printed in summaries, a colon, and an explanation. Result
-    files store the name of the member in lower case.
+    The value of a member is the title in summaries, a colon, and an explanation. Result files
+    contain the name of the member in lower case.
     """
 
     COMPLETE = "complete: the motion reaches its end, or an event that ends it"

@@ -30,7 +30,7 @@ D_co = TypeVar("D_co", covariant=True)
 
 
 class ProcessDiedError(SlipfreeError):
-    """Death of the process that executes a task."""
+    """Error for a task whose process died."""
 
 
 class Pool(Protocol[T_contra, D_co]):
@@ -151,15 +151,16 @@ class Processes(Generic[T, D]):
 def local_tasks(
     function: Callable[[T], D], most: int
 ) -> Iterator[Callable[[Iterable[T], Poll], Iterator[D]]]:
-    """Yield a function that executes tasks in processes, for several calls.
+    """Yield a function that executes tasks in processes; it may be called several times.
 
-    It takes tasks and ``poll`` as `finish_tasks` does, and yields results as they are completed.
-    In a process of a pool, or if one process suffices, it executes them one after the other.
+    The function takes tasks and ``poll`` as `finish_tasks` does, and yields the results in the
+    order of completion. If this process is itself one of a pool, or if only one process may be
+    used, it executes the tasks one after the other.
 
     Parameters
     ----------
     function : callable
-        Function at module level of a task.
+        Function at module level that takes a task and returns its result.
     most : int
         Largest number of processes.
     """
@@ -178,7 +179,7 @@ def local_tasks(
 
 
 class _SpawnOne(SpawnContext):
-    """Start method `spawn` that records its process; a forked CasADi is not safe."""
+    """Start method ``spawn`` that stores its process; CasADi is not safe in forked processes."""
 
     made: BaseProcess
 
@@ -188,7 +189,7 @@ class _SpawnOne(SpawnContext):
 
 
 class _Process:
-    """An executor of one process."""
+    """Executor with one process, which is started at once."""
 
     def __init__(self) -> None:
         context = _SpawnOne()

@@ -170,7 +170,13 @@ class Trajectory:
         return values[:, self.wheels.index(wheel)]
 
     def of(self, label: Label) -> Array:
-        """Return the samples of the quantity, or of its value at one wheel, that a label names."""
+        """Return the samples of the quantity of a label, of one wheel if the label has a wheel.
+
+        Raises
+        ------
+        ModelError
+            As for ``run[name]``.
+        """
         return self[label.name] if label.wheel is None else self[label.name, label.wheel]
 
     def __iter__(self) -> Iterator[str]:
@@ -178,7 +184,15 @@ class Trajectory:
         return iter(self.columns)
 
     def part(self, span: slice, stop: Stop | None = None) -> Trajectory:
-        """Return a part of the trajectory: a range of its samples, with an optional stop."""
+        """Return a part of the trajectory.
+
+        Parameters
+        ----------
+        span : slice
+            Range of the samples to keep. Events within their times are kept.
+        stop : Stop, optional
+            Stop of the part; without it, the part is complete.
+        """
         columns = {k: Column(c.label, c.values[span]) for k, c in self.columns.items()}
         t = self.t[span]
         first, last = t.min(initial=np.inf), t.max(initial=-np.inf)

@@ -183,7 +183,8 @@ def sweep_of(
     sizes = int(np.prod([len(axis.values) for axis in axes], dtype=object)) * (repeat or 1)
     if sizes > MOST_RUNS:
         raise DataError(
-            f"sweep: expected at most {MOST_RUNS} runs, found {sizes}; vary fewer values"
+            f"sweep: expected at most {MOST_RUNS} runs, found {sizes}; vary fewer values, or "
+            "reduce --repeat"
         )
     problems = load_variants(file, settings, _checked_points(axes))
     first = next(problems)

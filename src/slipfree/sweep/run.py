@@ -62,7 +62,8 @@ def run_sweep(
     check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise DataError(
-            f"{folder}: expected a folder for the sweep, found a file; choose another folder"
+            f"{folder}: expected a folder for the sweep, found a file; choose another folder with "
+            "-o"
         )
     with Log(folder / NAME, sweep.head, again=again) as log:
         try:

@@ -282,10 +282,10 @@ def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
 
 def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) -> None:
     """Raise DataError unless the vehicle has the wheels, joints and contacts of the motion."""
-    named = problem.spec.vehicle.file or str(problem.spec.vehicle.catalog)
+    file = problem.spec.vehicle.file
     wheels = tuple(wheel.name for wheel in vehicle.wheels)
     if wheels != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
-        raise _changed("vehicle", named, "its wheels or joints have other names")
+        raise _changed("vehicle", file, "its wheels or joints have other names")
     placed = wheel_poses(vehicle, run)
     center, contact = (
         np.stack([run[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
@@ -298,7 +298,7 @@ def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) 
     x, rho = np.stack([wheel.section.outline(u) for wheel, u in columns], axis=-1)
     off = max(away.max(), np.hypot(along - x, out - rho).max())
     if not off <= np.abs(_depth(run)).max() + SAME * min(wheel.radius for wheel in vehicle.wheels):
-        raise _changed("vehicle", named, f"its wheels are {off:.2g} m from those of the result")
+        raise _changed("vehicle", file, f"its wheels are {off:.2g} m from those of the result")
 
 
 def _check_ground(
@@ -313,7 +313,7 @@ def _check_ground(
     off = (np.abs(heights - run["contact_z"]) - STEEPEST * np.abs(_depth(run))).max()
     if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
         words = f"it is up to {off:.2g} m from the contact points"
-        raise _changed("ground", problem.spec.terrain.file or "not from a file", words)
+        raise _changed("ground", problem.spec.terrain.file, words)
 
 
 def _depth(run: Trajectory) -> Array:
@@ -321,9 +321,10 @@ def _depth(run: Trajectory) -> Array:
     return run["depth"] if has_pressed_wheels(run) else np.zeros(1)
 
 
-def _changed(what: str, named: str, words: str) -> DataError:
+def _changed(what: str, file: str | None, words: str) -> DataError:
+    """Return the error for a vehicle or ground that is not that of the result."""
+    remedy = "restore the file, give its folder by --folder DIR, or " if file else ""
     return DataError(
-        f"expected the {what} with which the result was computed, found a different one "
-        f"({named}): {words}; "
-        "restore the file, give its folder by --folder DIR, or run the problem again"
+        f"expected the {what} with which the result was computed, found a different one"
+        f"{f' ({file})' if file else ''}: {words}; {remedy}run the problem again"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -93,7 +94,7 @@ def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
 
 
 def facing(problem: Problem[S], wanted: Ranges) -> Ranges:
-    """Return ranges with headings converted to the frame of the model, from the y axis."""
+    """Return ranges with the heading counted from the y axis, as in the model."""
     return {
         name: (low + heading_offset(problem), high + heading_offset(problem))
         if name == "heading"
@@ -129,7 +130,7 @@ def initial_paths(
     return _routes(problem, spec, driver, layers, [np.array(place[1:]) for place in places])
 
 
-def _check_goal_place(problem: Problem[S], places: tuple[Place, ...]) -> None:
+def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
     """Raise ProblemError if the goal does not have both x and y."""
     if places[-1][0] != "goal":
         where = problem.source.where(("goal",))
