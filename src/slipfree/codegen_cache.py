@@ -146,7 +146,13 @@ def _key(text: str) -> str:
 
 
 def folder() -> Path | None:
-    """Return the folder of the cache; None if ``SLIPFREE_CACHE`` is empty."""
+    """Return the folder of the cache; None if ``SLIPFREE_CACHE`` is empty.
+
+    Raises
+    ------
+    _UnavailableError
+        If ``SLIPFREE_CACHE`` names a user without a home folder.
+    """
     given = os.environ.get(FOLDER)
     if given is None:
         return platformdirs.user_cache_path("slipfree") / "compiled"
@@ -237,7 +243,13 @@ def digest(content: bytes) -> str:
 def _compile(
     cache: Path, key: str, functions: Sequence[ca.Function], command: Sequence[str]
 ) -> None:
-    """Compile functions and store the library in the cache; its key and digest name the file."""
+    """Compile functions and store the library in the cache; its key and digest name the file.
+
+    Raises
+    ------
+    _UnavailableError
+        If the cache cannot be written or the compiler fails.
+    """
     try:
         with tempfile.TemporaryDirectory(dir=cache, prefix=SCRATCH_PREFIX) as scratch:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"

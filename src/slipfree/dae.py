@@ -219,6 +219,12 @@ class Dae:
         Coefficients of the ground that the expressions contain as symbols; `function` evaluates
         them.
 
+    Raises
+    ------
+    ModelError
+        If the numbers of equations and variables differ, ``size`` is not positive and finite, or
+        two variables have the same name.
+
     Notes
     -----
     ``model.x.x``, ``model.x.y`` and ``model.z.position.z`` are local: they are relative to the

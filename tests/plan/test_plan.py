@@ -144,9 +144,9 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
         ({"cost_limits": {"slop": 1.0}}, "found 'slop'; use one of"),
         (
             {"cost_limits": {"effort": 0.0}},
-            "cost_limits: expected a positive limit of 'effort', found 0",
+            "cost_limits: expected a positive, finite limit of 'effort', found 0",
         ),
-        ({"duration": 0.0}, "expected a positive duration"),
+        ({"duration": 0.0}, "expected a positive, finite duration"),
         ({"limits": {"steer": (1.0, -1.0)}}, "ascending bounds of 'steer'"),
         (
             {"way_points": {1.0: {"x": 0.0}}},

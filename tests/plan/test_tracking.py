@@ -80,7 +80,9 @@ def test_a_limit_of_the_world_ends_the_motion(window):
 
 def test_wrong_arguments_are_refused(window):
     dae = window.program.task.dae
-    with pytest.raises(ModelError, match="period: expected above 0 and at most 8 s, the duration"):
+    with pytest.raises(
+        ModelError, match="period: expected a period above 0 and at most 8 s, the duration"
+    ):
         track_plan(window, dae, settle(dae), period=0.0)
     other = direct_kinematics(catalog.differential_drive(), Bicubic(GRID))
     with pytest.raises(ModelError, match="world: expected the states and inputs of the plan's"):

@@ -97,7 +97,13 @@ def _list(shipped: Mapping[str, Traversable]) -> None:
 
 
 def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
-    """Copy shipped problems with their input files to a folder."""
+    """Copy shipped problems with their input files to a folder.
+
+    Raises
+    ------
+    DataError
+        If files exist already and ``force`` is not set, or the folder cannot be made.
+    """
     texts = {}
     while wanted:
         name = wanted.pop()

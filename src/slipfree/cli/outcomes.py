@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
     """Print the outcome of an incomplete motion, its file, and the command that resumes it.
 
-    With ``--quiet``, which omits the summary, print also the reason of the outcome. An empty
-    command is not printed.
+    With ``--quiet``, which omits the summary, print also the reason of the outcome. ``go_on`` is
+    the command, empty if there is none.
     """
     from slipfree.trajectory import outcome_title, outcome_words
 

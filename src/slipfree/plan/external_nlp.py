@@ -61,8 +61,8 @@ def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> Solution:
     if not stats["success"]:
         raise SolverError(
             f"no solution of the nonlinear program was found: {ipopt_words(status)} after "
-            f"{count} iterations; check whether limits contradict each other and widen them, or "
-            "use another initial guess"
+            f"{count} iterations; widen limits that may contradict each other, or change the "
+            "number of nodes or the initial guess"
         )
     times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
     functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))

@@ -132,8 +132,8 @@ def horizon(
     _check_task(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
     if not 0 < span <= length:
         raise ModelError(
-            f"horizon: span: expected above 0 and at most {length:g} s, the duration of the plan, "
-            f"found {span} s; choose a span in this range"
+            f"horizon: span: expected a window above 0 and at most {length:g} s, the duration of "
+            f"the plan, found {span} s; choose a window in this range"
         )
     own = replace(
         task,

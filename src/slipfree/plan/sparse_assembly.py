@@ -64,6 +64,11 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
         Scale of the unknowns; the blocks take the unknowns of the program times this scale.
     n_p : int
         Number of parameters.
+
+    Raises
+    ------
+    ModelError
+        If the argument of a ground lookup calls a function.
     """
     n_g = 1 + max(each.row_indices.max(initial=-1) for each in blocks)
     w, p = ca.MX.sym("w", scale.size), ca.MX.sym("p", n_p)

@@ -349,7 +349,7 @@ def plan_windows(
 
 
 def _stop_of(found: Plan, here: _HandOver, end: float) -> Stop | None:
-    """Return the stop of a window that is not solved or whose simulation stops."""
+    """Return the stop of a window that is not solved or whose simulation stops; otherwise None."""
     stop = found.replay.stop if found.success else found.run.stop
     if stop is None:
         return None

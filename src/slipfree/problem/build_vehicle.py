@@ -197,7 +197,10 @@ def guessed_completion(path: Path, folder: Path) -> str:
         If the file is not a URDF, or its vehicle is invalid.
     """
     if path.suffix.lower() not in ROBOTS:
-        raise DataError(f"{path}: expected a URDF, whose guesses can be written; name a URDF")
+        raise DataError(
+            f"{path}: expected a URDF or xacro file, about which slipfree guesses, found another "
+            "file; name a URDF, or omit --write"
+        )
     tables: dict[str, dict[str, Guess]] = {"": {}, "wheels": {}, "joints": {}}
     for guess in _draft(path).guesses:
         known = tables[guess.table].get(guess.name)
@@ -257,7 +260,7 @@ def _completed(file: File) -> Draft:
 
 
 def _urdf_text(path: Path, arguments: Mapping[str, str], by: str = "") -> tuple[bytes, str]:
-    """Return the text of a URDF, expanded from xacro if need be, and its name in messages.
+    """Return the text of a URDF, expanded from xacro if necessary, and its name in messages.
 
     ``by`` names the file that contains the path, in messages.
     """

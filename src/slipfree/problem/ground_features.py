@@ -20,7 +20,7 @@ class Feature(Record):
     """A feature of a synthetic ground."""
 
     def added(self, grid: Grid) -> Grid:
-        """Return a ground with the feature added."""
+        """Return a ground with the feature added to its heights."""
         raise NotImplementedError
 
 

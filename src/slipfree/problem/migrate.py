@@ -1,4 +1,7 @@
-"""Migration of problem and vehicle files of version 0.1 to current keys, with their layout."""
+"""Migration of problem and vehicle files of version 0.1 to current keys.
+
+Comments and layout of the files are preserved.
+"""
 
 from __future__ import annotations
 

@@ -212,7 +212,7 @@ def _checked(problem: Problem[Any], against: str) -> str:
         return "s"
     known = f"expected {', '.join(USUAL)} or the name of a quantity of the model"
     if against in (SLIP, TIME):
-        raise DataError(f"--against {against}: {known}, found {against!r}")
+        raise DataError(f"--against {against}: {known}, found {against!r}; choose one of these")
     try:
         (cost,) = costs_of(build(problem).dae, {against: 1.0})
     except ModelError as error:

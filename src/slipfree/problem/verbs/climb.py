@@ -230,7 +230,7 @@ class ClimbVerb(MotionVerb):
         return run.attributes[ENDING]
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
-        """Return the figures of a climb, the most important first."""
+        """Return the figures of a climb, the most important first; errors are those of `shown`."""
         from slipfree.show.climb_figures import climb_plots
 
         climber, profile = _vehicle_and_ground(result)
@@ -244,7 +244,13 @@ class ClimbVerb(MotionVerb):
         return Viewer("climbs", climb_scene)
 
     def shown(self, result: Result, name: str) -> Climbed:
-        """Return the motion of a result with ground and vehicle, as input of the viewer."""
+        """Return the motion of a result with ground and vehicle, as input of the viewer.
+
+        Raises
+        ------
+        DataError
+            If the result is from a file without problem, or input files are missing.
+        """
         from slipfree.show.climb_scene import Climbed
 
         climber, profile = _vehicle_and_ground(result)

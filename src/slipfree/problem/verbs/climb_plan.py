@@ -105,6 +105,9 @@ def _with_progress(run: Trajectory, climber: Climber) -> Trajectory:
 def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
     """Return statistics of a plan, and of the motion that tracks it, by name.
 
+    The names begin with ``climb_plan_``. ``climb_plan_driven`` is the time that the motion takes
+    for the distance of the plan; it is missing if the motion ends before.
+
     Parameters
     ----------
     plan : Planned

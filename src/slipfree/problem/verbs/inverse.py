@@ -226,7 +226,7 @@ def _check_units(problem: Problem[S], spec: Inverse) -> None:
 
 
 def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
-    """Yield errors in the names, kinds and number of the given rates."""
+    """Yield an error for each unknown name, and for a wrong kind or number of the given rates."""
     known = list(dict.fromkeys((*KNOWN, *COMMANDS, *ROBOT)))
     unknown = [*name_errors(("given",), given, known)]
     yield from unknown

@@ -193,7 +193,10 @@ def _described(
     run: Trajectory,
     attributes: Mapping[str, str],
 ) -> tuple[Trajectory, Mapping[str, Array]]:
-    """Return the simulation of a plan with its attributes and statistics, and the saved plan."""
+    """Return the simulation of a plan with attributes and statistics, and the plan as arrays.
+
+    If the plan is not accurate, the motion gets a stop that says so.
+    """
     if run.stop is None and not found.accurate:
         run = replace(run, stop=_inaccurate(spec, found))
     attributes = {

@@ -129,7 +129,7 @@ def find_plan(
 
 
 def _smoothed_models(problem: Problem[Plan], setup: Planning) -> list[Dae]:
-    """Return models of a rigid vehicle whose wheels lose their load over wider depths.
+    """Return models with smoothed load laws of wheels that press into the ground, smoothest first.
 
     The list is empty for a vehicle with exact contact.
     """
