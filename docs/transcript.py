@@ -35,6 +35,7 @@ END = "\x1e"  # what no program prints
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 VARIES = re.compile(
     r"[\d.e+-]+ (?:s CPU|steps|evaluations|iterations|s, of which [\d.]+ s in)|in [\d.]+ s\b"
+    r"|Newton step +[\d.e+-]+ m at most, [\d.]+ x"  # differs between processors
 )
 PROGRESS = re.compile(r"integrated to [\d.]+ of |.*\biteration \d+, cost ")
 ROUNDING, TOLERANCE = 1e-6, 0.01

@@ -121,7 +121,7 @@ def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
             ["p.nc", "--period", "9"],
             "period: expected a period above 0 and at most 4 s, the duration of the plan, found",
         ),
-        (["p.nc", "--window", "0"], "found 0.0 s; choose a span in this range"),
+        (["p.nc", "--window", "0"], "found 0.0 s; choose a window in this range"),
         (["p.nc", "--window", "5"], "horizon: span: expected a window above 0 and at most"),
         (["p.nc", "--set", "terrain.frictoin=1"], "did you mean 'friction'"),
     ],
