@@ -61,7 +61,7 @@ def test_other_problems_are_refused(tmp_path):
     ("words", "told"),
     [
         (["--against", "nothing"], "expected duration, effort, energy or the name of a quantity"),
-        (["--set", "costs.slip="], "expected a weight of the slip, found weights of effort"),
+        (["--set", "costs.slip="], "expected a positive weight costs.slip, found effort = "),
         (["--points", "1"], "Invalid value for '--points'"),
     ],
 )

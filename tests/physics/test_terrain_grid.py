@@ -126,7 +126,7 @@ def test_analytic_pickles():
 @pytest.mark.parametrize(
     ("function", "domain", "words"),
     [
-        (hills, (1, -1, 0, 1), "domain must be x_min < x_max"),
+        (hills, (1, -1, 0, 1), "with x_min < x_max"),
         (lambda x, y: ca.vertcat(x, y), (0, 1, 0, 1), r"one height, found shape \(2, 1\)"),
         (lambda x, _y: x + ca.SX.sym("mu"), (0, 1, 0, 1), r"only on x and y, found .*mu"),
     ],

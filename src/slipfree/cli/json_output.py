@@ -22,7 +22,7 @@ def motion_json(run: Trajectory) -> dict[str, Any]:
 
 
 def stop_json(stop: Stop | None) -> dict[str, Any] | None:
-    """Return name, time [s] and description of an early stop; None for a complete motion."""
+    """Return name, time [s] and description of a stop; None without a stop."""
     return None if stop is None else {"name": stop.name, "time": stop.t, "words": stop.words}
 
 

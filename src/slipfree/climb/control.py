@@ -215,11 +215,17 @@ def check_period(period: float, control: Driver, climber: Climber) -> None:
     most = largest_period(control, climber)
     if 0 < period < most:
         return
+    if not period > 0:
+        raise ModelError(
+            f"period: expected a positive sample time below {most:g} s, found {period:g} s; "
+            "increase it"
+        )
     if most == _integral_period_limit(control):
         raise ModelError(
             f"period: expected a time between 0 and {most:g} s = 2 kp / ki (kp = "
             f"{control.proportional:g} N m s/rad, ki = {control.integral:g} N m/rad), the "
-            f"stability limit of the wheel rates, found {period:g} s: sample faster or reduce ki"
+            f"stability limit of the wheel rates, found {period:g} s; reduce the "
+            "sample time or ki"
         )
     gain = control.proportional + control.derivative / control.lag
     slack = [axle.inertia / axle.wheels for axle in climber.axles]
@@ -228,5 +234,5 @@ def check_period(period: float, control: Driver, climber: Climber) -> None:
         f"period: expected a time between 0 and {most:g} s = 2 J / (n kp), the stability limit of "
         f"the {name} axle (J = {getattr(climber, name).inertia:g} kg m2, n = "
         f"{getattr(climber, name).wheels}, kp = {gain:g} N m s/rad), found "
-        f"{period:g} s: sample faster or reduce the gain"
+        f"{period:g} s; reduce the sample time or the gain"
     )

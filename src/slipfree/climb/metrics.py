@@ -50,10 +50,13 @@ class Metrics(NamedTuple):
     window : Window
         Time window of the averages.
     slip : ndarray
-        Absolute value of the slip ratio, equation (20) of Chugo et al. (2009). It uses the speed of
-        the middle axle for all wheels, so that it is not zero for wheels that roll without slip.
+        Mean absolute slip ratio, equation (20) of Chugo et al. (2009). Absolute values are clipped
+        to one, and samples with a wheel rate below 0.4 rad/s are ignored; NaN if none remain. The
+        ratio uses the speed of the middle axle for all wheels; it can therefore be nonzero for a
+        wheel that rolls without slip.
     disturbance : ndarray
-        Absolute value of the relative error of the wheel's rate, equation (21) of the same paper.
+        Mean absolute relative error of the wheel rate, equation (21) of the same paper, with the
+        same clipping and the same ignored samples.
     true_slip : ndarray
         Slip distance of the rim on the most loaded solid, divided by the distance the rim travels.
     effort : ndarray

@@ -71,7 +71,7 @@ class JointTable(Record):
 
 
 class WheelTable(Record):
-    """Table of a wheel in a file that completes a URDF: properties that URDF does not have."""
+    """Table of a wheel in a file that completes a URDF: added or overriding properties."""
 
     driven: bool | None = None
     radius: Length | None = None

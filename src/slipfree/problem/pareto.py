@@ -203,10 +203,10 @@ def _checked(problem: Problem[Any], against: str) -> str:
             "problem"
         )
     if not spec.costs.get(SLIP):
-        found = ", ".join(spec.costs) or "none"
+        found = ", ".join(f"{name} = {weight:g}" for name, weight in spec.costs.items())
         raise ProblemError(
-            f"{problem.source.where(('costs',))}: expected a weight of the slip, found weights of "
-            f"{found}; add costs.slip, for example --set costs.slip=1e4"
+            f"{problem.source.where(('costs',))}: expected a positive weight costs.slip, found "
+            f"{found or 'no costs'}; set it, for example with --set costs.slip=1e4"
         )
     if against == DURATION:
         return "s"

@@ -101,7 +101,7 @@ class Region(ABC):
 
     @abstractmethod
     def distance(self, x: Array, y: Array) -> Array:
-        """Return the signed distances of points of equal shape, negative inside [m]."""
+        """Return the signed distances of points to the border, negative inside [m]."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -143,7 +143,7 @@ class Guard:
 
 
 def stop(server: viser.ViserServer) -> None:
-    """Stop a server without its messages."""
+    """Stop a server and suppress its messages."""
     with redirect_stdout(io.StringIO()):
         server.stop()
 

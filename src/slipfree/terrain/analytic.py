@@ -79,8 +79,8 @@ class Analytic:
         x_min, x_max, y_min, y_max = self.domain
         if not (x_min < x_max and y_min < y_max):
             raise ModelError(
-                "terrain: domain must be x_min < x_max, y_min < y_max in metres, "
-                f"found {self.domain}; correct the order"
+                "terrain: domain must be (x_min, x_max, y_min, y_max) in metres with x_min < x_max "
+                f"and y_min < y_max, found {self.domain}; correct the limits"
             )
         check_formula(self.function, "terrain", "height")
         check_friction(self.mu)

@@ -279,7 +279,7 @@ class MotionVerb(Verb):
         """
 
     def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:
-        """Return the attributes of the result file that are of this verb only; none by default."""
+        """Return the attributes of the result file that only this verb has; none by default."""
         return {}
 
     def warnings(self, run: Trajectory) -> Sequence[str]:

@@ -1,4 +1,4 @@
-"""Several starts of a planning problem, each in a process of its own."""
+"""Solve a planning problem from several initial guesses, in parallel processes."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def find_verb(name: object) -> Verb | None:
 
 
 def motion_verbs() -> tuple[MotionVerb, ...]:
-    """Return the verbs that ``slipfree run`` solves."""
+    """Return the verbs of the problems that ``slipfree run`` solves."""
     return cast("tuple[MotionVerb, ...]", verbs_of("run"))
 
 
