@@ -58,7 +58,7 @@ def test_axis_far_from_zero_is_uniform():
         (X, with_value(Y, 2, np.nan), Z, r"axis y must be finite, found y\[2\] = nan"),
         (X[::-1], Y, Z, r"axis x .* from 4 to 0; flip .* x\[::-1\] and z\[::-1, :\]"),
         (X, Y[::-1], Z, r"axis y must increase.* flip .* y\[::-1\] and z\[:, ::-1\]"),
-        (X, with_value(Y, 3, 10.0), Z, r"found y\[2\] = 11 followed by y\[3\] = 10; sort it"),
+        (X, with_value(Y, 3, 10.0), Z, r"found y\[2\] = 11 followed by y\[3\] = 10; sort axis"),
         (X, Y, Z.T, r"shape \(x.size, y.size\) = \(5, 7\), found \(7, 5\).* pass z\.T"),
         (X, Y, Z[:, :4], r"= \(5, 7\), found \(5, 4\); reshape z"),
         (
