@@ -85,5 +85,5 @@ def test_wheels_pressed_into_the_ground_are_refused():
         "time.duration=12.0",
     )
     problem = load_problem(HILLS.with_name("plan_rigid_robot.toml"), settings)
-    with pytest.raises(ProblemError, match="found rigid_skid_steer, whose wheels are pressed"):
+    with pytest.raises(ProblemError, match="found rigid_skid_steer, whose wheels press"):
         build(problem)

@@ -52,7 +52,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Mapping[
 
 def _files(folder: Path) -> dict[str, bytes]:
     return {
-        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.toml")
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.*")
     }
 
 
