@@ -173,7 +173,7 @@ def mirrored(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, joints=tuple(joints), wheels=tuple(wheels), body=body(vehicle.body))
 
 
-def run(case: Case, view: str = "as drawn", tolerance: float = TOLERANCE) -> Trajectory:
+def run(case: Case, view: str = "as drawn") -> Trajectory:
     """Return the motion of a case, or of its mirror image, or turned by 90 degrees."""
     vehicle = mirrored(case.vehicle) if view == "mirrored" else case.vehicle
     heading = {"as drawn": 1, "mirrored": -1, "turned": 1}[view] * case.heading
@@ -181,7 +181,7 @@ def run(case: Case, view: str = "as drawn", tolerance: float = TOLERANCE) -> Tra
     model = dynamics(vehicle, case.ground.terrain(view))
     start = settle(model, x=0.0, y=0.0, heading=heading, speed=case.speed)
     inputs = model.inputs(**case.inputs)
-    return simulate(model, start, inputs, case.t, options=SolverOptions(tolerance))
+    return simulate(model, start, inputs, case.t, options=SolverOptions(TOLERANCE))
 
 
 def difference(case: Case, view: str) -> float:
@@ -206,29 +206,29 @@ class Ending(NamedTuple):
     ledger: float = 0.0
 
 
-def ending(case: Case, tolerance: float = TOLERANCE) -> Ending:
+def ending(case: Case) -> Ending:
     """Return how the run of a case ends."""
     try:
-        motion = run(case, tolerance=tolerance)
+        motion = run(case)
     except SolverError as error:
-        return Ending("failure", str(error), ledger(error.trajectory, tolerance))
+        return Ending("failure", str(error), ledger(error.trajectory))
     except SlipfreeError as error:
         return Ending("refused", str(error))
     kind = "complete" if motion.stop is None else motion.outcome.name.lower()
     words = "" if motion.stop is None else f"{motion.stop.name}: {motion.stop.words}"
-    return Ending(kind, words, ledger(motion, tolerance))
+    return Ending(kind, words, ledger(motion))
 
 
-def ledger(motion: Trajectory, tolerance: float) -> float:
+def ledger(motion: Trajectory) -> float:
     """Return the largest error of the energy balance, over 100 x tolerance x energy.
 
-    The energy is one joule, since the tolerance of the work is absolute too, and the sum of work,
-    lost energy, kinetic energy and change of potential energy.
+    The energy is one joule, since the tolerance of the work is absolute too, and the largest of
+    work, lost energy, kinetic energy and change of potential energy.
     """
     kinetic, potential, contact = (
         motion[f"{name}_energy"] for name in ("kinetic", "potential", "contact")
     )
     total, work, lost = kinetic + potential + contact, motion["work"], motion["lost_energy"]
     error = np.abs(total - total[0] - work + lost).max()
-    energy = 1 + np.abs(work).max() + lost.max() + kinetic.max() + np.ptp(potential)
-    return float(error / (100 * tolerance * energy))
+    energy = 1 + max(np.abs(work).max(), lost.max(), kinetic.max(), np.ptp(potential))
+    return float(error / (100 * TOLERANCE * energy))
