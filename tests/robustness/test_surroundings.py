@@ -100,7 +100,7 @@ def test_a_current_folder_that_is_gone(words: str) -> None:
     assert (code, shown) == (2, "")
     assert told == (
         "expected an existing current folder, found a removed one (No such file or directory); "
-        "change to another folder\n"
+        "change to another folder: cd DIR\n"
     )
 
 
