@@ -74,13 +74,13 @@ class LookupTable:
         key = (hash(function), order, *entries)
         if key not in self._known:
             found = ca.SX.sym(f"found{len(self._known)}", function.numel_out(0))
-            lookup = Lookup(argument, found, _constant(function), order)
+            lookup = Lookup(argument, found, constant_function(function), order)
             # the function is kept alive: another one could get its hash
             self._known[key] = lookup, function
         return self._known[key][0].found
 
 
-def _constant(function: ca.Function) -> ca.Function:
+def constant_function(function: ca.Function) -> ca.Function:
     """Return the same function with derivatives that CasADi takes as zero."""
     at = ca.MX.sym("at", function.sparsity_in(0))
     options: dict[str, Any] = {"is_diff_in": [False], "is_diff_out": [False], "never_inline": True}

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from slipfree import (
+    Analytic,
     Bicubic,
     Grid,
     ModelError,
@@ -26,6 +27,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
+from slipfree.contact.touch import search_function
 from slipfree.lookups import LookupTable
 from slipfree.plan.nlp_block import nlp_block
 from slipfree.plan.problem import task_of
@@ -33,10 +35,12 @@ from slipfree.plan.sparse_assembly import assemble
 from slipfree.plan.transcription import CollocationMesh, transcribe
 from slipfree.problem.contact_start import settle_contact
 from slipfree.records import leaves
+from slipfree.solve.equations import _compiled_lookup
 from slipfree.solve.replay import replay
 from slipfree.solve.starts import settle_nearest
 from slipfree.solve.system import with_inputs
 from slipfree.solve.trim import apply_inputs, trim_states
+from slipfree.vehicle.sections.torus import Torus
 
 QUICK = ("-O0", *codegen_cache.FLAGS[1:])
 needs_compiler = pytest.mark.skipif(codegen_cache.compiler() is None, reason="no C compiler here")
@@ -171,7 +175,7 @@ def test_a_compiled_program_is_the_interpreted_one_on_every_ground(folder, monke
         assert_allclose(one, other, rtol=1e-11, atol=1e-11)
     assert program(2, build=True).compiled
     files = sorted(folder.iterdir())
-    assert len(files) == 2  # one of the motion, one of the program
+    assert len(files) == 3  # of the motion, of its quadratures and limits, and of the program
     code = (
         "from test_compiled import QUICK, codegen_cache, program\n"
         "codegen_cache.FLAGS = QUICK\n"
@@ -211,8 +215,27 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
                 assert_allclose(np.array(ca.DM(a)), np.array(ca.DM(b)), rtol=1e-11, atol=1e-11)
         for name in ("x", "y", "heading"):
             assert_allclose(runs[1][name], runs[0][name], atol=1e-7)
-        assert len(list(folder.iterdir())) == 1
+        assert len(list(folder.iterdir())) == 2  # one of quadratures and limits
         monkeypatch.setenv("CC", "false")
+
+
+@needs_compiler
+def test_the_contact_search_on_a_formula_is_compiled():
+    hills = Analytic(lambda x, y: 0.15 * ca.sin(2 * x) * ca.cos(3 * y), mu=0.8)
+    search = search_function(hills, Torus(0.03, 0.12), 0.15)
+    compiled = _compiled_lookup(search)
+    assert any(each.is_a("External") for each in compiled.find_functions())
+    rng = np.random.default_rng(0)
+    at = np.vstack(
+        [rng.uniform(-1, 1, (2, 200)), rng.uniform(0, 0.4, 200), *np.eye(3)[:, [0] * 200]]
+    )
+    assert_allclose(compiled.map(200)(at), search.map(200)(at), rtol=1e-9, atol=1e-9)
+
+
+@needs_compiler
+def test_a_compiled_search_on_a_map_is_kept():
+    search = search_function(hilly(1), Torus(0.03, 0.12), 0.15)
+    assert _compiled_lookup(search) is search
 
 
 def test_the_jacobian_of_a_motion_under_a_law_is_that_of_its_expressions():

@@ -12,10 +12,19 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from slipfree.codegen_cache import compiled_functions
+from slipfree.codegen_cache import compiled_functions, library, source
 from slipfree.dae import Dae
-from slipfree.lookups import Lookup, found_column, lookup_results, needed_lookups
+from slipfree.lookups import (
+    Lookup,
+    constant_function,
+    found_column,
+    lookup_results,
+    needed_lookups,
+)
 from slipfree.records import Array
+
+# one forward derivative per column: with as many states as rates, fewer operations than reverse
+FORWARD = {"helper_options": {"ad_weight": 0.0}}
 
 
 class MotionEquations(NamedTuple):
@@ -159,9 +168,53 @@ def _model_equations(dae: Dae, count: int, *, compiled: bool) -> _ModelEquations
     values = ca.Function("values", given, parts, {"cse": True})
 
     def make() -> list[ca.Function]:
-        slopes = ca.jacobian(rows, ca.vertcat(*given[1:4]))
-        return [values, ca.Function("slopes", given, [slopes])]
+        slopes = ca.jacobian(rows, ca.vertcat(*given[1:4]), FORWARD)
+        return [values, ca.Function("slopes", given, [slopes], {"cse": True})]
 
     functions = compiled_functions(values, ("values", "slopes"), make, compiled=compiled)
+    lookups = _compiled_lookups(lookups) if compiled else lookups
     inputs = ca.vertsplit(v) if v.numel() else []
     return _ModelEquations(tuple(ca.depends_on(rows, each) for each in inputs), lookups, *functions)
+
+
+def model_function(
+    dae: Dae,
+    name: str,
+    symbols: Sequence[ca.SX],
+    expressions: Sequence[ca.SX],
+    *,
+    compiled: bool,
+) -> ca.Function:
+    """Return expressions of a model as a function without derivatives, which may be compiled.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    name : str
+        Name of the function.
+    symbols, expressions : sequence of SX
+        Arguments and results of the function.
+    compiled : bool
+        Whether to compile the function.
+    """
+    lookups = needed_lookups(dae.lookups, expressions)
+    plain = ca.Function(name, [*symbols, found_column(lookups)], [*expressions], {"cse": True})
+    (plain,) = compiled_functions(plain, (name,), lambda: [plain], compiled=compiled)
+    lookups = _compiled_lookups(lookups) if compiled else lookups
+    given = [ca.MX.sym("given", *each.shape) for each in symbols]
+    return ca.Function(name, given, plain.call([*given, lookup_results(lookups, symbols, given)]))
+
+
+def _compiled_lookups(lookups: Sequence[Lookup]) -> tuple[Lookup, ...]:
+    """Return lookups with compiled functions, where these are not compiled already."""
+    return tuple(each._replace(function=_compiled_lookup(each.function)) for each in lookups)
+
+
+@lru_cache(maxsize=32)
+def _compiled_lookup(function: ca.Function) -> ca.Function:
+    parts = [function, *function.find_functions()]
+    if any(part.is_a("External") for part in parts):
+        return function
+    found = library(source([function]), (function.name(),), lambda: [function])
+    return constant_function(found[0]) if found else function

@@ -12,7 +12,7 @@ from slipfree.dae import Dae, PiecewiseLinear
 from slipfree.errors import ModelError
 from slipfree.lookups import found_column
 from slipfree.records import Array, Label, leaves, pack
-from slipfree.solve.equations import motion_equations
+from slipfree.solve.equations import model_function, motion_equations
 from slipfree.solve.options import SolverOptions
 
 MAX_NEWTON_STEPS = 25  # for blocks that depend on the motion
@@ -157,13 +157,16 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     continuation = (
         ca.SX.sym("continuation") if dae.continuation is None else dae.continuation.symbol
     )
-    continued = [dae.ode, dae.quad, pack(dae.y), limits, inputs, *dae.residuals]
+    continued = [dae.ode, pack(dae.y), limits, inputs, *dae.residuals]
     continued = ca.substitute(continued, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
     end = ca.SX(dae.continuation.values[-1] if dae.continuation else 0.0)
-    ode, quad, y, bounds, driven, *parts = (
+    watched = [dae.quad, limits]
+    if dae.continuation:
+        watched = ca.substitute(watched, [continuation], [end])
+    ode, y, bounds, driven, *parts = (
         ca.substitute(continued, [continuation], [end]) if dae.continuation else continued
     )
-    blocks = _equation_blocks(dae, [dae.t, x, z, u, continuation], continued[5:])
+    blocks = _equation_blocks(dae, [dae.t, x, z, u, continuation], continued[4:])
     first = _first_dependent_block(ode, parts, z, blocks)
     motion, dependent = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
@@ -172,7 +175,7 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         dae,
         np.zeros((u.numel(), 0)),
         equations.core,
-        _watch_function(dae, [dae.t, x, z, u], quad, bounds, dependent),
+        _watch_function(dae, law, u, watched, dependent, compiled=compiled),
         motion,
         dependent,
         equations.newton,
@@ -197,25 +200,41 @@ def _first_dependent_block(
 
 def _watch_function(
     dae: Dae,
-    symbols: list[ca.SX],
-    quad: ca.SX,
-    bounds: ca.SX,
+    law: list[ca.SX],
+    u: ca.SX,
+    watched: list[ca.SX],
     dependent: tuple[Block, ...],
+    *,
+    compiled: bool,
 ) -> ca.Function:
-    """Return the function of quadrature rates and margin, which solves the dependent blocks."""
-    t, x, z, u = symbols
+    """Return the function of quadrature rates and margin, which solves the dependent blocks.
+
+    ``watched`` are the rates of the quadratures and the limits, in the symbols of the model.
+    """
+    x, z, inputs = dae.columns()
     count = dependent[0].span.start if dependent else z.numel()
-    margin = _limit_margin(dae, bounds, z[count:])
-    if not dependent or not ca.depends_on(quad, z[count:]):
-        return dae.function("watch", [t, x, z[:count], u], [quad, margin])
-    sizes = [each.numel() for each in (t, x, z[:count], u)]
-    given = [ca.MX.sym(name, size) for name, size in zip("txmu", sizes, strict=True)]
-    guess = dae.function("guess", [x], [dae.guess[count:]])
-    found = ca.vertcat(given[2], guess(given[1]))
-    for block in dependent:
-        found = _solve_symbolically(block, [given[0], given[1], found, given[3]])
-    values = dae.function("values", symbols, [quad, margin])
-    return ca.Function("watch", given, list(values(given[0], given[1], found, given[3])))
+    follows = [ca.depends_on(each, z[count:]) for each in law]
+    following = [z[count:], *(v for v, late in zip(leaves(dae.u), follows, strict=True) if late)]
+    quad, margin = watched[0], _limit_margin(dae, watched[1], ca.vertcat(*following))
+    solves = dependent and ca.depends_on(quad, ca.vertcat(*following))
+    unknowns = z if solves else z[:count]
+    if not solves:  # neither quadratures nor margin depend on these inputs
+        law = [ca.SX(0) if late else each for each, late in zip(law, follows, strict=True)]
+    given = [
+        ca.MX.sym(name, size)
+        for name, size in zip("txmu", (1, x.numel(), count, u.numel()), strict=True)
+    ]
+    t_0, x_0, found, u_0 = given
+    if solves:
+        guess = dae.function("guess", [x], [dae.guess[count:]])
+        found = ca.vertcat(found, guess(x_0))
+        for block in dependent:
+            found = _solve_symbolically(block, [t_0, x_0, found, u_0])
+    laws = dae.function("law", [dae.t, x, unknowns, u], [ca.vertcat(ca.SX(0, 1), *law)])
+    symbols = [dae.t, x, unknowns, inputs]
+    values = model_function(dae, "watch", symbols, [quad, margin], compiled=compiled)
+    at = t_0, x_0, found
+    return ca.Function("watch", given, list(values(*at, laws(*at, u_0))))
 
 
 def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:
