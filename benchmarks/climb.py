@@ -25,7 +25,7 @@ from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, standing
 from slipfree.climb.friction_demand import least_friction
-from slipfree.climb.profile import Profile, flat, step
+from slipfree.terrain.solids import Profile, flat, step
 from slipfree.climb.reference import PerAxle, Tilts, motors, odometry, ratios, reference
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.solve.settle import settle

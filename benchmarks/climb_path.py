@@ -24,7 +24,7 @@ from slipfree.climb.friction_demand import (
     least_friction,
     least_friction_forces,
 )
-from slipfree.climb.profile import Profile, ramp, step
+from slipfree.terrain.solids import Profile, ramp, step
 from slipfree.climb.time_scaling import climb, history
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.plan.external_nlp import solve_nlp

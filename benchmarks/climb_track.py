@@ -15,7 +15,7 @@ from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control
 from slipfree.climb.noise import Noise
 from slipfree.climb.plan_tracking import Tracking
-from slipfree.climb.profile import Profile, step
+from slipfree.terrain.solids import Profile, step
 from slipfree.climb.vehicle import Climber
 from slipfree.trajectory import SolverError
 

@@ -31,6 +31,7 @@ from .solve.simulate import simulate
 from .terrain.analytic import Analytic
 from .terrain.base import Grid
 from .terrain.bicubic import Bicubic
+from .terrain.solids import Solids
 from .trajectory import SolverError, Trajectory
 from .vehicle.drives import Motor, Rate, Torque
 from .vehicle.tree import Body, Coordinate, Joint, Vehicle
@@ -60,6 +61,7 @@ __all__ = [
     "Route",
     "SlipfreeError",
     "SolverError",
+    "Solids",
     "SolverOptions",
     "Torque",
     "Trajectory",

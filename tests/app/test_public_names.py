@@ -16,7 +16,7 @@ from slipfree.solve.events import Event
 PAGE = 60  # lines of a terminal
 LINES, WIDTH = 5, 100  # of a repr
 NAMES = {
-    *("Grid", "Bicubic", "Analytic", "read_map"),
+    *("Grid", "Bicubic", "Analytic", "Solids", "read_map"),
     *("Vehicle", "Coordinate", "Joint", "Body", "Wheel", "catalog", "read_vehicle"),
     *("direct_kinematics", "inverse_kinematics", "montana_kinematics", "quasi_statics"),
     *("dynamics", "Compliant", "Rate", "Torque", "Motor"),

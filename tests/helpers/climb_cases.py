@@ -14,7 +14,7 @@ from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, standing
 from slipfree.climb.metrics import Metrics, metrics
 from slipfree.climb.plan_tracking import TrackedPlan, Tracking, tracked_plan
-from slipfree.climb.profile import Profile, ramp, step
+from slipfree.terrain.solids import Profile, ramp, step
 from slipfree.climb.time_scaling import climb as program
 from slipfree.climb.vehicle import Climber, seven_wheels
 from slipfree.plan.external_nlp import solve_nlp

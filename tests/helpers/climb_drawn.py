@@ -13,7 +13,7 @@ from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control, largest_period
 from slipfree.climb.dynamics import climbing, standing
 from slipfree.climb.noise import Noise
-from slipfree.climb.profile import Profile, kerb, ramp, stairs, step
+from slipfree.terrain.solids import Profile, kerb, ramp, stairs, step
 from slipfree.climb.reference import Law
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.solve.settle import settle

@@ -34,7 +34,7 @@ from slipfree.climb.contact import CompliantContact, direction, wheel_contacts
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, standing
 from slipfree.climb.metrics import climb_window
-from slipfree.climb.profile import flat, kerb, stairs
+from slipfree.terrain.solids import flat, kerb, stairs
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.errors import ModelError
 from slipfree.records import pack

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from slipfree.climb.metrics import disturbance_ratio, metrics, slip_ratio
-from slipfree.climb.profile import step
+from slipfree.terrain.solids import step
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.errors import ModelError
 from slipfree.records import Label

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree.climb.profile import Profile, Solid, flat, kerb, ramp, stairs, step
+from slipfree.terrain.solids import Profile, Solid, flat, kerb, ramp, stairs, step
 from slipfree.errors import ModelError
 
 SQUARE = Solid(((0, 0), (1, 0), (1, 1), (0, 1)))

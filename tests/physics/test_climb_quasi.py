@@ -24,7 +24,7 @@ from slipfree.climb.friction_demand import (
     least_friction,
     least_friction_forces,
 )
-from slipfree.climb.profile import Profile, Solid, flat, kerb, ramp, stairs, step
+from slipfree.terrain.solids import Profile, Solid, flat, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import seven_wheels
 from slipfree.errors import ModelError
 

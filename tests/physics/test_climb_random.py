@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from helpers.climb_drawn import drawn, drive, finite
 from slipfree.climb.ending import climb_ending
-from slipfree.climb.profile import Profile, Solid, step
+from slipfree.terrain.solids import Profile, Solid, step
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.outcome import Outcome
 from slipfree.records import Label

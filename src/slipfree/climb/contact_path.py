@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.climb.profile import Profile
+from slipfree.terrain.solids import Profile
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array

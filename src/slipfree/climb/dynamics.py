@@ -12,7 +12,7 @@ from slipfree.climb.contact import CompliantContact, direction, wheel_contacts
 from slipfree.climb.control import Commands, Control, check_period, torques
 from slipfree.climb.noise import Noise, measured
 from slipfree.climb.plan_tracking import Tracking, tracked
-from slipfree.climb.profile import Profile
+from slipfree.terrain.solids import Profile
 from slipfree.climb.records import OnSolid, Outputs, State, labels_of
 from slipfree.climb.reference import PerAxle, estimated_directions, reference
 from slipfree.climb.vehicle import AXLES, Climber

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.climb.metrics import has_reached_top, touches_obstacle
-from slipfree.climb.profile import Profile
+from slipfree.terrain.solids import Profile
 from slipfree.climb.vehicle import Climber
 from slipfree.records import Array
 from slipfree.trajectory import Trajectory

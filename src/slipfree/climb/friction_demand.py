@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from slipfree.climb.contact_path import Leg, PathSamples, axle_arms, legs, sample, tangents
-from slipfree.climb.profile import Profile, step
+from slipfree.terrain.solids import Profile, step
 from slipfree.climb.vehicle import Body, Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.climb.profile import Profile
+from slipfree.terrain.solids import Profile
 from slipfree.climb.vehicle import Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array, Mask

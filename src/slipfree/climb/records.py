@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from slipfree.climb.control import Driver
-from slipfree.climb.profile import Profile
+from slipfree.terrain.solids import Profile
 from slipfree.climb.reference import PerAxle, Tilts
 from slipfree.climb.vehicle import AXLES
 from slipfree.dae import Labels

@@ -31,7 +31,7 @@ from slipfree.climb.friction_demand import (
     equilibrium,
     least_friction_forces,
 )
-from slipfree.climb.profile import Profile
+from slipfree.terrain.solids import Profile
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.errors import ModelError
 from slipfree.nlp import Nlp

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.contact.closure import ContactFrame
+from slipfree.contact.solid_touch import tube_radii
 from slipfree.contact.touch import Touch
+from slipfree.dae import Limit
 from slipfree.laws.compliant import GroundForce
 from slipfree.lookups import LookupTable
 from slipfree.models.base import outputs
@@ -24,6 +27,7 @@ from slipfree.models.records import (
     Rates,
 )
 from slipfree.models.tip_over import tip_over_margin
+from slipfree.records import Label, leaves, unpack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 
@@ -42,6 +46,10 @@ class Contact(NamedTuple):
         """Force of the ground on the wheel, shape (3, 1) [N]."""
         return self.force.normal * self.touch.frame.normal + self.force.tangential
 
+    def moment(self, center: ca.SX) -> ca.SX:
+        """Return the moment of the force about a point, shape (3, 1) [N m]."""
+        return ca.cross(self.touch.frame.point - center, self.total)
+
     @property
     def energy(self) -> ca.SX:
         """Elastic energy of the contact [J]."""
@@ -52,6 +60,16 @@ class Contact(NamedTuple):
         """Power that the contact dissipates [W]."""
         away = ca.dot(self.touch.frame.normal, self.slip)
         return self.force.elastic * away - ca.dot(self.total, self.slip)
+
+
+def deepest(contacts: Sequence[Contact]) -> Contact:
+    """Return the contact with the least gap, of the contacts of one wheel."""
+    found, *others = contacts
+    for other in others:
+        pairs = zip(leaves(found), leaves(other), strict=True)
+        nearer = other.touch.gap < found.touch.gap
+        found = unpack(found, [ca.if_else(nearer, new, old) for old, new in pairs])
+    return found
 
 
 class Effort(NamedTuple):
@@ -158,13 +176,20 @@ def limit_quantities(q: Quantities, contacts: Sequence[Contact]) -> Quantities:
 
 
 def dynamic_outputs(
-    q: Quantities, body: Multibody, contacts: Sequence[Contact], forces: ForceOutputs
+    q: Quantities,
+    body: Multibody,
+    shown: Sequence[Contact],
+    contacts: Sequence[tuple[Contact, ...]],
+    forces: ForceOutputs,
 ) -> DynamicOutputs:
-    """Return the outputs of the model; the slip of a wheel in the air is zero."""
+    """Return the outputs of the model; the slip of a wheel in the air is zero.
+
+    ``shown`` is the contact of each wheel with the least gap, ``contacts`` are all contacts.
+    """
     o_x, o_y, _ = q.terrain.origin
     normal = q.forces.normal
-    slips = tuple(ca.if_else(each.touch.gap < 0, each.slip, 0) for each in contacts)
-    wheels = zip(body.wheels, contacts, slips, strict=True)
+    slips = tuple(ca.if_else(each.touch.gap < 0, each.slip, 0) for each in shown)
+    wheels = zip(body.wheels, shown, slips, strict=True)
     return DynamicOutputs(
         q.x.heading,
         q.position.roll,
@@ -175,18 +200,38 @@ def dynamic_outputs(
         tuple(each.point[0] + o_x for each in q.contacts),
         tuple(each.point[1] + o_y for each in q.contacts),
         outputs(q._replace(slips=slips), forces)._replace(
-            depth=tuple(-each.touch.gap for each in contacts),
+            depth=tuple(-each.touch.gap for each in shown),
             load_share=tuple(each * len(normal) / q.vehicle.weight for each in normal),
             force_normal=normal,
         ),
         tuple(_slip_ratio(*each) for each in wheels),
         kinetic_energy(body),
-        sum((each.energy for each in contacts), ca.SX(0)),
+        sum((each.energy for touching in contacts for each in touching), ca.SX(0)),
+        tuple(
+            tuple(touching[k].force.normal for touching in contacts)
+            for k in range(1, len(contacts[0]))
+        ),
     )
 
 
+def solid_limits(vehicle: Vehicle, contacts: Sequence[tuple[Contact, ...]]) -> Iterator[Limit]:
+    """Yield the limit of the depth of each wheel in solids; none without solids."""
+    for wheel, (_, *on_solids) in zip(vehicle.wheels, contacts, strict=True):
+        if on_solids:
+            words = (
+                f"wheel {wheel.name} is deeper in a solid than its tube, where its contact is not "
+                "defined; a start must not be inside a solid (gap)"
+            )
+            gap = ca.mmin(ca.vertcat(*(each.touch.gap for each in on_solids)))
+            label = Label("solid_gap", "m", words, wheel.name)
+            yield Limit(label, gap, -tube_radii(wheel)[0], np.inf)
+
+
 def dynamic_forces(
-    q: Quantities, contacts: Sequence[Contact], x: DynamicState, effort: Effort
+    q: Quantities,
+    contacts: Sequence[tuple[Contact, ...]],
+    x: DynamicState,
+    effort: Effort,
 ) -> ForceOutputs:
     """Return forces, powers and energies; a wheel in the air needs no friction."""
     along, across, normal, _ = q.forces
@@ -209,7 +254,7 @@ def dynamic_forces(
         effort.torques,
         effort.actuators,
         ca.dot(efforts, ca.vertcat(*rates)),
-        q.mechanics.damped + sum(each.dissipation for each in contacts),
+        q.mechanics.damped + sum(each.dissipation for touching in contacts for each in touching),
         q.mechanics.potential,
         q.tip_over_margin,
     )

@@ -46,7 +46,10 @@ class DynamicTotals(NamedTuple):
 
 
 class DynamicOutputs(NamedTuple):
-    """Outputs of a dynamic model; positions are map coordinates."""
+    """Outputs of a dynamic model; positions are map coordinates.
+
+    ``solid_loads`` are, for each solid, the normal forces on the wheels.
+    """
 
     heading: Any
     roll: Any
@@ -60,15 +63,18 @@ class DynamicOutputs(NamedTuple):
     slip_ratio: tuple[Any, ...]
     kinetic_energy: Any
     contact_energy: Any
+    solid_loads: tuple[tuple[Any, ...], ...]
 
 
-def dynamic_labels(vehicle: Vehicle) -> Labels:
-    """Return the labels of the dynamic model of a vehicle with mass."""
+def dynamic_labels(vehicle: Vehicle, solids: int = 0) -> Labels:
+    """Return the labels of the dynamic model of a vehicle with mass, for a number of solids."""
     still = labels_of(vehicle, follow=False)
     words = "energy lost in contacts and dampers"
     q = DynamicTotals(still.q.wheels, still.q.work[0], Label("lost_energy", "J", words))
     u = Inputs(tuple(_input(wheel) for wheel in vehicle.wheels if wheel.driven), still.u.joints)
-    return Labels(_state_labels(vehicle, still), (), q, u, _output_labels(vehicle, still), ())
+    return Labels(
+        _state_labels(vehicle, still), (), q, u, _output_labels(vehicle, still, solids), ()
+    )
 
 
 def _input(wheel: Wheel) -> Label:
@@ -105,7 +111,7 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
     )
 
 
-def _output_labels(vehicle: Vehicle, still: Labels) -> DynamicOutputs:
+def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutputs:
     """Return the labels of the outputs, from those of a model without inertia."""
     position, rates = still.z.position, still.z.rates
     ratio = "excess of the rim's speed over the wheel's, over the larger of both"
@@ -122,6 +128,10 @@ def _output_labels(vehicle: Vehicle, still: Labels) -> DynamicOutputs:
         wheel_labels(vehicle, "slip_ratio", "1", ratio),
         Label("kinetic_energy", "J", "kinetic energy"),
         Label("contact_energy", "J", "elastic energy of the contacts"),
+        tuple(
+            wheel_labels(vehicle, f"solid_load_{k}", "N", f"normal force of solid {k} on the wheel")
+            for k in range(1, solids + 1)
+        ),
     )
 
 

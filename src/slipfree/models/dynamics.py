@@ -12,15 +12,18 @@ A prescribed rate of a wheel or a joint is a state with a prescribed acceleratio
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import has_exact_closure, support_fault
+from slipfree.contact.solid_touch import solid_touch, tube_radii
 from slipfree.contact.touch import Touch, search_function, touch
-from slipfree.dae import Dae, Labels, Standing
+from slipfree.dae import Dae, Labels, Limit, Standing
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.geometry.frame import Pose, platform, quaternion, rotation_of
@@ -31,10 +34,12 @@ from slipfree.models.base import extent, raised_poses, sizes, touch_function
 from slipfree.models.dynamic_outputs import (
     Contact,
     Effort,
+    deepest,
     dynamic_forces,
     dynamic_outputs,
     limit_quantities,
     quantities,
+    solid_limits,
 )
 from slipfree.models.dynamic_records import DynamicState, dynamic_labels
 from slipfree.models.kinematics import direct_kinematics
@@ -52,8 +57,9 @@ from slipfree.models.multibody import (
 )
 from slipfree.models.pressed_model import pressed_dae
 from slipfree.models.records import Inputs
-from slipfree.records import leaves, symbols
+from slipfree.records import Label, leaves, symbols
 from slipfree.terrain.base import Terrain
+from slipfree.terrain.solids import Prism, Solids
 from slipfree.vehicle.tree import Vehicle
 
 LAG = 1e-3  # time constant of prescribed rates [s]
@@ -65,7 +71,7 @@ EXACT_DEPTH = 1 / 250  # default static depth of vehicles with exact closure [ro
 @computing
 def dynamics(
     vehicle: Vehicle,
-    terrain: Terrain,
+    ground: Terrain | Solids,
     *,
     law: Compliant = Compliant(),  # noqa: B008 - a frozen record
 ) -> Dae:
@@ -75,7 +81,7 @@ def dynamics(
     ----------
     vehicle : Vehicle
         The vehicle, with mass. Wheels may leave the ground.
-    terrain : Terrain
+    ground : Terrain or Solids
         The ground, with friction. A motion ends where a contact leaves its domain.
     law : Compliant
         Wheel-ground law.
@@ -89,13 +95,17 @@ def dynamics(
     Raises
     ------
     ModelError
-        If the vehicle has no mass, a wheel whose rate is not prescribed has no inertia, or the
-        ground has no coefficient of friction.
+        If the vehicle has no mass, a wheel whose rate is not prescribed has no inertia, the ground
+        has no coefficient of friction, or a wheel on solids is not a torus, a disc or a sphere.
 
     Notes
     -----
     A prescribed rate is reached with a time constant of 1 ms. Settle the model for a start at
-    rest: ``settle(model, x=..., y=..., heading=...)``.
+    rest: ``settle(model, x=..., y=..., heading=...)``. The vehicle then stands on the base of
+    solids, and must not touch them.
+
+    A wheel may touch the base and several solids at once. Its outputs are those of the contact with
+    the least gap; ``solid_load`` are the normal forces of the solids.
 
     Examples
     --------
@@ -109,19 +119,23 @@ def dynamics(
     >>> print(run.stop)
     None
     """
+    terrain, prisms = (ground.base, ground.prisms) if isinstance(ground, Solids) else (ground, ())
     _check(vehicle, terrain)
     vehicle = _with_depths(vehicle)
-    labels = dynamic_labels(vehicle)
+    labels = dynamic_labels(vehicle, len(prisms))
     x, u, lookups = symbols(labels.x), symbols(labels.u), LookupTable()
     body = _multibody(vehicle, x)
-    contacts = _contacts(vehicle, terrain, law, body, lookups)
+    contacts = _contacts(vehicle, terrain, prisms, law, body, lookups)
     ode, effort = _motion(vehicle, x, u, body, contacts)
-    q = quantities(vehicle, terrain, x, u, body, contacts, lookups)
+    shown = [deepest(each) for each in contacts]
+    q = quantities(vehicle, terrain, x, u, body, shown, lookups)
     forces = dynamic_forces(q, contacts, x, effort)
-    y = dynamic_outputs(q, body, contacts, forces)
+    y = dynamic_outputs(q, body, shown, contacts, forces)
+    on_base = [each[0] for each in contacts]
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
-    raised = raised_poses(q.poses, q.contacts, y.common.depth)
-    wheels = touch_function(x, (), raised, q.contacts, lookups)
+    frames = tuple(each.touch.frame for each in on_base)
+    raised = raised_poses(q.poses, frames, tuple(-each.touch.gap for each in on_base))
+    wheels = touch_function(x, (), raised, frames, lookups)
     return Dae(
         ca.SX.sym("t"),
         x,
@@ -133,7 +147,10 @@ def dynamics(
         quad=ca.vertcat(*q.spins, forces.power, forces.dissipation),
         y=y,
         labels=labels,
-        limits=limits_of(limit_quantities(q, contacts), static=False),
+        limits=(
+            *limits_of(limit_quantities(q, on_base), static=False),
+            *solid_limits(vehicle, contacts),
+        ),
         checks=tuple(
             SecondContact(terrain, wheel, pose, size)
             for wheel, pose in zip(vehicle.wheels, wheels, strict=True)
@@ -142,7 +159,7 @@ def dynamics(
         scale=scale,
         shift=shift,
         size=size,
-        standing=None if support_fault(vehicle) else _standing(vehicle, terrain, labels),
+        standing=None if support_fault(vehicle) else _standing(vehicle, terrain, prisms, labels),
         lookups=lookups.lookups,
     )
 
@@ -189,17 +206,33 @@ def _multibody(vehicle: Vehicle, x: DynamicState) -> Multibody:
 
 
 def _contacts(
-    vehicle: Vehicle, terrain: Terrain, law: Compliant, body: Multibody, lookups: LookupTable
-) -> list[Contact]:
-    """Return the contacts of the wheels; wheels with equal sections share a search."""
+    vehicle: Vehicle,
+    terrain: Terrain,
+    prisms: Sequence[Prism],
+    law: Compliant,
+    body: Multibody,
+    lookups: LookupTable,
+) -> list[tuple[Contact, ...]]:
+    """Return the contacts of each wheel: with the terrain, then with each solid.
+
+    Wheels with equal sections share a search on the terrain.
+    """
     radii = {wheel.section: wheel.radius for wheel in vehicle.wheels}
     searches = {each: search_function(terrain, each, radius) for each, radius in radii.items()}
-    found, share = list[Contact](), vehicle.weight / len(vehicle.wheels)
+    found, share = list[tuple[Contact, ...]](), vehicle.weight / len(vehicle.wheels)
     for each in body.wheels:
-        pose, search = each.motion.pose, searches[each.wheel.section]
-        at = touch(terrain, each.wheel, pose, search, lookups)
-        slip = _slip(each, at)
-        found.append(Contact(at, slip, law.force(at, slip, share, each.wheel.depth)))
+        wheel, pose = each.wheel, each.motion.pose
+        touches = [
+            touch(terrain, wheel, pose, searches[wheel.section], lookups),
+            *(solid_touch(prism, terrain, wheel, pose, lookups) for prism in prisms),
+        ]
+        slips = [_slip(each, at) for at in touches]
+        found.append(
+            tuple(
+                Contact(at, slip, law.force(at, slip, share, wheel.depth))
+                for at, slip in zip(touches, slips, strict=True)
+            )
+        )
     return found
 
 
@@ -236,7 +269,11 @@ class _Wheel(NamedTuple):
 
 
 def _motion(
-    vehicle: Vehicle, x: DynamicState, u: Inputs, body: Multibody, contacts: list[Contact]
+    vehicle: Vehicle,
+    x: DynamicState,
+    u: Inputs,
+    body: Multibody,
+    contacts: Sequence[tuple[Contact, ...]],
 ) -> tuple[ca.SX, Effort]:
     """Return the rates of the states, and the efforts of drives and actuators."""
     wheels = _wheels(x, u, body, contacts)
@@ -258,24 +295,27 @@ def _motion(
     return ode, Effort(tuple(torques), actuators)
 
 
-def _wheels(x: DynamicState, u: Inputs, body: Multibody, contacts: list[Contact]) -> list[_Wheel]:
+def _wheels(
+    x: DynamicState, u: Inputs, body: Multibody, contacts: Sequence[tuple[Contact, ...]]
+) -> list[_Wheel]:
     """Return the moments on the wheels, and the loads on their carriers."""
     inputs, integrals, found = iter(u.wheels), iter(x.drives), list[_Wheel]()
     zero = ca.SX(0)
-    for wheel, contact in zip(body.wheels, contacts, strict=True):
+    for wheel, touching in zip(body.wheels, contacts, strict=True):
         drive = wheel.wheel.acting_drive
         wanted = next(inputs) if wheel.wheel.driven else zero
         integral = next(integrals) if drive.has_integral else zero
         torque, rate = drive.torque(wanted, wheel.rate, integral)
         center = wheel.motion.pose.origin
-        moment = ca.cross(contact.touch.frame.point - center, contact.total)
+        force = sum((each.total for each in touching), ca.SX.zeros(3))
+        moment = sum((each.moment(center) for each in touching), ca.SX.zeros(3))
         resisting, acceleration = ca.dot(wheel.axle, moment), zero
         about = torque - resisting  # the reaction of the drive instead of the axial moment
         if wheel.prescribed:
             acceleration = (wanted - wheel.speed) / LAG
             about = wheel.axial * acceleration
-        arm = ca.cross(center - body.origin, contact.total)
-        load = Load(wheel.wheel.parent, contact.total, arm + moment + about * wheel.axle)
+        arm = ca.cross(center - body.origin, force)
+        load = Load(wheel.wheel.parent, force, arm + moment + about * wheel.axle)
         rates = (rate,) if drive.has_integral else ()
         found.append(_Wheel(resisting, torque, acceleration, rates, load))
     return found
@@ -311,8 +351,13 @@ def _attitude_rate(attitude: ca.SX, omega: ca.SX) -> ca.SX:
     return turning + NORMALISATION * (1 - ca.sumsqr(attitude)) * attitude
 
 
-def _standing(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> Standing:
-    """Return the model of the vehicle at rest, and the states of the dynamic model there."""
+def _standing(
+    vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], labels: Labels
+) -> Standing:
+    """Return the model of the vehicle at rest, and the states of the dynamic model there.
+
+    At rest, no wheel touches a solid.
+    """
     model = pressed_dae(vehicle, terrain, LeastSlip(), STANDING_SMOOTHING)
     still: Any = model.x
     values = {
@@ -321,6 +366,9 @@ def _standing(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> Standing:
     }
     base = platform(still.x, still.y, still.z, still.heading, still.roll, still.pitch)
     x, y, z, w = ca.vertsplit(quaternion(base.rotation))
+    poses = vehicle.carriers(base, {c.name: values[c.name] for c in vehicle.coordinates})
+    clear = _clear_of_solids(vehicle, terrain, prisms, poses)
+    model = replace(model, limits=(*model.limits, *clear))
     joints = [values[c.name] for c in vehicle.coordinates]
     count, speed = len(joints), ca.SX.sym("speed")
     rolling = [speed / wheel.radius for wheel in vehicle.wheels]
@@ -339,3 +387,15 @@ def _standing(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> Standing:
             motors,
         ),
     )
+
+
+def _clear_of_solids(
+    vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], poses: Sequence[Pose]
+) -> Iterator[Limit]:
+    """Yield the limit of the gap between each wheel at rest and the solids."""
+    for wheel, pose in zip(vehicle.wheels, poses, strict=True):
+        touches = [solid_touch(each, terrain, wheel, pose, LookupTable()) for each in prisms]
+        if touches:
+            words = f"wheel {wheel.name} touches a solid at the start (gap)"
+            gap = ca.mmin(ca.vertcat(*(each.gap for each in touches)))
+            yield Limit(Label("start_gap", "m", words, wheel.name), gap, 0.0, np.inf)

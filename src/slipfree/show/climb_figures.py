@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from slipfree.climb.metrics import MIN_LOAD, disturbance_ratio, slip_ratio
-from slipfree.climb.profile import Profile
+from slipfree.terrain.solids import Profile
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.records import Array
 from slipfree.show import style

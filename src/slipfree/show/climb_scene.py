@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.climb.metrics import MIN_LOAD
-from slipfree.climb.profile import Profile
+from slipfree.terrain.solids import Profile
 from slipfree.climb.vehicle import AXLES, Body, Climber
 from slipfree.errors import ModelError
 from slipfree.geometry.mesh import Mesh

@@ -18,7 +18,7 @@ from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import climb_window, metrics
 from slipfree.climb.noise import Noise
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
-from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
+from slipfree.terrain.solids import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.dae import Dae
 from slipfree.errors import ModelError

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slipfree.climb.contact_path import Leg, legs
-from slipfree.climb.profile import Profile
+from slipfree.terrain.solids import Profile
 from slipfree.climb.time_scaling import Climb, climb, history, in_sequence
 from slipfree.climb.vehicle import Climber
 from slipfree.plan.external_nlp import solve_nlp

@@ -1,6 +1,6 @@
-"""Profile of the ground of a climb: a union of convex solids in the plane of the motion.
+"""Convex solids with vertical faces: profiles in a plane, and prisms on a ground.
 
-x is forward, z up. The distance of a wheel's centre from a convex solid is continuously
+In a profile, x is forward and z up. The distance of a point from a convex solid is continuously
 differentiable, also around its corners. Therefore a wheel has one contact with each solid, and the
 same equations hold on a floor, on a floor and against a wall together, and over an edge.
 """
@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from slipfree.errors import ModelError
 from slipfree.records import Array
+from slipfree.terrain.base import Terrain
 
 Point = tuple[float, float]
 FLOOR_LENGTH = 100.0  # length of the floor and of plateaus [m]
@@ -198,6 +199,153 @@ class Profile:
             rest = [other for other in rest if other not in near]
             found += near
         return tuple(found)
+
+
+@dataclass(frozen=True)
+class Prism:
+    """A convex polygon in a vertical plane, extruded horizontally to both sides.
+
+    Attributes
+    ----------
+    section : Solid
+        The polygon; its first coordinate is along ``heading``, its second upward. [m]
+    x, y, z : float
+        Position of the polygon's origin in map coordinates. [m]
+    heading : float
+        Direction of the polygon's first coordinate, counter-clockwise from the y axis. [rad]
+    half_width : float
+        Half the width, on both sides of the polygon; infinite by default. [m]
+
+    Raises
+    ------
+    ModelError
+        If a number is not finite, or the half-width is not positive.
+    """
+
+    section: Solid
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    heading: float = 0.0
+    half_width: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "z", "heading"):
+            if not math.isfinite(getattr(self, name)):
+                raise ModelError(
+                    f"prism: expected a finite number as {name!r}, found {getattr(self, name)}; "
+                    "correct it"
+                )
+        if not self.half_width > 0:
+            raise ModelError(
+                f"prism: expected a positive half-width, found {self.half_width} m; increase it"
+            )
+
+    @property
+    def axes(self) -> Array:
+        """Unit vectors along the heading, to the right and upward: columns, shape (3, 3)."""
+        s, c = math.sin(self.heading), math.cos(self.heading)
+        return np.array([[-s, c, 0.0], [c, s, 0.0], [0.0, 0.0, 1.0]])
+
+    def gap(self, place: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the distance of a point from the prism, negative inside, and its gradient.
+
+        Parameters
+        ----------
+        place : SX, shape (3, 1)
+            The point, in map coordinates. [m]
+
+        Returns
+        -------
+        distance : SX, shape (1, 1)
+            Distance, continuously differentiable outside the prism. [m]
+        normal : SX, shape (3, 1)
+            Outward unit vector.
+        """
+        axes = ca.DM(self.axes)
+        along, right, up = ca.vertsplit(axes.T @ (place - ca.DM([self.x, self.y, self.z])))
+        distance, normal = self.section.gap(along, up)
+        outward = ca.vertcat(normal[0], 0, normal[1])
+        if not math.isfinite(self.half_width):
+            return distance, axes @ outward
+        beyond = ca.fabs(right) - self.half_width
+        aside = ca.vertcat(0, ca.if_else(right < 0, -1, 1), 0)
+        edge = ca.sqrt(distance**2 + beyond**2 + ROOT_OFFSET)
+        at_edge = ca.logic_and(distance > 0, beyond > 0)
+        slanted = (distance * outward + beyond * aside) / edge
+        nearest = ca.if_else(beyond > distance, aside, outward)
+        return (
+            ca.if_else(at_edge, edge, ca.fmax(distance, beyond)),
+            axes @ ca.if_else(at_edge, slanted, nearest),
+        )
+
+    def top(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Return the heights of the upper side at map points; minus infinity beside the prism [m].
+
+        ``x`` and ``y`` have shapes that broadcast, which is the shape of the result.
+        """
+        x, y = np.broadcast_arrays(np.asarray(x, float) - self.x, np.asarray(y, float) - self.y)
+        along, right = (axis[0] * x + axis[1] * y for axis in self.axes.T[:2])
+        corners, normals = np.array(self.section.points), self.section.normals
+        height = np.full(x.shape, np.inf)
+        for corner, normal in zip(corners, normals, strict=True):
+            if normal[1] > MIN_TURN_SINE:  # an upper face
+                face = corner[1] - normal[0] / normal[1] * (along - corner[0])
+                height = np.minimum(height, face)
+        inside = (along >= corners[:, 0].min()) & (along <= corners[:, 0].max())
+        inside &= np.abs(right) <= self.half_width
+        return np.where(inside, self.z + height, -np.inf)
+
+
+def placed(
+    profile: Profile,
+    *,
+    x: float = 0.0,
+    y: float = 0.0,
+    z: float = 0.0,
+    heading: float = 0.0,
+    half_width: float = math.inf,
+) -> tuple[Prism, ...]:
+    """Return the solids of a profile, without its floor, as prisms on a ground.
+
+    The profile's origin is at the map point (x, y, z) [m], its x axis along the heading, counted
+    counter-clockwise from the map's y axis [rad]; the prisms are ``half_width`` wide on both sides
+    [m].
+
+    Examples
+    --------
+    A step of 90 mm, one metre ahead of the map's origin.
+
+    >>> from slipfree import Analytic, Solids
+    >>> from slipfree.terrain.solids import placed, step
+    >>> ground = Solids(Analytic(lambda x, y: 0 * x, mu=0.8), placed(step(0.09), y=1.0))
+    """
+    return tuple(Prism(each, x, y, z, heading, half_width) for each in profile.solids[1:])
+
+
+@dataclass(frozen=True)
+class Solids:
+    """A ground with convex solids on it, for `slipfree.dynamics`.
+
+    Every wheel may touch the base and each solid at the same time. Only wheels touch: the model has
+    no contacts of the vehicle's body.
+
+    Attributes
+    ----------
+    base : Terrain
+        Ground under the solids. Its friction is that of the solids as well.
+    prisms : tuple of Prism
+        The solids; they may overlap the base and each other.
+    """
+
+    base: Terrain
+    prisms: tuple[Prism, ...]
+
+    def elevation(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Return the heights of the highest surface at map points, of broadcastable shapes [m]."""
+        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+        tops = (each.top(x, y) for each in self.prisms)
+        return np.asarray(np.maximum.reduce([self.base.elevation(x, y), *tops]))
 
 
 def flat() -> Profile:

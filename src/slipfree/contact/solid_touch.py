@@ -1,0 +1,87 @@
+"""Contact of a wheel with a convex solid.
+
+A torus is the set of points within the distance ``r1``, the radius of its tube, of a disc with
+radius ``r2`` about the axle. Its distance from a convex solid therefore is that of two convex sets,
+the disc and the solid, less ``r1``. Alternating projections find their nearest points: ``Q`` on the
+solid and ``P`` on the disc, from the centre. They converge if the disc is outside the solid, that
+is, if the wheel is pressed in by less than ``r1``. On a face a single projection is exact.
+
+A disc has no tube: on solids, its edge is rounded with a tenth of its radius. The radius in its
+plane is unchanged.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from slipfree.contact.closure import ContactFrame
+from slipfree.contact.touch import Touch
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import Pose
+from slipfree.lookups import LookupTable
+from slipfree.terrain.base import Terrain
+from slipfree.terrain.solids import Prism
+from slipfree.vehicle.wheel import Wheel
+
+PROJECTIONS = 6  # alternating projections: 99 % of gaps at edges are exact to 1e-6 m
+EDGE_RADIUS = 0.1  # radius of the edge of discs [radii]
+ROOT_OFFSET = 1e-18  # keeps the derivatives of square roots finite [m2 or 1]
+
+
+def tube_radii(wheel: Wheel) -> tuple[float, float]:
+    """Return the radii of the tube and of the circle of tube centres of a wheel on solids [m].
+
+    Raises
+    ------
+    ModelError
+        If the wheel is not a torus, a disc or a sphere.
+    """
+    radii = wheel.section.torus_radii
+    if radii is None:
+        raise ModelError(
+            f"solids: expected a torus, a disc or a sphere as section of wheel {wheel.name!r}, "
+            f"found {wheel.section}; change its section"
+        )
+    tube, circle = radii
+    return (tube, circle) if tube else (EDGE_RADIUS * circle, (1 - EDGE_RADIUS) * circle)
+
+
+def solid_touch(
+    prism: Prism, terrain: Terrain, wheel: Wheel, carrier: Pose, lookups: LookupTable
+) -> Touch:
+    """Return the contact of a wheel with a solid.
+
+    Parameters
+    ----------
+    prism : Prism
+        The solid.
+    terrain : Terrain
+        The ground under it, which determines the local origin and the friction.
+    wheel : Wheel
+        The wheel.
+    carrier : Pose
+        Pose of the wheel's carrier, at the wheel's centre, in local coordinates.
+    lookups : LookupTable
+        Lookups of the model.
+
+    Raises
+    ------
+    ModelError
+        If the wheel is not a torus, a disc or a sphere.
+    """
+    tube, circle = tube_radii(wheel)
+    center, axle, origin = carrier.origin, carrier.rotation[:, 0], ca.DM(terrain.origin)
+    spot = center  # P
+    for _ in range(PROJECTIONS if circle else 0):
+        distance, normal = prism.gap(spot + origin)
+        away = spot - distance * normal - center  # Q from the centre
+        away -= ca.dot(away, axle) * axle
+        spot = center + away * ca.fmin(1, circle / ca.sqrt(ca.sumsqr(away) + ROOT_OFFSET))
+    distance, normal = prism.gap(spot + origin)
+    forward = ca.cross(normal, axle)
+    uprightness = ca.sqrt(ca.sumsqr(forward) + ROOT_OFFSET)
+    along, point = forward / uprightness, spot - tube * normal
+    across, flat = ca.cross(along, normal), ca.SX.zeros(2, 2)
+    frame = ContactFrame(point, normal, along, across, axle, uprightness, flat)
+    friction = wheel.grip * terrain.friction(point[0], point[1], lookups)
+    return Touch(distance - tube, frame, friction)
