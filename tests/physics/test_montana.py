@@ -376,7 +376,7 @@ def test_discs_are_refused_by_name():
 
 @pytest.mark.parametrize("kappa", [-1.0, np.inf, np.nan])
 def test_kappa_is_a_rate(kappa):
-    with pytest.raises(ModelError, match="kappa: expected zero or a positive finite rate"):
+    with pytest.raises(ModelError, match="kappa: expected a finite rate of zero or more"):
         montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
 
 
