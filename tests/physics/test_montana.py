@@ -369,7 +369,7 @@ def test_the_disc_is_the_limit_of_thin_tori():
 
 def test_discs_are_refused_by_name():
     with pytest.raises(
-        ModelError, match=r"wheel right: .* with r1 > 0, found the edge of disc radius 0.3 m"
+        ModelError, match=r"wheel 'right': .* with r1 > 0, found the edge of disc radius 0.3 m"
     ):
         montana_model(three_wheeler(r1=0.0, r2=0.3), GROUNDS["hills"])
 

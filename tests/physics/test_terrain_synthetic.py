@@ -33,10 +33,16 @@ def test_blank():
 
 
 @pytest.mark.parametrize(
-    ("x_range", "spacing"), [((0, 1.05), 0.1), ((1, 0), 0.1), ((0, 1), 0.0), ((0, 1), -0.1)]
+    ("x_range", "spacing", "words"),
+    [
+        ((0, 1.05), 0.1, "x_range whose length is a multiple"),
+        ((1, 0), 0.1, "x_range whose length is a multiple"),
+        ((0, 1), 0.0, "a positive spacing, found 0 m"),
+        ((0, 1), -0.1, "a positive spacing, found -0.1 m"),
+    ],
 )
-def test_blank_refuses(x_range, spacing):
-    with pytest.raises(ModelError, match="x_range whose length is a multiple"):
+def test_blank_refuses(x_range, spacing, words):
+    with pytest.raises(ModelError, match=words):
         blank(x_range, (0, 1), spacing)
 
 

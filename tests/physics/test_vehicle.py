@@ -273,7 +273,7 @@ def test_a_joint_follows_a_formula_of_coordinates():
                 VEHICLE,
                 joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value="steer + stear")),
             ),
-            "joint 'fork': expected one of steer, tilt_left, tilt_right as coordinate, found 'stear'",
+            "expected one of steer, tilt_left, tilt_right as coordinate, found 'stear'",
         ),
     ],
 )

@@ -94,8 +94,8 @@ def check_exact_closure(
     if not has_exact_closure(vehicle):
         wheels, given = len(vehicle.wheels), len(vehicle.of("suspension"))
         raise ModelError(
-            f"{model}: expected a vehicle whose wheels can all touch a rigid ground, that is, "
-            f"{wheels - 3} suspension coordinates for {wheels} wheels, found {given} in "
+            f"{model}: expected a vehicle whose wheels can all touch a rigid ground, that is, a "
+            f"suspension coordinate for each wheel beyond three ({wheels - 3}), found {given} in "
             f"{vehicle.name!r}; {remedy}"
         )
 

@@ -202,12 +202,12 @@ def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = Tr
             f"give one or more of {', '.join(COMMANDS)}, each once"
         )
     driven = [wheel for wheel in vehicle.wheels if wheel.driven]
+    if not driven and (exact or "right" not in given):
+        raise ModelError(
+            f"{vehicle.name!r}: expected at least one driven wheel to impose the given rates, "
+            "found none; set 'driven' of its wheels"
+        )
     if "right" not in given and all(wheel.rollers for wheel in driven):
-        if not driven:
-            raise ModelError(
-                f"{vehicle.name!r}: expected a driven wheel, which can impose the given rates, "
-                "found none; drive wheels of the vehicle"
-            )
         raise ModelError(
             f"{vehicle.name!r}: expected the given rate 'right', since all driven wheels have "
             f"rollers and the vehicle can move sideways, found only {', '.join(given)}; add "
