@@ -381,7 +381,7 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
                 "given={forward=0.1, right=0.1}",
                 "terrain.synthetic.power_law=",
             ],
-            "differential_drive: platform rate 'right' cannot be imposed: the wheels cannot move",
+            "'differential_drive': platform rate 'right' cannot be imposed: the wheels cannot move",
         ),
     ],
 )

@@ -139,7 +139,7 @@ def test_crater_proportions():
 
 def test_sizes_follow_the_power_law():
     grid = blank((0, 10), (0, 10), 2.0)
-    scattered = np.array(_scatter(grid, 20_000, (0.1, 1.0), 7))
+    scattered = np.array(_scatter("rocks", grid, 20_000, (0.1, 1.0), 7))
     d = scattered[:, 2]
     assert d.min() >= 0.1
     assert d.max() <= 1.0
