@@ -190,7 +190,7 @@ def test_steering_by_rate_warns_where_it_is_unstable() -> None:
     settings = _set("steering=rate", "time.duration=0.03", "time.step=0.01")
     result = _invoke("run", str(PROBLEMS / "paper_inverse.toml"), "--no-draw", *settings)
     assert result.exit_code == 0, result.output
-    assert result.stderr.startswith("warning: steering mode unstable from t = 0 s: errors of the")
+    assert result.stderr.startswith("warning: unstable steering from t = 0 s: errors of the")
     assert "warning  " in result.stdout
     assert "steering rate  " in result.stdout
     assert "warning  " in _invoke("info", "paper_inverse.nc").stdout
@@ -229,7 +229,7 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
     assert result.exit_code == 1
     assert len(result.stderr.splitlines()) == 1
     line = result.stdout.splitlines()[0]
-    assert "gave up; steering mode unstable from t = 0 s: errors of the steering grow" in line
+    assert "gave up; unstable steering from t = 0 s: errors of the steering angle grow" in line
     stop = netcdf.read("q.nc").stop
     assert stop is not None
     assert (stop.name, stop.t) == ("solver", motion.stop.t)
@@ -285,8 +285,8 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
             ["steering=rate"],
             "p.toml:14: given: the model is singular here: no equation determines steer_rate",
         ),
-        (["vehicle.axle=fixed"], "axle cannot roll without slip, as inverse"),
-        (["vehicle.axle=prismatic"], "axle cannot roll without slip, as inverse"),
+        (["vehicle.axle=fixed"], "axle' cannot roll without slip, as inverse"),
+        (["vehicle.axle=prismatic"], "axle' cannot roll without slip, as inverse"),
         (["start.sail=1"], "--set start.sail: expected one of x, y, heading, tilt_right"),
         (["inputs.right_rate=1"], "--set inputs: expected one of verb, title, "),
         (
@@ -334,8 +334,8 @@ def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None
         ),
         (
             ["start.x=0.5"],
-            "path.toml:14: path: expected the position and heading of the start, "
-            "found x = 0, the vehicle stands at 0.5",
+            "path.toml:14: path: expected a path that begins at the position and "
+            "heading of the start, found x = 0 instead of 0.5",
         ),
         (
             ["steering=rate"],

@@ -376,7 +376,10 @@ def test_result_knows_its_problem(tmp_path: Path) -> None:
             ["start.x=50"],
             "--set start.x: expected a start on the map, which extends from -3 to 3 m",
         ),
-        (["vehicle.r1=0", "vehicle.r2=0"], r"p.toml:9: vehicle: r1 \+ r2 must be positive"),
+        (
+            ["vehicle.r1=0", "vehicle.r2=0"],
+            r"p.toml:9: vehicle: r1, r2: expected a positive radius",
+        ),
         (["terrain.synthetic.x=[3, -3]"], "p.toml:3: terrain.synthetic: .*x_range"),
         (["terrain.synthetic.x=[0, 1]"], "p.toml:3: terrain.synthetic: .*at least 4 nodes"),
         (["terrain.synthetic.spacing=1e-6"], "expected a ground of at most 5e.07 nodes, found 4"),

@@ -332,7 +332,7 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
         (
             'urdf = "cart.urdf"\njoints = { caster = { kind = "commanded", stiffness = 3 } }\n'
             "wheels = { caster_axle = { driven = false } }",
-            "cart.toml:1: coordinate caster: a commanded coordinate cannot have a spring",
+            "cart.toml:1: coordinate 'caster': a commanded coordinate cannot have a spring",
         ),
         (
             'urdf = "cart.urdf"\njoints = { caster = "passive", bracket = "suspension" }',
@@ -427,7 +427,7 @@ def test_limits_of_the_vehicle_file_override_those_of_the_urdf(in_urdf, in_roles
         ),
         (
             ", lower = 0, upper = 0",
-            "cart.toml:1: coordinate caster: the lower stop must be below the upper one",
+            "cart.toml:1: coordinate 'caster': the lower stop must be below the upper one",
         ),
     ],
 )

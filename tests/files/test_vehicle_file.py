@@ -328,7 +328,7 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'kind = "passive"\nlower = 1.0\nupper = 0.5',
             "v.toml:4: "
             "coordinates[0] (coordinate 'swivel'): expected a valid coordinate, found "
-            "coordinate swivel: the lower stop must be below the upper one, found 1.0 and 0.5",
+            "coordinate 'swivel': the lower stop must be below the upper one, found lower = 1.0 ",
         ),
         (
             'value = "swivel"',

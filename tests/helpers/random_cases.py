@@ -383,15 +383,21 @@ FAULTS = {
         r"tolerance: expected a number .*, found 0.0",
     ),
     "times": Fault(_set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected .* ascending times"),
-    "wheel size": Fault(_set("build", r1=-0.1), r"r1 must be zero or a positive and finite radius"),
-    "track": Fault(_set("build", half_track=np.nan), r"half_track must be a positive length"),
+    "wheel size": Fault(_set("build", r1=-0.1), r"r1: expected a finite radius of zero or more"),
+    "track": Fault(
+        _set("build", half_track=np.nan), r"half_track: expected a finite positive length"
+    ),
     "stops": Fault(
         _set("build", tilt_stop=-0.1),
-        r"the lower stop must be below the upper one, found 0.1 and -0.1",
+        r"the lower stop must be below the upper one, found lower = 0.1 and upper = -0.1",
     ),
-    "spacing": Fault(_set("map", shortest=0.1), r"power_law: expected twice the spacing"),
-    "no height": Fault(_set("map", gap=True), r"all heights must be finite, .* z\[3, 5\] = nan"),
-    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected zero or a positive finite rate"),
+    "spacing": Fault(
+        _set("map", shortest=0.1), r"power_law: expected shortest >= .* twice the spacing"
+    ),
+    "no height": Fault(
+        _set("map", gap=True), r"all values of z must be finite, .* z\[3, 5\] = nan"
+    ),
+    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected a finite rate of zero or more"),
 }
 CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"cannot stand at the start: \w+\[\w+\], .* has a residual of [\d.e+-]+ m": "cannot stand",
@@ -405,7 +411,7 @@ CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"found a violation: joint \w+ \(.*\) reaches its stop: .*, allowed": "at a stop",
     r"model is singular here: no equation determines \S+ \(": "singular",
     r"cannot roll without slip: expected \d+ passive .*, found \d": "cannot roll",
-    r"wheel \w+: Montana's equations need a tread": "no tread radius",
+    r"montana_kinematics: wheel '\w+': expected a tread": "no tread radius",
     r"wheel \w+ has drifted from its position on the vehicle": "not assembled",
 }
 

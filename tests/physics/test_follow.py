@@ -171,7 +171,7 @@ def test_laws_name_what_they_need():
         ),
     )
     dae = closure_model(trailer, FLAT)
-    with pytest.raises(ModelError, match="driven wheels on both sides; trailer has neither"):
+    with pytest.raises(ModelError, match="driven wheels on both sides, found neither in 'trailer'"):
         follow(dae, trailer, Path(WAY), speed=1.0)
 
 

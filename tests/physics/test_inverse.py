@@ -159,7 +159,7 @@ def test_unstable_steering_is_told():
     assert_allclose(reached.t[-1], 0.841102, atol=2e-6)  # as at a tolerance of 1e-10
     assert abs(reached["steer"][-1]) > 0.5
     assert_allclose(reached["steering_growth"][0], 4.75, atol=0.01)
-    assert "steering mode unstable from t = 0 s: errors of the steering grow at up to" in (
+    assert "unstable steering from t = 0 s: errors of the steering angle grow at up to" in (
         steering_note(reached)
     )
 
@@ -430,7 +430,7 @@ def test_vehicles_that_do_not_suit_are_refused():
     )
     rigid = Vehicle("rigid", whole.coordinates[2:], whole.joints[2:], (*rear, whole.wheels[2]))
     with pytest.raises(
-        ModelError, match=r"rigid cannot roll without slip.*: expected 3 .*, found 1"
+        ModelError, match=r"'rigid' cannot roll without slip.*: expected 3 .*, found 1"
     ):
         inverse_kinematics(rigid, HILLS, given=PLANAR, solve_for="rates")
     wheels = tuple(replace(wheel, driven=True) for wheel in whole.wheels)
@@ -438,9 +438,9 @@ def test_vehicles_that_do_not_suit_are_refused():
     castor = Vehicle("castor", loose, whole.joints, wheels)
     inverse_kinematics(castor, HILLS, given=PLANAR, solve_for="rates")
     braced = Vehicle("braced", whole.coordinates, whole.joints, (*wheels[:2], wheels[2]))
-    with pytest.raises(ModelError, match="braced cannot roll"):
+    with pytest.raises(ModelError, match="'braced' cannot roll"):
         inverse_kinematics(braced, HILLS, given=PLANAR, solve_for="rates")
-    with pytest.raises(ModelError, match="needs a commanded coordinate, and castor has none"):
+    with pytest.raises(ModelError, match=r"with a commanded coordinate .* found none in 'castor'"):
         inverse_kinematics(castor, HILLS, solve_for="angles", given=PLANAR)
 
 
@@ -450,17 +450,17 @@ def test_paths_are_checked():
     t = np.linspace(0, 1, 11)
     still = np.zeros(11)
     with pytest.raises(
-        ModelError, match=r"the position and heading of the start, found y = 1, .* stands at 0"
+        ModelError, match=r"the position and heading of the start, found y = 1 instead of 0"
     ):
         path_inputs(dae, begin, still, 1 + t, still, t=t)
     path_inputs(dae, begin, still, t, still + 2 * np.pi, t=t)  # a whole turn is none
     with pytest.raises(ModelError, match=r"expected expressions of dae\.t only"):
         path_inputs(dae, begin, dae.x.y, dae.t, 0 * dae.t)
-    with pytest.raises(ModelError, match=r"expected 6 or more times.*, found 5 times and values"):
+    with pytest.raises(ModelError, match="expected at least 6 times of way-points, found 5"):
         path_inputs(dae, begin, still[:5], t[:5], still[:5], t=t[:5])
-    with pytest.raises(ModelError, match=r"as many values of x, y and heading, found 11 .*\(5,\)"):
+    with pytest.raises(ModelError, match=r"expected 11 values each of x, y and heading, .*\(5,\)"):
         path_inputs(dae, begin, still, t, still[:5], t=t)
-    with pytest.raises(ModelError, match="expected finite values at increasing times"):
+    with pytest.raises(ModelError, match="expected finite times and values"):
         path_inputs(dae, begin, still * np.nan, t, still, t=t)
     other = inverse_kinematics(three_wheeler(), HILLS, given=VELOCITY, solve_for="rates")
     with pytest.raises(

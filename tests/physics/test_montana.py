@@ -369,14 +369,14 @@ def test_the_disc_is_the_limit_of_thin_tori():
 
 def test_discs_are_refused_by_name():
     with pytest.raises(
-        ModelError, match=r"wheel right: .* with r1 > 0, found the edge of disc radius 0.3 m"
+        ModelError, match=r"wheel 'right': .* with r1 > 0, found the edge of disc radius 0.3 m"
     ):
         montana_model(three_wheeler(r1=0.0, r2=0.3), GROUNDS["hills"])
 
 
 @pytest.mark.parametrize("kappa", [-1.0, np.inf, np.nan])
 def test_kappa_is_a_rate(kappa):
-    with pytest.raises(ModelError, match="kappa: expected zero or a positive finite rate"):
+    with pytest.raises(ModelError, match="kappa: expected a finite rate of zero or more"):
         montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
 
 

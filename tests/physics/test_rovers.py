@@ -514,7 +514,7 @@ def test_seven_wheels_follow_and_are_given_three_rates():
     law = straight(dae, vehicle, start, speed=0.2)
     run = simulate(dae, start, law, np.linspace(0, 5, 6), options=SolverOptions(tolerance=1e-6))
     assert_allclose([run["x"][-1], run["y"][-1]], [0, 1], atol=1e-3)
-    with pytest.raises(ModelError, match="seven_wheels: expected a given rate 'right'"):
+    with pytest.raises(ModelError, match="'seven_wheels': expected the given rate 'right'"):
         inverse_kinematics(vehicle, FLAT, given=("forward", "yaw_rate"))
     given = {"forward": 0.1, "yaw_rate": 0.2, "right": 0.05}
     rates = wheel_rates(vehicle, dae, start, **given)
@@ -531,12 +531,24 @@ def test_seven_rigid_wheels_are_too_many():
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: differential_drive(half_track=0.0), "differential_drive: half_track must be a po"),
-        (lambda: ackermann(wheelbase=-1.0), "ackermann: wheelbase must be a positive length"),
-        (lambda: skid_steer(wheelbase=np.inf), "skid_steer: wheelbase must be a positive length"),
-        (lambda: articulated(rear=0.0), "articulated: rear must be a positive length"),
-        (lambda: rocky7(steered="all"), "rocky7: steered must be 'front' or 'corners', found 'all"),
-        (lambda: rocky7(r1=0.1), "r2 must be zero or a positive and finite radius"),
+        (
+            lambda: differential_drive(half_track=0.0),
+            "differential_drive: half_track: expected a finite p",
+        ),
+        (
+            lambda: ackermann(wheelbase=-1.0),
+            "ackermann: wheelbase: expected a finite positive length",
+        ),
+        (
+            lambda: skid_steer(wheelbase=np.inf),
+            "skid_steer: wheelbase: expected a finite positive length",
+        ),
+        (lambda: articulated(rear=0.0), "articulated: rear: expected a finite positive length"),
+        (
+            lambda: rocky7(steered="all"),
+            "rocky7: steered: expected 'front' or 'corners', found 'all",
+        ),
+        (lambda: rocky7(r1=0.1), "r2: expected a finite radius of zero or more"),
     ],
 )
 def test_what_is_no_vehicle_is_refused(build, words):

@@ -151,7 +151,7 @@ def test_radii_name_the_torus_or_its_limits():
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
 def test_dimensions_that_are_not_positive_are_refused(value):
-    with pytest.raises(ModelError, match="torus: r1 must be positive and finite, found"):
+    with pytest.raises(ModelError, match="torus: r1: expected a finite positive length, found"):
         Torus(value, 0.25)
 
 

@@ -1046,34 +1046,49 @@ WHEEL = {
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: Body(-1.0), "body: mass must be zero or positive, found -1.0 kg"),
-        (lambda: Body(np.nan), "body: mass must be zero or positive, found nan kg"),
-        (lambda: Body(1.0, (0.0, np.inf, 0.0)), "its centre of mass must be three finite"),
-        (lambda: Body(1.0, (0.0, 0.0)), "its centre of mass must be three finite"),
-        (lambda: Wheel(**WHEEL, mass=-2.0), "wheel w: mass must be zero or positive"),
-        (lambda: Wheel(**WHEEL, mass=np.inf), "wheel w: mass must be zero or positive"),
-        (lambda: Wheel(**WHEEL, grip=0.0), "wheel w: grip must be positive, found 0.0"),
-        (lambda: Wheel(**WHEEL, grip=np.nan), "wheel w: grip must be positive, found nan"),
+        (lambda: Body(-1.0), "body: mass: expected a finite number of zero or more, found -1.0 kg"),
+        (
+            lambda: Body(np.nan),
+            "body: mass: expected a finite number of zero or more, found nan kg",
+        ),
+        (lambda: Body(1.0, (0.0, np.inf, 0.0)), r"centre of mass\): expected three finite"),
+        (lambda: Body(1.0, (0.0, 0.0)), r"centre of mass\): expected three finite"),
+        (lambda: Wheel(**WHEEL, mass=-2.0), "wheel 'w': mass: expected a finite number of zero or"),
+        (
+            lambda: Wheel(**WHEEL, mass=np.inf),
+            "wheel 'w': mass: expected a finite number of zero or",
+        ),
+        (
+            lambda: Wheel(**WHEEL, grip=0.0),
+            "wheel 'w': grip: expected a finite positive number, found 0.0",
+        ),
+        (
+            lambda: Wheel(**WHEEL, grip=np.nan),
+            "wheel 'w': grip: expected a finite positive number, found nan",
+        ),
         (
             lambda: Coordinate("c", "passive", "c", stiffness=-1.0),
-            "coordinate c: stiffness must be zero or positive, found -1.0",
+            "coordinate 'c': stiffness: expected a finite number of zero or more, found -1.0",
         ),
         (
             lambda: Coordinate("c", "passive", "c", damping=np.inf),
-            "coordinate c: damping must be zero or positive, found inf",
+            "coordinate 'c': damping: expected a finite number of zero or more, found inf",
         ),
         (
             lambda: Coordinate("c", "passive", "c", bump=np.nan),
-            "coordinate c: bump must be zero or positive, found nan",
+            "coordinate 'c': bump: expected a finite number of zero or more, found nan",
         ),
-        (lambda: Coordinate("c", "passive", "c", rest=np.inf), "coordinate c: rest must be finite"),
+        (
+            lambda: Coordinate("c", "passive", "c", rest=np.inf),
+            "coordinate 'c': rest: expected a finite",
+        ),
         (
             lambda: Coordinate("c", "commanded", "c", max_rate=0.0),
-            "coordinate c: max_rate must be positive, found 0.0",
+            "coordinate 'c': max_rate: expected a positive number, found 0.0",
         ),
         (
             lambda: Coordinate("c", "commanded", "c", stiffness=1.0),
-            "coordinate c: a commanded coordinate cannot have a spring",
+            "coordinate 'c': a commanded coordinate cannot have a spring",
         ),
         (
             lambda: actuated(VEHICLE, "steer"),
@@ -1081,7 +1096,10 @@ WHEEL = {
         ),
         (lambda: actuated(three_wheeler(axle="fixed"), "tilt"), "the vehicle has none"),
         (lambda: three_wheeler(axle="fixed", stiffness=1.0), "fixed axle has no free joint"),
-        (lambda: three_wheeler(mass=-1.0), "mass must be zero or positive, found -1.0 kg"),
+        (
+            lambda: three_wheeler(mass=-1.0),
+            "mass: expected a finite number of zero or more, found -1.0 kg",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(build, words):

@@ -305,7 +305,7 @@ def test_a_map_that_is_not_positive_is_refused(kind):
     values[4, 7], values[6, 2] = 0.0, -0.1
     bad = Grid(mu.x + 0.25, mu.y, values)
     words = (
-        r"friction: all coefficients must be positive, found 2 that are not, the first "
+        r"friction: all coefficients must be positive, found 2 of 126 that are not, the first "
         rf"z\[4, 7\] = 0 at x = {bad.x[4]:.9g} m, y = 3\.125 m; for ice give a small number"
     )
     with pytest.raises(DataError, match=words):
@@ -406,7 +406,7 @@ def test_problem_refuses(folder, bad):
         ({"z": np.full((14, 9), np.nan)}, r"mu\.npz: .* found none at any node"),
         (
             {"z": np.where(np.arange(126).reshape(14, 9) == 40, np.nan, 0.5)},
-            r"a coefficient at every node, found none at 1, the first at x = .* m, y = 0.5 m",
+            r"a coefficient at every node, found none at 1 of 126, the first at x = .*, y = 0.5 m",
         ),
         ({"z": np.zeros((14, 9))}, r"must be positive, found 126 .* at x = -3 m, y = -3 m"),
     ],

@@ -65,7 +65,7 @@ def test_axis_far_from_zero_is_uniform():
             X,
             Y,
             with_value(Z, (slice(2, 4), 3), np.nan),
-            r"found 2 that are not, the first z\[2, 3\] = nan at x = 2 m, y = 11\.5 m; fill",
+            r"found 2 of 35 that are not, the first z\[2, 3\] = nan at x = 2 m, y = 11\.5 m; fill",
         ),
     ],
 )

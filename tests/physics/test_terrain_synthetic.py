@@ -33,10 +33,16 @@ def test_blank():
 
 
 @pytest.mark.parametrize(
-    ("x_range", "spacing"), [((0, 1.05), 0.1), ((1, 0), 0.1), ((0, 1), 0.0), ((0, 1), -0.1)]
+    ("x_range", "spacing", "words"),
+    [
+        ((0, 1.05), 0.1, "x_range whose length is a multiple"),
+        ((1, 0), 0.1, "x_range whose length is a multiple"),
+        ((0, 1), 0.0, "a positive spacing, found 0 m"),
+        ((0, 1), -0.1, "a positive spacing, found -0.1 m"),
+    ],
 )
-def test_blank_refuses(x_range, spacing):
-    with pytest.raises(ModelError, match="x_range whose length is a multiple"):
+def test_blank_refuses(x_range, spacing, words):
+    with pytest.raises(ModelError, match=words):
         blank(x_range, (0, 1), spacing)
 
 
@@ -107,10 +113,10 @@ def test_power_law_has_no_period():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"shortest": 0.1}, "expected twice the spacing <= shortest < longest, found 0.2 m, 0.1 m"),
+        ({"shortest": 0.1}, "expected shortest >= 0.2 m, twice the spacing, found 0.1 m"),
         ({"longest": 0.3}, "shortest < longest"),
         ({"hurst": 0.0}, r"hurst must lie in \(0, 1\]"),
-        ({"rms": -1.0}, "rms be at least 0"),
+        ({"rms": -1.0}, "rms must be zero or positive, found -1"),
     ],
 )
 def test_power_law_refuses(change, words):
@@ -133,7 +139,7 @@ def test_crater_proportions():
 
 def test_sizes_follow_the_power_law():
     grid = blank((0, 10), (0, 10), 2.0)
-    scattered = np.array(_scatter(grid, 20_000, (0.1, 1.0), 7))
+    scattered = np.array(_scatter("rocks", grid, 20_000, (0.1, 1.0), 7))
     d = scattered[:, 2]
     assert d.min() >= 0.1
     assert d.max() <= 1.0
@@ -211,12 +217,12 @@ def test_ramp_with_round_edges(rounding):
     [
         (
             lambda g: ramp(g, start=1, end=2, rise=1, smooth=False, rounding=1.5),
-            "expected a rounding from 0 to its length of 1 m, found 1.5 m",
+            "expected a rounding from 0 to 1 m, the length of the ramp, found 1.5 m",
         ),
         (lambda g: ramp(g, start=1, end=2, rise=1, smooth=False, rounding=-0.1), "found -0.1 m"),
         (
             lambda g: ramp(g, start=1, end=2, rise=1, rounding=0.5),
-            "expected no rounding of a smooth ramp",
+            "expected no rounding for a smooth ramp",
         ),
         (lambda g: ramp(g, start=2, end=2, rise=1), "ramp: expected start < end"),
         (lambda g: place_rocks(g, [(1, 1, 0, 1)]), "diameter and height must be positive"),

@@ -129,15 +129,18 @@ def changed(**parts):
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: three_wheeler(r1=-0.1), "r1 must be zero or a positive and finite radius"),
-        (lambda: three_wheeler(r1=0.0, r2=0.0), "r1 \\+ r2 must be positive"),
-        (lambda: three_wheeler(wheelbase=0.0), "wheelbase must be a positive length, found 0.0"),
-        (lambda: three_wheeler(half_track=-1.0), "half_track must be a positive length"),
+        (lambda: three_wheeler(r1=-0.1), "r1: expected a finite radius of zero or more"),
+        (lambda: three_wheeler(r1=0.0, r2=0.0), "r1, r2: expected a positive radius"),
+        (
+            lambda: three_wheeler(wheelbase=0.0),
+            "wheelbase: expected a finite positive length, found 0.0",
+        ),
+        (lambda: three_wheeler(half_track=-1.0), "half_track: expected a finite positive length"),
         (lambda: three_wheeler(tilt_stop=-0.1), "the lower stop must be below the upper one"),
-        (changed(wheels=()), "with 1 to 100 wheels, found 0"),
+        (changed(wheels=()), "expected 1 to 100 wheels, found 0; add"),
         (
             changed(wheels=tuple(replace(VEHICLE.wheels[0], name=f"w{k}") for k in range(101))),
-            "with 1 to 100 wheels, found 101",
+            "expected 1 to 100 wheels, found 101; remove",
         ),
         (
             changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])),
@@ -145,16 +148,16 @@ def changed(**parts):
         ),
         (
             changed(joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value="tilt_left"))),
-            "coordinate steer moves no joint",
+            "coordinate 'steer' moves no joint",
         ),
         (
             changed(joints=(*VEHICLE.joints, replace(VEHICLE.joints[2], name="x", motion="slide"))),
-            "coordinate steer is the value of both a turning and a sliding",
+            "coordinate 'steer' is used in the values of both a turning",
         ),
         (changed(joints=VEHICLE.joints[::-1][:1] * 2), "two parts have the name 'fork'"),
         (
             changed(joints=(replace(VEHICLE.joints[0], parent="boom"), *VEHICLE.joints[1:])),
-            "joint right_hub: expected one of platform as parent, found 'boom'",
+            "joint 'right_hub': expected one of platform as parent, found 'boom'",
         ),
         (
             changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"), *VEHICLE.wheels[1:])),
@@ -238,21 +241,24 @@ def test_a_joint_follows_a_formula_of_coordinates():
     [
         (
             lambda: Joint("boom", "platform", (0, 0, 0), (0, 0, 0), "a"),
-            "joint boom: expected x, y, z or a nonzero vector of three numbers as an axis",
+            "joint 'boom': axis: expected 'x', 'y', 'z' or a nonzero vector of three finite",
         ),
-        (lambda: Joint("boom", "platform", "w", (0, 0, 0), "a"), "joint boom: expected x, y, z"),
+        (
+            lambda: Joint("boom", "platform", "w", (0, 0, 0), "a"),
+            "joint 'boom': axis: expected 'x',",
+        ),
         (
             lambda: Joint("boom", "platform", "x", (0, 0, np.nan), "a"),
-            "joint boom: at must be three finite numbers",
+            "joint 'boom': at: expected three finite numbers",
         ),
         (
             lambda: Joint("boom", "platform", "x", (0, 0, 0), "a", turned=(0, 0)),
-            "joint boom: turned must be three finite numbers",
+            "joint 'boom': turned: expected three finite numbers",
         ),
-        (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a b"), "joint boom: formula 'a b'"),
+        (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a b"), "joint 'boom': formula 'a b'"),
         (
             lambda: Wheel("w", "platform", (0, 0, 0), Disc(0.2), driven=True, axle=(0, 0, 0)),
-            "wheel w: axle: expected x, y, z",
+            "wheel 'w': axle: expected 'x', 'y', 'z'",
         ),
         (
             lambda: Wheel("a b", "platform", (0, 0, 0), Disc(0.2), driven=True),
@@ -260,14 +266,14 @@ def test_a_joint_follows_a_formula_of_coordinates():
         ),
         (
             lambda: Wheel("w", "platform", (0, np.inf, 0), Disc(0.2), driven=True),
-            "wheel w: at must be three finite numbers",
+            "wheel 'w': at: expected three finite numbers",
         ),
         (
             lambda: replace(
                 VEHICLE,
                 joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value="steer + stear")),
             ),
-            "joint fork: expected one of steer, tilt_left, tilt_right as coordinate, found 'stear'",
+            "expected one of steer, tilt_left, tilt_right as coordinate, found 'stear'",
         ),
     ],
 )
@@ -332,9 +338,9 @@ def test_rollers_bear_no_force_across_them_on_a_side_slope():
 
 def test_rollers_are_refused_where_they_are_not_modelled():
     flat = Analytic(lambda x, _: 0 * x)
-    with pytest.raises(ModelError, match="omni_cart has wheels with rollers"):
+    with pytest.raises(ModelError, match="'omni_cart' has wheels with rollers"):
         direct_kinematics(omni_cart(rollers=True), flat, slip=Rolling())
-    with pytest.raises(ModelError, match="Montana's equations: expected wheels without rollers"):
+    with pytest.raises(ModelError, match="montana_kinematics: expected wheels without rollers"):
         montana_kinematics(omni_cart(rollers=True), flat)
 
 

@@ -54,7 +54,7 @@ def differential_drive(
     Raises
     ------
     ModelError
-        If ``half_track`` or ``caster_ahead`` is not positive.
+        If ``half_track`` or ``caster_ahead`` is not positive, or another number is out of range.
     """
     _positive("differential_drive", half_track=half_track, caster_ahead=caster_ahead)
     section, drop = section_of_radii(r1, r2), -(r1 + r2) * (1 - caster_scale)
@@ -90,8 +90,8 @@ def ackermann(
 ) -> Vehicle:
     """Return a car with a rocking front axle and driven rear wheels.
 
-    The steering angle is that of a virtual wheel in the middle of the front axle. It turns both
-    front wheels such that their axles intersect on the line of the rear axle (Ackermann steering).
+    The steering angle is that of a virtual wheel in the middle of the front axle. The front wheels
+    turn such that their axles intersect on the line of the rear axle (Ackermann steering).
     The platform's centre is the middle of the rear axle.
 
     Parameters
@@ -111,7 +111,7 @@ def ackermann(
     Raises
     ------
     ModelError
-        If ``half_track`` or ``wheelbase`` is not positive.
+        If ``half_track`` or ``wheelbase`` is not positive, or another number is out of range.
     """
     _positive("ackermann", half_track=half_track, wheelbase=wheelbase)
     turned = "atan2({0}*tan(steer), {0} {2} {1}*tan(steer))"
@@ -187,7 +187,7 @@ def skid_steer(
     Raises
     ------
     ModelError
-        If ``half_track`` or ``wheelbase`` is not positive.
+        If ``half_track`` or ``wheelbase`` is not positive, or another number is out of range.
     """
     _positive("skid_steer", half_track=half_track, wheelbase=wheelbase)
     wheels = tuple(
@@ -251,7 +251,7 @@ def rigid_skid_steer(
     Raises
     ------
     ModelError
-        If ``half_track`` or ``wheelbase`` is not positive, or the number of axles is not 2 or 3.
+        If the number of axles is not 2 or 3, or another number is out of range.
     """
     _positive("rigid_skid_steer", half_track=half_track, wheelbase=wheelbase)
     if axles not in AXLE_NAMES:
@@ -310,7 +310,7 @@ def articulated(
     Raises
     ------
     ModelError
-        If ``half_track``, ``front`` or ``rear`` is not positive.
+        If ``half_track``, ``front`` or ``rear`` is not positive, or another number is out of range.
     """
     _positive("articulated", half_track=half_track, front=front, rear=rear)
     section, (x, y, z) = section_of_radii(r1, r2), center_of_mass
@@ -362,6 +362,4 @@ def _pair(
 def _positive(name: str, **lengths: float) -> None:
     for key, length in lengths.items():
         if not 0 < length < inf:
-            raise ModelError(
-                f"{name}: {key} must be a positive length, found {length} m; change it"
-            )
+            raise ModelError(f"{name}: {key}: expected a finite positive length, found {length} m")

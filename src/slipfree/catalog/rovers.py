@@ -74,7 +74,7 @@ def rocker_bogie(
     Raises
     ------
     ModelError
-        If a radius is not positive or a position is not finite.
+        If a number is out of range.
     """
     coordinates = [
         Coordinate(
@@ -173,9 +173,7 @@ def rocky7(
            Hb).
     """
     if steered not in ("front", "corners"):
-        raise ModelError(
-            f"rocky7: steered must be 'front' or 'corners', found {steered!r}; choose one"
-        )
+        raise ModelError(f"rocky7: steered: expected 'front' or 'corners', found {steered!r}")
     ahead, above, down, half_track = 0.12075, 0.105, 0.125, 0.2
     arm, angle, half, drop = 0.16, radians(49), 0.069, 0.02
     bogie = (ahead - arm * sin(angle), above - arm * cos(angle))

@@ -60,7 +60,7 @@ def seven_wheels(
     if not 0 < stiffness < inf:
         raise ModelError(
             "seven_wheels: expected a positive, finite stiffness of the springs, since seven rigid "
-            f"contacts are too many for five degrees of freedom, found {stiffness} N/m; change it"
+            f"contacts are too many for five degrees of freedom, found {stiffness} N/m"
         )
     radius, behind, ahead, lengths, above = 0.066, 0.215, 0.255, (0.400, 0.195), 0.05
     pressed = [

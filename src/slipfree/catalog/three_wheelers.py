@@ -65,7 +65,8 @@ def three_wheeler(
         wheel load times ``r2`` keeps it upright. Where the rates cause a tilt, a stiffer spring
         needs more friction.
     mass, center_of_mass : float, tuple of 3 floats
-        Mass of the platform, and its centre in the platform's frame; the paper gives neither.
+        Mass of the platform, and its centre of mass in the platform's frame; the paper gives
+        neither.
         [kg, m]
     wheel_mass, grip : float
         Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
@@ -74,8 +75,8 @@ def three_wheeler(
     Raises
     ------
     ModelError
-        If a length is not positive, if the axle is unknown, or if it has no free joint for a given
-        spring, damper or elastic stop.
+        If a number is out of range, if the axle is unknown, or if the axle has no free joint for a
+        given spring, damper or elastic stop.
 
     References
     ----------
@@ -85,12 +86,11 @@ def three_wheeler(
     for key, length in (("half_track", half_track), ("wheelbase", wheelbase)):
         if not 0 < length < inf:
             raise ModelError(
-                f"three_wheeler: {key} must be a positive length, found {length} m; change it"
+                f"three_wheeler: {key}: expected a finite positive length, found {length} m"
             )
     if axle not in get_args(Axle):
         raise ModelError(
-            f"three_wheeler: axle must be one of {', '.join(get_args(Axle))}, found {axle!r}; "
-            "choose one of these names"
+            f"three_wheeler: axle: expected one of {', '.join(get_args(Axle))}, found {axle!r}"
         )
     rear, front, section = -wheelbase / 3, 2 * wheelbase / 3, section_of_radii(r1, r2)
     ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}

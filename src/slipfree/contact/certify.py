@@ -38,8 +38,8 @@ class SecondContact:
     wheel : Wheel
         The wheel.
     pose : casadi Function
-        Centre in local coordinates, rotation matrix (by columns) and ground normal as functions of
-        ``x`` and ``z``.
+        Centre of the wheel in local coordinates, rotation matrix (by columns) and ground normal at
+        its contact as functions of ``x`` and ``z``.
     size : float
         Typical length of the vehicle, the unit of `TOLERANCE`. [m]
     """
@@ -59,7 +59,10 @@ class SecondContact:
         return Label("clearance", "m", words, self.wheel.name)
 
     def margin(self, x: Array, z: Array) -> Array:
-        """Return the clearances of n states, the columns of ``x`` and ``z``, shape (n,) [m]."""
+        """Return the clearances for n columns of states ``x`` and unknowns ``z``, shape (n,) [m].
+
+        A penetration below `TOLERANCE` does not make a clearance negative.
+        """
         parts = range(0, x.shape[1], CHUNK)
         return np.concatenate(
             [self._nearest(x[:, k : k + CHUNK], z[:, k : k + CHUNK])[0] for k in parts]

@@ -63,22 +63,30 @@ def support_fault(vehicle: Vehicle) -> str:
     The text follows the word "expected" in messages.
     """
     wheels = len(vehicle.wheels)
-    loose = [c.name for c in vehicle.of("suspension") if not c.stiffness]
+    given = len(vehicle.of("suspension"))
+    loose = [repr(c.name) for c in vehicle.of("suspension") if not c.stiffness]
     if wheels < 3:
         return f"at least 3 wheels, found {wheels}; add wheels, or use dynamics"
-    if loose and len(vehicle.of("suspension")) > wheels - 3:
+    if loose and given > wheels - 3:
+        it = "it" if len(loose) == 1 else "them"
         return (
-            f"at most {wheels - 3} suspension coordinates for {wheels} wheels, or a spring at each "
-            f"of them, found no spring at {', '.join(loose)}; give them a stiffness, make them "
-            "passive or commanded, or remove them"
+            f"no more suspension coordinates than wheels beyond three ({wheels - 3}), or a spring "
+            f"at each, found {given} and no spring at {', '.join(loose)}; give {it} a stiffness, "
+            f"make {it} passive or commanded, or remove {it}"
         )
     return ""
 
 
-def check_exact_closure(vehicle: Vehicle, model: str) -> None:
+def check_exact_closure(
+    vehicle: Vehicle,
+    model: str,
+    remedy: str = "use direct_kinematics or inverse_kinematics with least slip, which press the "
+    "wheels into the ground",
+) -> None:
     """Raise ModelError if not all wheels of a vehicle can touch a rigid ground.
 
-    The message begins with ``model``, the name of the model that requires it.
+    The message begins with ``model``, the name of the function or law that requires it. It ends
+    with ``remedy`` if the vehicle can be modelled with pressed wheels.
     """
     fault = support_fault(vehicle)
     if fault:
@@ -86,10 +94,9 @@ def check_exact_closure(vehicle: Vehicle, model: str) -> None:
     if not has_exact_closure(vehicle):
         wheels, given = len(vehicle.wheels), len(vehicle.of("suspension"))
         raise ModelError(
-            f"{model}: expected a vehicle whose wheels can all touch a rigid ground, that is, "
-            f"{wheels - 3} suspension coordinates for {wheels} wheels, found {given} in "
-            f"{vehicle.name!r}; use direct_kinematics or inverse_kinematics with least slip, which "
-            "press the wheels into the ground"
+            f"{model}: expected a vehicle whose wheels can all touch a rigid ground, that is, a "
+            f"suspension coordinate for each wheel beyond three ({wheels - 3}), found {given} in "
+            f"{vehicle.name!r}; {remedy}"
         )
 
 

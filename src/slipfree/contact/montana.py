@@ -33,7 +33,7 @@ class ContactCoordinates(NamedTuple):
     x, y : SX
         Coordinates ``u_g, v_g`` of the contact on the ground. [m]
     u, v : SX
-        Coordinates ``u_w, v_w`` of the contact on the wheel, see ``Section.point``.
+        Coordinates ``u_w, v_w`` of the contact on the wheel, see ``Section.point``. [rad]
     psi : SX
         Angle from the wheel's Gauss x axis to the ground's, about the ground's normal. [rad]
     """
@@ -112,7 +112,7 @@ class ContactRates(NamedTuple):
 
 
 def contact_rates(wheel: Forms, ground: Forms, psi: ca.SX, v: ca.SX, omega: ca.SX) -> ContactRates:
-    """Return the rates of the contact coordinates, eq. 2 of Chakraborty and Ghosal.
+    """Return the rates of the contact coordinates by eq. 2 of Chakraborty and Ghosal.
 
     The forms differ from those in the paper: its ``K`` and ``T`` lack the factors ``1/|c_u|`` and
     ``1/|c_v|``, and its diagonal ``M`` is wrong on a height map

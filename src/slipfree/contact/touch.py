@@ -32,7 +32,7 @@ LONGEST_STEP = 0.2  # of damped steps [rolling radii]
 TOLERANCE = 1e-9  # residual of a converged search [m]
 CLEARLY_ABOVE = 0.1  # vertical gap above which a search need not converge [rolling radii]
 LARGE = 1e9  # any residual is smaller [m^2]
-DIRECTIONS = np.deg2rad([0, -20, 20, -40, 40, -60, 60])  # of normals of a wheel's lower part [rad]
+DIRECTIONS = np.deg2rad([0, -20, 20, -40, 40, -60, 60])  # of a wheel's lower normals [rad]
 
 
 class Touch(NamedTuple):
@@ -90,7 +90,7 @@ def touch(
 
 
 class _Miss(NamedTuple):
-    """Residual (2, 1) of the nearest point [m], normal, wheel's point [m] and gap [m] there."""
+    """Residual (2, 1) of the nearest point [m], ground normal, wheel's point [m] and gap [m]."""
 
     residual: ca.SX
     normal: ca.SX
@@ -129,8 +129,9 @@ def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Fun
     -------
     casadi Function
         From centre and axle, shape (6, 1), to the nearest point, the inverse Jacobian of the
-        residual, height, gradient and Hessian there, shape (13, 1); NaN if Newton's method does
-        not converge. For a wheel clearly above the ground, the result then is the point below it.
+        residual, height, gradient and Hessian there, shape (13, 1). If Newton's method does not
+        converge, the result is NaN, or, for a wheel clearly above the ground, the ground point
+        below it with a zero inverse Jacobian.
     """
     radii = section.torus_radii
     if isinstance(terrain, Bicubic) and radii is not None:
@@ -169,10 +170,10 @@ def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Funct
 
 
 def _lowest_point(section: Section, jet: ca.Function, asked: Any) -> list[Any]:
-    """Return the place and the height above the ground of the wheel's lowest point.
+    """Return the tread point that is lowest above the ground: its x and y, and its height above it.
 
-    The points are those of the tread with normals in the direction of travel, at `DIRECTIONS` from
-    the vertical.
+    The tread points compared have normals in the vertical plane along the direction of travel, at
+    the angles `DIRECTIONS` from the vertical.
     """
     center, axle = asked[:3], asked[3:]
     forward = ca.vertcat(-axle[1], axle[0], 0) / ca.sqrt(ca.sumsqr(axle[:2]) + TOLERANCE**2)
@@ -205,7 +206,7 @@ def _converged(found: Any) -> Any:
 def _damped_steps(
     jet: ca.Function, newton: ca.Function, spot: Any, asked: Any, radius: float
 ) -> Any:
-    """Return the point after steps of Newton's method of limited length.
+    """Return the point with the least residual after Newton steps of limited length.
 
     A step is halved until it reduces the residual.
     """
@@ -231,8 +232,9 @@ def _jet_function(terrain: Terrain) -> ca.Function:
 def _newton_function(section: Section) -> ca.Function:
     """Return one step of Newton's method for the nearest ground point.
 
-    The function maps a point, a question and a jet to the step, the inverse Jacobian and the
-    residual, shape (8, 1), and to the point of the wheel, shape (3, 1).
+    The function maps a ground point, the wheel's centre and axle (6, 1), and height, gradient and
+    Hessian at the ground point (7, 1) to the step, the inverse Jacobian and the residual, shape
+    (8, 1), and to the point of the wheel, shape (3, 1).
     """
     spot, asked, jet = ca.SX.sym("spot", 2), ca.SX.sym("asked", 6), ca.SX.sym("jet", 7)
     at = _miss(section, spot, asked[:3], asked[3:], jet[0], jet[1:3])

@@ -58,7 +58,7 @@ def arc_inputs(
     Returns
     -------
     inputs : dict of str to tuple of (float, float)
-        Pairs of time [s] and rate of each input from this time on. [rad/s, m/s]
+        For each input, pairs of a time [s] and the rate from this time on. [rad/s, m/s]
     duration : float
         Time at the end of the last arc. [s]
 

@@ -93,7 +93,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     heading, cross-track and along-track errors decay over a distance of the size of the vehicle.
     The wheel rates are those of planar motion with the current steering angles. On uneven ground
     these rates do not fit each other exactly, and passive tilt joints take up the difference; a
-    correction makes the mean tilt decay, which would otherwise drift until the wheels lie flat.
+    correction lets the mean tilt decay. Without it, the tilt would drift until the wheels lie flat.
 
     Parameters
     ----------
@@ -132,13 +132,14 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     """
     if not np.isfinite(speed) or speed == 0:
         raise ModelError(
-            f"speed: expected a finite speed other than zero, found {speed} m/s; change it"
+            f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
+            "speed, or a negative one to drive backwards"
         )
     wrong = [label.full for label in dae.labels.u.wheels if label.unit != "rad s-1"]
     if wrong:
         raise ModelError(
-            f"follow: expected rates as inputs of all driven wheels, found {', '.join(wrong)}; "
-            "give these wheels a drive with a rate, such as Motor(...)"
+            f"follow: expected the rates of all driven wheels as inputs, found {', '.join(wrong)}; "
+            "use drives whose input is a rate: Rate() or Motor(...)"
         )
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
     plan = planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
@@ -231,7 +232,7 @@ def planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeomet
     vehicle : Vehicle
         The vehicle.
     states : dict of str to SX
-        Symbols of its commanded coordinates.
+        Symbols of its commanded coordinates, by name.
 
     Raises
     ------
@@ -258,8 +259,8 @@ def planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeomet
     sides = {np.sign(now(f.right)) for f in planar if f.wheel.driven and not f.effects}
     if not steered and not {-1.0, 1.0} <= sides:
         raise ModelError(
-            f"driver: expected a vehicle with steered wheels, or with driven wheels on both sides; "
-            f"{vehicle.name} has neither; give inputs instead"
+            "driver: expected a vehicle with steered wheels, or with driven wheels on both sides, "
+            f"found neither in {vehicle.name!r}; give inputs instead"
         )
     lengths = [abs(now(f.forward)) for f in steered] or [abs(now(f.right)) for f in planar]
     gain = 1.0
@@ -276,8 +277,8 @@ def _wheel_mobility(
     """Yield the pose of every wheel in the level platform's frame, and its steering and tilting.
 
     The second value maps commanded coordinates to their effect on the wheel's heading; the third
-    is the passive coordinate that tilts the wheel sideways, if the wheel is driven; the last is
-    whether a passive coordinate swivels the wheel about the vertical.
+    is the passive coordinate that tilts the wheel sideways, None without one or for a wheel that
+    is not driven; the last is whether a passive coordinate swivels the wheel about the vertical.
     """
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     passive = {c.name: ca.SX.sym(c.name) for c in vehicle.of("passive")}

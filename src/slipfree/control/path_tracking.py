@@ -53,8 +53,9 @@ def path_inputs(
     Raises
     ------
     ModelError
-        If the model has other inputs; if the path depends on other symbols than time, or has too
-        few or unsuitable values; or if it does not begin at the start.
+        If the model has other inputs; if the path depends on symbols other than ``dae.t``; if there
+        are fewer than six times, if their number is not that of the values, if a value is not
+        finite, or if the times do not increase; or if the path does not begin at the start.
     """
     names = tuple(label.full for label in leaves(dae.labels.u))
     if set(names) != set(PLANAR):
@@ -64,9 +65,11 @@ def path_inputs(
         )
     if t is None:
         path = ca.vertcat(x, y, heading)
-        if not all(ca.is_equal(symbol, dae.t) for symbol in ca.symvar(path)):
+        foreign = [symbol for symbol in ca.symvar(path) if not ca.is_equal(symbol, dae.t)]
+        if foreign:
             raise ModelError(
-                f"path: expected expressions of dae.t only, found {path}; replace the other symbols"
+                f"path: expected expressions of dae.t only, found the symbols {foreign}; replace "
+                "them by numbers or functions of dae.t"
             )
         first = np.array(ca.Function("first", [dae.t], [path])(begin)).ravel()
         velocity = ca.jacobian(path, dae.t)
@@ -77,14 +80,14 @@ def path_inputs(
     gaps = (first - there) / [dae.size, dae.size, 1.0]
     gaps[2] = (gaps[2] + np.pi) % (2 * np.pi) - np.pi
     wrong = [
-        f"{name} = {value:.6g}, the vehicle stands at {at:.6g}"
+        f"{name} = {value:.6g} instead of {at:.6g}"
         for name, value, at, gap in zip(("x", "y", "heading"), first, there, gaps, strict=True)
         if not abs(gap) < MAX_START_DISTANCE
     ]
     if wrong:
         raise ModelError(
-            f"path: expected the position and heading of the start, found {'; '.join(wrong)}: move "
-            "the path or the start"
+            "path: expected a path that begins at the position and heading of the start, found "
+            f"{', '.join(wrong)}; move the path or the start"
         )
     return dae.inputs(**dict(zip(PLANAR, ca.vertsplit(velocity), strict=True)))
 
@@ -116,7 +119,8 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     Raises
     ------
     ModelError
-        If there are fewer than six way-points, a value is not finite or times do not increase.
+        If there are fewer than six way-points, if the numbers of times and values differ, if a
+        value is not finite, or if the times do not increase.
     """
     t, points = _checked_points(t, x, y, heading)
     place, velocity = _splines(t, points.T, dae.t)
@@ -134,19 +138,32 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
 
 
 def _checked_points(t: Any, x: Any, y: Any, heading: Any) -> tuple[Array, Array]:
-    """Return times and values of way-points, shapes (n,) and (3, n)."""
+    """Return times and values of way-points, shapes (n,) and (3, n).
+
+    Raises ModelError if `path_inputs` cannot interpolate them.
+    """
     t = np.asarray(t, dtype=float)
     values = [np.asarray(each, dtype=float) for each in (x, y, heading)]
-    if t.size <= DEGREE or any(each.shape != (t.size,) for each in values):
+    if t.size <= DEGREE:
         raise ModelError(
-            f"path: expected {DEGREE + 1} or more times and as many values of x, y and heading, "
-            f"found {t.size} times and values of shapes {', '.join(str(v.shape) for v in values)}; "
-            "add points, or give one value of each for every time"
+            f"path: expected at least {DEGREE + 1} times of way-points, found {t.size}; add "
+            "way-points"
         )
-    if not (np.isfinite(values).all() and np.isfinite(t).all() and (np.diff(t) > 0).all()):
+    if any(each.shape != (t.size,) for each in values):
         raise ModelError(
-            "path: expected finite values at increasing times, found NaN, infinity or a time that "
-            "does not increase; remove such points"
+            f"path: expected {t.size} values each of x, y and heading, one per time, found the "
+            f"shapes {', '.join(str(v.shape) for v in values)}; give one value of each for every "
+            "time"
+        )
+    if not (np.isfinite(values).all() and np.isfinite(t).all()):
+        raise ModelError(
+            "path: expected finite times and values, found NaN or infinity; remove such way-points"
+        )
+    if not (np.diff(t) > 0).all():
+        k = int((np.diff(t) <= 0).argmax())
+        raise ModelError(
+            f"path: expected increasing times, found {t[k]:.6g} s followed by {t[k + 1]:.6g} s; "
+            "sort the way-points by time, and remove repeated times"
         )
     return t, np.array(values)
 

@@ -21,14 +21,13 @@ def unit_vector(axis: Axis) -> Vector:
     Raises
     ------
     ModelError
-        If the name is unknown, or the vector is zero or not finite.
+        If the name is unknown, or if the vector is zero, not finite or not of length three.
     """
     given = AXES.get(axis) if isinstance(axis, str) else axis
     size = hypot(*given) if given is not None and len(given) == 3 else 0.0
     if given is None or not 0 < size < inf:
         raise ModelError(
-            f"expected x, y, z or a nonzero vector of three numbers as an axis, found {axis!r}; "
-            "correct it"
+            f"expected 'x', 'y', 'z' or a nonzero vector of three finite numbers, found {axis!r}"
         )
     x, y, z = (each / size for each in given)
     return x, y, z
@@ -37,7 +36,7 @@ def unit_vector(axis: Axis) -> Vector:
 def check_vector(name: str, vector: Sequence[float]) -> None:
     """Raise ModelError, with ``name`` in the message, if a vector is not three finite numbers."""
     if len(vector) != 3 or not all(map(isfinite, vector)):
-        raise ModelError(f"{name} must be three finite numbers, found {vector}; correct it")
+        raise ModelError(f"{name}: expected three finite numbers, found {vector}")
 
 
 class Twist(NamedTuple):

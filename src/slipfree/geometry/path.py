@@ -37,7 +37,7 @@ class PathPoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Cubic spline through way-points, parametrised by arc length.
+    """Cubic spline through way-points, parametrised by arc length; a line through two of them.
 
     Beyond its ends the path continues straight.
 
@@ -49,8 +49,8 @@ class Path:
     Raises
     ------
     ModelError
-        If there are fewer than two points, two consecutive points coincide, or a coordinate is not
-        finite or too large.
+        If there are fewer than two points, if two consecutive points coincide, or if a coordinate
+        is not finite or is 1e12 m or larger.
 
     Examples
     --------

@@ -1,1 +1,1 @@
-"""Slip laws and wheel-ground laws: equations that models add to the contact of the wheels."""
+"""Slip laws, wheel-ground laws and contact laws, which models add to the contact of the wheels."""

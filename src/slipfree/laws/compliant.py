@@ -57,7 +57,7 @@ class Compliant:
     sliding : float
         Ratio of the friction at fast slip to the friction at slow slip (Stribeck effect). [1]
     stribeck_speed : float
-        Slip velocity with 63 % of the change from the friction at slow to that at fast slip. [m/s]
+        Slip velocity at which friction has made 63 % of the change from slow to fast slip. [m/s]
 
     Raises
     ------
@@ -72,10 +72,10 @@ class Compliant:
         float, Gt(0), Le(1), Unit("m/s"), doc("slip at which friction reaches 71 % of its limit")
     ] = 1e-3
     sliding: Annotated[
-        float, Gt(0), Le(1), Unit("1"), doc("friction of a fast slip over that of a slow slip")
+        float, Gt(0), Le(1), Unit("1"), doc("friction at fast slip, divided by that at slow slip")
     ] = 1.0
     stribeck_speed: Annotated[
-        float, Gt(0), Unit("m/s"), doc("slip that reduces friction by 63 % of the difference")
+        float, Gt(0), Unit("m/s"), doc("slip at 63 % of the change from slow to fast friction")
     ] = 0.01
 
     def __post_init__(self) -> None:
@@ -93,7 +93,7 @@ class Compliant:
         share : float
             Share of the vehicle's weight. [N]
         depth : float
-            Depth of the wheel under this share. [m]
+            Static depth of the wheel under this share. [m]
 
         Returns
         -------

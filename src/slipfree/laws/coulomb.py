@@ -56,8 +56,8 @@ class Coulomb:
     creep : float
         Slip velocity ``eps`` at which a wheel transmits 71 % of the friction limit. [m/s]
     reserve : float
-        Coefficient ``c`` of viscous friction per newton of normal force. If it is positive, there
-        is an equilibrium with slip beyond the friction limit. [s/m]
+        Coefficient ``c`` of viscous friction per newton of normal force. If it is positive,
+        equilibria with fast slip exist beyond the friction limit. [s/m]
 
     Raises
     ------
@@ -88,7 +88,7 @@ class Coulomb:
         if not terrain.has_friction:
             raise ModelError(
                 "Coulomb friction: expected a ground with a coefficient of friction, found none; "
-                "set the ground's mu, or terrain.friction in a problem file"
+                "set 'mu' of the ground, or 'terrain.friction' in a problem file"
             )
 
     def unknowns(self, vehicle: Vehicle) -> FrictionUnknowns:
@@ -149,9 +149,9 @@ def _equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
 
 
 def no_equilibrium(contacts: SlidingContacts) -> Limit:
-    """Return the limit of the slip velocity: ten times the largest rim speed plus a constant.
+    """Return the limit of the slip velocity: ten times the largest rim speed, plus 1 m/s.
 
-    A wheel that slips faster shows that friction cannot hold the vehicle: there is no equilibrium.
+    A wheel slips faster only where friction cannot hold the vehicle: there is no equilibrium.
     """
     driven = [wheel for wheel in contacts.vehicle.wheels if wheel.driven]
     fastest, most = ca.SX(0), ca.SX(0)

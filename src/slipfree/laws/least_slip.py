@@ -49,7 +49,7 @@ def stationarity(cost: ca.SX, motion: Motion, unknowns: Multipliers) -> Equation
     Parameters
     ----------
     cost : SX, shape (1, 1)
-        Function of the slip velocities. [m^2/s^2]
+        Cost, a function of the slip velocities. [m^2/s^2]
     motion : Motion
         Rates, slip velocities and constraints.
     unknowns : Multipliers
@@ -78,7 +78,7 @@ def _multiplier(constraint: Label) -> Label:
 
 
 def slip_unit(unit: str) -> str:
-    """Return the unit of a derivative of squared slip velocity, from that of the variable."""
+    """Return the unit of the derivative of squared slip velocity by a variable of a given unit."""
     return {
         "m s-1": "m s-1",
         "rad s-1": "m2 s-1",

@@ -59,8 +59,8 @@ class Motion(NamedTuple):
     labels : tuple of Label
         Labels of these rates.
     constraints : Equations
-        Constraints of every law, linear in the rates: no wheel moves along the ground's normal, or
-        pressed wheels relax.
+        Constraints under every law, linear in the rates: no wheel moves along the ground's normal,
+        or pressed wheels relax.
     weights : tuple of SX or float
         Weight of each wheel's slip: about one on the ground, about zero in the air. [1]
     """
@@ -100,7 +100,8 @@ class SlidingContacts(NamedTuple):
     vehicle : Vehicle
         The vehicle, with n_wheels wheels.
     along, across, normal : tuple of SX
-        Components of the slip velocity of each wheel. [m/s]
+        Components of the slip velocity of each wheel along it, across it and along the ground's
+        normal. [m/s]
     friction : tuple of SX
         Coefficient of friction at each wheel. [1]
     driven : tuple of SX
@@ -125,7 +126,8 @@ class Reaction(NamedTuple):
     Attributes
     ----------
     along, across, normal : tuple of SX
-        Components of the force on each wheel. [N]
+        Components of the force on each wheel along it, across it and along the ground's normal.
+        [N]
     equations : Equations
         One equation for each unknown of the law.
     limits : tuple of Limit
@@ -175,13 +177,18 @@ def component_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tupl
 
 
 def check_law(law: object, protocol: type, expected: str) -> None:
-    """Raise ModelError if an argument does not implement the protocol of a law."""
-    if not isinstance(law, protocol) or isinstance(law, type):
-        raise ModelError(f"expected {expected}, found {law!r}; give an object of such a class")
+    """Raise ModelError if an argument does not implement the protocol of a law.
+
+    The message begins with ``expected``, the name of the argument and the expected object.
+    """
+    if not isinstance(law, protocol):
+        raise ModelError(f"{expected}, found {law!r}; give an instance of such a class")
+    if isinstance(law, type):
+        raise ModelError(f"{expected}, found the class {law.__name__}; call it: {law.__name__}()")
 
 
 def check_bounds(law: Any) -> None:
-    """Raise ModelError if a field of a law is outside its annotated bounds."""
+    """Raise ModelError if a field of a law, which has a default, violates an annotated bound."""
     hints = get_type_hints(type(law), include_extras=True)
     for field in fields(law):
         value, annotation = getattr(law, field.name), hints[field.name]
@@ -189,7 +196,7 @@ def check_bounds(law: Any) -> None:
             for key, (sign, holds) in BOUNDS.items():
                 edge = getattr(bound, key, None)
                 if edge is not None and not holds(value, edge):
-                    name = f"{type(law).__name__}: {field.name}"
                     raise ModelError(
-                        f"{name}: expected a number {sign} {edge:g}, found {value}; change it"
+                        f"{type(law).__name__}: {field.name!r}: expected a number {sign} {edge:g}, "
+                        f"found {value}; the default is {field.default}"
                     )

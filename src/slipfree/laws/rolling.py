@@ -17,24 +17,25 @@ from slipfree.vehicle.tree import Vehicle
 class Rolling:
     """No slip at any wheel.
 
-    The law suits vehicles with as many passive joints and free wheels as rolling conditions,
-    ``2 n_wheels - 3``, such as the tilting three-wheeler.
+    The law suits vehicles without rollers whose wheels can all touch a rigid ground, and whose
+    passive joints and free wheels are as many as the rolling conditions, ``2 n_wheels - 3``, such
+    as the tilting three-wheeler.
     """
 
     def check(self, vehicle: Vehicle) -> None:
         """Raise ModelError if the vehicle cannot roll without slip."""
         if any(wheel.rollers for wheel in vehicle.wheels):
             raise ModelError(
-                f"{vehicle.name} has wheels with rollers, which cannot roll without slip; use "
-                "least slip: LeastSlip(), slip = 'least'"
+                f"{vehicle.name!r} has wheels with rollers, which cannot roll without slip; use "
+                "least slip: LeastSlip(), or slip = 'least' in a problem file"
             )
         check_exact_closure(vehicle, "Rolling()")
         found, needed = rolling_counts(vehicle)
         if found != needed:
             raise ModelError(
-                f"{vehicle.name} cannot roll without slip: expected {needed} passive joints and "
-                f"free wheels, one per rolling condition, found {found}; use least "
-                "slip: LeastSlip(), slip = 'least'"
+                f"{vehicle.name!r} cannot roll without slip: expected {needed} passive joints and "
+                f"free wheels, one per rolling condition, found {found}; use least slip: "
+                "LeastSlip(), or slip = 'least' in a problem file"
             )
 
     def unknowns(
@@ -52,6 +53,6 @@ class Rolling:
 
 
 def rolling_counts(vehicle: Vehicle) -> tuple[int, int]:
-    """Return the numbers of passive joints and free wheels, and of rolling conditions."""
+    """Return the number of passive joints and free wheels, and that of rolling conditions."""
     free = sum(not wheel.driven for wheel in vehicle.wheels)
     return len(vehicle.of("passive")) + free, 2 * len(vehicle.wheels) - 3

@@ -30,7 +30,7 @@ from slipfree.vehicle.tree import Vehicle
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
     """Return the poses of the wheels' carriers, with origins at the wheels' centres.
 
-    ``x`` and ``position`` are the coordinates of platform and joints, in local coordinates.
+    ``x`` and ``position`` hold the local coordinates of the platform and the values of the joints.
     """
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     return vehicle.carriers(base, values_of(vehicle, x, position))
@@ -45,7 +45,7 @@ def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[s
 def level_heights(
     vehicle: Vehicle, terrain: Terrain, x: Configuration, lookups: LookupTable
 ) -> tuple[ca.SX, list[ca.SX]]:
-    """Return the height of a level platform at which each wheel touches the ground below it.
+    """Return, for each wheel, the height of a level platform at which it touches the ground.
 
     Returns
     -------

@@ -134,7 +134,8 @@ class Determinacy:
     remedy : str
         Advice for messages; ``{}`` stands for the given rate.
     matrices : casadi Function
-        Function from states and unknowns ``(x, z)`` to ``(matrix, columns)``.
+        Function from states and unknowns ``(x, z)`` to ``(matrix, columns)``, the coefficients of
+        the unknown and of the given rates.
     """
 
     least: float
@@ -321,7 +322,7 @@ def command_determinacy(
 def conditions(
     vehicle: Vehicle, terrain: Terrain, run: Trajectory, *, solve_for: str = "rates"
 ) -> dict[tuple[str, ...], Array]:
-    """Return the condition of the inverse problem for each choice of three platform velocities.
+    """Return condition numbers of the inverse problem for each choice of three platform rates.
 
     Parameters
     ----------
@@ -336,8 +337,8 @@ def conditions(
     Returns
     -------
     dict
-        Condition numbers, shape (n,), one for each sample, by the names of the three velocities;
-        infinite where the choice is singular.
+        Condition numbers, shape (n,), one for each sample, by the names of the three given rates
+        (``velocity_x`` to ``omega_z``); infinite where the choice is singular.
     """
     direct = direct_kinematics(vehicle, terrain, slip=Rolling())
     slip, count = slip_columns(vehicle, direct), run.t.size

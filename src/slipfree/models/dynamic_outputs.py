@@ -130,7 +130,7 @@ def quantities(
 def _mechanics(
     vehicle: Vehicle, x: DynamicState, body: Multibody, contacts: Sequence[Contact]
 ) -> Mechanics:
-    """Return friction, weight, energy and damping; the terms of an equilibrium are empty."""
+    """Return friction, weight, energy and damping; the terms of the equilibrium are empty."""
     height = sum(each.mass * each.motion.pose.origin[2] for each in body.bodies)
     loaded = [
         (c, value, rate)
@@ -165,7 +165,7 @@ def _rates(vehicle: Vehicle, x: DynamicState, place: Configuration, roll: ca.SX)
 
 
 def limit_quantities(q: Quantities, contacts: Sequence[Contact]) -> Quantities:
-    """Return quantities for limits, whose conditions on contacts hold for wheels in the air."""
+    """Return the quantities for limits: wheels in the air satisfy every limit on contacts."""
     frames = list[ContactFrame]()
     for each in contacts:
         frame, on_ground = each.touch.frame, each.touch.gap < 0

@@ -17,8 +17,9 @@ class DynamicState(NamedTuple):
     """Differential states: pose and speeds of platform, joints and wheels.
 
     ``attitude`` is the unit quaternion (w, x, y, z) of the platform; ``joints`` are all
-    coordinates, ``joint_speeds`` their rates, and ``spins`` the speeds of the wheels. ``drives``
-    are the integrals of the speed controllers. [m, rad, m/s, rad/s, N m]
+    coordinates, ``joint_speeds`` their rates, and ``spins`` the speeds of the wheels
+    (`slipfree.models.multibody.WheelMotion`). ``drives`` are the integrals of the speed
+    controllers. [m, rad, m/s, rad/s, N m]
     """
 
     x: Any
@@ -34,10 +35,9 @@ class DynamicState(NamedTuple):
 
 
 class DynamicTotals(NamedTuple):
-    """Quadratures: rotation angles of the wheels [rad], work of the drives and loss of energy [J].
+    """Quadratures: rotation angles of the wheels [rad], work of the drives and lost energy [J].
 
-    The sum of kinetic, potential and contact energy is constant if ``work`` is subtracted and
-    ``lost`` is added.
+    The sum of kinetic, potential and contact energy, minus ``work`` and plus ``lost``, is constant.
     """
 
     wheels: tuple[Any, ...]
@@ -114,7 +114,7 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
 def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutputs:
     """Return the labels of the outputs, from those of a model without inertia."""
     position, rates = still.z.position, still.z.rates
-    ratio = "excess of the rim's speed over the wheel's, over the larger of both"
+    ratio = "rim speed minus speed of the wheel's centre, divided by the larger of the two"
     return DynamicOutputs(
         still.x.heading,
         position.roll,
@@ -136,7 +136,7 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
 
 
 def _joint_speed(vehicle: Vehicle, c: Coordinate) -> Label:
-    """Return the label of the rate of a coordinate; that of an input has the usual name."""
+    """Return the label of a joint's rate: ``_speed`` if commanded, since its input is ``_rate``."""
     name, words = ("speed", "actual rate") if c.kind == "commanded" else ("rate", "rate")
     return Label(f"{c.name}_{name}", f"{vehicle.unit(c.name)} s-1", f"{words} of {c.words}")
 

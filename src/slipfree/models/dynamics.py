@@ -95,8 +95,9 @@ def dynamics(
     Raises
     ------
     ModelError
-        If the vehicle has no mass, a wheel whose rate is not prescribed has no inertia, the ground
-        has no coefficient of friction, or a wheel on solids is not a torus, a disc or a sphere.
+        If the vehicle has no mass, if a wheel whose rate is not prescribed has neither mass nor
+        inertia, if the ground has no coefficient of friction, or if a wheel on solids is not a
+        torus, a disc or a sphere.
 
     Notes
     -----
@@ -173,14 +174,14 @@ def _check(vehicle: Vehicle, terrain: Terrain) -> None:
         )
     if not terrain.has_friction:
         raise ModelError(
-            "dynamics: expected a ground with a coefficient of friction, found none; set the "
-            "ground's mu, or terrain.friction in a problem file"
+            "dynamics: expected a ground with a coefficient of friction, found none; set 'mu' of "
+            "the ground, or 'terrain.friction' in a problem file"
         )
     for wheel in vehicle.wheels:
         if not (wheel.mass or wheel.inertia or wheel.acting_drive.prescribed):
             raise ModelError(
-                f"dynamics: expected a mass of wheel {wheel.name}, whose rate is not prescribed, "
-                "found none; give it a mass"
+                f"dynamics: wheel {wheel.name!r}: expected a mass or a moment of inertia, since "
+                "its rate is not prescribed, found neither; set its 'mass' or 'inertia'"
             )
 
 
@@ -245,7 +246,7 @@ def _slip(wheel: WheelMotion, at: Touch) -> ca.SX:
 
 
 class _Wheel(NamedTuple):
-    """Moments on a wheel, and its speed: what the equations of motion need of it.
+    """Moments on a wheel, and its contributions to the equations of motion.
 
     Attributes
     ----------
@@ -254,11 +255,11 @@ class _Wheel(NamedTuple):
     torque : SX, shape (1, 1)
         Torque of the drive; zero if the rate is prescribed. [N m]
     acceleration : SX, shape (1, 1)
-        Acceleration of a prescribed rate; otherwise zero. [rad/s^2]
+        Time derivative of the rate if it is prescribed; otherwise zero. [rad/s^2]
     integral_rate : tuple of SX
-        Rate of the integral of the controller, if it has one. [N m/s]
+        Rate of the integral of the drive's controller; empty without one. [N m/s]
     load : Load
-        Force and moment on the carrier.
+        Force and moment on the wheel's carrier.
     """
 
     resisting: ca.SX

@@ -32,11 +32,12 @@ class Best(NamedTuple):
     Attributes
     ----------
     utilisation : ndarray, shape (n,)
-        Smallest possible value of the largest ratio of tangential force to friction limit; ``inf``
-        where no distribution exists, NaN where the optimisation does not converge. [1]
+        Least possible value of the largest ratio of tangential force to friction limit among the
+        wheels; ``inf`` where no distribution exists, NaN where the optimisation does not converge.
+        [1]
     force : ndarray, shape (n, 3 m)
         Contact forces with this utilisation (along, across, normal for each of m wheels), not
-        always unique; NaN where none were found. [weight]
+        always unique; NaN where the utilisation is ``inf`` or NaN. [weight]
     """
 
     utilisation: Array
@@ -69,7 +70,7 @@ class _Contacts(NamedTuple):
 
 
 class _Goal(NamedTuple):
-    """Objective of an optimisation: the level p in a condition on the contact forces.
+    """Objective of an optimisation: the least level p at which the contact forces meet a condition.
 
     The condition is ``hypot(along, across) <= (fixed + factor p) normal + shift p``.
 
@@ -103,7 +104,7 @@ class _Newton(NamedTuple):
     decrement : ndarray, shape (n,)
         Newton decrement.
     gap : ndarray, shape (n,)
-        Estimated distance from the level to the least level.
+        Estimated excess of the level over the least level.
     """
 
     step: Array
@@ -121,11 +122,12 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
 
     Among all forces with ``matrix @ force + load = 0`` and nonnegative normal forces, it finds
     those that minimise ``max_i hypot(along_i, across_i) / (friction_i normal_i)``. By the limit
-    theorems of plasticity, a minimum above one means that no distribution can hold the vehicle by
-    Coulomb friction; a minimum below one means only that some distribution can. The forces at
-    a fixed utilisation form a convex set. Newton's method follows its analytic centre while the
-    utilisation decreases [1]_, for all samples at once. Internal forces are bounded by a thousand
-    weights: a vehicle that can brace itself between walls has a minimum only under that bound.
+    theorems of plasticity, a minimum above one means that no distribution of the contact forces
+    can hold the vehicle by Coulomb friction. A minimum below one means only that a suitable
+    distribution exists, not that it occurs. The forces at a fixed utilisation form a convex set.
+    Newton's method follows its analytic centre while the utilisation decreases [1]_, for all
+    samples at once. Internal forces are bounded by a thousand weights: a vehicle that can brace
+    itself between walls has a minimum only under that bound.
 
     Parameters
     ----------
@@ -139,7 +141,7 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
     Returns
     -------
     Best
-        The forces; normal forces are at least -1e-9 weights.
+        Least utilisation and the contact forces; normal forces are at least -1e-9 weights.
 
     Raises
     ------
@@ -170,26 +172,34 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
 
 def _check(matrix: Array, load: Array, friction: Array) -> None:
     """Raise ModelError for arrays of wrong shapes or values."""
-    if friction.ndim != 2 or 0 in friction.shape:
+    if friction.ndim != 2:
         raise ModelError(
-            "friction: expected shape (samples, wheels) with at least one of each, found "
-            f"{friction.shape}; reshape the array"
+            f"friction: expected shape (n, m) for n samples and m wheels, found {friction.shape}; "
+            "reshape the array"
+        )
+    if 0 in friction.shape:
+        raise ModelError(
+            "friction: expected at least one sample and one wheel, found shape "
+            f"{friction.shape} (samples, wheels)"
         )
     n, m = friction.shape
     w = matrix.shape[1] if matrix.ndim == 3 else 0
     if w == 0 or matrix.shape != (n, w, 3 * m):
         raise ModelError(
-            f"matrix: expected shape ({n}, w, {3 * m}) for w equations of equilibrium, found "
-            f"{matrix.shape}; match n samples and {m} wheels of friction"
+            f"matrix: expected shape ({n}, w, {3 * m}) for w > 0 equations of equilibrium, since "
+            f"friction has {n} samples of {m} wheels, found {matrix.shape}; reshape matrix or "
+            "friction"
         )
     if load.shape != (n, w):
         raise ModelError(
-            f"load: expected shape ({n}, {w}), found {load.shape}; match the shape of matrix"
+            f"load: expected shape ({n}, {w}), the first two dimensions of matrix, found "
+            f"{load.shape}; reshape load"
         )
     for name, values in (("matrix", matrix), ("load", load), ("friction", friction)):
         if not np.isfinite(values).all():
             raise ModelError(
-                f"{name}: expected finite numbers, found NaN or infinity; remove these samples"
+                f"{name}: expected finite numbers, found NaN or infinity; remove such samples from "
+                "all arrays"
             )
     if friction.min() <= 0:
         raise ModelError(
@@ -201,8 +211,8 @@ def _check(matrix: Array, load: Array, friction: Array) -> None:
 def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
     """Return the least-norm forces, a basis of the internal forces, and the mask of solvability.
 
-    The basis has as many columns as the largest null space of all samples, at least one; columns
-    beyond the null space of a sample are zero.
+    The basis has at least one column, and as many as the largest null space of any sample has
+    dimensions; columns beyond the null space of a sample are zero.
     """
     size = np.linalg.norm(matrix, axis=2)
     size = np.where(size > 0, size, 1.0)  # scales equations of different units alike

@@ -1,4 +1,4 @@
-"""Friction feasibility: the smallest friction with which some contact forces hold a vehicle."""
+"""Friction feasibility: the least utilisation of friction over all equilibrium contact forces."""
 
 from __future__ import annotations
 
@@ -34,31 +34,37 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     """Return a motion with the additional column ``utilisation_best``.
 
     If equilibrium does not determine the contact forces, ``utilisation`` is computed for one
-    distribution, the load-weighted one. ``utilisation_best`` is the minimum over all distributions
-    of the largest utilisation of a wheel; above one, friction cannot hold the vehicle. It is
-    infinite where no contact forces balance the vehicle: it tips over, or a wheel or joint is free
-    to move. It is NaN where the optimisation does not converge.
+    distribution, the load-weighted one. ``utilisation_best`` is the largest utilisation among the
+    wheels, minimised over all distributions; above one, friction cannot hold the vehicle. It is
+    infinite where no contact forces balance the vehicle, because the vehicle tips over or a wheel
+    or joint is free to move. It is NaN where the optimisation does not converge, or where the
+    friction is not positive or a value is not finite.
 
     Parameters
     ----------
     vehicle : Vehicle
         The vehicle, with mass.
     terrain : Terrain
-        The ground.
+        The ground; without a friction coefficient, the utilisation is that for the coefficient 1.
     run : Trajectory
         A motion of any model of the vehicle on this ground.
 
     Raises
     ------
     ModelError
-        If the vehicle has no mass, or not all of its wheels can touch a rigid ground.
+        If the vehicle has no mass, if not all of its wheels can touch a rigid ground, or if the
+        motion lacks a coordinate or a rate.
     """
     if not vehicle.mass:
         raise ModelError(
-            f"best_utilisation: expected a vehicle with mass, found none in {vehicle.name}; give "
+            f"best_utilisation: expected a vehicle with mass, found none in {vehicle.name!r}; give "
             "its platform or its wheels a mass"
         )
-    check_exact_closure(vehicle, "best_utilisation")
+    check_exact_closure(
+        vehicle,
+        "best_utilisation",
+        "use 'utilisation', which holds for the loads of pressed wheels",
+    )
     labels = labels_of(vehicle)
     required = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
@@ -88,9 +94,10 @@ def _equilibrium_terms(parts: Mechanics) -> list[ca.SX]:
 
 
 def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
-    """Return a function ``describe(x, z)`` that reports the friction needed for equilibrium.
+    """Return a function ``describe(x, z)`` that reports why there is no equilibrium at a state.
 
-    The text includes the lean of a wheel. It is empty if friction holds the vehicle.
+    The text names the friction needed, and the largest lean of a wheel if it exceeds 0.02 rad. It
+    is empty if friction holds the vehicle or the friction needed cannot be computed.
     """
     x, contacts = q.x, q.contacts
     normal = sum((each.normal for each in contacts), ca.SX.zeros(3))
@@ -125,7 +132,8 @@ def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
 def _friction_words(factor: float, friction: Array, *, tips: bool) -> str:
     """Return the reason why there is no quasi-static equilibrium; empty if friction suffices.
 
-    ``factor`` is the least utilisation, ``friction`` the wheels' coefficients of friction.
+    ``factor`` is the least utilisation, ``friction`` the wheels' coefficients of friction. The text
+    is empty also if ``factor`` is NaN.
     """
     if tips:
         return "the vehicle tips over"

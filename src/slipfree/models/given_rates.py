@@ -139,7 +139,7 @@ def minimum(
     multipliers : sequence of n Label
         Labels of the multipliers of the constraints.
     label : Label
-        Name and description of the conditions.
+        Name of the conditions, and the beginning of their descriptions.
     """
     new = tuple(new_variable(direct, each) for each in multipliers)
     found = (*unknowns, *new)
@@ -156,12 +156,20 @@ def minimum(
 
 
 def check_rates(given: Sequence[str]) -> None:
-    """Raise ModelError unless the given rates are three different known rates in map axes."""
+    """Raise ModelError unless the given rates are three different known rates of the platform.
+
+    Components of the angular velocity and Euler rates must not be mixed.
+    """
     known = (*VELOCITY, *OMEGA, *EULER)
     if isinstance(given, str) or len(given) != 3 or len(set(given)) != 3:
+        remedy = "give three rates"
+        if isinstance(given, str):
+            remedy = "give a list of names"
+        elif len(set(given)) != len(given):
+            remedy = "give each name once"
         raise ModelError(
             f"given: expected a list of three different names from {', '.join(known)}, or of one "
-            f"or more names from {', '.join(COMMANDS)}, found {given!r}; change the list"
+            f"or more names from {', '.join(COMMANDS)}, found {given!r}; {remedy}"
         )
     for name in given:
         if name not in known:
@@ -171,33 +179,44 @@ def check_rates(given: Sequence[str]) -> None:
     if set(given) & set(OMEGA) and set(given) & set(EULER):
         raise ModelError(
             f"given: expected components of the angular velocity ({', '.join(OMEGA)}) or Euler "
-            f"rates ({', '.join(EULER)}), not both, found {', '.join(given)}; replace the rates of "
-            "one kind"
+            f"rates ({', '.join(EULER)}), not both, found {', '.join(given)}; replace those of one "
+            "kind by the other kind"
         )
 
 
 def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = True) -> None:
-    """Raise ModelError for unknown or repeated commands, or more commands than driven wheels."""
+    """Raise ModelError if a vehicle cannot take the given commands.
+
+    Commands must be known, different and, if ``exact``, no more than the driven wheels. ``right``
+    must be among them if all driven wheels have rollers.
+    """
     for name in given:
         if name not in COMMANDS:
             raise ModelError(
-                f"given: expected some of {', '.join(COMMANDS)}, found {name!r}; correct the name"
+                f"given: expected only names from {', '.join(COMMANDS)}, found {name!r}; correct "
+                "or remove the name"
             )
     if not given or len(set(given)) != len(given):
         raise ModelError(
             f"given: expected one or more different rates, found {', '.join(given) or 'none'}; "
-            f"give some of {', '.join(COMMANDS)}, each once"
+            f"give one or more of {', '.join(COMMANDS)}, each once"
         )
-    if "right" not in given and all(wheel.rollers for wheel in vehicle.wheels if wheel.driven):
+    driven = [wheel for wheel in vehicle.wheels if wheel.driven]
+    if not driven and (exact or "right" not in given):
         raise ModelError(
-            f"{vehicle.name}: expected a given rate 'right', since all driven wheels have rollers "
-            "and the vehicle can move sideways; set right = 0 to drive straight"
+            f"{vehicle.name!r}: expected at least one driven wheel to impose the given rates, "
+            "found none; set 'driven' of its wheels"
         )
-    driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
+    if "right" not in given and all(wheel.rollers for wheel in driven):
+        raise ModelError(
+            f"{vehicle.name!r}: expected the given rate 'right', since all driven wheels have "
+            f"rollers and the vehicle can move sideways, found only {', '.join(given)}; add "
+            "'right' with the value 0 to drive straight"
+        )
     if exact and len(given) > len(driven):
         raise ModelError(
-            f"{vehicle.name}: expected at most {len(driven)} given rates, one per driven wheel, "
-            f"found {', '.join(given)}; remove "
-            f"{'right' if 'right' in given else given[-1]}, or set exact = false for the nearest "
+            f"{vehicle.name!r}: expected no more given rates than driven wheels ({len(driven)}), "
+            f"found {len(given)}: {', '.join(given)}; remove "
+            f"'{'right' if 'right' in given else given[-1]}', or set exact = false for the nearest "
             "motion"
         )

@@ -119,31 +119,36 @@ def inverse_kinematics(
         wheels about the platform's up axis are steered towards angles of little slip, within their
         stops and rates; other coordinates are fixed. Under three rates, ``"angles"`` neglects the
         slip that the steering rate causes at a steered wheel (`steering_slip`). The start must
-        then come from the direct model, since the steering angles of
-        a vehicle at rest are arbitrary. With ``"rates"`` the vehicle rolls exactly, but the model
-        is singular on flat ground and the steering may be unstable: see ``steering_growth`` and
+        then come from the direct model, since the steering angles of a vehicle at rest are
+        arbitrary. With ``"rates"`` the vehicle rolls exactly, but the model is singular on flat
+        ground and the steering may be unstable: see the output ``steering_growth`` and
         `steering_note`.
     exact : bool
         Whether commands are met exactly. Otherwise their errors, given minus actual, are the
         outputs ``forward_error`` and so on; the wheel rates minimise them together with the slip
-        along the wheels. Vehicles without steering and rollers meet all commands exactly except
-        ``right``.
+        along the wheels. Vehicles with neither steering nor rollers meet all commands exactly
+        except ``right``.
     least_margin : float
-        Smallest singular value at which three rates determine the unknowns. Zero allows motions
-        through singular configurations, which collocation can compute.
+        Smallest singular value at which three rates determine the unknowns; a motion ends below
+        it. Zero allows motions through singular configurations, which collocation can compute.
 
     Returns
     -------
     Dae
-        Its inputs are the given rates. With ``exact``, a motion ends where the wheels can no longer
-        impose them: see `slipfree.models.determinacy.Determinacy`.
+        Its inputs are the given rates. A motion ends where the wheels can no longer impose exact
+        commands, or where three rates do not determine the unknowns: see
+        `slipfree.models.determinacy.Determinacy`. With ``solve_for="angles"`` and three rates it
+        also ends where the vehicle stands.
 
     Raises
     ------
     ModelError
-        If a rate is unknown or given twice, if there are more exact commands than driven wheels, if
-        three rates are given and the vehicle cannot roll without slip or does not have three
-        inputs, if ``solve_for`` does not suit the rates, or if ``least_margin`` is negative.
+        If no rate is given, or a rate is unknown or given twice; if commands and rates in map axes,
+        or both kinds of angular rates, are mixed; if there are more exact commands than driven
+        wheels, or ``right`` is missing though all driven wheels have rollers; if rates in map axes
+        are given that are not three, or to a vehicle that cannot roll without slip or does not have
+        three inputs; if ``solve_for`` does not suit the rates or the vehicle; or if
+        ``least_margin`` is negative or NaN.
 
     Examples
     --------
@@ -194,7 +199,7 @@ def check_inverse(
         check_commands(vehicle, tuple(given), exact=exact)
         if solve_for != "angles":
             raise ModelError(
-                f"solve_for: expected 'angles' with the given rates {', '.join(given)}, found "
+                f"solve_for: expected 'angles' with the commands {', '.join(given)}, found "
                 "'rates'; use 'angles'"
             )
         return
@@ -202,19 +207,21 @@ def check_inverse(
     count, need = rolling_counts(vehicle)
     if count != need:
         raise ModelError(
-            f"{vehicle.name} cannot roll without slip, as inverse kinematics with these rates "
-            f"requires: expected {need} passive joints and free wheels, one per rolling condition, "
-            f"found {count}; give some of {', '.join(COMMANDS)} instead"
+            f"{vehicle.name!r} cannot roll without slip, as inverse kinematics with the rates "
+            f"{', '.join(given)} requires: expected {need} passive joints and free wheels, one "
+            f"per rolling condition, found {count}; give one or more of {', '.join(COMMANDS)} "
+            "instead"
         )
     if len(inputs := _inputs(vehicle)) != 3:
         raise ModelError(
-            f"{vehicle.name}: expected three inputs for three given rates of the platform, found "
-            f"{len(inputs)} ({', '.join(inputs)}); give some of {', '.join(COMMANDS)} instead"
+            f"{vehicle.name!r}: expected three inputs (driven wheels and commanded coordinates) "
+            f"for three given rates of the platform, found {len(inputs)}: {', '.join(inputs)}; "
+            f"give one or more of {', '.join(COMMANDS)} instead"
         )
     if solve_for == "angles" and not vehicle.of("commanded"):
         raise ModelError(
-            f"solve_for: 'angles' needs a commanded coordinate, and {vehicle.name} has none; use "
-            "'rates'"
+            "solve_for: expected a vehicle with a commanded coordinate for 'angles', found none "
+            f"in {vehicle.name!r}; use 'rates'"
         )
 
 
@@ -252,11 +259,12 @@ def invert(
     Raises
     ------
     ModelError
-        If ``least_margin`` is negative.
+        If ``least_margin`` is negative or NaN.
     """
     if not least_margin >= 0:
         raise ModelError(
-            f"least_margin: expected zero or a positive number, found {least_margin}; increase it"
+            f"least_margin: expected zero or a positive number, found {least_margin}; the default "
+            f"is {LEAST_MARGIN:g}"
         )
     if _are_commands(given):
         return _commanded(vehicle, direct, tuple(given), exact=exact)
@@ -420,7 +428,7 @@ def _command_outputs(
 
 
 def steering_note(run: Trajectory) -> str:
-    """Return a warning if the steering of an inverse motion is unstable, else an empty text.
+    """Return a warning if the steering of an inverse motion is unstable, otherwise an empty text.
 
     Parameters
     ----------
@@ -433,9 +441,9 @@ def steering_note(run: Trajectory) -> str:
         return ""
     first, worst = float(run.t[int(bad.argmax())]), int(np.nanargmax(growth))
     return (
-        f"steering mode unstable from t = {first:.4g} s: errors of the steering grow at up to "
-        f"{growth[worst]:.3g} 1/s (t = {run.t[worst]:.4g} s), since the steered contact leads the "
-        "steering axis; use steering = 'angle', or a path"
+        f"unstable steering from t = {first:.4g} s: errors of the steering angle grow at up to "
+        f"{growth[worst]:.3g} 1/s (at t = {run.t[worst]:.4g} s), since the steered contact leads "
+        "the steering axis; solve for the steering angle (steering = 'angle'), or give a path"
     )
 
 
@@ -453,7 +461,8 @@ def steering_slip(vehicle: Vehicle, run: Trajectory) -> Trajectory:
     Returns
     -------
     Trajectory
-        The motion with the rates, such as ``steer_rate``, and ``steering_slip``, lever times rate.
+        The motion with the rates, such as ``steer_rate``, and ``steering_slip``, the lever times
+        the root sum of squares of the rates. [rad/s or m/s, m/s]
     """
     from scipy.interpolate import CubicSpline  # imported here: the import takes 0.2 s
 

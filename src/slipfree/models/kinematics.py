@@ -53,7 +53,8 @@ def direct_kinematics(
     Raises
     ------
     ModelError
-        If ``slip`` is not a slip law, or cannot be used with the vehicle.
+        If ``slip`` is not a slip law or cannot be used with the vehicle, if the vehicle has fewer
+        than three wheels, or if contacts and springs do not determine its pose.
 
     See Also
     --------
@@ -84,8 +85,8 @@ def direct_kinematics(
 
 
 def check_slip_law(vehicle: Vehicle, slip: SlipLaw) -> None:
-    """Raise ModelError if an argument is not a slip law, or cannot be used with the vehicle."""
-    check_law(slip, SlipLaw, "a slip law such as LeastSlip() or Rolling()")
+    """Raise ModelError if ``slip`` is not a slip law, or cannot be used with the vehicle."""
+    check_law(slip, SlipLaw, "slip: expected a slip law such as LeastSlip() or Rolling()")
     slip.check(vehicle)
 
 

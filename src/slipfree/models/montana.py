@@ -124,13 +124,13 @@ class RollingWheel(NamedTuple):
     Attributes
     ----------
     contact : ContactFrame
-        The contact point.
+        Contact frame of the wheel.
     pose : Pose
         Pose of the wheel's hub from the contact coordinates.
     slip : SX, shape (3, 1)
         Velocity of the wheel's material contact point. [m/s]
     rates : ContactCoordinates
-        Rates of the contact coordinates.
+        Time derivatives of the contact coordinates.
     displacement, rotation : SX, shape (3, 1)
         Drift: the wheel's centre from the contact coordinates minus its centre from the chain of
         joints [m], and the rotation vector from the first orientation to the second, to first
@@ -154,9 +154,10 @@ def montana_kinematics(
 ) -> Dae:
     """Return the kinematic model of a vehicle by Montana's contact equations.
 
-    Its motion is that of ``direct_kinematics``. Start it from a sample of the closure model,
-    settled or later: ``simulate`` finds all states there by name. ``settle`` has nothing to solve
-    here, since the contacts are states. A vehicle whose parts drift apart violates a limit.
+    Its motion is that of ``direct_kinematics``. Start it from the settled closure model or from a
+    later sample of a motion of that model: ``simulate`` finds all states there by name. ``settle``
+    has nothing to solve here, since the contacts are states. A motion ends if a wheel drifts more
+    than a thousandth of its radius, or 1 mrad, from its position on the vehicle.
 
     Parameters
     ----------
@@ -178,8 +179,9 @@ def montana_kinematics(
     Raises
     ------
     ModelError
-        If a wheel is a disc or has rollers, if ``kappa`` is negative or not finite, or if the slip
-        law does not suit the vehicle.
+        If a wheel is a disc or has rollers, if not all wheels can touch a rigid ground, if
+        ``kappa`` is negative or not finite, or if ``slip`` is not a slip law or cannot be used with
+        the vehicle.
 
     Examples
     --------
@@ -239,19 +241,20 @@ def _check(vehicle: Vehicle, kappa: float) -> None:
     rollers = [wheel.name for wheel in vehicle.wheels if wheel.rollers]
     if rollers:
         raise ModelError(
-            "Montana's equations: expected wheels without rollers, found rollers on "
-            f"wheels {', '.join(rollers)}; use the closure model (direct_kinematics)"
+            "montana_kinematics: expected wheels without rollers, found rollers on "
+            f"{', '.join(map(repr, rollers))}; use the closure model (direct_kinematics)"
         )
     if not (np.isfinite(kappa) and kappa >= 0):
         raise ModelError(
-            f"kappa: expected zero or a positive finite rate, found {kappa} 1/s; change it"
+            f"kappa: expected a finite rate of zero or more, found {kappa} 1/s; the default is "
+            "10 1/s"
         )
     for wheel in vehicle.wheels:
         if float(wheel.section.tread_radius(ca.SX(0), ca.SX(1))) == 0:
             raise ModelError(
-                f"wheel {wheel.name}: Montana's equations need a tread with a radius of curvature, "
-                f"such as a torus with r1 > 0, found the edge of {wheel.section}; use the closure "
-                "model (direct_kinematics), which allows edges"
+                f"montana_kinematics: wheel {wheel.name!r}: expected a tread with a positive "
+                "radius of curvature, such as a torus with r1 > 0, found the edge of "
+                f"{wheel.section}; use the closure model (direct_kinematics), which allows edges"
             )
 
 
@@ -392,25 +395,27 @@ class Difference(NamedTuple):
 
 
 def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]:
-    """Return the largest difference of every quantity that two motions share, in their order.
+    """Return the largest difference of every quantity that two motions share.
 
-    Quantities of the solution rather than the motion (residuals, singular values) are omitted, and
-    quantities that may jump: the clearance of a second contact and the quaternion.
+    Quantities that describe the solution rather than the motion (residuals, the Newton step,
+    singular values) are omitted, and so are quantities that may jump: the clearance of a second
+    contact and the quaternion.
 
     Parameters
     ----------
     first, second : Trajectory
-        Motions with the same sample times; if one ends earlier, the rest of the other is ignored.
+        Motions with the same sample times; if one ends earlier, later samples of the other are
+        ignored.
 
     Returns
     -------
     tuple of Difference
-        Label, size and time of the largest difference, one for each quantity.
+        The largest differences, one for each quantity, in the order of ``first``.
 
     Raises
     ------
     ModelError
-        If the times differ.
+        If the sample times differ.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Pressed-wheel model: vehicles with more wheels than exact closure can place.
+"""Pressed-wheel model: vehicles whose wheels cannot all touch a rigid ground.
 
 A rigid vehicle stands on three wheels; a fourth one over-determines its pose. Here, each wheel
 presses on the ground with a load that grows with its depth below the ground, and the height and
@@ -83,8 +83,8 @@ class Press(NamedTuple):
     load : SX
         Normal force over the weight of the vehicle. [1]
     touch : SX
-        Share of contact, the derivative of the load with respect to the depth over its value under
-        large loads: one under load, zero in the air. [1]
+        Degree of contact: derivative of the load with respect to the depth, divided by its value
+        at large depths; one under load, zero in the air. [1]
     viscosity : SX
         Viscosity of the contact in the relaxation: normal force per unit of normal velocity,
         divided by the weight. [s/m]
@@ -122,7 +122,7 @@ def press(vehicle: Vehicle, depth: ca.SX, smoothing: float) -> Press:
     depth : SX, shape (n_wheels, 1)
         Depths of the wheels. [m]
     smoothing : float
-        Width of the transition of the load law at depth zero. [static depths]
+        Width of the transition of the load law at depth zero, positive. [static depths]
     """
     count, static = len(vehicle.wheels), ca.DM([wheel.depth for wheel in vehicle.wheels])
     root = ca.sqrt(depth**2 + (smoothing * static) ** 2)
@@ -188,7 +188,8 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     Raises
     ------
     ModelError
-        If contacts and springs do not determine the vehicle's pose.
+        If the vehicle has fewer than three wheels, or contacts and springs do not determine its
+        pose.
     """
     fault = support_fault(vehicle)
     if fault:

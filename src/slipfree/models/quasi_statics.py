@@ -67,7 +67,7 @@ def quasi_statics(
     >>> print(f"{run['utilisation'].max():.2f}")
     0.33
     """
-    check_law(law, GroundLaw, "a wheel-ground law such as Coulomb()")
+    check_law(law, GroundLaw, "law: expected a wheel-ground law such as Coulomb()")
     if not vehicle.mass:
         raise ModelError(
             f"quasi-statics: expected a vehicle with mass, found none in {vehicle.name!r}; give "

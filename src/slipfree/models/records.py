@@ -41,7 +41,7 @@ class RelaxedState(NamedTuple):
 
 
 class PressedContacts(NamedTuple):
-    """Contact points of pressed wheels: the unknowns at position level [m]."""
+    """Unknowns at position level of a model with pressed wheels: the contact points [m]."""
 
     contacts: tuple[ContactPoint, ...]
 
@@ -125,7 +125,7 @@ class Inputs(NamedTuple):
 
 
 class Totals(NamedTuple):
-    """Quadratures: rotation angles of the wheels, work of the drives [rad, J].
+    """Quadratures: rotation angles of the wheels [rad], work of drives and actuators [J].
 
     ``work`` is empty if the vehicle has no mass.
     """

@@ -33,13 +33,13 @@ def has_pressed_wheels(run: Trajectory) -> bool:
 def rocks(run: Trajectory) -> list[Rock]:
     """Return the changes of the wheel with the least load in a motion with pressed wheels.
 
-    The vehicle tips from one set of supporting wheels to another; a fast rock takes a few
-    hundredths of a second.
+    At each change the vehicle rocks from one set of supporting wheels to another, which may take
+    only a few hundredths of a second.
 
     Parameters
     ----------
     run : Trajectory
-        A motion of a vehicle whose wheels cannot all touch a rigid ground.
+        A motion with pressed wheels; see `has_pressed_wheels`.
     """
     loads, found = run["load_share"], list[Rock]()
     lightest = loads.argmin(axis=1)

@@ -22,7 +22,7 @@ from slipfree.vehicle.wheel import Wheel
 def slip_velocity(
     wheel: Wheel, carrier: Pose, contact: ContactFrame, q: ca.SX, q_dot: ca.SX, wheel_rate: ca.SX
 ) -> ca.SX:
-    """Return the velocity of a wheel's material contact point over the ground, shape (3, 1).
+    """Return the velocity over the ground of a wheel's material point at its contact.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def slip_velocity(
     contact : ContactFrame
         Contact frame of the wheel.
     q, q_dot : SX, shape (n, 1)
-        Coordinates of the vehicle and their rates.
+        Coordinates of the vehicle, and their rates. [m, rad, m/s, rad/s]
     wheel_rate : SX, shape (1, 1)
         Rate of the wheel about its axle, positive for forward motion. [rad/s]
 
@@ -107,14 +107,19 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
     Raises
     ------
     ModelError
-        If there are fewer than five samples or they are not equally spaced.
+        If there are fewer than five samples, if they are not equally spaced, or if the motion lacks
+        the poses or contact points of the wheels.
     """
     steps = np.diff(run.t)
-    if steps.size < 4 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0):
+    if steps.size < 4:
         raise ModelError(
-            "measured slip: expected at least five equally spaced samples, found "
-            f"{run.t.size} samples, steps {steps.min(initial=np.inf):.4g} to "
-            f"{steps.max(initial=0):.4g} s; sample the motion at constant steps"
+            f"measured_slip: expected at least five samples, found {run.t.size}; sample the motion "
+            "at more times"
+        )
+    if not np.allclose(steps, steps[0], rtol=1e-6, atol=0):
+        raise ModelError(
+            f"measured_slip: expected equally spaced samples, found steps of {steps.min():.4g} to "
+            f"{steps.max():.4g} s; sample the motion at constant steps"
         )
     centers, rotations = wheel_poses(vehicle, run)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], -1)

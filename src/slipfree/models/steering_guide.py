@@ -1,7 +1,7 @@
 """Steering of vehicles under commands: wheels turn towards a guiding motion of the platform.
 
-Of all motions of the platform with the given rates that the ground permits, the guiding motion is
-the one with the least sideways slip of the wheels that are not steered. Each steered wheel is
+The guiding motion is the motion of the platform with the given rates, among those that the ground
+permits, in which the wheels that are not steered slip least sideways. Each steered wheel is
 turned until its contact point has no velocity across the wheel; on level ground this is the rule of
 the instantaneous centre of rotation. Steering rates follow the target angles with a lag
 (`GAIN`, `MAX_STEERING_RATE`): the exact rates of the targets would need third derivatives of the
@@ -48,10 +48,11 @@ class Guide(NamedTuple):
 def steering_effects(
     vehicle: Vehicle, direct: Dae, kind: Kind = "commanded"
 ) -> dict[str, dict[int, ca.SX]]:
-    """Return the effects of coordinates of a kind on the directions of wheels, by wheel number.
+    """Return the effects of coordinates of a kind on the directions of wheels.
 
-    Directions are angles about the platform's up axis, left positive. Coordinates without effect
-    are omitted. [rad/rad, rad/m]
+    The result maps names of coordinates to effects by wheel number, the derivatives of the wheel's
+    direction: its angle about the platform's up axis, left positive. Coordinates without effect are
+    omitted. [rad/rad, rad/m]
     """
     values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
     poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)
@@ -121,7 +122,7 @@ def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]
 
 
 def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -> dict[str, ca.SX]:
-    """Return the errors of steered coordinates relative to the guiding motion [rad, m].
+    """Return the errors of steered coordinates, target minus actual value, by name [rad, m].
 
     Small errors are Gauss-Newton steps that minimise the velocity ``across`` the wheels. The
     formula uses doubled angles, since a wheel may roll forward or backward. Errors lie in an

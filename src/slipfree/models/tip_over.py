@@ -23,8 +23,9 @@ def tip_over_margin(
 
     For an edge, the line through two neighbouring contact points, it is the angle between the
     vertical and the perpendicular from the vehicle's centre of mass to the line (the force-angle
-    measure of Papadopoulos and Rey for gravity alone). It is negative if the centre of mass lies
-    outside the polygon, -pi if all contacts lie on a line, and infinite for a vehicle without mass.
+    measure of Papadopoulos and Rey for gravity alone). It is negative if the line of gravity
+    passes outside the polygon, -pi if all contacts lie on a line in plan view, and infinite for a
+    vehicle without mass.
     """
     if not vehicle.mass:
         return ca.SX.inf()

@@ -27,7 +27,7 @@ MAX_MISSED_SHARE = 1e-9  # tolerance of the given rates [largest given rate]
 
 
 def check_authority(vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:
-    """Raise ModelError for a given rate that the wheels cannot impose.
+    """Raise ModelError if the wheels cannot impose the given rates at the last sample of a motion.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def check_authority(vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Seq
     check = command_determinacy(vehicle, direct, direct, given)
     x, z = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
     if check.margin(x[:, None], z[:, None])[0] < 0:
-        raise ModelError(f"{vehicle.name}: {check.describe(x, z)}")
+        raise ModelError(f"{vehicle.name!r}: {check.describe(x, z)}")
 
 
 def wheel_rates(
@@ -52,8 +52,8 @@ def wheel_rates(
 ) -> dict[str, float]:
     """Return the inputs of least slip with which the platform has given rates.
 
-    The configuration is the last sample of ``stand``. Of inputs with the same slip, those of least
-    norm are returned.
+    The configuration is the last sample of ``stand``. If several inputs have the same slip, the
+    result has the least norm.
 
     Parameters
     ----------
@@ -62,7 +62,8 @@ def wheel_rates(
     stand : Trajectory
         Motion whose last sample is the configuration.
     joints : mapping of str to float, optional
-        Rates of commanded coordinates, by the names of the inputs; others are zero. [rad/s]
+        Rates of commanded coordinates, by the names of the inputs, such as ``steer_rate``; others
+        are zero. [rad/s, m/s]
     **given : float
         Given rates: some of ``forward``, ``right`` and ``yaw_rate``. [m/s, rad/s]
 
@@ -74,7 +75,8 @@ def wheel_rates(
     Raises
     ------
     ModelError
-        If a given rate is unknown, repeated or cannot be imposed; the message names it.
+        If no rate is given, if a rate is unknown or cannot be imposed, if there are more rates than
+        driven wheels, or if ``right`` is missing though all driven wheels have rollers.
     """
     check_commands(vehicle, tuple(given))
     at = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
@@ -92,7 +94,7 @@ def wheel_rates(
     if not abs(miss[worst]) <= MAX_MISSED_SHARE * float(np.abs(sizes * requested).max()):
         name = [*given][worst]
         raise ModelError(
-            f"{vehicle.name}: expected given rates that the wheels can impose together in this "
+            f"{vehicle.name!r}: expected given rates that the wheels can impose together in this "
             f"configuration, found {name!r}, which the nearest motion misses by "
             f"{abs(miss[worst]):.2g} m/s; remove {name!r} from the given rates"
         )

@@ -51,9 +51,9 @@ class Analytic:
     ------
     ModelError
         If the domain is empty, if a function does not return one scalar that depends only on ``x``
-        and ``y``, or if the friction is not a positive number.
+        and ``y``, or if ``mu`` is of another type or a number that is not positive and finite.
     DataError
-        If a friction map contains coefficients that are not positive.
+        If a friction map has nodes without a coefficient, or coefficients that are not positive.
 
     Notes
     -----

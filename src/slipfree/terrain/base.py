@@ -50,7 +50,7 @@ def jet_of(height: ca.SX, x: ca.SX, y: ca.SX) -> Jet:
 
 
 def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y: ca.SX) -> Jet:
-    """Return height, gradient and Hessian at a point of a polynomial given by its derivatives.
+    """Return height, gradient and Hessian at a point, from the derivatives of a polynomial.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y:
 
 
 def _sums(derivatives: Sequence[ca.SX], away: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return a Taylor polynomial at a distance from its centre, and its first two derivatives."""
+    """Return a Taylor polynomial and its first two derivatives at a distance from its centre."""
     found = []
     for order in range(3):
         total = ca.SX(0)
@@ -159,9 +159,10 @@ class Terrain(Protocol):
         """Return the coefficient of friction at a local point [1]."""
 
     def hole_margin(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX | None:
-        """Return the distance of a local point from ground without heights; None without any [m].
+        """Return the distance of a local point from holes of the ground; None without holes [m].
 
-        It is twice continuously differentiable, and not positive on such ground.
+        It is twice continuously differentiable, and not positive in holes, where heights are
+        missing.
         """
 
     def elevation(self, x: Array, y: Array) -> Array:
@@ -181,13 +182,13 @@ class Grid:
     filled : ndarray of bool, shape (n_x, n_y), or None
         True at nodes in holes of the data, which have interpolated values.
     holes : ndarray of bool, shape (n_x, n_y), or None
-        True at nodes without a value. Their numbers in ``z`` only continue the surface; models
-        have a limit, and routes keep out, where a corner of a cell is such a node.
+        True at nodes without a value. Their numbers in ``z`` only continue the surface: a motion
+        ends at cells with such a node at a corner, and routes avoid these cells.
 
     Raises
     ------
     DataError
-        If an axis or the heights do not satisfy these conditions.
+        If an axis, the values or a mask do not satisfy these conditions, or a value exceeds 1e9.
 
     Examples
     --------
@@ -385,15 +386,15 @@ def _check_heights(x: Array, y: Array, z: Array) -> None:
         )
     if np.abs(z[np.isfinite(z)]).max(initial=0.0) > MAX_HEIGHT:
         raise DataError(
-            f"grid: heights must lie between -{MAX_HEIGHT:g} and {MAX_HEIGHT:g} m, found "
-            f"{z.flat[np.nanargmax(np.abs(z))]:g} m; fill the "
+            f"grid: z must lie between -{MAX_HEIGHT:g} and {MAX_HEIGHT:g}, found "
+            f"{z.flat[np.nanargmax(np.abs(z))]:g}; fill the "
             "holes that such a value marks, or cut the grid"
         )
     bad = ~np.isfinite(z)
     if bad.any():
         i, j = np.argwhere(bad)[0]
         raise DataError(
-            f"grid: all heights must be finite, found {np.count_nonzero(bad)} that are not, the "
-            f"first z[{i}, {j}] = {z[i, j]} at x = {x[i]:.9g} m, y = {y[j]:.9g} m; fill the gaps "
-            "or cut the grid to its finite part"
+            f"grid: all values of z must be finite, found {np.count_nonzero(bad)} of {z.size} that "
+            f"are not, the first z[{i}, {j}] = {z[i, j]} at x = {x[i]:.9g} m, y = {y[j]:.9g} m; "
+            "fill the gaps or cut the grid to its finite part"
         )

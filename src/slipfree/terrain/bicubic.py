@@ -54,10 +54,10 @@ class Bicubic:
     Raises
     ------
     ModelError
-        If the friction is not a positive number, or its function does not return one scalar that
-        depends only on ``x`` and ``y``.
+        If ``mu`` is of another type, a number that is not positive and finite, or a function that
+        does not return one scalar that depends only on ``x`` and ``y``.
     DataError
-        If a friction map contains coefficients that are not positive.
+        If a friction map has nodes without a coefficient, or coefficients that are not positive.
 
     Notes
     -----
@@ -154,8 +154,8 @@ class Bicubic:
         """Return the distance of a local point from cells with a missing height [m].
 
         A third of a cell is subtracted, and the distance is smoothed as by ``through=False``, so
-        that it is twice continuously differentiable, and negative wherever a corner of the cell
-        has no height. It is None for a grid without holes.
+        that it is twice continuously differentiable, and negative in every cell with a corner
+        without a height. The result is None for a grid without holes.
         """
         margin = self._margin
         return None if margin is None else margin.height(x, y, lookups) + margin.origin[2]

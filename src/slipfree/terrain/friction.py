@@ -29,7 +29,7 @@ from slipfree.terrain.base import (
     taylor_function,
 )
 
-# number, function of two SX scalars in map coordinates, or map; None means 1 [1]
+# number, function of two SX scalars in map coordinates, or map; None if not given [1]
 Friction = float | Callable[[Any, Any], Any] | Grid | None
 BORDER = 2  # repeated rows of nodes around a map that make it constant outside
 
@@ -43,7 +43,7 @@ def check_friction(mu: Friction) -> None:
         If a number is not positive and finite, if a function does not return one scalar that
         depends only on ``x`` and ``y``, or if ``mu`` has another type.
     DataError
-        If a map contains values that are not positive.
+        If a map has nodes without a value, or values that are not positive.
     """
     if mu is None:
         return
@@ -122,12 +122,12 @@ def _extend_axis(axis: Array, spacing: float) -> Array:
 
 
 def _check_map(grid: Grid) -> None:
-    """Raise DataError for a map whose values are not all positive."""
+    """Raise DataError for a map with nodes without a value, or values that are not positive."""
     if grid.holes is not None:
         i, j = np.argwhere(grid.holes)[0]
         raise DataError(
             f"friction: expected a coefficient at every node, found none at "
-            f"{np.count_nonzero(grid.holes)}, the first at x = {grid.x[i]:.9g} m, "
+            f"{np.count_nonzero(grid.holes)} of {grid.z.size}, the first at x = {grid.x[i]:.9g} m, "
             f'y = {grid.y[j]:.9g} m; set fill = "linear" for holes inside the map, and cut off '
             "those at its border"
         )
@@ -135,7 +135,8 @@ def _check_map(grid: Grid) -> None:
     if bad.any():
         i, j = np.argwhere(bad)[0]
         raise DataError(
-            f"friction: all coefficients must be positive, found {np.count_nonzero(bad)} that are "
-            f"not, the first z[{i}, {j}] = {grid.z[i, j]:g} at x = {grid.x[i]:.9g} m, "
+            f"friction: all coefficients must be positive, found {np.count_nonzero(bad)} of "
+            f"{bad.size} that are not, the first z[{i}, {j}] = {grid.z[i, j]:g} at "
+            f"x = {grid.x[i]:.9g} m, "
             f"y = {grid.y[j]:.9g} m; for ice give a small number"
         )

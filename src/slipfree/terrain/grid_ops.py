@@ -88,7 +88,7 @@ class Filled(NamedTuple):
     nodes, holes : int
         Number of filled nodes, and number of connected holes.
     largest : tuple of 2 floats
-        Extents along x and y of the hole with the most nodes. [m] or [deg]
+        Extents along x and y of the hole with the most nodes; zero without holes. [m] or [deg]
     """
 
     z: Array
@@ -152,7 +152,7 @@ def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
 
 
 def _check_axes(x: Axis, y: Axis) -> None:
-    """Raise DataError for axes with too few nodes, or with a step that is lost by rounding."""
+    """Raise DataError for axes with too few nodes, large coordinates or steps lost by rounding."""
     if min(x.size, y.size) < 4:
         raise DataError(
             f"expected a map of at least 4 nodes along x and along y, found {x.size} by {y.size}; "
@@ -198,7 +198,7 @@ def cut(grid: Grid, window: Window) -> Grid:
     Raises
     ------
     DataError
-        If the part has fewer than four nodes along x or y, or the window is empty.
+        If the window is empty, or has fewer than four nodes of the ground along x or y.
     """
     i, j = parts(*axes_of(grid.x, grid.y), window)
     masks = [None if mask is None else mask[i, j] for mask in (grid.filled, grid.holes)]
@@ -208,7 +208,7 @@ def cut(grid: Grid, window: Window) -> Grid:
 def fill_holes(found: Heights) -> Filled:
     """Return heights with holes filled by linear interpolation between the surrounding nodes.
 
-    Holes that reach the border of the map stay: their heights could only be extrapolated.
+    Holes that reach the border of the map remain: their heights could only be extrapolated.
 
     Notes
     -----
@@ -381,7 +381,7 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
     Raises
     ------
     ModelError
-        If a number is not positive.
+        If ``rms`` or ``correlation`` is not positive.
 
     Notes
     -----
@@ -392,8 +392,9 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
     """
     if not (rms > 0 and correlation > 0):
         raise ModelError(
-            f"elevation error: expected rms and correlation above 0 m, found {rms:g} m and "
-            f"{correlation:g} m; change them, or remove the error"
+            "elevation error: expected rms and correlation above 0 m, found "
+            f"rms = {rms:g} m and correlation = {correlation:g} m; give positive lengths, or "
+            "remove the error"
         )
     rng = np.random.default_rng(seed)
     # variance 2 / correlation**2 of each component: E cos(k d) = exp(-(d / correlation)**2)

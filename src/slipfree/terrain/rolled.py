@@ -64,7 +64,7 @@ def rolled(grid: Grid, radius: float) -> Rolled:
     Raises
     ------
     ModelError
-        If the radius is not positive, or exceeds a third of the ground's extent.
+        If the radius is not positive and finite, or exceeds a third of the ground's extent.
 
     Notes
     -----

@@ -56,13 +56,15 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
         If the spacing is not positive, or a range is empty or not a multiple of the spacing.
     """
     axes = []
+    if not spacing > 0:
+        raise ModelError(f"blank: expected a positive spacing, found {spacing:g} m")
     for name, (first, last) in (("x", x_range), ("y", y_range)):
-        cells = (last - first) / spacing if spacing > 0 else math.nan
+        cells = (last - first) / spacing
         if not (cells > 0 and abs(cells - round(cells)) < 1e-6):
             raise ModelError(
-                f"blank: expected an increasing {name}_range whose length is a multiple of a "
-                f"positive spacing, found {first:g} to {last:g} m with spacing {spacing:g} m; move "
-                "its end or change the spacing"
+                f"blank: expected an increasing {name}_range whose length is a multiple of the "
+                f"spacing, found {first:g} to {last:g} m with spacing {spacing:g} m; move its end "
+                "or choose another spacing"
             )
         axes.append(np.linspace(first, last, round(cells) + 1))
     return Grid(axes[0], axes[1], np.zeros((axes[0].size, axes[1].size)))
@@ -91,7 +93,8 @@ def power_law(
     Raises
     ------
     ModelError
-        If the grid is too coarse for the wavelengths, or a number is out of range.
+        If the grid is too coarse for the wavelengths, if ``shortest`` is not below ``longest``, or
+        if a number is out of range.
 
     Notes
     -----
@@ -100,16 +103,20 @@ def power_law(
     not depend on the grid.
     """
     finest = 2 * max(grid.spacing)
-    if not finest <= shortest < longest:
+    if not shortest < longest:
         raise ModelError(
-            "power_law: expected twice the spacing <= shortest < longest, found "
-            f"{finest:g} m, {shortest:g} m, {longest:g} m; refine the grid or raise shortest"
+            f"power_law: expected shortest < longest, found shortest = {shortest:g} m, "
+            f"longest = {longest:g} m"
         )
-    if not (0 < hurst <= 1 and rms >= 0):
+    if not finest <= shortest:
         raise ModelError(
-            "power_law: hurst must lie in (0, 1] and rms be at least 0, found hurst = "
-            f"{hurst}, rms = {rms}; change them"
+            f"power_law: expected shortest >= {finest:g} m, twice the spacing, found "
+            f"{shortest:g} m; refine the grid or raise shortest"
         )
+    if not 0 < hurst <= 1:
+        raise ModelError(f"power_law: hurst must lie in (0, 1], found {hurst}")
+    if not rms >= 0:
+        raise ModelError(f"power_law: rms must be zero or positive, found {rms} m")
     rng = np.random.default_rng(seed)
     octave = (np.arange(WAVES) + rng.random(WAVES)) / WAVES
     k = 2 * np.pi / longest * (longest / shortest) ** octave
@@ -156,7 +163,7 @@ def craters(grid: Grid, *, count: int, diameters: tuple[float, float], seed: int
        0.036 D**1.014, in kilometres.
     """
     z = grid.z.copy()
-    for x, y, diameter in _scatter(grid, count, diameters, seed):
+    for x, y, diameter in _scatter("craters", grid, count, diameters, seed):
 
         def add(part: Array, s: Array, diameter: float = diameter) -> Array:
             bowl = 0.04 - 0.2 * (1 - s**2) ** 2
@@ -193,7 +200,7 @@ def rocks(
         If the count is negative, the height ratio is not positive, or the diameters are not
         positive and in ascending order.
     """
-    scattered = _scatter(grid, count, diameters, seed)
+    scattered = _scatter("rocks", grid, count, diameters, seed)
     return place_rocks(grid, [Rock(x, y, d, height_ratio * d) for x, y, d in scattered])
 
 
@@ -217,7 +224,7 @@ def place_rocks(grid: Grid, placed: Iterable[Rock]) -> Grid:
     for rock in map(Rock._make, placed):
         if not (rock.diameter > 0 and rock.height > 0):
             raise ModelError(
-                f"rocks: diameter and height must be positive, found {rock}; change or remove it"
+                f"rocks: diameter and height must be positive, found {rock}; correct or remove it"
             )
 
         def cover(part: Array, s: Array, height: float = rock.height) -> Array:
@@ -251,23 +258,23 @@ def ramp(
     Raises
     ------
     ModelError
-        If ``start`` is not below ``end``, the rounding is longer than the ramp, or a smooth ramp
-        has a rounding.
+        If ``start`` is not below ``end``, if the rounding is negative or longer than the ramp, or
+        if a smooth ramp has a rounding.
     """
     if not start < end:
         raise ModelError(
-            f"ramp: expected start < end, found {start:g} m and {end:g} m; exchange them, or use a "
-            "negative rise for a descent"
+            f"ramp: expected start < end, found start = {start:g} m and end = {end:g} m; for a "
+            "descent use a negative rise"
         )
     if not 0 <= rounding <= end - start:
         raise ModelError(
-            f"ramp: expected a rounding from 0 to its length of {end - start:g} m, "
-            f"found {rounding:g} m; change rounding"
+            f"ramp: expected a rounding from 0 to {end - start:g} m, the length of the ramp, found "
+            f"{rounding:g} m"
         )
     if smooth and rounding:
         raise ModelError(
-            "ramp: expected no rounding of a smooth ramp, which has no edges; remove rounding, or "
-            "set smooth = false"
+            "ramp: expected no rounding for a smooth ramp, which has no edges, found "
+            f"{rounding:g} m; remove rounding, or set smooth = false"
         )
     if smooth:
         t = np.clip((grid.y - start) / (end - start), 0, 1)
@@ -287,19 +294,24 @@ def _bend(y: Array, length: float) -> Array:
 
 
 def _scatter(
-    grid: Grid, count: int, diameters: tuple[float, float], seed: int
+    name: str, grid: Grid, count: int, diameters: tuple[float, float], seed: int
 ) -> list[tuple[float, float, float]]:
-    """Return x, y and diameter [m] of ``count`` random disks, uniform over the grid."""
+    """Return x, y and diameter [m] of ``count`` random disks, uniform over the grid.
+
+    ``name`` is the name of the disks in messages.
+    """
     smallest, largest = diameters
-    if not (0 < smallest <= largest and count >= 0):
+    if not count >= 0:
+        raise ModelError(f"{name}: expected count >= 0, found {count}")
+    if not 0 < smallest <= largest:
         raise ModelError(
-            "craters or rocks: expected count >= 0 and 0 < smallest <= largest diameter, found "
-            f"count = {count}, diameters = [{smallest:g}, {largest:g}] m; change them"
+            f"{name}: expected diameters with 0 < smallest <= largest, found "
+            f"[{smallest:g}, {largest:g}] m"
         )
     u = np.random.default_rng(seed).random((count, 3))
     x = grid.x[0] + u[:, 0] * np.ptp(grid.x)
     y = grid.y[0] + u[:, 1] * np.ptp(grid.y)
-    few = (smallest / largest) ** SIZE_EXPONENT  # truncated share above the largest diameter
+    few = (smallest / largest) ** SIZE_EXPONENT  # share above the largest diameter, cut off
     diameter = smallest * (1 - u[:, 2] * (1 - few)) ** (-1 / SIZE_EXPONENT)
     return list(zip(x.tolist(), y.tolist(), diameter.tolist(), strict=True))
 

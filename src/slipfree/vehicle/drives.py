@@ -79,13 +79,13 @@ class Motor(Drive):
     """Direct-current motor with a speed controller: the input is the wanted rate of the wheel.
 
     The torque is ``kp (wanted - rate) + e``, limited to ``stall min(1, 1 - rate / no_load)``
-    forward, and to the mirrored limit backward. The integral ``e`` follows
+    forward and ``stall min(1, 1 + rate / no_load)`` backward. The integral ``e`` follows
     ``e' = ki (wanted - rate - (unlimited torque - torque) / kp)``; the last term prevents wind-up.
 
     Attributes
     ----------
     stall : float
-        Largest torque on the wheel, after the gear. [N m]
+        Largest torque on the wheel, at the output of the gear. [N m]
     no_load : float
         Rate of the wheel at which the torque vanishes. [rad/s]
     kp, ki : float
@@ -96,7 +96,7 @@ class Motor(Drive):
     Raises
     ------
     ModelError
-        If a number is not positive; ``ki`` and ``rotor_inertia`` may be zero.
+        If a number is not positive and finite; ``ki`` and ``rotor_inertia`` may be zero.
     """
 
     has_integral: ClassVar[bool] = True
@@ -110,8 +110,8 @@ class Motor(Drive):
         for each in fields(self):
             value, least = getattr(self, each.name), each.name in ("ki", "rotor_inertia")
             if not (0 < value < inf or (least and value == 0)):
-                words = "finite and zero or positive" if least else "finite and positive"
-                raise ModelError(f"motor: {each.name} must be {words}, found {value}; change it")
+                words = "finite number of zero or more" if least else "finite positive number"
+                raise ModelError(f"motor: {each.name!r}: expected a {words}, found {value}")
 
     @property
     def added_inertia(self) -> float:

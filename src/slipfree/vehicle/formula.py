@@ -55,7 +55,8 @@ def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
     Raises
     ------
     ModelError
-        If the text is not such a formula, or a name is unknown.
+        If the text is not such a formula, if a name is unknown, or if the text has more than 1000
+        characters or 50 nested levels.
     """
     return ca.SX(_evaluate_node(_parse(text), text, values, MAX_DEPTH))
 
@@ -125,6 +126,6 @@ def _is_number(value: float) -> bool:
 
 def _formula_error(text: str, part: str) -> ModelError:
     return ModelError(
-        f"formula {text!r}: expected numbers, coordinates, + - * / **, pi and "
+        f"formula {text!r}: expected numbers up to {MAX_NUMBER:g}, coordinates, + - * / **, pi and "
         f"{', '.join(FUNCTIONS)}, found {part!r}; correct the formula"
     )

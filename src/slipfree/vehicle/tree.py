@@ -40,8 +40,8 @@ class Body:
     Raises
     ------
     ModelError
-        If the mass is negative, a number is not finite, or a principal moment of inertia is not
-        positive.
+        If the mass is negative, if a number is not finite, if ``at`` or ``inertia`` has another
+        length, or if a principal moment of inertia is not positive.
     """
 
     mass: float = 0.0
@@ -54,9 +54,9 @@ class Body:
     def __post_init__(self) -> None:
         if not 0 <= self.mass < math.inf:
             raise ModelError(
-                f"body: mass must be zero or positive, found {self.mass} kg; change it"
+                f"body: mass: expected a finite number of zero or more, found {self.mass} kg"
             )
-        check_vector("body: its centre of mass", self.at)
+        check_vector("body: at (centre of mass)", self.at)
         if self.inertia is not None:
             _check_inertia(self.inertia)
 
@@ -75,7 +75,7 @@ class Coordinate:
     words : str
         Description in one line.
     lower, upper : float
-        Lower and upper stop. [rad or m]
+        Lower and upper stop; infinite for none. [rad or m]
     stiffness, rest : float
         Stiffness of a spring [N m/rad or N/m], and value of the coordinate at which the spring has
         no force [rad or m].
@@ -85,13 +85,14 @@ class Coordinate:
         Stiffness of the stops; zero for rigid stops. A rigid stop ends the motion; to continue from
         there, use the vehicle with that joint locked (`actuated`). [N m/rad or N/m]
     max_rate : float
-        Largest rate of its actuator, which steering laws respect. [rad/s or m/s]
+        Largest rate of its actuator, which steering laws respect; infinite if unknown.
+        [rad/s or m/s]
 
     Raises
     ------
     ModelError
-        If the stops are not in ascending order, if a number is out of range, or if a commanded
-        coordinate has a spring, a damper or elastic stops.
+        If the stops are not in ascending order, if a number is out of range, if ``bump`` is given
+        without a stop, or if a commanded coordinate has a spring, a damper or elastic stops.
     """
 
     name: str
@@ -111,34 +112,36 @@ class Coordinate:
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise ModelError(
-                f"coordinate {self.name}: the lower stop must be below the upper one, "
-                f"found {self.lower} and {self.upper}; change lower or upper"
+                f"coordinate {self.name!r}: the lower stop must be below the upper one, "
+                f"found lower = {self.lower} and upper = {self.upper}"
             )
         for key in ("stiffness", "damping", "bump"):
             value = getattr(self, key)
             if not 0 <= value < math.inf:
                 raise ModelError(
-                    f"coordinate {self.name}: {key} must be zero or positive, found {value}; "
-                    "change it"
+                    f"coordinate {self.name!r}: {key}: expected a finite number of zero or more, "
+                    f"found {value}"
                 )
         if not self.max_rate > 0:
             raise ModelError(
-                f"coordinate {self.name}: max_rate must be positive, found {self.max_rate}; "
-                "increase it"
+                f"coordinate {self.name!r}: max_rate: expected a positive number, found "
+                f"{self.max_rate}"
             )
         if self.bump and not (math.isfinite(self.lower) or math.isfinite(self.upper)):
             raise ModelError(
-                f"coordinate {self.name}: bump, the stiffness of the stops, needs a lower or an "
-                "upper stop, found none; give lower or upper, or remove bump"
+                f"coordinate {self.name!r}: bump, the stiffness of the stops, needs a lower or an "
+                "upper stop, found none; give 'lower' or 'upper', or remove 'bump'"
             )
         if not math.isfinite(self.rest):
             raise ModelError(
-                f"coordinate {self.name}: rest must be finite, found {self.rest}; change it"
+                f"coordinate {self.name!r}: rest: expected a finite number, found {self.rest}"
             )
         if self.kind == "commanded" and self.is_loaded:
+            keys = [k for k in ("stiffness", "damping", "bump") if getattr(self, k)]
             raise ModelError(
-                f"coordinate {self.name}: a commanded coordinate cannot have a spring, a damper or "
-                "elastic stops, since its rate is an input; remove stiffness, damping and bump"
+                f"coordinate {self.name!r}: a commanded coordinate cannot have a spring, a damper "
+                "or elastic stops, since its rate is an input; remove "
+                f"{' and '.join(map(repr, keys))}"
             )
 
     @property
@@ -184,7 +187,7 @@ class Joint:
     Raises
     ------
     ModelError
-        If a position, the axis or the formula is invalid.
+        If ``at``, ``turned``, ``axis`` or ``value`` is invalid.
     """
 
     name: str
@@ -201,12 +204,15 @@ class Joint:
 
     def __post_init__(self) -> None:
         for key in ("at", "turned"):
-            check_vector(f"joint {self.name}: {key}", getattr(self, key))
+            check_vector(f"joint {self.name!r}: {key}", getattr(self, key))
         try:
             unit_vector(self.axis)
+        except ModelError as error:
+            raise ModelError(f"joint {self.name!r}: axis: {error}") from error
+        try:
             names_in(self.value)
         except ModelError as error:
-            raise ModelError(f"joint {self.name}: {error}") from error
+            raise ModelError(f"joint {self.name!r}: {error}") from error
 
     @property
     def coordinates(self) -> frozenset[str]:
@@ -240,7 +246,7 @@ class Vehicle:
     joints : tuple of Joint
         Joints; parents precede their children.
     wheels : tuple of Wheel
-        Wheels, from 1 to 100. Models without inertia need at least 3.
+        Wheels, from 1 to 100. Kinematic and quasi-static models require at least 3.
     body : Body
         Mass and centre of mass of the platform. A vehicle without mass has kinematics only, no
         forces.
@@ -250,8 +256,8 @@ class Vehicle:
     Raises
     ------
     ModelError
-        If a name is used twice or is unknown, if a coordinate moves no joint, or both a turning
-        and a sliding one, or if the number of wheels is out of range.
+        If a name is used twice or is unknown, if a coordinate moves no joint, or both turning and
+        sliding joints, or if the number of wheels is out of range.
     """
 
     name: str
@@ -287,19 +293,19 @@ class Vehicle:
         sliding = {c for j in self.joints if j.motion == "slide" for c in j.coordinates}
         if turning & sliding:
             raise ModelError(
-                f"coordinate {min(turning & sliding)} is the value of both a turning and a sliding "
-                "joint: use two coordinates"
+                f"coordinate {min(turning & sliding)!r} is used in the values of both a turning "
+                "and a sliding joint; use two coordinates"
             )
         unused = names - turning - sliding
         if unused:
             raise ModelError(
-                f"coordinate {min(unused)} moves no joint: remove it, or use it in the value of "
+                f"coordinate {min(unused)!r} moves no joint; remove it, or use it in the value of "
                 "a joint"
             )
         if not 1 <= len(self.wheels) <= MAX_WHEELS:
             raise ModelError(
-                f"expected a vehicle with 1 to {MAX_WHEELS} wheels, found {len(self.wheels)}; add "
-                "or remove wheels"
+                f"vehicle {self.name!r}: expected 1 to {MAX_WHEELS} wheels, found "
+                f"{len(self.wheels)}; {'remove' if self.wheels else 'add'} wheels"
             )
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
@@ -365,9 +371,9 @@ class Vehicle:
 def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
     """Return the vehicle with actuators in passive joints, whose rates become inputs.
 
-    ``names`` are the coordinates of these joints. An actuator with rate zero locks its joint. The
-    torque of the actuator is an output. Springs, dampers and elastic stops of these joints are
-    removed.
+    ``names`` are the passive coordinates of these joints. An actuator with rate zero locks its
+    joint. The torque or force of the actuator is an output. Springs, dampers and elastic stops of
+    these coordinates are removed.
 
     Raises
     ------
@@ -390,16 +396,16 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
 
 
 def _check_inertia(inertia: Elements) -> None:
-    """Raise ModelError unless six numbers are the inertia tensor of a body."""
+    """Raise ModelError unless six numbers are the elements of an inertia tensor."""
     if len(inertia) != 6 or not all(map(math.isfinite, inertia)):
         raise ModelError(
-            "body: inertia must be six finite numbers Ixx, Iyy, Izz, Ixy, Ixz, Iyz in kg m^2, "
-            f"found {inertia}; correct it"
+            "body: inertia: expected six finite numbers Ixx, Iyy, Izz, Ixy, Ixz, Iyz in kg m^2, "
+            f"found {inertia}"
         )
     least = float(np.linalg.eigvalsh(tensor(inertia))[0])
     if least <= 0:
         raise ModelError(
-            "body: the principal moments of inertia must be positive, found a least one of "
+            "body: the principal moments of inertia must be positive, found the smallest to be "
             f"{least:.3g} kg m^2; correct the inertia"
         )
 
@@ -416,7 +422,11 @@ def _check_unique(kind: str, names: Iterable[str]) -> None:
 
 def _check_known(kind: str, name: str, role: str, wanted: str, known: set[str]) -> None:
     if wanted not in known:
+        is_parent = (kind, role) == ("joint", "parent")
+        thing = "joint" if role == "parent" else role
+        expected = f"one of {', '.join(sorted(known))}" if known else "no name"
         raise ModelError(
-            f"{kind} {name}: expected one of {', '.join(sorted(known))} as {role}, found "
-            f"{wanted!r}; correct the name, or define the {role} before the {kind}"
+            f"{kind} {name!r}: expected {expected} as {role}, found "
+            f"{wanted!r}; correct the name, or "
+            + ("define the parent before the joint" if is_parent else f"add a {thing} of this name")
         )

@@ -39,7 +39,7 @@ class Wheel:
     mass : float
         Mass; its centre is the wheel's centre. [kg]
     axle : {"x", "y", "z"} or tuple of 3 floats
-        Direction of the axle in the parent's frame; it points right if the wheel rolls forward.
+        Direction of the axle in the parent's frame; to the right for a wheel that rolls forward.
     static_depth : float or None
         Depth of the wheel in the ground under an equal share of the weight, for vehicles whose
         wheels cannot all touch a rigid ground, and for dynamics; None for 1/50 of the rolling
@@ -79,29 +79,30 @@ class Wheel:
                 f"wheel {self.name!r}: expected a name of letters, digits, _ and -, since it is "
                 "part of names in results; rename the wheel"
             )
-        check_vector(f"wheel {self.name}: at", self.at)
+        check_vector(f"wheel {self.name!r}: at", self.at)
         if not 0 < self.grip < math.inf:
             raise ModelError(
-                f"wheel {self.name}: grip must be positive, found {self.grip}; change it"
+                f"wheel {self.name!r}: grip: expected a finite positive number, found {self.grip}"
             )
         if self.static_depth is not None and not 0 < self.static_depth < math.inf:
             raise ModelError(
-                f"wheel {self.name}: static_depth must be positive, found {self.static_depth} m; "
-                "change it"
+                f"wheel {self.name!r}: static_depth: expected a finite positive length or None, "
+                f"found {self.static_depth} m"
             )
         if not 0 <= self.mass < math.inf:
             raise ModelError(
-                f"wheel {self.name}: mass must be zero or positive, found {self.mass} kg; change it"
+                f"wheel {self.name!r}: mass: expected a finite number of zero or more, found "
+                f"{self.mass} kg"
             )
         if self.inertia is not None and not all(0 < each < math.inf for each in self.inertia):
             raise ModelError(
-                f"wheel {self.name}: inertia must be two positive numbers in kg m^2, found "
-                f"{self.inertia}; change it"
+                f"wheel {self.name!r}: inertia: expected two finite positive numbers in kg m^2, "
+                f"found {self.inertia}"
             )
         try:
             unit_vector(self.axle)
         except ModelError as error:
-            raise ModelError(f"wheel {self.name}: axle: {error}") from error
+            raise ModelError(f"wheel {self.name!r}: axle: {error}") from error
 
     @property
     def mount(self) -> Pose:
@@ -123,7 +124,7 @@ class Wheel:
 
     @property
     def acting_drive(self) -> Drive:
-        """Drive of the wheel; one without torque if the wheel is not driven."""
+        """Drive of the wheel; a drive without torque if the wheel is not driven."""
         return self.drive if self.driven else NO_DRIVE
 
     @cached_property

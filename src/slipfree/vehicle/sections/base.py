@@ -43,7 +43,7 @@ class Section(ABC):
     Raises
     ------
     ModelError
-        If a dimension is not positive.
+        If a dimension is not positive and finite.
     """
 
     rollers: ClassVar[bool] = False
@@ -61,8 +61,8 @@ class Section(ABC):
             value = getattr(self, each.name)
             if isinstance(value, float | int) and not 0 < value < inf:
                 raise ModelError(
-                    f"{type(self).__name__.lower()}: {each.name} must be positive and finite, "
-                    f"found {value} m; change it"
+                    f"{type(self).__name__.lower()}: {each.name}: expected a finite positive "
+                    f"length, found {value} m"
                 )
 
     def __str__(self) -> str:

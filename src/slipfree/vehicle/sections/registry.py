@@ -31,14 +31,12 @@ def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
     Raises
     ------
     ModelError
-        If a radius is negative, or both are zero.
+        If a radius is negative or not finite, or both are zero.
     """
     for key, radius in (("r1", r1), ("r2", r2)):
         if not 0 <= radius < inf:
-            raise ModelError(
-                f"{key} must be zero or a positive and finite radius, found {radius} m; change it"
-            )
+            raise ModelError(f"{key}: expected a finite radius of zero or more, found {radius} m")
     if r1 + r2 <= 0:
-        raise ModelError(f"r1 + r2 must be positive, found {r1 + r2} m; increase r1 or r2")
+        raise ModelError("r1, r2: expected a positive radius, found two zeros; increase r1 or r2")
     section = Disc(r2) if r1 == 0 else Sphere(r1) if r2 == 0 else Torus(r1, r2)
     return Omni(section) if rollers else section
