@@ -33,7 +33,7 @@ REMEDIES = {
     INPUT: "widen the bounds of the input",
     GOAL: "move the goal",
     WAY_POINT: "move the way-point",
-    MODEL: "change the model",
+    MODEL: "adapt vehicle or ground",
 }
 
 

@@ -278,9 +278,9 @@ def plan(
         Largest time between samples of the simulation. [s]
     starts : int
         Number of initial guesses to try if ``guess`` has fewer. Further guesses are simulated with
-        the inputs of the first guess, once negated if the bounds allow it, else randomly perturbed;
-        a guess whose motion ends too early is omitted. ``Plan.optima`` lists the plans from all
-        guesses.
+        the inputs of the first guess: first with negated inputs if the bounds allow it, then with
+        randomly perturbed inputs. A guess whose motion ends too early is omitted. ``Plan.optima``
+        lists the plans from all guesses.
     seed : int
         Seed of the random perturbations.
     resume : SavedPlan, optional
@@ -470,7 +470,7 @@ def _rank(program: Program, search: _SearchState) -> tuple[bool, float]:
 def _solve_in_stages(
     program: Program, first: Array, of: str, progress: PlanProgress | None
 ) -> _SearchState:
-    """Solve the program; if slip is a cost, solve it before without this cost.
+    """Solve the program; if slip is a cost, first solve the program without this cost.
 
     The search with all costs starts from the solution without slip cost.
     """

@@ -243,7 +243,7 @@ def transcribe(
     """
     if mesh.degree not in ALLOWED_DEGREES:
         raise ModelError(
-            f"plan: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
+            f"degree: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
         )
     rest = task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)})
     system = with_inputs(task.dae, rest, 0, options)
