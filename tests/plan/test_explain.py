@@ -245,7 +245,7 @@ def test_conflicts_are_named_before_solving():
     assert conflicts(asked, None) == [
         "input drive must be at least 1 m and at most -1 m: exchange its bounds",
         "input drive_change must be 0.5 to 1 1/s2, but all inputs are constant on the last "
-        "interval: change the bounds so that they include 0",
+        "interval: widen the bounds so that they include 0",
         "x0 of the vehicle must be 0 to 2 m, but the start has -0.5 m: start elsewhere or widen "
         "the limit",
         "fence of the vehicle must be -9 to 5 m, but the way-point at 0.5 has 6 m (what happens "

@@ -163,7 +163,7 @@ def is_better(point: FrontPoint, other: FrontPoint) -> bool:
 
 
 def _batches(count: int) -> Iterator[list[int]]:
-    """Yield the indices of all points but the last: the first, then middles of known points."""
+    """Yield the indices of all points but the last: the first, then middles between known ones."""
     known = [0, count - 1]
     yield [0]
     while batch := [(a + b) // 2 for a, b in pairwise(known) if b - a > 1]:

@@ -270,7 +270,8 @@ def plan(
         Initial number of intervals, and number of collocation points per interval.
     accuracy : float
         Largest admissible difference of the simulation from the plan, and largest violation of a
-        limit, in the unit of the quantity; the mesh is refined where they are larger.
+        limit, in the unit of the quantity; the mesh is refined where they are larger. A violation
+        may also be at most 1 % of the range of the limit.
     options : SolverOptions
         Tolerance, a hundredth of which is used to simulate the plan, and whether to compile the
         functions of the program.
@@ -300,8 +301,8 @@ def plan(
     ------
     ModelError
         If a name is unknown, a number is not valid, start, goal and limits contradict each other,
-        no guess is given, ``resume`` is a plan of another model, or a lookup of the model lacks
-        derivatives.
+        no goal or guess is given, ``resume`` is a plan of another model, or a lookup of the model
+        lacks derivatives.
     SolverError
         If a further guess or the plan cannot be simulated from the start.
 

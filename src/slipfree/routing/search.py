@@ -241,7 +241,7 @@ def _graph(cost: Array, h: tuple[float, float]) -> scipy.sparse.csr_matrix:
 
 
 def _passed(i: int, j: int) -> tuple[tuple[int, int], ...]:
-    """Return the two nodes between which a move passes, relative to its start, or no nodes."""
+    """Return the two nodes between which a move passes, relative to its start; none if straight."""
     if 0 in (i, j):
         return ()
     if abs(i) == abs(j):

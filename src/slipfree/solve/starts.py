@@ -244,7 +244,7 @@ def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
         )
         remedy = "give a pose nearer to the ground"
         if not counts.all():
-            remedy += ", or fix fewer coordinates by infinite weights"
+            remedy += ", or fewer coordinates with an infinite weight"
         raise ModelError(
             "settle_nearest: no pose in which the vehicle stands was found near "
             f"{place or 'the given pose'}: {ipopt_words(status)}; {remedy}"
