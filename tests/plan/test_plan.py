@@ -152,7 +152,7 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
             {"way_points": {1.0: {"x": 0.0}}},
             "way_points: expected fractions of the duration above 0 and below 1",
         ),
-        ({"accelerations": {"x": (0, 1)}}, "of the inputs right_rate, .* found bounds of 'x'"),
+        ({"accelerations": {"x": (0, 1)}}, "inputs: expected one of right_rate, .* found 'x'"),
     ],
 )
 def test_what_is_wrong_is_said(options, words):

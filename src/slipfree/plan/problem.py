@@ -236,8 +236,8 @@ def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
     for name, (low, high) in given.items():
         if name not in names:
             raise ModelError(
-                f"plan: expected bounds of the inputs {', '.join(names)}, found bounds of "
-                f"{name!r}; correct the name"
+                f"plan: bounds of inputs: expected one of {', '.join(names)}, found {name!r}; "
+                "correct the name"
             )
         if not low <= high:
             raise ModelError(
