@@ -400,7 +400,7 @@ FAULTS = {
     "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected a finite rate of zero or more"),
 }
 CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
-    r"cannot stand at the start: \w+\[\w+\], .* has a residual of [\d.e+-]+ m": "cannot stand",
+    r"no solution was found at the start: \w+\[\w+\], .* residual of [\d.e+-]+ m": "cannot stand",
     r"(found a violation|residual .*): wheel \w+ leaves the map, .* to its edge\): .* allowed": (
         "off the map"
     ),

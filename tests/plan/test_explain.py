@@ -209,7 +209,7 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     assert told.startswith(
         "the search reached its largest number of iterations (IPOPT: Maximum_Iterations"
     )
-    assert "no bound must be relaxed" in told
+    assert "no bound has to be relaxed" in told
 
 
 def test_equations_without_a_solution_are_said_to_be_so():
@@ -245,7 +245,7 @@ def test_conflicts_are_named_before_solving():
     assert conflicts(asked, None) == [
         "input drive must be at least 1 m and at most -1 m: exchange its bounds",
         "input drive_change must be 0.5 to 1 1/s2, but all inputs are constant on the last "
-        "interval: change the bounds so that they include 0",
+        "interval: widen the bounds so that they include 0",
         "x0 of the vehicle must be 0 to 2 m, but the start has -0.5 m: start elsewhere or widen "
         "the limit",
         "fence of the vehicle must be -9 to 5 m, but the way-point at 0.5 has 6 m (what happens "
@@ -330,7 +330,7 @@ def test_limits_of_wheels_and_of_the_model_are_named():
     told = conflicts(asked, start)
     assert told[-1] == (
         "tilt_right at the goal must be 0.1 rad, but model's own tilt_right_stop of the vehicle "
-        "must be -0.04 to 0.04 rad: move the goal or change the model"
+        "must be -0.04 to 0.04 rad: move the goal or adapt vehicle or ground"
     )
     (front,) = [each for each in told if "contact_y of wheel front" in each]
     assert front.startswith("contact_y of wheel front must be -9 to -0.6 m, but the start has ")

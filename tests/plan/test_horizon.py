@@ -163,7 +163,7 @@ def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, peri
         t += period
     assert_allclose(times[-1], DURATION - cycle.t, atol=1e-9)
     assert away(here) < 1e-3
-    with pytest.raises(ModelError, match=r"two ascending times from .* to 8 s"):
+    with pytest.raises(ModelError, match=r"expected 'begin' from .* to below 8 s"):
         cycle_inputs(window, cycle, 8.5, 9.0)
 
 

@@ -140,7 +140,7 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
     [
         ({"goal": {"z_": 1.0}}, "found 'z_'; did you mean"),
         ({"costs": {"slop": 1.0}}, "found 'slop'; use one of"),
-        ({"costs": {"slip": -1.0}}, "costs: expected a weight of 'slip' of at least 0, found -1"),
+        ({"costs": {"slip": -1.0}}, "expected a weight of at least 0 for 'slip', found -1"),
         ({"cost_limits": {"slop": 1.0}}, "found 'slop'; use one of"),
         (
             {"cost_limits": {"effort": 0.0}},
@@ -150,9 +150,9 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
         ({"limits": {"steer": (1.0, -1.0)}}, "ascending bounds of 'steer'"),
         (
             {"way_points": {1.0: {"x": 0.0}}},
-            "way_points: expected fractions of the duration between 0 and 1",
+            "way_points: expected fractions of the duration above 0 and below 1",
         ),
-        ({"accelerations": {"x": (0, 1)}}, "expected one of the inputs right_rate, .* found 'x'"),
+        ({"accelerations": {"x": (0, 1)}}, "inputs: expected one of right_rate, .* found 'x'"),
     ],
 )
 def test_what_is_wrong_is_said(options, words):

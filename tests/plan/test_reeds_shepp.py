@@ -93,7 +93,7 @@ def test_free_heading_takes_the_shortest_path():
 
 
 def test_radius_must_be_positive():
-    with pytest.raises(ModelError, match="turning_radius: expected a positive number"):
+    with pytest.raises(ModelError, match="positive, finite 'turning_radius'"):
         reeds_shepp((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0)
 
 

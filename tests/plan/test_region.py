@@ -116,8 +116,8 @@ def test_polygon_describes_itself():
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (((0, 0), (1, 1)), r"three or more points \(x, y\), found shape \(2, 2\)"),
-        (((0, 0), (1, 0), (np.nan, 1)), "point 3 must be finite"),
+        (((0, 0), (1, 1)), r"three points \(x, y\), found an array of shape \(2, 2\)"),
+        (((0, 0), (1, 0), (np.nan, 1)), "finite coordinates of point 3"),
         (((0, 0), (1, 0), (1, 0), (0, 1)), "points 2 and 3 coincide"),
         (((0, 0), (1, 0), (1, 1), (0, 0)), "points 4 and 1 coincide"),
         (((0, 0), (2, 2), (2, 0), (0, 2)), "edge 1-2 crosses or touches edge 3-4"),
@@ -133,10 +133,10 @@ def test_bad_polygons_are_refused(points, message):
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.inf, np.nan])
 def test_bad_radius_is_refused(radius):
-    with pytest.raises(ModelError, match="radius must be positive, found"):
+    with pytest.raises(ModelError, match="positive, finite radius, found"):
         Region.disc(0.0, 0.0, radius)
 
 
 def test_bad_centre_is_refused():
-    with pytest.raises(ModelError, match=r"centre must be finite, found \(nan, 0"):
+    with pytest.raises(ModelError, match=r"coordinates of the centre, found \(nan, 0"):
         Region.disc(np.nan, 0.0, 1.0)

@@ -218,10 +218,10 @@ def test_keep_out_is_blocked_as_far_as_wheels_reach():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"steepest": 0.0}, "steepest must lie between 0 and pi/2 radians, found 0"),
-        ({"steepest": 1.6}, "steepest must lie between 0 and pi/2 radians"),
-        ({"spacing": 0.0}, "spacing must be positive and at most half the map's extent, 10 m"),
-        ({"spacing": 11.0}, r"at most half the map's extent, 10 m, found 11 m"),
+        ({"steepest": 0.0}, "'steepest' above 0 and below pi/2 rad, found 0"),
+        ({"steepest": 1.6}, "'steepest' above 0 and below pi/2 rad"),
+        ({"spacing": 0.0}, "expected a positive 'spacing', found 0 m"),
+        ({"spacing": 11.0}, r"half the smaller side of the map, 10 m, found 11 m"),
     ],
 )
 def test_bad_options_are_refused(options, message):
@@ -515,7 +515,7 @@ def blocked_map():
         ((-1.0, 5.0), (10.0, 5.0), r"cannot be at the start \(-1, 5\): 1 m outside the map"),
         ((10.0, 5.0), (5.0, 5.0), r"at the goal \(5, 5\): inside the keep-out disc at \(5, 5\)"),
         ((10.0, 0.5), (10.0, 5.0), r"at the start \(10, 0.5\): 0.5 m from the edge of the map"),
-        ((np.nan, 5.0), (10.0, 5.0), "the start must be finite"),
+        ((np.nan, 5.0), (10.0, 5.0), "finite coordinates of the start"),
         ((10.0, 5.0), (10.0, 5.0), r"different start and goal, found both at \(10, 5\)"),
         (
             (10.0, 5.0),
@@ -542,7 +542,7 @@ def test_steep_start_is_named():
 
 @pytest.mark.parametrize("turning_radius", [-1.0, np.inf])
 def test_bad_turning_radius_is_refused(turning_radius):
-    with pytest.raises(ModelError, match="turning_radius must be zero or positive"):
+    with pytest.raises(ModelError, match="finite 'turning_radius' of at least 0"):
         route(blocked_map(), (10.0, 5.0), (15.0, 5.0), turning_radius=turning_radius)
 
 

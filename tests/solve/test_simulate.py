@@ -158,7 +158,7 @@ def test_failure_keeps_what_was_reached(capfd):
 @pytest.mark.parametrize(
     ("t", "words"),
     [
-        ([0.0], "two or more ascending times"),
+        ([0.0], "two or more finite, ascending times"),
         ([0.0, 0.0], "ascending"),
         ([0.0, np.inf], "ascending"),
         ([[0.0, 1.0]], "ascending"),

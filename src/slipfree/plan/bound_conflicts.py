@@ -33,7 +33,7 @@ REMEDIES = {
     INPUT: "widen the bounds of the input",
     GOAL: "move the goal",
     WAY_POINT: "move the way-point",
-    MODEL: "change the model",
+    MODEL: "adapt vehicle or ground",
 }
 
 
@@ -132,7 +132,7 @@ def _input_conflicts(task: PlanTask) -> Iterator[str]:
         if low <= high and not low <= 0 <= high and not task.continuous:
             yield (
                 f"{subject(rate, INPUT)} must be {bounds_words(rate, low, high)}, but all inputs "
-                "are constant on the last interval: change the bounds so that they include 0"
+                "are constant on the last interval: widen the bounds so that they include 0"
             )
 
 

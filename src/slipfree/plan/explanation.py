@@ -24,9 +24,9 @@ class Explanation(NamedTuple):
     Attributes
     ----------
     outcome : Outcome
-        ``INTERRUPTED`` if the search was stopped; ``INFEASIBLE`` if bounds must be relaxed, or if
-        no relaxation was found and IPOPT reports an infeasible problem; otherwise
-        ``SOLVER_FAILURE``.
+        ``INTERRUPTED`` if the search was stopped; ``INFEASIBLE`` if a motion was found only with
+        relaxed bounds, or if no relaxation was found and IPOPT reports an infeasible problem;
+        otherwise ``SOLVER_FAILURE``.
     words : str
         Explanation, several lines of text.
     """
@@ -112,8 +112,8 @@ def _relaxation_lines(relaxation: Relaxation) -> list[str]:
         ]
     if not relaxation.relaxed:
         return [
-            "no bound must be relaxed: without the costs, a motion that meets all constraints was "
-            "found; try another initial guess"
+            "no bound has to be relaxed: without the costs, a motion that meets all constraints "
+            "was found; try another initial guess"
         ]
     lines = ["a motion was found with relaxed bounds (one sufficient set; others may exist):"]
     for each in relaxation.relaxed:

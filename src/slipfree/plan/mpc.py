@@ -124,9 +124,9 @@ def horizon(
     Raises
     ------
     ModelError
-        If ``span`` is not positive or exceeds the duration of the plan, another number is out of
-        range, or the model, costs, limits or goal depend on time, since times of a window begin at
-        zero.
+        If ``span`` is not positive or exceeds the duration of the plan, ``intervals``, ``degree``
+        or ``iterations`` is out of range, or the model, costs, limits or goal depend on time,
+        since times of a window begin at zero.
     """
     length, task = plan.motion.duration, plan.program.task
     _check_task(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
@@ -176,7 +176,7 @@ def _check_task(task: PlanTask, numbers: dict[str, int]) -> None:
 
 
 def first_cycle(window: Horizon) -> Cycle:
-    """Return the cycle at the beginning of the plan, iterated until it converges.
+    """Return the cycle at the beginning of the plan, iterated to convergence, at most 500 times.
 
     Parameters
     ----------
@@ -314,19 +314,20 @@ def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tup
     inputs : record
         Inputs for ``simulate``.
     times : ndarray
-        Sample times since the time of the cycle, with all ends of intervals of its motion. [s]
+        Both times and the ends of the intervals between them, since the time of the cycle. [s]
 
     Raises
     ------
     ModelError
-        If the first time is before the cycle or not before the last time.
+        If the first time is before the cycle, after its motion, or not before the last time.
     """
     ends = cycle.motion.ends
     first, last = begin - cycle.t, min(end - cycle.t, ends[-1])
     if not -TIME_TOLERANCE <= first < last:
         raise ModelError(
-            f"cycle_inputs: expected two ascending times from {cycle.t:g} to "
-            f"{cycle.t + ends[-1]:g} s, found {begin:g} and {end:g} s; use times of the cycle"
+            f"cycle_inputs: expected 'begin' from {cycle.t:g} to below {cycle.t + ends[-1]:g} s, "
+            f"the times of the cycle, and a later 'end', found {begin:g} and {end:g} s; correct "
+            "these times"
         )
     inside = ends[(ends > first + TIME_TOLERANCE) & (ends < last - TIME_TOLERANCE)]
     times = np.concatenate([[first], inside, [last]])

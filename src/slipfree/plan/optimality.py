@@ -77,10 +77,14 @@ class Optimality(NamedTuple):
     @property
     def words(self) -> str:
         """Result of the check as text, for summaries."""
-        weak = f"; strict complementarity fails at {self.weak} bounds" if self.weak else ""
+        bounds, directions = (
+            f"{count} {noun}" + "s" * (count != 1)
+            for count, noun in ((self.weak, "bound"), (self.directions, "free direction"))
+        )
+        weak = f"; strict complementarity fails at {bounds}" if self.weak else ""
         if not self.directions:
             return f"the active constraints determine the plan{weak}"
-        where = f"smallest curvature {self.curvature:.2g} in {self.directions} free directions"
+        where = f"smallest curvature {self.curvature:.2g} in {directions}"
         if self.is_minimum:
             return f"a strict local minimum: {where}{weak}"
         return f"not shown to be a minimum: {where}; start from other guesses{weak}"

@@ -114,12 +114,16 @@ def pareto_front(
     """
     check_count(count)
     for name, point in (("second", least), ("first", best)):
-        if not point.is_solved or not point.second > 0:
+        if not point.is_solved:
             why = f" ({point.words})" if point.words else ""
             raise ModelError(
-                f"pareto_front: expected a solution of least {name} objective, with a positive "
-                f"second objective, found the outcome {point.outcome.title!r}{why} and the second "
-                f"objective {point.second:g}; give a solved point"
+                f"pareto_front: expected a solution of least {name} objective, found the outcome "
+                f"{point.outcome.title!r}{why}; give a solved point"
+            )
+        if not point.second > 0:
+            raise ModelError(
+                "pareto_front: expected a positive second objective at the solution of least "
+                f"{name} objective, found {point.second:g}; choose another second objective"
             )
     lowest = (1 + SLACK) * least.second
     if lowest >= best.second:
@@ -159,7 +163,7 @@ def is_better(point: FrontPoint, other: FrontPoint) -> bool:
 
 
 def _batches(count: int) -> Iterator[list[int]]:
-    """Yield the indices of all points but the last: the first, then middles of known points."""
+    """Yield the indices of all points but the last: the first, then middles between known ones."""
     known = [0, count - 1]
     yield [0]
     while batch := [(a + b) // 2 for a, b in pairwise(known) if b - a > 1]:

@@ -270,7 +270,8 @@ def plan(
         Initial number of intervals, and number of collocation points per interval.
     accuracy : float
         Largest admissible difference of the simulation from the plan, and largest violation of a
-        limit, in the unit of the quantity; the mesh is refined where they are larger.
+        limit, in the unit of the quantity; the mesh is refined where they are larger. A violation
+        may also be at most 1 % of the range of the limit.
     options : SolverOptions
         Tolerance, a hundredth of which is used to simulate the plan, and whether to compile the
         functions of the program.
@@ -278,9 +279,9 @@ def plan(
         Largest time between samples of the simulation. [s]
     starts : int
         Number of initial guesses to try if ``guess`` has fewer. Further guesses are simulated with
-        the inputs of the first guess, once negated if the bounds allow it, else randomly perturbed;
-        a guess whose motion ends too early is omitted. ``Plan.optima`` lists the plans from all
-        guesses.
+        the inputs of the first guess: first with negated inputs if the bounds allow it, then with
+        randomly perturbed inputs. A guess whose motion ends too early is omitted. ``Plan.optima``
+        lists the plans from all guesses.
     seed : int
         Seed of the random perturbations.
     resume : SavedPlan, optional
@@ -300,8 +301,8 @@ def plan(
     ------
     ModelError
         If a name is unknown, a number is not valid, start, goal and limits contradict each other,
-        no guess is given, ``resume`` is a plan of another model, or a lookup of the model lacks
-        derivatives.
+        no goal or guess is given, ``resume`` is a plan of another model, or a lookup of the model
+        lacks derivatives.
     SolverError
         If a further guess or the plan cannot be simulated from the start.
 
@@ -470,7 +471,7 @@ def _rank(program: Program, search: _SearchState) -> tuple[bool, float]:
 def _solve_in_stages(
     program: Program, first: Array, of: str, progress: PlanProgress | None
 ) -> _SearchState:
-    """Solve the program; if slip is a cost, solve it before without this cost.
+    """Solve the program; if slip is a cost, first solve the program without this cost.
 
     The search with all costs starts from the solution without slip cost.
     """

@@ -125,7 +125,8 @@ def prices_words(prices: Sequence[Price]) -> str:
     named = [each.words for each in prices if abs(each.share) * each.step >= MIN_SHARE]
     if not named:
         return "no limit increases the cost noticeably"
-    rest = f"; {len(named) - MAX_NAMED_PRICES} more limits" if len(named) > MAX_NAMED_PRICES else ""
+    more = max(len(named) - MAX_NAMED_PRICES, 0)
+    rest = f"; {more} more limit{'s' * (more > 1)}" if more else ""
     return "; ".join(named[:MAX_NAMED_PRICES]) + rest
 
 

@@ -45,7 +45,7 @@ def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cos
     Raises
     ------
     ModelError
-        If a name is unknown or a weight is negative.
+        If a name is unknown, or a weight is negative or not a number.
     """
     if not isinstance(given, Mapping):
         return tuple(given)
@@ -53,8 +53,8 @@ def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cos
     for name, weight in given.items():
         if not weight >= 0:
             raise ModelError(
-                f"plan: costs: expected a weight of {name!r} of at least 0, found {weight}; "
-                "increase it"
+                f"plan: costs: expected a weight of at least 0 for {name!r}, found {weight}; "
+                "correct it"
             )
         costs.append(_cost_term(dae, name)._replace(weight=weight))
     return tuple(costs)
@@ -78,7 +78,7 @@ def cost_limits_of(
         if not 0 < highest < np.inf:
             raise ModelError(
                 f"plan: cost_limits: expected a positive, finite limit of {name!r}, found "
-                f"{highest}; change it or remove the limit"
+                f"{highest}; correct or remove it"
             )
         if name not in names:
             names.append(name)
@@ -203,13 +203,13 @@ def timed_conditions(
     Raises
     ------
     ModelError
-        If a fraction is not between 0 and 1, a name is unknown, or a range descends.
+        If a fraction is not above 0 and below 1, a name is unknown, or a range descends.
     """
     for fraction, wanted in sorted(way_points.items()):
         if not 0 < fraction < 1:
             raise ModelError(
-                "plan: way_points: expected fractions of the duration between 0 and 1, found "
-                f"{fraction:g}; use fractions in between, and the goal for conditions at the end"
+                "plan: way_points: expected fractions of the duration above 0 and below 1, found "
+                f"{fraction:g}; correct it, or use the goal for conditions at the end"
             )
         yield TimedCondition(fraction, _to_limits(dae, wanted))
     yield TimedCondition(1.0, _to_limits(dae, goal))
@@ -236,7 +236,7 @@ def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
     for name, (low, high) in given.items():
         if name not in names:
             raise ModelError(
-                f"plan: bounds: expected one of the inputs {', '.join(names)}, found {name!r}; "
+                f"plan: bounds of inputs: expected one of {', '.join(names)}, found {name!r}; "
                 "correct the name"
             )
         if not low <= high:
@@ -262,8 +262,9 @@ def _initial_bounds(dae: Dae, given: Mapping[str, Range], initial: Mapping[str, 
         low, high = given.get(name, (-np.inf, np.inf))
         if not low <= value <= high:
             raise ModelError(
-                f"plan: expected the initial value of {name!r} between its bounds {low:g} and "
-                f"{high:g}, found {value:g}; change the value or the bounds"
+                f"plan: initial_inputs: expected an initial value of {name!r} from {low:g} to "
+                f"{high:g}, its bounds, found {value:g}; choose a value in this range or widen "
+                "the bounds"
             )
     return fixed
 

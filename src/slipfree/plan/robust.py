@@ -18,6 +18,7 @@ from scipy.stats import rankdata
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.plan.constraints import role_of
+from slipfree.plan.messages import number
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.problem import limits_of, timed_conditions
 from slipfree.plan.verification import limit_name, limit_values, local_rows, tolerated_excess
@@ -61,8 +62,9 @@ class Replay(NamedTuple):
     Attributes
     ----------
     excess : dict of Bound to float
-        Value beyond each bound, in the unit of the quantity: positive if the bound is violated,
-        infinite if the motion ends early or if tightening cannot help.
+        Largest value beyond each bound and its tolerance, in the unit of the quantity: positive if
+        the bound is violated, infinite if tightening cannot help. If the motion ends early at a
+        limit of the model, distance of the plan from this limit.
     distance : float
         Distance of the end of the motion from that of the plan in x and y; NaN if the motion ends
         early. [m]
@@ -136,8 +138,8 @@ class RobustPlan(NamedTuple, Generic[P]):
     plan : P
         The plan with the tightest limits that were solved.
     before, after : Replays
-        Simulations of the first plan and of this one for the same draws, which the tightening does
-        not depend on.
+        Simulations of the first plan and of this one for the same draws. The tightening does not
+        depend on these draws.
     tightening : dict of Bound to float
         Distance of each tightened bound from the given one, in the unit of the quantity.
     rounds : int
@@ -171,9 +173,10 @@ def robust_plan(
     """Tighten the limits of a plan until a share of its simulations in drawn worlds keeps them.
 
     Every round simulates the newest plan for draws that it does not depend on. If the share is
-    missed, the limits of the next plan are tightened by quantiles of these violations: those with
-    which half of the draws that may fail would fail, since few draws are an uncertain sample. If
-    the next plan is not solved, the limits are tightened in smaller steps, as far as possible.
+    missed, the limits of the next plan are tightened by quantiles of these violations, chosen such
+    that only half as many of these draws would fail as the share allows: few draws are an uncertain
+    sample. If the next plan is not solved, the limits are tightened in smaller steps, as far as
+    possible.
 
     Parameters
     ----------
@@ -194,8 +197,9 @@ def robust_plan(
     Returns
     -------
     RobustPlan
-        Last solved plan, with its simulations for the draws of the final test. The share may still
-        be missed, after five rounds or if tighter limits are not solved.
+        Last solved plan, with its simulations for the draws of the final test. They may still miss
+        the share after five rounds, if no plan with tighter limits is found, or if tightening
+        cannot help.
     """
     now, tightening, rounds, failure = first, dict[Bound, float](), 0, ""
     for stream in range(FINAL + 1, FINAL + 1 + MAX_ROUNDS):
@@ -216,7 +220,7 @@ def robust_plan(
 def _tighten_gradually(
     solve: Callable[[Tightening, P], P], now: P, tightening: Tightening, added: Tightening
 ) -> tuple[P, float, str]:
-    """Return the plan with further tightened limits, the fraction reached, and why it is not 1.
+    """Return the plan with further tightened limits, the fraction reached, and why it is below 1.
 
     Steps that are not solved are halved, and later steps start from the plan of the former one.
     """
@@ -292,7 +296,8 @@ def _tightened(limits: Sequence[Limit], tightening: Tightening, role: str) -> It
         if limit.lower > limit.upper:
             raise ModelError(
                 f"expected a range of {_bound(limit, '', role)} at least as wide as the tightening "
-                f"of its bounds, {lower + upper:.3g}, found a narrower one; widen the range"
+                f"of its bounds, {number(limit.label, lower + upper)}, found "
+                f"{number(limit.label, limit.upper - limit.lower + lower + upper)}; widen the range"
             )
         yield limit
 
@@ -357,7 +362,7 @@ def _excess_at_stop(dae: Dae, found: PolynomialMotion, run: Trajectory) -> tuple
 
     The simulation does not show by how much the bound would have been violated. The excess is the
     distance of the plan from the bound at this time: tightening by it excludes the plan. It is
-    infinite if the motion does not end at a limit of the model.
+    infinite if the motion does not end at a limit of the model or the plan itself violates it.
     """
     for limit in dae.limits:
         if run.stop is not None and limit.label.full == run.stop.name:
@@ -390,7 +395,8 @@ def _excess(
 ) -> Iterator[tuple[Bound, float]]:
     """Yield every finite bound of limits, and the largest value beyond it.
 
-    Values up to ``accuracy``, or ``tolerance`` for conditions with equal bounds, are tolerated.
+    Violations up to `tolerated_excess` are tolerated, for conditions with equal bounds up to
+    ``tolerance`` if it is larger; without it these conditions are ignored.
     """
     values, tolerated = limit_values(dae, limits, samples), tolerated_excess(limits, accuracy)
     for limit, row, least in zip(limits, values, tolerated, strict=True):

@@ -122,7 +122,7 @@ class CollocationMesh(NamedTuple):
 
 
 class RowBlock(NamedTuple):
-    """Rows (constraint functions) that the program repeats on several intervals.
+    """Rows (constraint functions) that the program repeats ``count`` times: on intervals, or once.
 
     Attributes
     ----------
@@ -182,7 +182,8 @@ class Program:
     options : SolverOptions
         Options for the construction of the functions and for the simulation of the solution.
     row_blocks : tuple of RowBlock
-        Rows in their order: those of the intervals, then those of way-points and goal.
+        Rows in their order: those of the intervals, then those of way-points and goal. The rows of
+        limited costs follow them.
     problem : dict of str to MX
         Symbols ``x``, ``p`` and expressions ``f``, ``g``, as ``casadi.nlpsol`` takes them.
     gradient, jacobian, hessian : casadi Function
@@ -243,7 +244,7 @@ def transcribe(
     """
     if mesh.degree not in ALLOWED_DEGREES:
         raise ModelError(
-            f"plan: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
+            f"degree: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
         )
     rest = task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)})
     system = with_inputs(task.dae, rest, 0, options)

@@ -71,7 +71,8 @@ def verify_plan(
     start : Trajectory
         Trajectory whose last sample is the start of the plan.
     accuracy : float
-        Largest admissible difference and violation, each in its unit.
+        Largest admissible difference and violation, each in its unit; for a limit at most 1 % of
+        its range (`tolerated_excess`).
     step : float
         Largest time between samples of the simulation. [s]
 
@@ -226,7 +227,10 @@ def refine_mesh(mesh: CollocationMesh, worse: Mask) -> CollocationMesh:
 
 
 def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Any:
-    """Return the inputs of a plan for ``simulate``; ``times`` must include all interval ends."""
+    """Return the inputs of a plan for ``simulate`` at ``times``.
+
+    The times must include the ends of all intervals between the first and the last time.
+    """
     names = [label.full for label in leaves(dae.labels.u)]
     ends, values = found.ends, found.unknowns[found.layout.inputs].T
     k = np.searchsorted(ends, (times[1:] + times[:-1]) / 2) - 1

@@ -115,7 +115,7 @@ def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
         raise ModelError(
             "plan: expected a saved plan with the states, unknowns and inputs of this model, found "
             "others (of another vehicle, model or law); restore the vehicle, model and law of the "
-            "saved plan, or plan without it"
+            "saved plan, or plan without the saved plan"
         )
     found, away = former.motion, former.shift - np.concatenate(dae.shift)
     unknowns, n_x = found.unknowns.copy(), dae.shift[0].size

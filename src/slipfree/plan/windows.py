@@ -282,7 +282,8 @@ def plan_windows(
         Trajectory whose last sample is the start of the plan.
     route : Path
         Route from the start to the goal. Each window but the last ends on a line across the route,
-        at most a quarter of the overlap beside it; before, the motion may leave the route.
+        at most a quarter of the overlap to its left or right. Between these lines the motion may
+        leave the route.
     speed : float
         Mean speed along the route. [m/s]
     length, overlap : float
@@ -319,12 +320,12 @@ def plan_windows(
     """
     if not speed > 0:
         raise ModelError(
-            f"plan_windows: speed: expected a positive speed, found {speed:g} m/s; change it"
+            f"plan_windows: speed: expected a positive speed, found {speed:g} m/s; increase it"
         )
     if not 0 < overlap < length:
         raise ModelError(
-            "plan_windows: expected a positive overlap shorter than the window, found a window of "
-            f"{length:g} m and an overlap of {overlap:g} m; change one of them"
+            "plan_windows: expected a positive overlap shorter than the window, found an overlap "
+            f"of {overlap:g} m and a window of {length:g} m; adjust one of them"
         )
     own = {"step": step, "options": options, **arguments}
     search = _WindowSearch(dae, law, route, speed, length, overlap, goal, progress, own)

@@ -14,18 +14,23 @@ from slipfree.terrain.base import Grid
 
 
 def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
-    """Return the axes of the cost grid: those of the ground, or uniform axes.
+    """Return the axes of the cost grid: those of the ground if their spacing is the given one.
 
     Raises
     ------
     ModelError
-        If the spacing is not positive or too large for the map.
+        If the spacing is not positive or more than half the smaller side of the map.
     """
     extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
-    if not 0 < spacing <= extent / 2:
+    if not spacing > 0:
         raise ModelError(
-            "traversability: spacing must be positive and at most half the map's extent, "
-            f"{extent / 2:.4g} m, found {spacing:.4g} m; change it or use a larger map"
+            f"traversability: expected a positive 'spacing', found {spacing:.4g} m; give a "
+            "positive length, or omit it for the default"
+        )
+    if spacing > extent / 2:
+        raise ModelError(
+            "traversability: expected a 'spacing' of at most half the smaller side of the map, "
+            f"{extent / 2:.4g} m, found {spacing:.4g} m; use a smaller spacing or a larger map"
         )
     axes = []
     for axis, h in zip((grid.x, grid.y), grid.spacing, strict=True):
@@ -49,7 +54,7 @@ def ground_figures(
     half : float
         Half the side of the square that represents the footprint. [m]
     sharpest : float
-        Curvature from which on the ground counts as too concave. [1/m]
+        Smallest curvature at which the ground counts as too concave. [1/m]
 
     Returns
     -------

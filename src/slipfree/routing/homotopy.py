@@ -19,9 +19,9 @@ CORNERS = np.ones((3, 3), dtype=int)  # no move passes between nodes that touch 
 def obstacle_points(layers: Traversability) -> Array:
     """Return a point inside each obstacle, shape (n, 2), in map coordinates [m].
 
-    An obstacle is a connected set of blocked nodes. Obstacles that reach the border of the map,
-    since no route leads around them, and obstacles whose bounding box is smaller in both
-    directions than the diameter of the vehicle's circle are omitted.
+    An obstacle is a connected set of blocked nodes. The result omits obstacles that reach the
+    border of the map, around which no route leads, and obstacles whose bounding box is smaller in
+    both directions than the diameter of the vehicle's circle.
     """
     labels, _ = scipy.ndimage.label(~np.isfinite(layers.cost), CORNERS)
     border = {*labels[0], *labels[-1], *labels[:, 0], *labels[:, -1]}
@@ -49,10 +49,11 @@ def homotopy_class(points: Array, obstacles: Array) -> tuple[int, ...]:
     Returns
     -------
     tuple of int
-        Reduced word of the path: ``k`` if it crosses the ray from obstacle ``k`` (from 1) in the
-        direction of y towards positive x, ``-k`` towards negative x. Two paths with the same ends
-        that pass through no obstacle can be deformed into each other if and only if their words
-        are equal.
+        Reduced word of the path. From each obstacle a ray runs in the positive y direction. A
+        crossing of the ray of obstacle ``k``, counted from 1, adds the letter ``k`` if the path
+        runs towards positive x there, otherwise ``-k``; neighbouring letters ``k`` and ``-k``
+        cancel. Two paths with the same ends that pass through no obstacle can be deformed into
+        each other without crossing an obstacle if and only if their words are equal.
 
     References
     ----------

@@ -42,10 +42,11 @@ class Objection(NamedTuple):
     words : str
         The reason with numbers, and a remedy.
     sure : bool
-        Whether no motion can reach the position in any heading, because it is off the map, inside
-        a keep-out region, or on or behind a slope that friction cannot hold. Otherwise only the
-        search for a route fails, since it requires space for every heading and ground that is not
-        too steep, rough or concave for the footprint; a motion may still be possible.
+        Whether the position is an error: it is off the map, within reach of a keep-out region or
+        on a slope that friction cannot hold, or one of these two separates it from the start.
+        Otherwise only the search for a route fails, since it requires space for every heading and
+        ground that is not too steep, rough or concave for the footprint; a motion may still be
+        possible.
     """
 
     name: str
@@ -113,7 +114,7 @@ def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
 def _position_objection(layers: Traversability, name: str, x: float, y: float) -> Objection | None:
     """Return the reason why the vehicle cannot be at a position; None if it can.
 
-    The nearest node of the map decides if the position itself is free.
+    If the position itself is free, the nearest node of the map decides.
     """
     wrong = reasons_by_kind(layers, x, y)
     why = "; ".join(wrong.values()) or blocking_reasons(layers, x, y)
@@ -172,10 +173,14 @@ def _keep_out_words(layers: Traversability, ends: Ends) -> str:
     alone = [region for region in regions if _divides(layers, (region,), ends)]
     if alone:
         words = " and ".join(region.words for region in alone)
-        verb, it = ("lie", "them") if len(alone) > 1 else ("lies", "it")
+        if len(alone) > 1:
+            return (
+                f"each of the keep-outs {words} separates them; make these keep-outs smaller or "
+                "move them"
+            )
         return (
-            f"the keep-out {words} {verb} between them, and no route leads around {it}; make "
-            f"{it} smaller or move {it}"
+            f"the keep-out {words} lies between them, and no route leads around it; make it "
+            "smaller or move it"
         )
     needed = [
         region

@@ -22,7 +22,7 @@ class Arc(NamedTuple):
     length : float
         Length, negative if the vehicle drives backwards. [m]
     curvature : float
-        Rate of the heading per distance driven forwards, positive to the left. [1/m]
+        Change of the heading per metre driven forwards, positive to the left. [1/m]
     """
 
     length: float
@@ -45,7 +45,8 @@ def reeds_shepp(
         x, y and heading of the car's centre; the heading is measured from the y axis, positive to
         the left. [m, m, rad]
     goal : tuple of 3 floats
-        The same at the end; without heading (None), the shortest path for 24 headings is returned.
+        The same at the end. If the heading is None, the result is the shortest of the paths to 24
+        evenly spaced final headings, among them that of the start.
     turning_radius : float
         Turning radius of the middle of the rear axle. [m]
     ahead : float
@@ -59,7 +60,7 @@ def reeds_shepp(
     Raises
     ------
     ModelError
-        If the turning radius is not positive.
+        If the turning radius is not positive and finite.
 
     References
     ----------
@@ -81,8 +82,8 @@ def reeds_shepp(
 
     if not 0 < turning_radius < math.inf:
         raise ModelError(
-            f"turning_radius: expected a positive number, found {turning_radius:g} m; give a "
-            "positive, finite one"
+            "reeds_shepp: expected a positive, finite 'turning_radius', found "
+            f"{turning_radius:g} m; give that of the middle of the rear axle"
         )
     x, y, heading = goal
     spread = 2 * np.pi * np.arange(HEADINGS) / HEADINGS + start[2]

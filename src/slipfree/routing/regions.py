@@ -49,7 +49,7 @@ class Region(ABC):
         Raises
         ------
         ModelError
-            If the centre is not finite or the radius not positive.
+            If the centre is not finite, or the radius is not positive and finite.
         """
         return _Disc(x, y, radius)
 
@@ -115,11 +115,12 @@ class _Disc(Region):
     def __post_init__(self) -> None:
         if not (math.isfinite(self.x) and math.isfinite(self.y)):
             raise ModelError(
-                f"disc: its centre must be finite, found ({self.x}, {self.y}); correct it"
+                "disc: expected finite coordinates of the centre, found "
+                f"({self.x}, {self.y}); correct them"
             )
         if not 0 < self.radius < math.inf:
             raise ModelError(
-                f"disc: its radius must be positive, found {self.radius} m; correct it"
+                f"disc: expected a positive, finite radius, found {self.radius} m; correct it"
             )
 
     @property
@@ -175,13 +176,14 @@ class _Polygon(Region):
         points = np.asarray(self.points, dtype=float)
         if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3:
             raise ModelError(
-                f"polygon: expected three or more points (x, y), found shape {points.shape}; "
-                "give one pair for each corner"
+                "polygon: expected at least three points (x, y), found an array of shape "
+                f"{points.shape}; give one pair for each corner"
             )
         if not np.isfinite(points).all():
             k = int(np.argmin(np.isfinite(points).all(axis=1)))
             raise ModelError(
-                f"polygon: point {k + 1} must be finite, found {tuple(points[k])}; correct it"
+                f"polygon: expected finite coordinates of point {k + 1}, found "
+                f"{tuple(points[k].tolist())}; correct them"
             )
         # tuples make equal polygons compare equal and have the same hash
         object.__setattr__(self, "points", tuple((float(x), float(y)) for x, y in points))
@@ -311,7 +313,8 @@ def _check_simple(points: Array) -> None:
             if _meet(points, first, second):
                 raise ModelError(
                     f"polygon: edge {_edge(first, count)} crosses or touches edge "
-                    f"{_edge(second, count)}; put the points in order along the border"
+                    f"{_edge(second, count)}; give the points in order along a border that does "
+                    "not meet itself"
                 )
 
 

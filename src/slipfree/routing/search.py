@@ -85,14 +85,16 @@ def route(
     ndarray, shape (n, 2)
         Way-points from the start to the goal. Their distance is half the side of the footprint's
         square (`Limits.half`), or 1/2000 of the route's length if that is more. The cubic spline
-        through them (`Path`) avoids blocked nodes. Where there is too little space for such a
-        spline, they are points of the path between nodes that the search found. [m]
+        through them (`Path`) avoids blocked nodes. If no smoothed route does so, the whole route
+        is the polyline that the search found, with way-points at this distance, half or a quarter
+        of it. If the spline still meets blocked nodes, the way-points are the vertices of the
+        polyline. [m]
 
     Raises
     ------
     ModelError
-        If a point is blocked or off the map, if no route connects them, or if the turning radius
-        is negative or not finite.
+        If the start or the goal is not finite, blocked or off the map, if both are equal, if no
+        route connects them, or if the turning radius is negative or not finite.
     """
     _check_ends(layers, start, goal, turning_radius)
     ends = np.asarray(start, float), np.asarray(goal, float)
@@ -167,12 +169,13 @@ def routes(
 
 
 def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radius: float) -> None:
-    """Raise ModelError for blocked ends and an invalid turning radius."""
+    """Raise ModelError for invalid, blocked or equal ends and for an invalid turning radius."""
     for name, point in (("start", start), ("goal", goal)):
         x, y = (float(each) for each in point)
         if not (math.isfinite(x) and math.isfinite(y)):
             raise ModelError(
-                f"route: the {name} must be finite, found {point_text(point)}; correct it"
+                f"route: expected finite coordinates of the {name}, found {point_text(point)}; "
+                "correct them"
             )
         why = blocking_reasons(layers, x, y)
         if why:
@@ -187,7 +190,8 @@ def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radiu
         )
     if not 0 <= turning_radius < math.inf:
         raise ModelError(
-            f"route: turning_radius must be zero or positive, found {turning_radius} m; change it"
+            "route: expected a finite 'turning_radius' of at least 0, found "
+            f"{turning_radius} m; give 0 for no minimum"
         )
 
 
@@ -237,7 +241,7 @@ def _graph(cost: Array, h: tuple[float, float]) -> scipy.sparse.csr_matrix:
 
 
 def _passed(i: int, j: int) -> tuple[tuple[int, int], ...]:
-    """Return the two nodes between which a move passes, relative to its start, or no nodes."""
+    """Return the two nodes between which a move passes, relative to its start; none if straight."""
     if 0 in (i, j):
         return ()
     if abs(i) == abs(j):

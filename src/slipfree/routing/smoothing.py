@@ -14,10 +14,10 @@ from slipfree.records import Array, Mask
 from slipfree.routing.traversability import Traversability, nodes_at, window
 
 CLEARANCE = 1.2  # clearance from blocked nodes: a cell and a margin [cell]
-CURVATURE_TARGET = 0.97  # curvature that smoothing aims at after a violation [largest curvature]
+CURVATURE_TARGET = 0.97  # curvature that smoothing aims at after a violation [allowed curvature]
 MIN_TARGET_FACTOR = 0.7  # smallest change of that target between two rounds
 CHECK_STEP = 0.05  # distance of the points at which a path is checked [cell]
-CURVATURE_TOLERANCE = 1.02  # curvature up to which a route counts as smooth [largest curvature]
+CURVATURE_TOLERANCE = 1.02  # curvature up to which a route counts as smooth [allowed curvature]
 PENALTIES = (1.0, 3.0, 10.0, 30.0, 100.0)  # weights of clearance and curvature, increased in turn
 MAX_POINTS = 2000  # points of a route during smoothing; limits the computing time
 BLUR = 1.0  # standard deviation of the smoothing of the cost, for Newton's method [cell]
@@ -50,11 +50,12 @@ class _Objective(NamedTuple):
     Attributes
     ----------
     stiff : float
-        Length by which the curvature is multiplied. [m]
+        Length that weights the curvature: the cost per metre contains half the square of ``stiff``
+        times the curvature. [m]
     clear : float
         Required clearance from blocked nodes. [m]
     sharpest : float
-        Largest allowed curvature. [1/m]
+        Curvature above which a violation is penalised; infinite without a turning radius. [1/m]
     weight : float
         Weight of the violations of clearance and curvature. [1]
     step : float
@@ -69,7 +70,10 @@ class _Objective(NamedTuple):
 
 
 def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array:
-    """Return a smooth route near a route of the search, or the latter if no smooth route is free.
+    """Return a smooth route near a route of the search.
+
+    If no smoothed route avoids all blocked nodes, the result is the route of the search, if
+    possible with equally spaced points whose spline avoids them.
 
     Parameters
     ----------

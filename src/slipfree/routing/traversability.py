@@ -92,7 +92,7 @@ class Traversability(NamedTuple):
         coefficient. [1]
     to_hole : ndarray, shape (n_x, n_y)
         Distance to the nearest cell of the ground with a missing height, negative inside; infinite
-        without holes. [m]
+        on a map without holes. [m]
     limits : Limits
         Limits of the vehicle.
     """
@@ -135,21 +135,22 @@ def traversability(
         Steepest slope that can be climbed; by default the slope that the largest friction can
         hold, or 30 degrees on a ground without a friction coefficient. [rad]
     spacing : float, optional
-        Distance between nodes; by default the larger of the node spacing of the grid and a sixth
-        of the vehicle's width or length, whichever of these two is smaller. [m]
+        Distance between nodes; by default a sixth of the smaller of the vehicle's width and length,
+        but not less than the node spacing of the ground. [m]
 
     Returns
     -------
     Traversability
         The cost and its layers. A node is blocked if the slope is steeper than ``steepest`` or
         than friction can hold, if the roughness reaches the radius of the largest wheel, if the
-        radius of curvature of the ground is smaller than that radius, or if a wheel could reach
-        over the edge of the map, into a hole of it or into a keep-out region in some heading.
+        ground is concave with a radius of curvature of at most that radius, or if in any heading a
+        wheel could reach over the edge of the map, into a hole of it or into a keep-out region.
 
     Raises
     ------
     ModelError
-        If ``steepest`` is not between 0 and pi/2, or ``spacing`` is not positive or too large.
+        If ``steepest`` is not above 0 and below pi/2, or ``spacing`` is not positive or more than
+        half the smaller side of the map.
 
     Notes
     -----
@@ -172,8 +173,8 @@ def traversability(
         steepest = MAX_SLOPE if held is None else math.atan(held.max())
     if not 0 < steepest < math.pi / 2:
         raise ModelError(
-            f"traversability: steepest must lie between 0 and pi/2 radians, found {steepest}; "
-            "give it in radians, or omit it for the default"
+            "traversability: expected 'steepest' above 0 and below pi/2 rad, found "
+            f"{steepest}; give it in radians, or omit it for the default"
         )
     used = None if held is None else np.tan(slope) / held
     limits = Limits(steepest, radius, reach, half, terrain.domain, tuple(keep_out))
@@ -208,10 +209,10 @@ def blocking_reasons(layers: Traversability, x: float, y: float) -> str:
 
 
 def extents(vehicle: Vehicle) -> tuple[float, float, float]:
-    """Return half the width, half the length and the radius of a vehicle's enclosing circle [m].
+    """Return half the width and half the length of a vehicle, and the radius of its circle [m].
 
-    For the circle, a wheel counts as a sphere, since it may be steered and tilted; in width and
-    length it counts in its straight position.
+    The circle about the platform's centre encloses all wheels, each as a sphere, since a wheel may
+    be steered and tilted. Width and length are those with straight wheels.
     """
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
@@ -227,7 +228,7 @@ def extents(vehicle: Vehicle) -> tuple[float, float, float]:
 
 
 def _friction(terrain: Bicubic, x: Array, y: Array, half: float) -> Array | None:
-    """Return the mean friction under the footprint; None if the terrain has none [1]."""
+    """Return the mean friction coefficient under the footprint [1]; None if the ground has none."""
     mu = terrain.mu
     if mu is None:
         return None
@@ -260,8 +261,10 @@ def blocked_by(layers: Traversability) -> dict[str, Mask]:
     Returns
     -------
     dict of str to ndarray, shape (n_x, n_y)
-        True for blocked nodes, by the reasons ``edge, hole, slope, friction, roughness,
-        hollow, keep_out``; a node may have several reasons.
+        True for blocked nodes, by reason; a node may have several. A wheel could reach over the
+        ``"edge"`` of the map, into a ``"hole"`` of it or into a ``"keep_out"`` region. The ground
+        has a ``"slope"`` that is too steep or that ``"friction"`` cannot hold, a ``"roughness"``
+        of at least the wheel radius, or a ``"hollow"`` with at most this radius.
     """
     x, y, limits = layers.x[:, None], layers.y[None, :], layers.limits
     keep_out = np.zeros(layers.cost.shape, dtype=bool)

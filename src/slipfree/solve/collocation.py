@@ -36,7 +36,7 @@ NOISE_GROWTH = 3.0  # growth of the difference of degrees that shows amplified n
 MAX_VAIN_REFINEMENTS = 2  # refinements without improvement
 MAX_NEWTON_STEPS = 20  # per element
 CONVERGED_RESIDUAL = 1e-13  # residual of an element's equations, without unit
-ROUNDING_RESIDUAL = 1e-10  # the same, if it does not become less
+ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not halve it
 WEAK_SINGULAR_VALUE = (
     1e-2  # relative singular value below which a rate stays out of the first guess
 )
@@ -132,9 +132,9 @@ class CollocationScheme:
             )
         if not size < ROUNDING_RESIDUAL:
             raise SolverError(
-                f"no motion from t = {element.begin:.4g} to {element.end:.4g} s follows the path "
-                f"(largest residual {size:.1e}): the path may stop or bend too sharply there; "
-                "smooth the path or omit this part"
+                f"found no motion from t = {element.begin:.4g} to {element.end:.4g} s that follows "
+                f"the path (largest residual {size:.1e}): the path may stop or bend too sharply "
+                "there; smooth the path or omit this part"
             )
         return element
 
@@ -269,7 +269,7 @@ def drive(
     ModelError
         If an argument is invalid, or the first or second sample violates a limit.
     SolverError
-        If the equations of the collocation have no solution.
+        If Newton's method finds no solution of the collocation equations.
     """
     t, names = check_times(t), [label.full for label in leaves(dae.labels.x)]
     if not set(free_states) <= set(names):
@@ -311,7 +311,8 @@ def _refine_elements(
     ]
     tried = collocation_schemes(system, free_states)
     best: tuple[CollocationScheme, list[CollocationElement], float] | None = None
-    failure, count, vain = SolverError("no motion follows the path; smooth it"), 1, 0
+    failure = SolverError("found no motion that follows the path; smooth the path")
+    count, vain = 1, 0
     while count <= MAX_ELEMENTS and vain < MAX_VAIN_REFINEMENTS:
         ends, vain = np.linspace(t[0], t[-1], count + 1), vain + (best is not None)
         former: tuple[CollocationScheme, list[CollocationElement], Array] | None = None
@@ -376,7 +377,7 @@ def _cut_before(run: Trajectory, k: int, stop: Stop) -> Trajectory:
         raise invalid_start(stop.words)
     if k == 1:
         raise ModelError(
-            f"t: expected a motion of at least two samples, found one: {stop.words}; start "
-            "elsewhere or shorten the first step"
+            "t: expected at least two samples within the limits of the model, found a violation at "
+            f"the second: {stop.words}; choose another start or a shorter first step"
         )
     return run.part(slice(k), stop._replace(t=float(run.t[k - 1])))

@@ -44,14 +44,15 @@ def solve_initial_conditions(
     x, z, u : ndarray, shape (n_x,), (n_z,) and (n_u,)
         States, initial guess of the unknowns, and inputs.
     continuation : bool
-        Whether to solve at all values of the continuation parameter; False if the initial guess is
-        near a solution.
+        Whether to solve at all values of the continuation parameter in turn. If False, only the
+        last value is used, which requires an initial guess near a solution.
 
     Raises
     ------
     ModelError
-        If Newton's method does not converge or a Jacobian is singular; it names the equation that
-        has the largest residual, or the unknown that no equation determines.
+        If Newton's method does not converge or a Jacobian is singular. The message gives the
+        violated limit, the equation with the largest residual, or the unknown that no equation
+        determines.
     """
     z = z.copy()
     for block in system.blocks:
@@ -150,13 +151,13 @@ def _failure_message(system: System, block: Block, point: tuple[Any, ...], first
     residual = np.nan_to_num(np.abs(np.array(block.residual(*point)).ravel()), nan=np.inf)
     worst = block.labels[int(residual.argmax())]
     message = (
-        f"the vehicle cannot stand at the start: {worst.full}, the {worst.words}, has a residual "
+        f"no solution was found at the start: {worst.full}, the {worst.words}, has a residual "
         f"of {residual.max() * system.dae.size_of(worst):.2g} {worst.unit}"
     )
     for state in (first, z):
         words = _violation_message(system, x, state, u)
         if words:
-            return f"{message}; {words}"
+            return f"{message}; {words}; choose another start or initial guess"
     return f"{message}; choose another start or initial guess"
 
 

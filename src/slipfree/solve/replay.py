@@ -104,7 +104,7 @@ def replay(
     Raises
     ------
     ModelError
-        If the start violates a limit of the model.
+        If the model has no solution at the start of the motion or violates a limit there.
     SolverError
         If the integrator fails.
     """
@@ -167,7 +167,7 @@ def spline_inputs(
     if missing := sorted(set(names) - set(values)):
         raise ModelError(
             "values: expected samples of all inputs of the model, found none of "
-            f"{', '.join(missing)}; add samples of them"
+            f"{', '.join(missing)}; add these samples"
         )
     samples = np.column_stack([values[name] for name in names])
     degree = min(SPLINE_DEGREE, t.size - 1)

@@ -234,7 +234,12 @@ def _group_by_quantity(
     groups: dict[str, list[tuple[Label, Array]]] = {}
     for label, values in rows:
         group = groups.setdefault(label.name, [])
-        if label.name in AXIS_NAMES or any(_is_same_column(label, each) for each, _ in group):
+        if label.name in AXIS_NAMES:
+            raise ModelError(
+                f"expected no quantity named {label.name!r}, which is a dimension of results; "
+                "rename a coordinate of the vehicle or an output"
+            )
+        if any(_is_same_column(label, each) for each, _ in group):
             raise ModelError(
                 f"expected different names of all quantities in a result, found {label.name!r} "
                 "twice; rename a coordinate of the vehicle or an output"

@@ -27,7 +27,7 @@ RELAXATION_TOLERANCE = 1e-4  # of their integration
 INCLINATIONS = (("roll", 0.2), ("roll", -0.2), ("pitch", 0.2), ("pitch", -0.2))  # [rad]
 DIFFERENT_ANGLE = 1e-4  # smallest difference of roll or pitch of two stable poses [rad]
 SPEED = "speed"  # name of the initial speed of a dynamic model
-REST_RATE = 1e-5  # largest rate of these states at rest [size/s]
+REST_RATE = 1e-5  # largest rate of the relaxing states at rest [size/s]
 
 
 @computing
@@ -87,7 +87,7 @@ def settle(
 def _exact_pose(
     standing: Standing, start: dict[str, Any], options: SolverOptions
 ) -> dict[str, float]:
-    """Return the pose of a vehicle in exact contact by name, empty if there is none."""
+    """Return the pose of a vehicle in exact contact by name, empty if there is no such pose."""
     if standing.guess is None:
         return {}
     wanted = [label.full for label in leaves(standing.model.labels.x)]

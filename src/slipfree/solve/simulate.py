@@ -91,8 +91,8 @@ def simulate(
     Raises
     ------
     ModelError
-        If times, method, events or inputs are invalid, or the start violates a limit under the
-        inputs.
+        If times, method, events or inputs are invalid, or if under the inputs the start has no
+        solution or violates a limit.
     SolverError
         If the integrator fails; ``trajectory`` is the motion up to the failure.
 
@@ -143,8 +143,8 @@ def check_times(t: Array) -> Array:
     t = np.asarray(t, dtype=float)
     if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0).all():
         raise ModelError(
-            "t: expected two or more ascending times in seconds, found "
-            f"{np.array2string(t, threshold=6)}; correct the times"
+            "t: expected a one-dimensional array of two or more finite, ascending times in "
+            f"seconds, found {np.array2string(t, threshold=6)}; correct the times"
         )
     return t
 

@@ -38,8 +38,8 @@ def settle_exchanged(
     dae : Dae
         The model.
     exchange : mapping of str to str
-        Name of the given unknown of the pose (first field of ``z``) for each state to solve for, by
-        the name of the state. Both must have the same unit.
+        Names of the states to solve for, each with the name of the unknown of the pose (first field
+        of ``z``) that is given instead. Both must have the same unit.
     options : SolverOptions
         Options of the solvers.
     **start : float
@@ -48,7 +48,8 @@ def settle_exchanged(
     Raises
     ------
     ModelError
-        If a name is unknown or given twice, units differ, or the vehicle cannot stand there.
+        If a name is unknown, an unknown is given for two states, units differ, or the vehicle
+        cannot stand there.
     """
     names, pose = (
         [label.full for label in leaves(record)] for record in (dae.labels.x, dae.labels.z[0])
@@ -61,8 +62,8 @@ def settle_exchanged(
             )
     if len(set(exchange.values())) < len(exchange):
         raise ModelError(
-            "settle_exchanged: expected a different unknown in place of each state, found "
-            f"{', '.join(exchange.values())}; remove the repeated name"
+            "settle_exchanged: exchange: expected a different unknown in place of each state, "
+            f"found {', '.join(exchange.values())}; replace the repeated name"
         )
     i, j = [names.index(name) for name in exchange], [pose.index(n) for n in exchange.values()]
     model = _exchanged_model(dae, i, j)
@@ -75,7 +76,7 @@ def settle_exchanged(
 def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
     """Return the model with states ``i`` among its unknowns and unknowns ``j`` among its states.
 
-    The model is valid only for starts: the rates of its new states are zero, and it has no checks.
+    The model is valid only at rest: the rates of its new states are zero, and it has no checks.
     """
     x, z, u = variables(dae)
     states, unknowns = list(leaves(x)), list(leaves(z))
@@ -138,25 +139,27 @@ def settle_nearest(
         The model.
     weights : mapping of str to float, optional
         Weight of the squared difference by name of the coordinate; 1 by default, so that a metre
-        counts as a radian. An infinite weight fixes the coordinate. [1/m2, 1/rad2]
+        counts as much as a radian. An infinite weight fixes the coordinate. [1/m2, 1/rad2]
     options : SolverOptions
         Options of the solvers.
     **pose : float
         States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
-        ``pitch`` and joints. Omitted states have the given value zero;
-        omitted unknowns are free. [m, rad]
+        ``pitch`` and joints. Omitted states count as given with the value zero; omitted unknowns
+        are free. [m, rad]
 
     Returns
     -------
     Trajectory
-        One sample. Its ``statistics`` contain ``change``, the square root of the sum without fixed
-        coordinates, and ``change_NAME``, the difference of each coordinate that is not free.
+        One sample. Its ``statistics`` contain ``change``, the square root of the weighted sum
+        without fixed coordinates, and ``change_NAME``, the found minus the given value of each
+        coordinate that is not free.
 
     Raises
     ------
     ModelError
-        If a name is unknown, a value is not finite, a weight is negative, or no pose near the
-        given one satisfies the equations.
+        If a name is unknown, a value is not finite, a weight is negative or not a number, a lookup
+        of the model lacks derivatives, IPOPT finds no pose that satisfies the equations, or
+        `settle` fails in the pose found.
     """
     labels = [*leaves(dae.labels.x), *leaves(dae.labels.z[0])]
     names, n_x = [label.full for label in labels], dae.ode.numel()
@@ -208,8 +211,8 @@ def _check_pose(
     for name, weight in weights.items():
         if not weight >= 0:
             raise ModelError(
-                f"settle_nearest: weights: expected a weight of {name} of at least 0, found "
-                f"{weight}; increase it"
+                f"settle_nearest: weights: expected a weight of at least 0 for {name!r}, found "
+                f"{weight}; correct it"
             )
 
 
@@ -232,8 +235,18 @@ def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
     found = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
     if not solver.stats()["success"]:
         status = str(solver.stats()["return_status"])
+        names = [label.full for label in (*leaves(dae.labels.x), *leaves(dae.labels.z[0]))]
+        given = wish + np.concatenate(dae.shift)[: len(names)]
+        place = ", ".join(
+            f"{name} = {value:.4g}"
+            for name, value, used in zip(names, given, weight > 0, strict=True)
+            if used
+        )
+        remedy = "give a pose nearer to the ground"
+        if not counts.all():
+            remedy += ", or fewer coordinates with an infinite weight"
         raise ModelError(
-            "settle_nearest: the vehicle cannot stand near the given pose "
-            f"({ipopt_words(status)}); give a pose nearer to the ground"
+            "settle_nearest: no pose in which the vehicle stands was found near "
+            f"{place or 'the given pose'}: {ipopt_words(status)}; {remedy}"
         )
     return np.array(found["x"]).ravel()

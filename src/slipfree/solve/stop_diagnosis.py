@@ -13,9 +13,9 @@ from slipfree.solve.system import System
 from slipfree.trajectory import Stop
 
 PREDICTION_TIME = 1e-3  # after the last sample that the integrator reached [s]
-SHARE = 0.1  # of that time
-MIN_JUMP = 0.05  # change of an unknown in that time, in its typical size, that is a jump
-MIN_LASTING_JUMP = 5e-3  # the same if half of it or more happens in that share of the time
+SHARE = 0.1  # fraction of the prediction time after which a small jump is tested again
+MIN_JUMP = 0.05  # smallest jump of an unknown in the prediction time [its typical size]
+MIN_LASTING_JUMP = 5e-3  # the same, if at least half of it happens in the fraction `SHARE`
 
 
 def diagnose_stop(system: System, samples: Samples, violation: int | None) -> Stop | None:

@@ -112,8 +112,9 @@ def with_inputs(
     Raises
     ------
     ModelError
-        If an array has another length, a number is complex or not finite, or an expression is not
-        a scalar or contains other symbols than time, states and unknowns.
+        If an array has another length, a number is complex or not finite, an expression is not a
+        scalar or contains other symbols than time, states and unknowns, or a block of equations
+        contains unknowns of later blocks.
     """
     u = dae.columns()[2]
     law, values = list(ca.vertsplit(u)) if u.numel() else [], np.zeros((u.numel(), intervals or 1))

@@ -30,7 +30,7 @@ def apply_inputs(
     Raises
     ------
     ModelError
-        If the equations do not determine the unknowns, or a limit is violated.
+        If the equations have no solution or do not determine the unknowns, or a limit is violated.
     """
     return _consistent_start(
         with_inputs(dae, inputs, 0, options), dae.rows("x", start, -1), _known_unknowns(dae, start)
@@ -73,18 +73,21 @@ def trim_states(
     Raises
     ------
     ModelError
-        If a name is unknown, the vehicle cannot stand at a tried state, or a limit is violated.
+        If a name is unknown, the equations have no solution at a tried state, or a limit is
+        violated.
     """
     from scipy.optimize import least_squares  # imported where it is used: it takes 0.2 s
 
     x_names = [label.full for label in leaves(dae.labels.x)]
     rows = [k for k, label in enumerate(leaves(dae.labels.y)) if label.name in least]
     found = {label.name for label in leaves(dae.labels.y)}
-    for name in (*(each for each in states if each not in x_names), *(set(least) - found)):
-        raise ModelError(
-            f"trim_states: expected states, {', '.join(x_names)}, or outputs, "
-            f"{', '.join(sorted(found))}, found {name!r}; correct the name"
-        )
+    for argument, names, known in (("states", states, x_names), ("least", least, sorted(found))):
+        for name in names:
+            if name not in known:
+                raise ModelError(
+                    f"trim_states: {argument}: expected one of {', '.join(known)}, found {name!r}; "
+                    "correct the name"
+                )
     where = [x_names.index(name) for name in states]
     system = with_inputs(dae, inputs, 0, options)
     part = system._replace(blocks=_needed_blocks(system, [list(leaves(dae.y))[k] for k in rows]))

@@ -67,8 +67,8 @@ def first_violation(
                 ~(values <= most),
                 label.name,
                 lambda k, v=values, lb=label, most=most: (
-                    f"the equations have no exact solution here: {lb.name} {v[k]:.1e} {lb.unit}, "
-                    f"allowed at most {most:g}; try a smaller tolerance of the solver"
+                    f"no exact solution of the equations was found: {lb.name} {v[k]:.1e} "
+                    f"{lb.unit}, allowed at most {most:g}; try a smaller tolerance of the solver"
                 ),
                 Outcome.SOLVER_FAILURE,
             )
@@ -80,7 +80,7 @@ def first_violation(
             label.full,
             lambda k, c=check, v=values: (
                 f"{c.label.full}: expected a margin of at least 0, found NaN, since its linear "
-                "algebra failed; choose another start or other inputs"
+                "algebra failed"
                 if np.isnan(v[k])
                 else c.describe(samples.x[:, k], samples.z[:, k])
             ),

@@ -28,7 +28,7 @@ from slipfree.solve.violations import first_violation
 from slipfree.solver_codes import sundials_words
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
-PERIOD_TOLERANCE = 1e-6  # relative difference between sample times that counts as none
+PERIOD_TOLERANCE = 1e-6  # largest relative difference between sampling periods that count as equal
 
 
 def simulate_sampled(
