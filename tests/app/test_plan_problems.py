@@ -103,7 +103,7 @@ def test_a_way_point_is_passed():
         (["goal.y=39.9"], "the vehicle cannot be at the goal (20, 39.9)"),
         (
             ["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"],
-            "two; put their values together",
+            "two; put their values into one table",
         ),
         (["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle must be 0"),
         (["costs.foo=1.0"], "expected a quantity of the model, found 'foo'"),
