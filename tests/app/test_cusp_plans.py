@@ -47,7 +47,7 @@ def test_guess_with_cusps_ends_at_the_goal_on_even_ground(goal):
         (("driver.turning_radius=0.0",), "turning_radius: expected a positive number"),
         (
             ("way_points=[{at=0.5, x=1.0, y=0.5}]", "keep_out="),
-            "expected no way-points with name = 'reeds-shepp'",
+            "expected way-points without x and y for name = 'reeds-shepp'",
         ),
     ],
 )

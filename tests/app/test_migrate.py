@@ -131,7 +131,7 @@ def test_a_file_of_today_is_not_changed() -> None:
         ),
         (
             OLD.replace("verb ", 'model = "kinematics"\nverb '),
-            "p.toml:4: slip: expected slip = 'traction' or model, found both",
+            "p.toml:4: slip: expected either slip = 'traction' or 'model', found both",
         ),
     ],
 )

@@ -85,7 +85,7 @@ def test_a_way_point_is_passed():
     ("settings", "words"),
     [
         (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected the key 'at'"),
-        (["way_points=[{ at = 1.0, x = 17.0 }]"], "between 0 and 1, found 1"),
+        (["way_points=[{ at = 1.0, x = 17.0 }]"], "greater than 0 and less than 1, found 1"),
         (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "way-point at 0.5 on the map, which"),
         (["way_points=[{ at = 0.5, x = 13.0, y = 19.0 }]", "driver.count=2"], "count = 1"),
         (

@@ -114,13 +114,7 @@ class UrdfTable(Record):
     @property
     def roles(self) -> Roles:
         """Roles of the joints, wheels and links."""
-        own = {
-            "kind",
-            "axis",
-            "motion",
-            "carries",
-            "at",
-        }  # keys that do not belong to the coordinate
+        own = {"kind", "axis", "motion", "carries", "at"}  # no keys of the coordinate
         joints = {
             name: JointRole(
                 each.kind,
@@ -207,8 +201,8 @@ def guessed_completion(path: Path, folder: Path) -> str:
     """
     if path.suffix.lower() not in ROBOTS:
         raise DataError(
-            f"{path}: expected a URDF or xacro file, whose guesses --write stores, found another "
-            "kind of file; name a URDF, or omit --write"
+            f"{path}: expected a URDF or xacro file with --write, found another kind of file; "
+            "name a URDF, or omit --write"
         )
     tables: dict[str, dict[str, Guess]] = {"": {}, "wheels": {}, "joints": {}}
     for guess in _draft(path).guesses:

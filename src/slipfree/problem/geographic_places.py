@@ -26,9 +26,9 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
     Raises
     ------
     ProblemError
-        If a place has only one of longitude and latitude, or also x or y; if a value is a range or
-        too large, or the place is outside the domain of the map's projection; or if the map cannot
-        be read or has no reference system.
+        If a place has only one of longitude and latitude, or also x or y; if a longitude or
+        latitude is a range or exceeds 360 or 90 degrees; if the place is outside the domain of the
+        map's projection; or if the map cannot be read or has no reference system.
     """
     spec = problem.spec
     if not isinstance(spec, Task):

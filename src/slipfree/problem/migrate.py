@@ -74,7 +74,7 @@ def migrate_text(path: Path, text: str) -> Migrated:
         _rename(document, change)
     changed = document.as_string()
     if parse_toml(path, changed) != upgrade_keys(data)[0]:
-        wanted = ", ".join(f"{each.words[1]} with {each.words[0]}" for each in found)
+        wanted = ", ".join(f"{each.words[1]} by {each.words[0]}" for each in found)
         raise ProblemError(
             f"{path}: expected old keys that can be replaced without changing the layout of the "
             f"file, found others; in an editor, replace {wanted}"

@@ -150,8 +150,8 @@ def plan_front(
         Number of processes; the result does not depend on it.
     report : callable, optional
         Called for every iterate, and with several processes several times per second, with the
-        phase of the search and a line of text; may raise KeyboardInterrupt, after
-        which unsolved points are ``INTERRUPTED``.
+        phase of the search and a line of text; may raise KeyboardInterrupt, after which unsolved
+        points are ``INTERRUPTED``.
     keep : callable, optional
         Called with the number of a point (from 0) and the point, for each solution of a point that
         is better than earlier ones.

@@ -166,8 +166,8 @@ def cusp_goal(
     _check_goal_place(problem, places)
     if len(places) > 2:
         raise ModelError(
-            "driver: expected no way-points with x and y with name = 'reeds-shepp', found "
-            f"{len(places) - 2}; remove x and y from [[way_points]]"
+            "driver: expected way-points without x and y for name = 'reeds-shepp', found "
+            f"{len(places) - 2} with them; remove x and y from [[way_points]]"
         )
     if driver.speed < 0:
         raise ModelError(

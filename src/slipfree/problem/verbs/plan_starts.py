@@ -111,8 +111,8 @@ def _solve_starts(
     if not ranked:
         raise ModelError(
             "plan: expected an initial guess that can be simulated, found none of "
-            f"{len(found)}; guess {found[0].number + 1} failed: {found[0].words}; change the inputs "
-            "or the driver"
+            f"{len(found)}; guess {found[0].number + 1} failed: {found[0].words}; change the "
+            "inputs or the driver"
         )
     return [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))], is_interrupted
 
