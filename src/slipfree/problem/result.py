@@ -147,8 +147,8 @@ def problem_of(
         except ProblemError as error:
             faults = (fault.replace(str(copy), name) for fault in error.faults)
             raise ProblemError(
-                f"{file}: its problem is not valid in this version of slipfree; run it again with "
-                "these errors corrected:",
+                f"{file}: its problem is not valid in this version of slipfree; correct these "
+                "errors and run the problem again:",
                 *faults,
             ) from error
     recorded = unescape_name(run.attributes.get("problem_folder", ""))
