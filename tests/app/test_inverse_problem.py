@@ -259,7 +259,7 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
             "p.toml:14: given: expected three rates of the platform, found "
             "2: velocity_x, velocity_y",
         ),
-        (["given={}"], "--set given: expected three rates of the platform, found 0"),
+        (["given={}"], "--set given: expected three rates of the platform, found none"),
         (
             ["given.velocity_x=", "given.velocity_u=1"],
             "--set given.velocity_u: did you mean 'velocity_z'? expected one of "
@@ -308,21 +308,22 @@ def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None
     [
         (
             ["path.y="],
-            "--set path.y: expected an array of 6 numbers, one for each time in t, found none",
+            "--set path.y: expected an array of 6 numbers, one for each time in 't', found none",
         ),
         (
             ["path.y=[0, 1]"],
-            "--set path.y: expected an array of 6 numbers, one for each time in t, found 2",
+            "--set path.y: expected an array of 6 numbers, one for each time in 't', "
+            "found an array of 2",
         ),
         (["path.t="], "path.toml:14: path: expected exactly one of t, file, found none"),
         (["path.t=", "path.file=way.csv"], "path.toml:16: path.x: expected no array beside 'file'"),
         (
             ["path.t=[0, 1, 1, 3, 4, 5]"],
-            "--set path.t: expected increasing times, the first 0, found 0, 1, 1, 3",
+            "--set path.t: expected increasing times, found 1 s at way-point 3 after 1 s",
         ),
         (
             ["path.t=[1, 2, 3, 4, 5, 6]"],
-            "--set path.t: expected increasing times, the first 0, found 1",
+            "--set path.t: expected 0 as the first time, found 1 s",
         ),
         (
             ["time.duration=6"],
@@ -360,7 +361,7 @@ def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
             CSV.replace("heading", "yaw"),
             "way.csv:1: expected four numbers t,x,y,heading, found 't,x,y,yaw'",
         ),
-        (CSV.replace("3,0.0,", "1,0.0,"), "path.file: expected increasing times, the first 0"),
+        (CSV.replace("3,0.0,", "1,0.0,"), "path.file: expected increasing times, found 1 s at"),
     ],
 )
 def test_what_is_wrong_with_the_file_of_a_path(text: str | None, words: str) -> None:

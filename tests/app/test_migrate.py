@@ -127,11 +127,11 @@ def test_a_file_of_today_is_not_changed() -> None:
         ("x = 1", "p.toml: expected a problem file, with the key 'verb', or a vehicle file"),
         (
             OLD + "\n[law.coulomb]\ncreep = 1\n",
-            "p.toml:11: traction: expected [traction] or law.coulomb, found both; remove one of",
+            "p.toml:11: traction: expected either [traction] or 'law', found both; keep one of",
         ),
         (
             OLD.replace("verb ", 'model = "kinematics"\nverb '),
-            "p.toml:4: slip: expected slip = 'traction' or model, found both",
+            "p.toml:4: slip: expected either slip = 'traction' or 'model', found both",
         ),
     ],
 )

@@ -200,7 +200,7 @@ def test_parameters_of_new_laws_are_checked_as_those_of_others() -> None:
         "law.viscos.drag=1"
     )
     both = told("law.coulomb.creep=1e-3")
-    assert "expected one wheel-ground law with model = 'quasi-static', of coulomb, viscous" in both
+    assert "expected one law with model = 'quasi-static', of coulomb, viscous" in both
     slips = ("law=", "model=kinematics", "slip=weighted")
     assert "law.weighted.across: expected a value, found none" in told(*slips, "law.weighted={}")
     assert "expected one of least, rolling, weighted, found 'most'" in told("slip=most")

@@ -85,7 +85,7 @@ def test_a_way_point_is_passed():
     ("settings", "words"),
     [
         (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected the key 'at'"),
-        (["way_points=[{ at = 1.0, x = 17.0 }]"], "between 0 and 1, found 1"),
+        (["way_points=[{ at = 1.0, x = 17.0 }]"], "greater than 0 and less than 1, found 1"),
         (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "way-point at 0.5 on the map, which"),
         (["way_points=[{ at = 0.5, x = 13.0, y = 19.0 }]", "driver.count=2"], "count = 1"),
         (
@@ -103,7 +103,7 @@ def test_a_way_point_is_passed():
         (["goal.y=39.9"], "the vehicle cannot be at the goal (20, 39.9)"),
         (
             ["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"],
-            "two; put their values together",
+            "two; put their values into one table",
         ),
         (["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle must be 0"),
         (["costs.foo=1.0"], "expected a quantity of the model, found 'foo'"),

@@ -505,9 +505,9 @@ def test_files_are_looked_for_where_the_problem_was(
     kept = {name: words for name, words in run.attributes.items() if name != "problem_folder"}
     netcdf.write(lost, replace(run, attributes=kept))
     words = refused(str(lost))
-    assert f"in {tmp_path} or {named.parent}, found none; give" in words
+    assert f"in {tmp_path} or {named.parent}, found no folder with all of them; give" in words
     monkeypatch.chdir(tmp_path)
-    assert f"in {tmp_path}, found none; give" in refused("lost.nc")
+    assert f"in {tmp_path}, found no folder with all of them; give" in refused("lost.nc")
     told = {**kept, "problem_folder": str(named.parent.parent)}
     netcdf.write(lost, replace(run, attributes=told))
     assert isinstance(shown(lost, "lost"), Driven)

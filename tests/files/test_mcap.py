@@ -453,7 +453,10 @@ def test_exported_joint_states_drive_the_same_motion(
 @pytest.mark.parametrize(
     ("messages", "words"),
     [
-        ([(["arm"], [], [1.0])], "commands of some of the joints .*right_drive, found arm"),
+        (
+            [(["arm"], [], [1.0])],
+            "commands of one or more of the joints .*right_drive, found those of arm",
+        ),
         ([(["left_drive"], [], [1.0])], "right_drive_rate: expected a rate, found none"),
         ([(["left_drive"], [1.0], []), (["left_drive"], [], [1.0])], "in each message"),
     ],

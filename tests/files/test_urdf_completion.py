@@ -38,12 +38,13 @@ def test_a_new_joint_carries_joints_of_the_urdf(tmp_path):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (PIVOT.replace("axle =", "base ="), "expected a new name for a joint with carries"),
+        (PIVOT.replace("axle =", "base ="), "expected a new name for a joint with 'carries'"),
         (PIVOT.replace("axis = [1, 0, 0], ", ""), "expected an axis of the new joint, found none"),
-        (PIVOT.replace("right_joint", "joint"), "found front_joint; correct the names"),
+        (PIVOT.replace("right_joint", "joint"), "found 'front_joint'; correct the names"),
         (
             PIVOT.replace('"front_left_joint"', '"hub_joint"'),
-            "expected joints of one link in carries, found joints of the links base, wheel_arm",
+            "expected joints with the same parent link in 'carries', found the parent links base, "
+            "wheel_arm",
         ),
         (PIVOT + "\njoints.b" + PIVOT, "expected joints that no other new joint carries"),
         ('axle = { kind = "suspension", axis = [1, 0, 0] }', "found the unknown key 'axle'"),

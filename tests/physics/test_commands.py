@@ -412,26 +412,26 @@ def test_a_path_in_a_problem() -> None:
         (["given={file='none.csv'}"], "none.csv"),
         (
             ["given={file=3}"],
-            "given.file: expected the name of a CSV file in quotes, found another value",
+            "given.file: expected the name of a CSV file in quotes, found 3;",
         ),
         (
             ["given={file='p.toml'}"],
-            "expected a first line with comma-separated names, t and some of",
+            "expected a first line with comma-separated names, each once: t, and one or more of",
         ),
         (
             ["given={file='late.csv'}"],
-            "late.csv: expected increasing times, the first 0, found 1 first",
+            "late.csv: expected 0 as the first time, found 1 s",
         ),
         (
             ["given={file='back.csv'}"],
-            "back.csv: expected increasing times, the first 0, found 1 after 2",
+            "back.csv: expected increasing times, found 1 s after 2 s",
         ),
         (["given={file='names.csv'}"], "names.csv: expected one or more rows of numbers, found"),
         (
             ["given.v_y='0.1*cos(x)'"],
             "given.v_y: formula '0.1*cos(x)': expected one of the names t, found 'x'",
         ),
-        (["given.v_y='1/t'"], "given.v_y: expected finite values, found inf of '1/t' at 0 s"),
+        (["given.v_y='1/t'"], "given.v_y: expected finite values of '1/t', found inf at t = 0 s"),
         (
             ["given=", PATH + "[3.0, 3.1, -3.1, -3.0, -2.9, -2.8]}"],
             "-3.1 rad at way-point 3 after 3.1 rad",

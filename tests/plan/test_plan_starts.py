@@ -186,5 +186,5 @@ def test_starts_that_cannot_be_simulated_are_an_error(monkeypatch):
 
     problem = load_problem(PROBLEM, FEW)
     monkeypatch.setattr("slipfree.problem.verbs.plan_starts.find_plan", fail)
-    with pytest.raises(ProblemError, match="the first one failed: no guess"):
+    with pytest.raises(ProblemError, match="guess 1 failed: no guess"):
         run_problem(problem)

@@ -73,7 +73,7 @@ def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
     Raises
     ------
     ProblemError
-        If the start lies off the map.
+        If the start lies off the ground.
     """
     start, grid = problem.spec.start, ground.grid
     for axis, nodes in (("x", grid.x), ("y", grid.y)):
@@ -81,8 +81,8 @@ def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
         if not nodes[0] <= place <= nodes[-1]:
             raise ProblemError(
                 f"{problem.source.where(('start', axis))}: expected a start on the map, which "
-                f"extends from {nodes[0]:.10g} to {nodes[-1]:.10g} m, found {axis} = "
-                f"{place:.10g} m; move the start, or use a larger part of the map"
+                f"extends from {nodes[0]:.10g} to {nodes[-1]:.10g} m in {axis}, found {axis} = "
+                f"{place:.10g} m; move the start, or enlarge the ground in [terrain]"
             )
     return Bicubic(grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
 

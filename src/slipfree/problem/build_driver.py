@@ -31,7 +31,8 @@ def build_law(
     Raises
     ------
     ProblemError
-        If ``path`` and ``file`` do not fit the name of the law, or the law cannot move the vehicle.
+        If ``path`` and ``file`` do not fit the name of the law, the file cannot be read, or the law
+        cannot drive the vehicle along the path.
     """
     with at(problem, ("driver",)):
         if driver.name == "straight":

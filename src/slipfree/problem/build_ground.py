@@ -83,8 +83,8 @@ def build_ground(problem: Problem[S]) -> Ground:
     Raises
     ------
     ProblemError
-        If a file cannot be read, heights cannot be metres, the ground is too large, or a key of the
-        table does not apply.
+        If a file cannot be read, its heights cannot be metres and ``vertical_scale`` is missing,
+        the ground is too large, or a key of the table is not valid or does not apply.
     """
     spec = problem.spec.terrain
     _check_keys(problem)
@@ -101,7 +101,8 @@ def build_ground(problem: Problem[S]) -> Ground:
     if spec.rolled is None:
         return Ground(grid, source + _scale_words(spec), None, mu, friction, facts, coordinates)
     with at(problem, ("terrain", "rolled")):
-        _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES)
+        remedy = "cut the ground to a window, or increase the radius 'rolled'"
+        _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES, remedy)
         changed = rolled(grid, spec.rolled)
     return Ground(
         changed.grid, source + _scale_words(spec), changed, mu, friction, facts, coordinates
@@ -184,12 +185,12 @@ def _map_facts(crs: str, coordinates: Iterable[MapCoordinate]) -> Facts:
     return facts
 
 
-def _check_size(width: float, length: float, spacing: float) -> None:
+def _check_size(width: float, length: float, spacing: float, remedy: str) -> None:
     nodes = width / spacing * length / spacing
     if nodes > MAX_NODES:
         raise ModelError(
             f"expected a ground of at most {MAX_NODES:g} nodes, found {nodes:.2g} at a spacing "
-            f"of {spacing:g} m; cut the ground to a window or choose a larger spacing or radius"
+            f"of {spacing:g} m; {remedy}"
         )
 
 
@@ -206,7 +207,8 @@ def read_source(problem: Problem[Any]) -> tuple[Map, tuple[MapCoordinate, ...]]:
     Raises
     ------
     ProblemError
-        If the map cannot be read, or its heights cannot be metres.
+        If the map cannot be read, or if its heights cannot be metres and ``vertical_scale`` is
+        missing.
     """
     found, _ = _source(problem)
     return found, _map_coordinates(found, *_scales(problem.spec.terrain))
@@ -234,7 +236,7 @@ def _source(problem: Problem[S]) -> tuple[Map, str]:
 
 
 def _check_heights(found: Map, scale: float) -> None:
-    """Raise ModelError if the heights of a map cannot be metres."""
+    """Raise ModelError if heights are gray levels, or exceed those on the earth in metres."""
     low, high = found.grid.values.min(), found.grid.values.max()
     if found.gray:
         raise ModelError(
@@ -246,8 +248,8 @@ def _check_heights(found: Map, scale: float) -> None:
     if not EARTH[0] <= scale * low <= scale * high <= EARTH[1]:
         raise ModelError(
             f"expected heights from {EARTH[0]:g} to {EARTH[1]:g} m, as on the earth, found "
-            f"{scale * low:g} to {scale * high:g}; set vertical_scale, the metres per unit of the "
-            "heights (0.01 for centimetres, 0.1 for decimetres, 1 if they are metres)"
+            f"{scale * low:g} to {scale * high:g} m; set vertical_scale, the metres per unit of "
+            "the heights (0.01 for centimetres, 0.1 for decimetres, 1 if they are metres)"
         )
 
 
@@ -277,7 +279,8 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
 
 
 def _synthetic(spec: schema.Synthetic) -> Grid:
-    _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing)
+    remedy = "increase 'spacing', or reduce the extent in 'x' and 'y'"
+    _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing, remedy)
     grid = blank(spec.x, spec.y, spec.spacing)
     grid = Grid(grid.x, grid.y, grid.z + spec.base)
     for feature in spec.features():

@@ -59,8 +59,8 @@ def model_law(problem: Problem[S], spec: schema.Modelled) -> Any:
     Raises
     ------
     ProblemError
-        If a given law does not belong to the model, several laws are given, or a parameter is
-        missing or invalid.
+        If a given law or the key ``slip`` does not belong to the model, several laws are given, or
+        a parameter is missing or invalid.
     """
     name, known = law_name(spec), LAWS[spec.model]
     if spec.model != "kinematics" and "slip" in spec.model_fields_set:
@@ -78,15 +78,15 @@ def _wrong_law(spec: schema.Modelled, name: str) -> Fault:
     if name in LAWS[spec.model]:
         tables = ", ".join(sorted(spec.law.model_fields_set))
         if spec.model == "kinematics":
-            found = f"model = 'kinematics', slip = {spec.slip!r}; change them, or remove the table"
+            found = f"slip = {spec.slip!r}; set slip = {name!r}, or remove the table"
             return Fault(("law", name), f"slip = {name!r}, where this law applies", found)
-        words = (
-            f"one wheel-ground law with model = {spec.model!r}, of {', '.join(LAWS[spec.model])}"
-        )
+        words = f"one law with model = {spec.model!r}, of {', '.join(LAWS[spec.model])}"
         return Fault(("law", name), words, f"{tables}; keep one of these tables")
     model = next(each for each, laws in LAWS.items() if name in laws)
     expected = f"model = {model!r}, where this law applies"
-    return Fault(("law", name), expected, f"model = {spec.model!r}; change it, or remove the table")
+    return Fault(
+        ("law", name), expected, f"model = {spec.model!r}; set it to {model!r}, or remove the table"
+    )
 
 
 def _with_parameters(problem: Problem[S], spec: schema.Modelled, law: Callable[..., L]) -> L:

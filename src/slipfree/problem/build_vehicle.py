@@ -114,7 +114,7 @@ class UrdfTable(Record):
     @property
     def roles(self) -> Roles:
         """Roles of the joints, wheels and links."""
-        own = {"kind", "axis", "motion", "carries", "at"}  # keys that are not of the coordinate
+        own = {"kind", "axis", "motion", "carries", "at"}  # no keys of the coordinate
         joints = {
             name: JointRole(
                 each.kind,
@@ -145,6 +145,8 @@ def build_vehicle(spec: schema.Vehicle, folder: Path) -> Vehicle:
     ------
     VehicleError
         If its file does not contain a valid vehicle.
+    DataError
+        If its file cannot be read, or its name does not end in .toml, .urdf or .xacro.
     ModelError
         If a keyword of the catalogue is not allowed, or a joint has no free coordinate to actuate.
     """
@@ -159,9 +161,10 @@ def read_vehicle(path: str | Path) -> Vehicle:
     Raises
     ------
     VehicleError
-        If the vehicle is invalid; it has all errors by file and line, and a draft of valid parts.
+        If the vehicle is invalid. The exception lists all errors by file and line, and has a draft
+        of the valid parts.
     DataError
-        If the file name does not end in .toml, .urdf or .xacro.
+        If the file cannot be read, or its name does not end in .toml, .urdf or .xacro.
     """
     draft = _draft(Path(path))
     try:
@@ -198,8 +201,8 @@ def guessed_completion(path: Path, folder: Path) -> str:
     """
     if path.suffix.lower() not in ROBOTS:
         raise DataError(
-            f"{path}: expected a URDF or xacro file, about which slipfree guesses, found another "
-            "file; name a URDF, or omit --write"
+            f"{path}: expected a URDF or xacro file with --write, found another kind of file; "
+            "name a URDF, or omit --write"
         )
     tables: dict[str, dict[str, Guess]] = {"": {}, "wheels": {}, "joints": {}}
     for guess in _draft(path).guesses:
@@ -319,26 +322,26 @@ def _new_joint_errors(
     """Yield expected and found value for each error of a joint that is not in the URDF."""
     if name in tree.joints or name in tree.links:
         yield (
-            "a new name for a joint with carries",
-            f"{name!r}, which is in the URDF; rename it, or remove carries",
+            "a new name for a joint with 'carries'",
+            f"{name!r}, which is in the URDF; rename the joint, or remove 'carries'",
         )
     if joint.axis is None:
-        yield "an axis of the new joint", "none; write axis = [0, 1, 0] for an axis to the left"
+        yield "an axis of the new joint", "none; add 'axis', such as [0, 1, 0] to the left"
     unknown = [each for each in joint.carries if each not in tree.joints]
     if unknown:
         yield (
-            f"joints of the URDF in carries: {', '.join(tree.joints)}",
-            f"{', '.join(unknown)}; correct the names",
+            f"joints of the URDF in 'carries' ({', '.join(tree.joints)})",
+            f"{', '.join(map(repr, unknown))}; correct the names",
         )
         return
     parents = {tree.joints[each].parent for each in joint.carries}
     if len(parents) > 1:
         yield (
-            "joints of one link in carries",
-            f"joints of the links {', '.join(sorted(parents))}; add a joint for each link",
+            "joints with the same parent link in 'carries'",
+            f"the parent links {', '.join(sorted(parents))}; add a new joint for each link",
         )
     if twice := [each for each in joint.carries if each in carried]:
         yield (
             "joints that no other new joint carries",
-            f"{', '.join(twice)}; remove them from one of the new joints",
+            f"{', '.join(twice)} in several; keep each joint in one 'carries'",
         )

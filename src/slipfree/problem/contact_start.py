@@ -41,12 +41,17 @@ def settle_contact(
     Raises
     ------
     ModelError
-        If the wheel or a name is unknown, ``x`` or ``y`` is given, or the vehicle cannot stand with
-        this contact point.
+        If ``dae`` is not a closure model, the wheel or a name is unknown, ``x`` or ``y`` is given,
+        or the vehicle cannot stand with this contact point.
     """
     known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
+    if not known:
+        raise ModelError(
+            "settle_contact: expected a model whose first unknowns are contact points, found no "
+            "unknown 'contact_x'; use a closure model"
+        )
     if wheel not in known:
-        names = ", ".join(sorted(filter(None, known))) or "none"
+        names = ", ".join(sorted(filter(None, known)))
         raise ModelError(
             f"settle_contact: expected one of the wheels {names}, found {wheel!r}; correct the name"
         )
@@ -54,7 +59,7 @@ def settle_contact(
     if fixed:
         raise ModelError(
             "settle_contact: expected no x and y, which follow from the contact point, found "
-            f"{' and '.join(fixed)}; remove them"
+            f"{' and '.join(fixed)}; remove {'it' if len(fixed) == 1 else 'them'}"
         )
     place = {f"contact_x[{wheel}]": contact_x, f"contact_y[{wheel}]": contact_y}
     exchange = dict(zip(("x", "y"), place, strict=True))

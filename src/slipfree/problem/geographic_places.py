@@ -26,9 +26,9 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
     Raises
     ------
     ProblemError
-        If a place has only one of longitude and latitude, or also x or y; if a value is out of
-        range or outside the domain of the map's projection; or if the map cannot be read or has no
-        reference system.
+        If a place has only one of longitude and latitude, or also x or y; if a longitude or
+        latitude is a range or exceeds 360 or 90 degrees; if the place is outside the domain of the
+        map's projection; or if the map cannot be read or has no reference system.
     """
     spec = problem.spec
     if not isinstance(spec, Task):
@@ -75,9 +75,10 @@ def _in_metres(
         If the place cannot be converted; see `convert_places`.
     """
     if {"x", "y"} & {*values} or not {*DEGREES} <= {*values}:
+        given = [name for name in ("x", "y", *DEGREES) if name in values]
         raise ModelError(
-            f"expected longitude and latitude, or x and y, found {', '.join(values)}; give one of "
-            "these pairs"
+            f"expected either longitude and latitude, or x and y, found {', '.join(given)}; give "
+            "one of these pairs"
         )
     is_range = isinstance(values["longitude"], tuple)
     place = [_degrees(values[name], name) for name in DEGREES]
@@ -88,13 +89,13 @@ def _in_metres(
     else:
         raise ModelError(
             "expected a map with a reference system for longitude and latitude, found none; give "
-            "x and y, or write the system into the file: gdal_edit.py -a_srs EPSG:326xx in.tif "
-            "(xx: the UTM zone)"
+            "x and y, or write the system into the map file: gdal_edit.py -a_srs EPSG:326xx in.tif "
+            "(xx: the UTM zone; EPSG:327xx south of the equator)"
         )
     if not (isfinite(x) and isfinite(y)):
         raise ModelError(
             f"expected a place in the domain of the map's projection ({ground.crs}), found "
-            f"longitude {place[0]:.9g}, latitude {place[1]:.9g}; correct it"
+            f"longitude {place[0]:.9g}, latitude {place[1]:.9g}; correct them"
         )
     for each in coordinates:
         x = (x - each.offset) / each.factor if each.axis == "x" else x
@@ -112,12 +113,16 @@ def _degrees(value: float | tuple[float, float], name: str) -> float:
         If the ends of the range differ, or the value is out of range.
     """
     low, high = value if isinstance(value, tuple) else (value, value)
-    number = degrees(low) if isinstance(low, AngleWithUnit) else low
+    number, last = (degrees(v) if isinstance(v, AngleWithUnit) else v for v in (low, high))
     bound = 90 if name == "latitude" else 360
-    if low != high or abs(number) > bound:
-        found = f"{low:.9g} to {high:.9g}" if low != high else f"{number:.9g}"
-        remedy = "give one number" if low != high else "correct it"
+    if low != high:
         raise ModelError(
-            f"{name}: expected a number from {-bound} to {bound} degrees, found {found}; {remedy}"
+            f"{name}: expected one number, found the range {number:.9g} to {last:.9g} degrees; "
+            "give one number"
+        )
+    if abs(number) > bound:
+        raise ModelError(
+            f"{name}: expected a number from {-bound} to {bound} degrees, found {number:.9g}; "
+            "correct it"
         )
     return float(number)

@@ -44,8 +44,9 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
     Raises
     ------
     ProblemError
-        If the file is not an MCAP file or cannot be read, if it has commands for no input or
-        incomplete ones, or if the first position of a joint is not that of the start.
+        If the file is not an MCAP file or cannot be read, if it commands no input, if some messages
+        for a joint lack a velocity and some lack a position, or if the first commanded position of
+        a joint differs from its start.
     """
     spec: Motion = problem.spec
     robot = read_robot(spec.vehicle, problem.folder)
@@ -63,8 +64,12 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
                 found[actuator.name] = rates
         if not found:
             raise DataError(
-                f"{file}: expected commands of some of the joints {', '.join(actuators)}, found "
-                f"{', '.join(commands) or 'none'}; rename the joints in the file"
+                f"{file}: expected commands of one or more of the joints {', '.join(actuators)}, "
+                + (
+                    f"found those of {', '.join(commands)}; rename the joints in the file"
+                    if commands
+                    else "found no joint names; record the commands with names"
+                )
             )
     return found
 
@@ -106,7 +111,8 @@ def _rates(
     Raises
     ------
     DataError
-        If a message has neither velocity nor position, or the first position is not at the start.
+        If some messages lack a velocity and some lack a position, or the first position is not that
+        of the start.
     """
     if np.isfinite(given.velocities).all():
         rates = given.velocities / actuator.slope
@@ -117,8 +123,9 @@ def _rates(
         rates = np.append(np.diff(wanted) / np.diff(given.t), 0.0)
     else:
         raise DataError(
-            f"expected a velocity or a position of joint {joint} in each message that names it, "
-            "found messages without; record the commands again"
+            f"expected a velocity, or a position, of joint {joint} in every message that names it, "
+            "found messages without velocity and messages without position; record one of both in "
+            "every message"
         )
     later: Array = given.t if given.t[0] == 0 else np.append(0.0, given.t)
     padded = np.append(np.zeros(later.size - rates.size), rates)

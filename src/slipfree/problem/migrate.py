@@ -48,8 +48,8 @@ def migrate_text(path: Path, text: str) -> Migrated:
     Raises
     ------
     ProblemError
-        If it is not TOML, is not a problem or vehicle file, has both an old key and its
-        replacement, or has old keys in a layout that cannot be preserved.
+        If the text is not TOML or not that of a problem or vehicle file, has both an old key and
+        its replacement, or has old keys in a layout that cannot be preserved.
     """
     data = parse_toml(path, text)
     if not {"verb", "wheels"} & set(data):
@@ -63,7 +63,7 @@ def migrate_text(path: Path, text: str) -> Migrated:
     if not found:
         return Migrated(text, (), note)
     both = [
-        Fault((each.old,), f"{each.words[1]} or {'.'.join(each.new)}", "both; remove one of them")
+        Fault((each.old,), f"either {each.words[1]} or {each.new[0]!r}", "both; keep one of them")
         for each in found
         if each.new[0] in data
     ]
@@ -77,7 +77,7 @@ def migrate_text(path: Path, text: str) -> Migrated:
         wanted = ", ".join(f"{each.words[1]} by {each.words[0]}" for each in found)
         raise ProblemError(
             f"{path}: expected old keys that can be replaced without changing the layout of the "
-            f"file, found keys that cannot; replace {wanted} by hand"
+            f"file, found others; in an editor, replace {wanted}"
         )
     words = (f"{source.where((c.old,))}: {c.words[1]} is now {c.words[0]}" for c in found)
     return Migrated(changed, tuple(words), note)

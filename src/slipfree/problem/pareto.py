@@ -149,8 +149,9 @@ def plan_front(
     processes : int
         Number of processes; the result does not depend on it.
     report : callable, optional
-        Called for every iterate, or several times per second, with the phase of the search and a
-        line of text; may raise KeyboardInterrupt, after which unsolved points are ``INTERRUPTED``.
+        Called for every iterate, and with several processes several times per second, with the
+        phase of the search and a line of text; may raise KeyboardInterrupt, after which unsolved
+        points are ``INTERRUPTED``.
     keep : callable, optional
         Called with the number of a point (from 0) and the point, for each solution of a point that
         is better than earlier ones.
@@ -212,12 +213,17 @@ def _checked(problem: Problem[Any], against: str) -> str:
         return "s"
     known = f"expected {', '.join(USUAL)} or the name of a quantity of the model"
     if against in (SLIP, TIME):
-        raise DataError(f"--against {against}: {known}, found {against!r}; choose one of these")
+        remedy = (
+            "use 'duration'" if against == TIME else "slip is the first objective: choose another"
+        )
+        raise DataError(f"--against {against}: {known}, found {against!r}; {remedy}")
     try:
         (cost,) = costs_of(build(problem).dae, {against: 1.0})
     except ModelError as error:
         why = str(error).partition("; ")[2]
-        hint = "the energy needs a model with drive torques: give masses" * (against == ENERGY)
+        hint = "the energy needs drive torques: give the masses of the vehicle" * (
+            against == ENERGY
+        )
         raise DataError(
             f"--against {against}: {known}, found {against!r}; {hint or why}"
         ) from error
@@ -229,7 +235,7 @@ def _key(table: str, name: str) -> str:
 
 
 def _without(problem: Problem[Plan], *kept: str) -> SettingTexts:
-    """Return the settings that remove all costs except some."""
+    """Return the settings that remove all costs except those named in ``kept``."""
     return tuple(f"{_key('costs', name)}=" for name in problem.spec.costs if name not in kept)
 
 
@@ -279,7 +285,7 @@ def _solve_one(
     *,
     is_needed: bool = True,
 ) -> FrontPoint:
-    """Return a point from which a front begins.
+    """Return one of the points that a front needs before its own points.
 
     Raises
     ------
@@ -294,8 +300,8 @@ def _solve_one(
         raise KeyboardInterrupt
     if is_needed and not point.is_solved:
         raise SolverError(
-            f"expected a solved and verified plan of the first search of a front ({name}), found: "
-            f"{point.words}"
+            f"expected a solved and verified plan ({name}), which the front needs before its "
+            f"points, found: {point.words}"
         )
     return point
 

@@ -19,7 +19,7 @@ MISSING = "-"  # number of a point that is not solved
 
 
 def front_facts(front: PlanFront) -> Facts:
-    """Return the facts about the points from which a front begins, and about its points."""
+    """Return the facts about the given plan, the least second objective, and the front's points."""
     unit, given = unit_words(front.unit), front.given
     solved = sum(each.is_solved for each in front.points)
     dominated = sum(each.is_dominated for each in front.points)

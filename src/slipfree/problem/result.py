@@ -134,8 +134,8 @@ def problem_of(
     text = run.attributes.get("problem")
     if text is None:
         raise DataError(
-            f"{file}: expected a result that contains its problem, found none; use a file from "
-            "slipfree run"
+            f"{file}: expected a result that contains its problem, found none; use a file written "
+            "by slipfree run"
         )
     settings = [*run.attributes.get("settings", "").splitlines(), *changes]
     name = Path(run.attributes.get("problem_file", "problem.toml")).name
@@ -147,8 +147,8 @@ def problem_of(
         except ProblemError as error:
             faults = (fault.replace(str(copy), name) for fault in error.faults)
             raise ProblemError(
-                f"{file}: its problem is not valid in this version of slipfree; run it again with "
-                "these errors corrected:",
+                f"{file}: its problem is not valid in this version of slipfree; correct these "
+                "errors and run the problem again:",
                 *faults,
             ) from error
     recorded = unescape_name(run.attributes.get("problem_folder", ""))
@@ -172,13 +172,13 @@ def _folder(file: Path, spec: Runnable, recorded: str, folder: Path | None) -> P
     usual = [*(resolve_links(each / recorded) for each in (here, beside) if recorded), beside, here]
     tried = [folder] if folder is not None else list(dict.fromkeys(usual))
     for place in tried:
-        missing = [name for name in needed if not _is_file(place / name)]
-        if not missing:
+        if all(_is_file(place / name) for name in needed):
             return place
     raise DataError(
-        f"{file}: expected the input file {missing[0]} of its problem in "
-        f"{' or '.join(map(str, tried))}, found none; give the folder of the problem "
-        "file by --folder DIR"
+        f"{file}: expected the input file{'s' * (len(needed) > 1)} {' and '.join(needed)} of its "
+        f"problem in {' or '.join(map(str, tried))}, found "
+        f"{'no folder with all of them' if len(needed) > 1 else 'no such file'}; give the folder "
+        "of the problem file by --folder DIR"
     )
 
 

@@ -35,13 +35,15 @@ TOLERANCE = "tolerance of the integrator, absolute and relative [1]"
 SIZED = (
     "tolerance of the integrator, absolute and relative; lengths relative to the vehicle size [1]"
 )
-COMPILED = "whether to compile the equations; takes seconds once per vehicle, and is cached"
-MODEL = (
-    "kinematics: the slip law determines the rates; quasi-static: the wheel-ground law does, "
-    "without inertia; dynamics: inertia and compliant contact do"
+COMPILED = (
+    "whether to compile the equations; a first compilation takes seconds, its result is cached"
 )
-SLIP = "slip law, for model = 'kinematics': least slip, or rolling without slip"
-LAW = "parameters of the slip law or of the wheel-ground law, in a table of its name"
+MODEL = (
+    "kinematics: a slip law determines the rates; quasi-static: a wheel-ground law and "
+    "equilibrium without inertia; dynamics: a contact law and inertia"
+)
+SLIP = "slip law, for model = 'kinematics': 'least' (least slip) or 'rolling' (without slip)"
+LAW = "parameters of the law of the model, in a table with the name of the law"
 FILE = "file"  # key of [inputs] and [given] that names a file
 INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
 
@@ -136,10 +138,10 @@ class CommonKeys(Record):
         time = self.time
         if time.step > time.duration:
             expected = f"at most the duration, {time.duration:g} s"
-            yield Fault(("time", "step"), expected, f"{time.step:g}; reduce it")
+            yield Fault(("time", "step"), expected, f"{time.step:g} s; reduce the step")
         elif time.duration / time.step > MOST_SAMPLES:
             expected = f"a step with at most {MOST_SAMPLES} samples in {time.duration:g} s"
-            yield Fault(("time", "step"), expected, f"{time.step:g}; increase it")
+            yield Fault(("time", "step"), expected, f"{time.step:g} s; increase the step")
 
 
 class Runnable(CommonKeys):

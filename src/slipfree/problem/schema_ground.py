@@ -93,7 +93,7 @@ class Terrain(Record):
     )
     fill: Literal["linear"] | None = Field(
         default=None,
-        description="interpolation of holes inside the map; other holes must not be touched",
+        description="interpolation of holes inside the map; wheels must not touch other holes",
     )
     scale: Positive = Field(default=1.0, description="factor on x, y and heights [1]")
     horizontal_scale: Positive = Field(default=1.0, description="further factor on x and y [1]")

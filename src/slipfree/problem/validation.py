@@ -44,7 +44,8 @@ def validated_problem(
     Raises
     ------
     ProblemError
-        If the text does not fit the schema: all errors, sorted by line.
+        If the text is not TOML, a setting has no valid form, or values do not fit the schema; all
+        errors of values, sorted by line.
     """
     data = _copy(_parsed(path, text))
     places = replace_values(data, settings)

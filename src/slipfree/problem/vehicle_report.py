@@ -67,7 +67,8 @@ def describe(path: Path, settings: Sequence[str] = ()) -> Description:
     Raises
     ------
     DataError
-        If no part of the vehicle can be read, or settings are given for a vehicle file.
+        If the problem is invalid, no part of the vehicle can be read, or settings are given for a
+        vehicle file.
     """
     try:
         if not is_vehicle_file(path):

@@ -360,7 +360,8 @@ def _shared(names: Sequence[str], run: Trajectory) -> list[str]:
 def differences(run: Trajectory, *prefixes: str) -> dict[str, Quantity]:
     """Return the statistics of a motion whose names begin with one of the prefixes, with units.
 
-    The unit is that of the quantity named after the prefix, and empty if there is none.
+    The unit is that of the quantity whose name follows the prefix; it is empty if the motion has no
+    such quantity.
     """
     found = {}
     for prefix in prefixes:

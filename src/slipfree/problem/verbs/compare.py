@@ -71,7 +71,7 @@ class Drive(NamedTuple):
         Largest coefficient of friction that a wheel needs, load-weighted where forces are
         indeterminate; NaN for a vehicle without mass. [1]
     tilt : float
-        Largest absolute angle of the passive tilting joints; zero without such joints. [rad]
+        Largest absolute angle of the passive joints that turn; zero without such joints. [rad]
     width : tuple of 2 floats
         Smallest and largest distance between the centres of the first two wheels. [m]
     stop : Stop or None

@@ -106,8 +106,8 @@ class DirectVerb(DriveVerb):
             with at(problem, ("formulation",)):
                 if spec.model != "kinematics":
                     raise ModelError(
-                        f"expected model = 'kinematics' with formulation = 'montana', found "
-                        f"{spec.model!r}; change one of them"
+                        "expected model = 'kinematics' with formulation = 'montana', found model = "
+                        f"{spec.model!r}; set model = 'kinematics', or remove 'formulation'"
                     )
                 dae = montana_kinematics(vehicle, terrain, slip=model_law(problem, spec))
         if spec.driver is None:

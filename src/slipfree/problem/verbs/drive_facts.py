@@ -82,14 +82,15 @@ def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "wheels in the air", "; ".join(words) or "none"
     if is_dynamic(run):
         left = ((depth[:-1] >= 0) & (depth[1:] < 0)).sum()
-        yield "lift-offs", f"{left} of single wheels"
+        yield "lift-offs", f"{left}, counted for each wheel"
         return
     found = rocks(run)
     listed = [f"{r.before} to {r.after} at {r.t:.4g} s" for r in found[:MAX_ROCKS]]
     more = ["..."] if len(found) > MAX_ROCKS else []
     yield (
         "lightest wheel",
-        f"changes {len(found)} times: {', '.join(listed + more)}"
+        f"changes {'once' if len(found) == 1 else f'{len(found)} times'}: "
+        f"{', '.join(listed + more)}"
         if found
         else f"{lightest_wheel(run, 0)[0]} all the time",
     )
@@ -262,10 +263,10 @@ def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def certificate(run: Trajectory) -> str:
-    """Return the text of the contact certificate: each wheel has a single contact point.
+    """Return the text of the contact certificate: whether each wheel has a single contact point.
 
-    It begins with "clean" if this is certain at all samples, otherwise with "broken", and contains
-    the least margins.
+    The text begins with "clean" if this is certain at all samples, otherwise with "broken", and
+    contains the least margins.
     """
     clearance, curvature = (run[name].min() for name in UNIQUE)
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"

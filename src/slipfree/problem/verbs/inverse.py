@@ -241,11 +241,11 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
             yield Fault(
                 ("given", name),
                 "a number",
-                f"a function of time; only {', '.join(COMMANDS)} may vary in time",
+                f"a function of time; give a number (only {', '.join(COMMANDS)} may vary in time)",
             )
     if len(given) != 3:
         listed = f": {', '.join(given)}" if given else ""
-        yield Fault(("given",), "three rates of the platform", f"{len(given)}{listed}")
+        yield Fault(("given",), "three rates of the platform", f"{len(given) or 'none'}{listed}")
     angular = [name for name in given if name in (*OMEGA, *EULER)]
     if set(angular) & set(OMEGA) and set(angular) & set(EULER):
         expected = f"either rates of {', '.join(OMEGA)} or rates of {', '.join(EULER)}, not both"
@@ -260,7 +260,8 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
     Raises
     ------
     ProblemError
-        If the file cannot be read, or times or headings are not valid.
+        If the file cannot be read or has headings of another frame, or times or headings are not
+        valid.
     """
     path = spec.path
     if path is None:
@@ -273,7 +274,7 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
             if is_mcap(Path(path.file)) and spec.frame != "rep103":
                 raise DataError(
                     "expected frame = 'rep103' with a path in MCAP, whose headings count from x, "
-                    f"found {spec.frame!r}; set frame = 'rep103'"
+                    f"found frame = {spec.frame!r}; set frame = 'rep103'"
                 )
             rows = read_columns(problem.folder / path.file, COLUMNS)
         points = np.array(rows, dtype=float).reshape(-1, len(COLUMNS)).T
@@ -289,15 +290,19 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
 
 
 def _time_errors(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:
-    """Yield an error for too few or unordered times of a path, or an end before the motion's."""
+    """Yield an error for too few or unordered times of a path, or a path that ends too early."""
     if t.size < MIN_POINTS:
         yield Fault(place, f"at least {MIN_POINTS} way-points", f"{t.size}; add way-points")
-    elif t[0] != 0 or not (np.diff(t) > 0).all():
-        found = ", ".join(f"{each:g}" for each in t[:4])
-        yield Fault(place, "increasing times, the first 0", f"{found}; correct the times")
+    elif t[0] != 0:
+        yield Fault(place, "0 as the first time", f"{t[0]:g} s; shift the times")
+    elif not (np.diff(t) > 0).all():
+        k = int(np.flatnonzero(~(np.diff(t) > 0))[0])
+        found = f"{t[k + 1]:g} s at way-point {k + 2} after {t[k]:g} s; correct the times"
+        yield Fault(place, "increasing times", found)
     elif t[-1] < duration:
         expected = f"at most the time of the last way-point, {t[-1]:g} s"
-        yield Fault(("time", "duration"), expected, f"{duration:g}; reduce it")
+        found = f"{duration:g} s; reduce the duration, or add way-points"
+        yield Fault(("time", "duration"), expected, found)
 
 
 def _heading_errors(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:

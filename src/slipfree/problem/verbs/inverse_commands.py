@@ -12,7 +12,7 @@ import numpy as np
 
 from slipfree.errors import DataError, ModelError
 from slipfree.files.tables import read_columns, read_names
-from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.files.toml.errors import Fault, format_value, problem_error
 from slipfree.files.toml.types import Piecewise
 from slipfree.models.given_rates import COMMANDS
 from slipfree.problem.build_common import samples
@@ -40,16 +40,17 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     Raises
     ------
     ProblemError
-        If the file cannot be read, a name is unknown, occurs twice or is of another frame, a
-        formula is not a finite function of t, or the key ``steering`` does not fit commands.
+        If the name of the file is not a text, the file cannot be read or is not valid, a name is
+        unknown, occurs twice or is of another frame, a formula is not a finite function of t, or
+        the key ``steering`` does not fit commands.
     """
     given, columns, words = dict(spec.given or {}), dict[str, Any](), []
     if (file := given.pop(FILE, None)) is not None:
         with at(problem, ("given", FILE)):
             if not isinstance(file, str):
                 raise DataError(
-                    "expected the name of a CSV file in quotes, found another value; put the name "
-                    "in quotes"
+                    "expected the name of a CSV file in quotes, found "
+                    f"{format_value(file)}; put the name in quotes"
                 )
             columns = _read_file(problem.folder / file)
         words = [f"{', '.join(columns)} of {file}"]
@@ -79,8 +80,8 @@ def _read_file(file: Path) -> dict[str, Piecewise]:
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
         raise DataError(
-            f"{file}: expected a first line with comma-separated names, t and some of "
-            f"{', '.join(COMMANDS)}, or t and some of {', '.join(ROBOT)}, found "
+            f"{file}: expected a first line with comma-separated names, each once: t, and one or "
+            f"more of {', '.join(COMMANDS)} or one or more of {', '.join(ROBOT)}, found "
             f"{','.join(names)!r}; correct the first line"
         )
     rows = read_columns(file, ["t", *rates], "commands")
@@ -88,15 +89,12 @@ def _read_file(file: Path) -> dict[str, Piecewise]:
         raise DataError(f"{file}: expected one or more rows of numbers, found only names; add rows")
     t, *columns = zip(*rows, strict=True)
     if t[0] != 0:
-        raise DataError(
-            f"{file}: expected increasing times, the first 0, found {t[0]:g} first; shift the times"
-        )
+        raise DataError(f"{file}: expected 0 as the first time, found {t[0]:g} s; shift the times")
     for before, after in pairwise(t):
         if after <= before:
-            found = f"{after:g} after {before:g}"
-            raise DataError(
-                f"{file}: expected increasing times, the first 0, found {found}; sort the rows"
-            )
+            found = f"{after:g} s after {before:g} s"
+            remedy = "sort the rows" if after < before else "keep one row for each time"
+            raise DataError(f"{file}: expected increasing times, found {found}; {remedy}")
     return {
         name: tuple(zip(t, rate, strict=True)) for name, rate in zip(rates, columns, strict=True)
     }
@@ -120,7 +118,7 @@ def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -
     if spec.frame != "rep103" and (robot := [n for n in (*columns, *given) if n in ROBOT]):
         place = ("given", robot[0] if robot[0] in given else FILE)
         expected = f"{', '.join(COMMANDS)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
-        found = f"{robot[0]} in the frame {spec.frame!r}; change the frame or the rates"
+        found = f"{robot[0]} in the frame {spec.frame!r}; set frame = 'rep103', or give the former"
         yield Fault(place, expected, found)
 
 
@@ -135,7 +133,7 @@ def _check_formula(text: str, time: Time) -> None:
     if not np.isfinite(rates).all():
         k = int(np.flatnonzero(~np.isfinite(rates))[0])
         raise ModelError(
-            f"expected finite values, found {rates[k]:g} of {text!r} at {t[k]:g} s; change the "
+            f"expected finite values of {text!r}, found {rates[k]:g} at t = {t[k]:g} s; change the "
             "formula"
         )
 

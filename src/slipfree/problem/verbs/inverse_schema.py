@@ -71,5 +71,6 @@ class Inverse(Motion):
                     place, "no array beside 'file'", f"{format_value(list(column))}; remove one"
                 )
             elif path.file is None and len(column or ()) != len(times):
-                expected = f"an array of {len(times)} numbers, one for each time in t"
-                yield Fault(place, expected, f"{len(column)}" if column is not None else "none")
+                expected = f"an array of {len(times)} numbers, one for each time in 't'"
+                found = "none" if column is None else f"an array of {len(column)}"
+                yield Fault(place, expected, found)

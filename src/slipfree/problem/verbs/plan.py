@@ -72,7 +72,7 @@ MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
 ROUNDING = 1e-6  # largest violation that counts as rounding, in the unit of the limit
 STIFFER = 10.0  # factor of stiffness of another simulation of pressed wheels
 SLIDING = 0.95  # utilisation above which a wheel counts as sliding
-FRICTION_TOLERANCE = 1e-6  # smallest one for quasi-statics, which may not settle below it
+FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail to settle below it
 LineCallback = Callable[[str, str], None]
 
 
@@ -288,7 +288,8 @@ def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], b
 def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
     """Return the description of the quasi-static motion under the plan's inputs, as an attribute.
 
-    The result is empty without mass, friction or exact contact, and for quasi-static plans.
+    The result is empty without mass, friction or exact contact, for quasi-static plans, and for
+    plans that are not solved.
     """
     able = has_exact_closure(setup.vehicle) and setup.vehicle.mass and setup.terrain.has_friction
     if not (found.success and able and setup.spec.model != "quasi-static"):
@@ -327,9 +328,10 @@ def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
 def _by_stiffness(
     problem: Problem[plan_schema.Plan], setup: Planning, found: Plan
 ) -> dict[str, str]:
-    """Return the distance between the ends of the plan and of a motion with stiffer wheels.
+    """Return the description of the motion with stiffer wheels under the plan's inputs.
 
-    It is described in an attribute; the result is empty for a vehicle with exact contact.
+    The description is an attribute: the distance between the ends of plan and motion. The result is
+    empty for a vehicle with exact contact, and for a plan that is not solved.
     """
     if has_exact_closure(setup.vehicle) or not found.success:
         return {}

@@ -36,7 +36,7 @@ def places_of(
     Raises
     ------
     ProblemError
-        If a value or a range is off the map.
+        If x or y of a way-point or of the goal is off the map.
     """
     places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
     exact = {"start"}
@@ -51,7 +51,8 @@ def places_of(
                 where = problem.source.where((key_of(name),))
                 raise ProblemError(
                     f"{where}: expected a {name} on the map, which extends from {low:.10g} to "
-                    f"{high:.10g} m, found {axis} = {spelled(wanted[axis])} m; move the {name}"
+                    f"{high:.10g} m in {axis}, found {axis} = {spelled(wanted[axis])} m; "
+                    f"move the {name}"
                 )
             at[axis] = (least + most) / 2
         if len(at) == 2:
@@ -72,22 +73,28 @@ def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
     Raises
     ------
     ProblemError
-        If a way-point has no fraction between 0 and 1, or the fraction of another one.
+        If the key ``at`` of a way-point is missing, a range, or not between 0 and 1 (exclusive), or
+        if two way-points have the same fraction.
     """
     found: dict[float, Ranges] = {}
     for index, each in enumerate(spec.way_points):
         wanted = dict(each)
         with at(problem, ("way_points", index)):
-            low, high = wanted.pop("at", (0.0, 0.0))
+            if "at" not in wanted:
+                raise ModelError(
+                    "way_points: expected the key 'at', a fraction of the duration, found none; "
+                    "add it"
+                )
+            low, high = wanted.pop("at")
             if not 0 < low == high < 1:
                 raise ModelError(
-                    "way_points: expected the key 'at', a fraction of the duration between 0 and "
-                    f"1, found {spelled((low, high)) if 'at' in each else 'none'}; set it"
+                    "way_points: expected one number for 'at', greater than 0 and less than 1, "
+                    f"found {spelled((low, high))}; correct this fraction of the duration"
                 )
             if low in found:
                 raise ModelError(
                     f"way_points: expected at most one way-point at {low:g}, found two; put their "
-                    "values together"
+                    "values into one table"
                 )
             found[low] = facing(problem, wanted)
     return dict(sorted(found.items()))
@@ -112,7 +119,7 @@ def initial_paths(
     ------
     ProblemError
         If the keys of the driver contradict each other, a file cannot be read, the goal has no
-        position, or there is no route.
+        position, several routes are requested with way-points, or there is no route.
     """
     driver = spec.driver
     if driver is None or driver.name in ("straight", "reeds-shepp"):
@@ -123,7 +130,8 @@ def initial_paths(
                 return (path_points(problem, driver),)
             if driver.path is not None or driver.file is not None:
                 raise ModelError(
-                    "driver: expected one of 'path', 'paths' and 'file', found several; keep one"
+                    "driver: expected one of 'path', 'paths' and 'file', found several of them; "
+                    "keep one"
                 )
             return tuple(np.array(path) for path in driver.paths)
     _check_goal_place(problem, places)
@@ -133,10 +141,11 @@ def initial_paths(
 def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
     """Raise ProblemError if the goal does not have both x and y."""
     if places[-1][0] != "goal":
-        where = problem.source.where(("goal",))
+        where, goal = problem.source.where(("goal",)), problem.spec.goal
+        missing = " and ".join(name for name in ("x", "y") if name not in goal)
         raise ProblemError(
-            f"{where}: expected values for x and y, which the driver needs, found only "
-            f"{', '.join(problem.spec.goal)}; add the missing values"
+            f"{where}: expected values for x and y, which the driver needs, found "
+            f"{'only ' if goal else ''}{', '.join(goal) or 'none'}; add {missing}"
         )
 
 
@@ -152,12 +161,13 @@ def cusp_goal(
     ProblemError
         If the goal has no position.
     ModelError
-        If there are way-points, the speed is negative, or keys of other drivers are given.
+        If way-points have x and y, the speed is negative, or keys of other drivers are given.
     """
     _check_goal_place(problem, places)
     if len(places) > 2:
         raise ModelError(
-            "driver: expected no way-points with name = 'reeds-shepp', found some; remove them"
+            "driver: expected way-points without x and y for name = 'reeds-shepp', found "
+            f"{len(places) - 2} with them; remove x and y from [[way_points]]"
         )
     if driver.speed < 0:
         raise ModelError(
@@ -168,8 +178,8 @@ def cusp_goal(
         others = [key for key in ("path", "file", "paths") if getattr(driver, key)]
         others += ["count"] if driver.count > 1 else []
         raise ModelError(
-            "driver: expected only speed and turning_radius with name = 'reeds-shepp', found also "
-            f"{', '.join(others)}; remove the other keys"
+            "driver: expected only 'speed' and 'turning_radius' with name = 'reeds-shepp', found "
+            f"also {', '.join(map(repr, others))}; remove {'it' if len(others) == 1 else 'them'}"
         )
     _, x, y = places[-1]
     heading = facing(problem, spec.goal).get("heading")

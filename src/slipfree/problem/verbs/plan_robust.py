@@ -65,9 +65,10 @@ class Tested(NamedTuple):
     stop : Stop or None
         Reason why fewer simulations than required keep the limits, or interruption by Ctrl-C.
     words : str
-        Description of the results, one fact per line; empty without simulations.
+        Description of the results, one fact per line; empty without simulations, and after Ctrl-C.
     statistics : dict of str to float
-        Shares of the simulations that keep all limits, and number of simulations.
+        Shares of the simulations that keep all limits, with the plan and with the first plan, and
+        numbers of simulations and of rounds of tightening; empty as `words`.
     """
 
     plan: FoundPlan
@@ -278,8 +279,8 @@ def _stop(found: RobustPlan[FoundPlan], robust: Robust) -> Stop | None:
     bound, count = next(iter(after.violated.items()))
     tighter = f"; tighter limits are not solved: {found.failure}" if found.failure else ""
     words = (
-        f"the plan holds on {after.held} of {after.draws} drawn worlds, expected "
-        f"{100 * robust.share:.3g} %; violated most often: {bound} in {count}{tighter}; widen the "
-        "limits, or reduce the share or the uncertainty in plan.robust"
+        f"the plan holds on {after.held} of {after.draws} drawn worlds, expected at "
+        f"least {100 * robust.share:.3g} %; violated most often: {bound} in {count}{tighter}; "
+        "widen the limits, or reduce the share or the uncertainty in plan.robust"
     )
     return Stop(PLAN_SHARE, 0.0, words, Outcome.INFEASIBLE)

@@ -29,7 +29,8 @@ class Guide(Driver):
         "drive forwards and backwards along the shortest path of a car on even ground"
     )
     turning_radius: NonNegative = Field(
-        default=1.0, description="smallest turning radius of a route, or that of a car's path [m]"
+        default=1.0,
+        description="smallest turning radius of a route, or of the shortest path of a car [m]",
     )
     paths: Annotated[
         tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,

@@ -77,8 +77,8 @@ def find_plan(
 ) -> FoundPlan:
     """Return the plan of a problem.
 
-    For wheels that press into the ground, plans with smoother load laws are computed before, and
-    each search starts from the plan before. If a search fails, the plan before is returned.
+    For wheels that press into the ground, plans with smoother load laws are computed first, and
+    each search starts from the previous plan. If a search fails, the previous plan is returned.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
-HOLE_CLEARANCE = 2.0  # by which a plan stays farther away from holes [accuracy]
+HOLE_CLEARANCE = 2.0  # additional distance of plans from holes [plan.accuracy]
 RUNS = count()
 
 
@@ -75,7 +75,7 @@ class Planning(Setup):
     paths : tuple of ndarray, shape (n, 2)
         Paths of the initial guesses; empty if the guesses follow no path. [m]
     starts : tuple of (record, ndarray)
-        Inputs and times of the samples of each initial guess. [rad/s, s]
+        Inputs and times of the samples of each initial guess. [rad/s or m/s, s]
     spec : Plan
         Record of the problem file.
     between : mapping of float to mapping
@@ -150,8 +150,8 @@ def build_planning(problem: Problem[Plan]) -> Planning:
 def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None:
     """Raise ProblemError for a table ``plan.robust`` that cannot be used.
 
-    It needs an uncertainty, a ground with friction for that of friction, and a plan without
-    windows.
+    The table needs at least one uncertainty, a ground with friction if the friction is uncertain,
+    and a plan without windows.
     """
     robust = spec.plan.robust
     if robust is None:
@@ -159,18 +159,17 @@ def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None
     with at(problem, ("plan", "robust")):
         if robust.map is None and not (robust.friction or robust.inputs):
             raise ModelError(
-                "plan.robust: expected an uncertainty (map, friction or inputs), found none; "
-                "add one"
+                "expected an uncertainty ('map', 'friction' or 'inputs'), found none; add one"
             )
         if robust.friction > 0 and not has_friction:
             raise ModelError(
-                "plan.robust.friction: expected a ground with friction, found none; add "
-                "terrain.friction or remove the key"
+                "expected a ground with friction for the key 'friction', found no friction; add "
+                "'friction' to [terrain], or remove it from [plan.robust]"
             )
         if spec.plan.window is not None:
             raise ModelError(
-                "plan.robust: expected a plan without windows, found plan.window; remove one of "
-                "them"
+                "expected a plan without windows, found the key plan.window; remove it, or remove "
+                "[plan.robust]"
             )
 
 
@@ -240,15 +239,16 @@ def _cusp_guess(
         arcs = reeds_shepp(first, goal, driver.turning_radius, turning_axis_offset(vehicle))
         if not arcs:
             raise ModelError(
-                "driver: expected a goal apart from the start, found the start; move the goal"
+                "driver: expected a goal apart from the start, found one at the start; move "
+                "the goal"
             )
         values = {c.name: float(start[c.name][-1]) for c in vehicle.of("commanded")}
         pieces, duration = arc_inputs(dae, vehicle, arcs, values, speed=driver.speed)
     if duration > spec.time.duration:
         with at(problem, ("time", "duration")):
             raise ModelError(
-                f"time.duration: expected at least {duration:.6g} s, which the path with cusps "
-                f"takes, found {spec.time.duration:g} s; raise it"
+                f"expected at least {duration:.6g} s, which the path with cusps takes, found "
+                f"{spec.time.duration:g} s; increase the duration"
             )
     t, rates = samples(spec.time.model_copy(update={"duration": duration}), pieces)
     return dae.inputs(**rates), t

@@ -97,7 +97,7 @@ def _solve_starts(
 
     def poll() -> None:
         if report is not None:
-            report("starts", f"starts: {len(found)} of {count} are solved")
+            report("starts", f"starts: {len(found)} of {count} are finished")
 
     try:
         with local_tasks(solve_start, count) as finish:
@@ -110,8 +110,9 @@ def _solve_starts(
     ranked = [(each.optimum.rank, each.number, each) for each in found if each.optimum is not None]
     if not ranked:
         raise ModelError(
-            f"plan: expected an initial guess that can be simulated, found none of {len(found)}; "
-            f"the first one failed: {found[0].words}; change the inputs or the driver"
+            "plan: expected an initial guess that can be simulated, found none of "
+            f"{len(found)}; guess {found[0].number + 1} failed: {found[0].words}; change the "
+            "inputs or the driver"
         )
     return [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))], is_interrupted
 
@@ -143,7 +144,10 @@ def solve_start(task: tuple[PlanSource, int]) -> StartResult:
 
 
 def _start_name(setup: Planning, number: int) -> str:
-    """Return the name of an initial guess: its driving law, or ``inputs``, numbered if several."""
+    """Return the name of an initial guess: its driving law, or ``inputs``.
+
+    The names of several guesses are numbered.
+    """
     name = setup.spec.driver.name if setup.spec.driver else "inputs"
     return name if len(setup.starts) == 1 else f"{name} {number + 1}"
 
@@ -153,7 +157,7 @@ def _going_on(_words: str, _iterate: Iterate) -> bool:
 
 
 def _start_result(number: int, name: str, found: FoundPlan) -> StartResult:
-    """Return the part of a plan that is sent to the parent process, with the name of its start."""
+    """Return the result of a start: its local optimum, with the name of the start, and its plan."""
     return StartResult(number, found.optima[0]._replace(start=name), found.saved)
 
 
@@ -161,7 +165,8 @@ def starts_words(results: Sequence[StartResult]) -> str:
     """Return a text: a line with the number of local optima, then a line for each start."""
     optima = [each.optimum for each in results if each.optimum is not None]
     found = count_distinct(optima)
-    head = f"{found} local {'optimum' if found == 1 else 'optima'} from {len(optima)} starts"
+    noun = "optimum" if found == 1 else "optima"
+    head = f"{found} local {noun} from {len(optima)} start{'s' * (len(optima) != 1)}"
     return f"{head}\n{optima_words(optima)}"
 
 

@@ -49,9 +49,10 @@ class Followed(NamedTuple):
     name : str
         Description of the controller.
     run : Trajectory or None
-        The motion; None if this controller does not suit the vehicle.
+        The motion, complete or up to its stop; None if the controller does not suit the vehicle, or
+        the simulation fails at the start.
     words : str
-        Reason why there is no motion, or facts about the controller.
+        Facts about the controller, or the error if the simulation failed.
     """
 
     name: str
@@ -121,7 +122,7 @@ def follow_plan(
     planned, real = (problem_of(file, run, folder, each) for each in ((), changes))
     if not isinstance(planned.spec, PlanVerb.schema):
         raise DataError(
-            f"{file}: expected the result of a plan, found one of verb = {planned.spec.verb!r}; "
+            f"{file}: expected the result of a plan, found one with verb = {planned.spec.verb!r}; "
             "give the result of a planning problem"
         )
     setup = PlanVerb().build(planned)
@@ -194,7 +195,7 @@ def _with_model(
 ) -> Followed:
     """Return the motion under the plan's inputs with another model of the changed world.
 
-    ``speed`` is the initial speed, of a model with inertia. [m/s]
+    ``speed`` is the initial speed for a model with inertia, None for other models. [m/s]
     """
     options = problem.spec.solver.options
     options = replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))

@@ -34,8 +34,8 @@ def check_windows(
         if spec.plan.overlap is not None:
             with at(problem, ("plan", "overlap")):
                 raise ModelError(
-                    "plan.overlap: expected it together with plan.window, found it alone; add "
-                    "plan.window or remove plan.overlap"
+                    "expected this key only with 'window', found no 'window'; add it to [plan], or "
+                    "remove 'overlap'"
                 )
         return
     for key, words in _contradictions(spec, vehicle, paths, window):
@@ -50,16 +50,16 @@ def _contradictions(
     if len(paths) != 1:
         yield (
             ("plan", "window"),
-            "plan.window: expected a driver that follows one path (name = 'route' with count = 1, "
-            f"or 'follow' with path or file), found {len(paths)} paths; change the driver or "
-            "remove plan.window",
+            "expected a driver that follows one path (name = 'route' with count = 1, or 'follow' "
+            f"with 'path' or 'file'), found {len(paths) or 'no'} paths; use such a driver, or "
+            "remove 'window'",
         )
         return
     if _overlap(spec, window) >= window:
         yield (
             ("plan", "overlap"),
-            f"plan.overlap: expected less than the window, {window:g} m, found "
-            f"{_overlap(spec, window):g} m; reduce it",
+            f"expected less than the window, {window:g} m, found {_overlap(spec, window):g} m; "
+            "reduce the overlap",
         )
     for name, is_given in (
         ("duration", spec.plan.duration is not None),
@@ -68,27 +68,27 @@ def _contradictions(
         if is_given:
             yield (
                 ("plan", name),
-                f"plan.{name}: not possible together with plan.window; remove one of them",
+                f"expected no '{name}' with 'window', found both; remove one of them",
             )
     for name, advice in (
-        ("way_points", "remove them, or lead the driver's path through them"),
-        ("cost_limits", "remove them"),
+        ("way_points", "remove the way-points, or lead the driver's path through them"),
+        ("cost_limits", "remove 'cost_limits'"),
     ):
         if getattr(spec, name):
-            yield (name,), f"{name}: not possible together with plan.window; {advice}"
+            yield (name,), f"expected no {name!r} with plan.window, found both; {advice}"
     if not has_exact_closure(vehicle):
         yield (
             ("plan", "window"),
-            "plan.window: expected a vehicle with exact contact of all wheels, found "
-            f"{vehicle.name}, whose wheels press into the ground; remove plan.window",
+            "expected a vehicle with exact contact of all wheels, found "
+            f"{vehicle.name}, whose wheels press into the ground; remove 'window'",
         )
     speed = abs(spec.driver.speed) if spec.driver else 1.0
     least = Path(paths[0]).length / speed
     if spec.time.duration < least:
         yield (
             ("time", "duration"),
-            f"time.duration: expected at least {least:.6g} s, which the path takes at "
-            f"{speed:g} m/s, found {spec.time.duration:g} s; raise it",
+            f"expected at least {least:.6g} s, which the path takes at {speed:g} m/s, found "
+            f"{spec.time.duration:g} s; increase the duration",
         )
 
 

@@ -33,7 +33,7 @@ def motion_verbs() -> tuple[MotionVerb, ...]:
 
 
 def find_motion_verb(name: object) -> MotionVerb | None:
-    """Return the verb with a name that ``slipfree run`` solves; None for other names."""
+    """Return the verb with a name if ``slipfree run`` solves its problems, otherwise None."""
     return next((verb for verb in motion_verbs() if verb.name == name), None)
 
 
