@@ -159,7 +159,7 @@ def test_a_plan_and_commands_in_degrees(tmp_path: Path) -> None:
         ),
         (PROBLEM, 'start.x="30 deg"', "start.x: expected a number in m, found an angle"),
         (PROBLEM, 'start.heading="5 deg/s"', "expected a number in rad, found an angular rate"),
-        (PROBLEM, 'start.heading="5 dog"', 'text with a unit of an angle as in "30 deg" or "5 deg'),
+        (PROBLEM, 'start.heading="5 dog"', 'text with an angular unit, as in "30 deg" or "5 deg'),
         (PROBLEM, 'inputs.left_rate="5 deg"', "expected a number in rad/s, found an angle"),
         (PROBLEM, "vehicle.tilt_stop=30", '(did you mean 30 degrees? write "30 deg"), found 30'),
         (PROBLEM, 'vehicle.tilt_stop="3 deg/s"', "or text as in \"30 deg\", found '3 deg/s'"),

@@ -165,8 +165,8 @@ def test_it_is_drawn(write: Callable[..., None]) -> None:
         (
             '"ellipsoid"',
             '"elipsoid"',
-            "section (wheel 'right'): expected one of torus, disc, sphere, ellipsoid, found "
-            "'elipsoid'",
+            "section (wheel 'right'): expected one of 'torus', 'disc', 'sphere', 'ellipsoid', "
+            "found 'elipsoid'",
         ),
         ("equator = 0.3\n", "", "equator (wheel 'right'): expected a value, found none"),
         (

@@ -292,11 +292,20 @@ def test_settings(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "setting",
-    ["time.step", "a b=1", "time.step.x=1", "time.step=[1", "time.step=1\nb=2", "no.key=", "=1"],
+    ["time.step", "a b=1", "time.step=[1", "time.step=1\nb=2", "=1"],
 )
 def test_bad_settings(setting: str, tmp_path: Path) -> None:
     (found,) = _faults(tmp_path, VALID, setting)
     assert found.startswith(f"--set {setting.partition('=')[0]}: expected key=value with")
+
+
+def test_settings_of_keys_that_do_not_exist(tmp_path: Path) -> None:
+    assert _faults(tmp_path, VALID, "time.step.x=1", "no.key=", "time.step.x=") == [
+        "--set time.step.x: expected a key of a table, found that 'time.step' is not a table; "
+        "correct the key",
+        "--set no.key: expected a key to remove, found no such key; correct the key",
+        "--set time.step.x: expected a key to remove, found no such key; correct the key",
+    ]
 
 
 def test_settings_that_do_not_fit(tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ def test_what_cannot_be_exported(tmp_path: Path) -> None:
     netcdf.write(out, replace(found, columns={"x": found.columns["x"]}))
     with pytest.raises(DataError, match="expected rates of driven wheels or"):
         export_rates(out, tmp_path / "rates.csv")
-    with pytest.raises(DataError, match=r"expected a motion with .*, found no y"):
+    with pytest.raises(DataError, match=r"expected a motion with .*, found no 'y'"):
         export_path(out, tmp_path / "path.csv")
     netcdf.write(out, found.part(slice(1)))
     with pytest.raises(DataError, match="at least two samples for a LineString, found one"):

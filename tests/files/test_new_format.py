@@ -52,7 +52,7 @@ def test_a_problem_drives_on_a_map_of_the_new_format(file: Path, tmp_path: Path)
 
 def test_keys_of_other_formats_are_refused(file: Path) -> None:
     assert read_map(file, window=(-1, 1, -1, 1)).grid.z.shape == (5, 5)
-    with pytest.raises(DataError, match=r"no spacing for a \.json file"):
+    with pytest.raises(DataError, match=r"no 'spacing' for a \.json file"):
         read_map(file, spacing=0.1)
 
 

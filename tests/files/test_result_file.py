@@ -248,12 +248,12 @@ def test_a_foreign_netcdf_file(tmp_path: Path) -> None:
 
 def test_a_file_changed_by_others(motion: Trajectory, tmp_path: Path) -> None:
     path = _foreign(tmp_path / "a.nc", slipfree_version=b"0.1.0")
-    with pytest.raises(DataError, match="an empty or unlimited dimension"):
+    with pytest.raises(DataError, match="the empty or unlimited dimension 'time'"):
         netcdf.read(path)
     netcdf.write(path, motion)
     data = path.read_bytes()
     for old, new, words in [
-        (b"units", b"unite", "without units or long_name"),
+        (b"units", b"unite", "without the attribute 'units'"),
         (b"\0\0\0\4time\0\0", b"\0\0\0\4tine\0\0", "found no variable 'time'"),
         (b"x slip pitch", b"x slip patch", "found no variable 'patch'"),
         (struct.pack(">II", 11, 5), struct.pack(">II", 13, 5), "cut off or damaged"),

@@ -95,7 +95,7 @@ def test_nodes_outside_the_hull_are_holes(tmp_path):
     [
         ("", "found none; check the file"),
         ("# nothing\n\n", "found none; check the file"),
-        ("x y z\n", "line 2: expected three numbers x y z, found 'no points'"),
+        ("x y z\n", "expected lines with three numbers x y z, found none that can be read"),
         ("0 0 1\n1 0 x\n0 1 1\n", "line 2: expected three numbers x y z, found '1 0 x'; "),
         ("# x\n\n0 0 1\n1 0\n0 1 1\n", "line 4: expected three numbers x y z, found '1 0'; "),
         ("0 0 1 5\n1 0 1 5\n", "line 1: expected three numbers x y z, found '0 0 1 5'; .*awk"),

@@ -122,10 +122,10 @@ def test_keys_that_a_file_has_no_use_for(tmp_path):
     path = written(tmp_path, HEADER + ROWS)
     for key, value in (("cell", 1.0), ("registration", "area")):
         with pytest.raises(
-            DataError, match=f"map.asc: expected no {key} for a raster that contains coordinates"
+            DataError, match=f"map.asc: expected no '{key}' for a raster that contains coordinates"
         ):
             read_map(path, **{key: value})
-    with pytest.raises(DataError, match=r"map.asc: expected no spacing for a \.asc file"):
+    with pytest.raises(DataError, match=r"map.asc: expected no 'spacing' for a \.asc file"):
         read_map(path, spacing=1.0)
 
 
@@ -211,7 +211,7 @@ def test_npz_refuses(tmp_path):
     [
         ("map.sdat", r"ending in .npz, .tif, .* found '.sdat'; header and .*translate"),
         ("map.tif", "map.tif: expected a map, found that it cannot be read"),
-        ("junk", "another raster of GDAL in one file, found 'no ending' with unknown"),
+        ("junk", "another raster of GDAL in one file, found no ending with unknown"),
         ("a.zip", "unpack it: unzip in.zip"),
         ("a.shp", "contours to a raster: gdal_grid .* in.shp out.tif"),
         ("a.hdr", "give the name of the file with the heights"),

@@ -181,11 +181,11 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
         (
             '<axis xyz="0 1 0"/>',
             '<axis xyz="0 1"/>',
-            "cart.urdf:27: joint 'left_drive': axis: expected three numbers in xyz, found '0 1'",
+            "cart.urdf:27: joint 'left_drive': axis: expected three numbers in 'xyz', found '0 1'",
         ),
         ('<mass value="12"/>', '<mass value="many"/>', "link 'base_link': mass: expected a number"),
         ('<mass value="12"/>', '<mass value="-1"/>', "expected a mass of at least 0 kg"),
-        ('xyz="0 0.25 0"', 'xyz="0 250 0"', "expected xyz in metres, at most 100 (did you mean mi"),
+        ('xyz="0 0.25 0"', 'xyz="0 250 0"', "expected xyz in metres, from -100 to 100 (did you me"),
         (
             'rpy="0.0 0.0 0.4"',
             'rpy="0 0 23"',
@@ -202,13 +202,14 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
             CASTER,
             REVOLUTE.format(1, 1),
             "joint 'caster': expected a lower limit of caster below the upper "
-            'one, found 1 and 1; write caster = "fixed" in "joints" if it does not move, else its '
-            '"lower" and "upper"',
+            'one, found 1 and 1; in a vehicle file with urdf = "cart.urdf", write caster = "fixed" '
+            'in "joints" if it does not move, else its "lower" and "upper"',
         ),
         (
             CASTER,
             CASTER.replace("continuous", "prismatic") + '<limit lower="-150" upper="1"/>',
-            "joint 'caster': expected lower in metres, at most 100 (did you mean millimetres?)",
+            "joint 'caster': expected lower in metres, at least -100 (did you mean millimetres? "
+            "write -0.15), found -150",
         ),
         (
             '<joint name="lidar_mount" type="revolute">',
@@ -240,7 +241,8 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
         (
             CASTER,
             CASTER.replace("continuous", "planar"),
-            "joint 'caster': expected fixed, revolute, continuous or prismatic, found planar",
+            "joint 'caster': expected the type 'fixed', 'revolute', 'continuous' or 'prismatic', "
+            "found 'planar'; replace it",
         ),
         (
             CASTER,
@@ -327,7 +329,7 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
             'urdf = "cart.urdf"\njoints = { caster = "suspension" }\nwheels = { caster_axle = '
             "{ driven = false } }",
             "cart.urdf:1: expected at most 0 suspension coordinates for 3 wheels, "
-            "one for each beyond three, found 1, 1 too many: caster; remove 1",
+            "one for each wheel beyond three, found 1 (caster); remove it",
         ),
         (
             'urdf = "cart.urdf"\njoints = { caster = { kind = "commanded", stiffness = 3 } }\n'
@@ -337,12 +339,13 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
         (
             'urdf = "cart.urdf"\njoints = { caster = "passive", bracket = "suspension" }',
             "cart.urdf:33: joint 'bracket': expected a joint with an axis, so that it can be "
-            "suspension, found one of type 'fixed' without an axis; give it in the vehicle file, "
-            'as in { kind = "suspension", axis = [0, 1, 0] }',
+            "suspension, found one of type 'fixed' without an axis; add the axis in the vehicle "
+            'file, as in { kind = "suspension", axis = [0, 1, 0] }',
         ),
         (
             'urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }',
-            "joint 'caster': expected a wheel without moving joints below it, found some",
+            "joint 'caster': expected a wheel without moving joints below it, found 'caster_axle'; "
+            "remove it or the wheel",
         ),
         (
             'urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }',
@@ -383,9 +386,9 @@ left_drive = { driven = false }
 @pytest.mark.parametrize(
     ("mimic", "words"),
     [
-        ("rear_left", "expected a mimic of an independent joint, found 'rear_left', a wheel"),
-        ("rocker", "found 'rocker', no joint of that name"),
-        ("rocker_right", "found 'rocker_right', a joint that follows this one"),
+        ("rear_left", "expected a mimic of an independent joint, found 'rear_left', a wheel; c"),
+        ("rocker", "found 'rocker', no joint of that name; correct"),
+        ("rocker_right", "found 'rocker_right', a joint that follows this one; remove one"),
     ],
 )
 def test_mimics_that_lead_nowhere(mimic, words, tmp_path):
@@ -423,7 +426,7 @@ def test_limits_of_the_vehicle_file_override_those_of_the_urdf(in_urdf, in_roles
         (
             ", lower = 0.5",
             "joint 'caster': expected a lower limit of caster below the upper one, found 0.5 and "
-            "0.2; write",
+            "0.2; in a vehicle file",
         ),
         (
             ", lower = 0, upper = 0",
@@ -489,8 +492,9 @@ def test_a_wheel_has_the_radius_of_the_shape_that_touches_first(tmp_path):
         (note,) = [note for note in vehicle.notes if note.startswith("several shapes")]
         assert note == (
             f"several shapes (1 sphere of 0.02 m, 1 cylinder of {smaller} m, 1 cylinder of "
-            f"0.15 m), radius {radius} m of the shape about the axle that touches level ground "
-            "first; override by wheels = { left_drive = { radius = ... } }: left_drive"
+            "0.15 m), of which the one about the axle that touches level ground first gives the "
+            f"radius, {radius} m: left_drive; override by wheels = {{ left_drive = {{ radius = ... "
+            "} }"
         )
     roles = (
         'urdf = "cart.urdf"\njoints = { caster = "passive" }\n[wheels]\n'
@@ -556,7 +560,7 @@ def test_inertials_and_origins_may_be_missing(tmp_path):
     assert vehicle.mass == 0
     assert vehicle.wheels[0].at == (0.0, 0.0, 0.0)
     assert any(
-        note.startswith("without mass, since they have no inertial: base_link")
+        note.startswith("without mass, since the URDF does not contain it: base_link")
         for note in vehicle.notes
     )
 

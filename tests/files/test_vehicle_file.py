@@ -270,15 +270,15 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'name = "fork"\n',
             'name = "platform"\n',
             "v.toml:9: joints[0].name (joint 'platform'): "
-            "expected a unique name, found 'platform', also the name of the platform",
+            "expected a unique name, found 'platform', also the name of the platform; rename it",
         ),
         (
             'kind = "passive"',
             'kind = "suspension"',
             "v.toml:4: coordinates: expected at most 0 "
-            "suspension coordinates for 3 wheels, one for each beyond three, found 1, 1 too many: "
-            "swivel; remove 1, or set the kind of 1 of them to 'passive' or 'commanded', add "
-            "wheels, or give each a stiffness",
+            "suspension coordinates for 3 wheels, one for each wheel beyond three, found 1 "
+            "(swivel); remove it, set its kind to 'passive' or 'commanded', add 1 wheel, or give "
+            "it a stiffness",
         ),
         (
             LONG[
@@ -293,14 +293,14 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'value = "swivl"',
             "v.toml:13: joints[0].value (joint 'fork'): "
             "expected a formula of the coordinates (swivel), found 'swivl'; did you mean "
-            "'swivel'?; "
-            'add it to coordinates, as { name = "swivl", kind = "passive" }',
+            "'swivel'? otherwise add "
+            '{ name = "swivl", kind = "passive" } to "coordinates"',
         ),
         (
             'value = "swivel"',
             'value = "2 swivel"',
             "v.toml:13: joints[0].value (joint 'fork'): "
-            "expected a formula of coordinates, '0' if it is rigid, found formula '2 swivel'",
+            "expected a formula of coordinates, '0' for a rigid joint, found formula '2 swivel'",
         ),
         (
             'value = "swivel"',
@@ -312,8 +312,14 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'name = "swivel"',
             'name = "sin"',
             "v.toml:5: coordinates[0].name (coordinate 'sin'): "
-            "expected a name of letters, digits and _ that is not the name of a function "
-            "or state, found",
+            "expected a name other than those of functions, constants, states of the platform and "
+            "Python keywords, found 'sin'; rename it",
+        ),
+        (
+            'name = "swivel"',
+            'name = "2a"',
+            "v.toml:5: coordinates[0].name (coordinate '2a'): "
+            "expected a name of letters, digits and _ that does not begin with a digit, found",
         ),
         (
             'kind = "passive"',
@@ -349,7 +355,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
             "at = [0, -0.25, 0]",
             "at = [0, -250, 0]",
             "v.toml:25: wheels[1].at (wheel 'right'): "
-            "expected metres, at most 100 (did you mean millimetres? write -0.25), found [0, -250",
+            "expected metres, at least -100 (did you mean millimetres? write -0.25), found [0, "
+            "-250",
         ),
         (
             "at = [0, -0.25, 0]",
@@ -666,8 +673,10 @@ def test_inertia_and_drives_are_read_with_the_axes_of_the_file(tmp_path):
             "inertia = [1, 2, -3, 0, 0, 0]",
             "principal moments of inertia must be",
         ),
-        ("radius = 0.1\n", "drive = { kind = 'steam' }", "with kind, one of rate, torque, motor"),
-        ("radius = 0.1\n", "drive = { kind = 'motor', stall = 2 }", "no_load, kp are required"),
+        ("radius = 0.1\n", "drive = { kind = 'steam' }", "'kind' is one of 'rate', 'torque', 'm"),
+        ("radius = 0.1\n", "drive = { kind = 'motor', stall = 2 }", "the key 'no_load' for kind"),
+        ("radius = 0.1\n", "drive = { kind = 'rate', kp = 2 }", "for kind = 'rate', not 'kp'"),
+        ("radius = 0.1\n", "drive = { kind = 'motor', stall = '', no_load = 1, kp = 1 }", "number"),
         ("radius = 0.1\n", "inertia = [0.0, 1.0]", "greater than 0"),
     ],
 )

@@ -20,7 +20,7 @@ FEATURE = {"featureType": "trajectory"}
 TRAJECTORY = "trajectory"  # variable that identifies the motion
 TRAJECTORY_ATTRIBUTES = {"long_name": "number of the motion", "cf_role": "trajectory_id"}
 CRS = "crs"  # variable with the reference system of the map
-POSITION = ("map_x", "map_y", "longitude", "latitude")  # variables with the place on the map
+POSITION = ("map_x", "map_y", "longitude", "latitude")  # variables with the position on the map
 STANDARD_NAMES = {
     "map_x": "projection_x_coordinate",
     "map_y": "projection_y_coordinate",
@@ -30,7 +30,7 @@ STANDARD_NAMES = {
     "roll": "platform_roll_starboard_down",
 }
 # Names of the CF conventions for methods and parameters of projections, by their EPSG codes. The
-# second entry of a method is its name of the longitude of natural origin.
+# second entry of a method is the CF name of its longitude of natural origin, if it has one.
 METHODS = {
     9807: ("transverse_mercator", "longitude_of_central_meridian"),
     9820: ("lambert_azimuthal_equal_area", "longitude_of_projection_origin"),
@@ -59,7 +59,8 @@ def is_trajectory(run: Trajectory) -> bool:
 def position_columns(run: Trajectory) -> dict[str, Column]:
     """Return columns with the horizontal position in the reference system of the map, by name.
 
-    The result is empty without a reference system; the columns x, y, z contain the position then.
+    The result is empty for a motion without positions, or without a reference system; in the latter
+    case, the columns x, y, z contain the position.
     """
     crs = run.attributes.get(MAP_CRS)
     if not crs or not is_trajectory(run):
@@ -82,7 +83,7 @@ def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> 
     run : Trajectory
         The motion.
     on_map : sequence of str
-        Names of `position_columns`.
+        Names of the columns that `position_columns` returns.
     name : str
         Name of the variable.
     """
@@ -100,10 +101,15 @@ def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> 
 
 
 def grid_mapping(crs: str) -> dict[str, Any]:
-    """Return the attributes of the variable ``crs`` for a reference system, EPSG code or WKT.
+    """Return the attributes of the variable ``crs`` for a reference system.
 
-    ``crs_wkt`` is the attribute of the CF conventions, ``spatial_ref`` that of GDAL. The
-    projection also has its CF name and parameters where the conventions define them.
+    They are its WKT in ``crs_wkt``, for the CF conventions, and in ``spatial_ref``, for GDAL, and
+    the CF name and parameters of the projection if the conventions define them.
+
+    Parameters
+    ----------
+    crs : str
+        EPSG code or WKT of the reference system.
 
     Raises
     ------
@@ -127,7 +133,11 @@ def grid_mapping(crs: str) -> dict[str, Any]:
 
 
 def _projection(system: dict[str, Any]) -> dict[str, Any]:
-    """Return the CF attributes of a projection from PROJJSON; empty if CF does not define them."""
+    """Return the CF attributes of a projection from PROJJSON.
+
+    The result is empty if CF does not define the projection, or if a parameter has another unit
+    than `UNITS`.
+    """
     conversion = system.get("conversion", {})
     code = conversion.get("method", {}).get("id", {}).get("code")
     rows = conversion.get("parameters", ())

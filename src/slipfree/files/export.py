@@ -19,7 +19,7 @@ from slipfree.trajectory import Column, Trajectory
 
 ANGLES = ("heading", "pitch", "roll", "yaw")
 WGS84 = "EPSG:4326"  # default reference system of GeoJSON
-RUN_AGAIN = "give a result of slipfree run with the verb direct, inverse or plan"
+RUN_AGAIN = "give a result of slipfree run with the verb 'direct', 'inverse' or 'plan'"
 
 
 def export_path(file: Path, out: Path) -> None:
@@ -83,7 +83,7 @@ def check_motion(file: Path, run: Trajectory, needed: Iterable[str]) -> None:
     if missing:
         listed = ", ".join(names)
         raise DataError(
-            f"{file}: expected a motion with {listed}, found no {missing[0]}; {RUN_AGAIN}"
+            f"{file}: expected a motion with {listed}, found no {missing[0]!r}; {RUN_AGAIN}"
         )
 
 
@@ -118,7 +118,7 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
     if run.t.size < 2:
         raise DataError(
             f"{out}: expected a motion of at least two samples for a LineString, found one; "
-            "write CSV instead"
+            "write a .csv file instead"
         )
     crs = run.attributes.get("map_crs", "")
     positions = [values.tolist() for _, values in map_positions(run).values()]

@@ -17,7 +17,7 @@ from slipfree.regular_files import read_bytes
 
 Rows = Mapping[str, Array]
 JOINT_STATE = "sensor_msgs/msg/JointState"
-MESSAGES = {  # types from which a table can be read, by its names
+MESSAGES = {  # types of the messages from which a table is read, by the names of its columns
     ("v_x", "v_y", "omega_z"): ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
     ("x", "y", "heading"): ("nav_msgs/msg/Path", "nav_msgs/msg/Odometry"),
 }
@@ -29,22 +29,25 @@ def is_mcap(path: Path) -> bool:
 
 
 def read_mcap(path: Path, name: str) -> Rows:
-    """Return the table of an MCAP file that has a requested quantity.
+    """Return a table of commands or of a path from the messages in an MCAP file.
 
     Parameters
     ----------
     path : Path
         The file.
     name : str
-        ``"v_x"``: commands ``t, v_x, v_y, omega_z`` of messages Twist or TwistStamped [s, m/s,
-        rad/s]. ``"x"``: path ``t, x, y, heading`` of the last message Path, or of messages
-        Odometry [s, m, rad]. Frames have x forward, y left (REP 103); times count from the first.
+        Name of a column of the table. ``"v_x"``, ``"v_y"`` or ``"omega_z"``: commands ``t, v_x,
+        v_y, omega_z`` of messages Twist or TwistStamped [s, m/s, rad/s]. ``"x"``, ``"y"`` or
+        ``"heading"``: path ``t, x, y, heading`` of the last message Path, or of messages Odometry
+        [s, m, rad]. Frames have x forward, y left (REP 103); times count from that of the first
+        row.
 
     Raises
     ------
     DataError
-        If the package mcap-ros2-support is not installed, if the file cannot be read, or if it
-        has no topic with such messages, or several.
+        If ``name`` is another name, if the package mcap-ros2-support is not installed, if the file
+        cannot be read, if it does not have exactly one topic with such messages, or if a number is
+        not finite.
     """
     names = next((names for names in MESSAGES if name in names), None)
     if names is None:
@@ -55,10 +58,15 @@ def read_mcap(path: Path, name: str) -> Rows:
     topic, rows = _only_topic(path, MESSAGES[names])
     stamped = [*_rows(rows)]
     table = np.array([((t - stamped[0][0]) / 1e9, *row) for t, *row in stamped], dtype=float)
-    if not table.size or not np.isfinite(table).all():
+    if not table.size:
         raise DataError(
-            f"{path}: expected finite numbers in topic {topic}, found "
-            f"{'infinite ones or NaN' if table.size else 'none'}; record the topic again"
+            f"{path}: expected poses in the last message of topic {topic!r}, found none; record "
+            "the topic again"
+        )
+    if not np.isfinite(table).all():
+        raise DataError(
+            f"{path}: expected finite numbers in topic {topic!r}, found infinite ones or NaN; "
+            "record the topic again"
         )
     if "heading" in names:
         table[:, -1] = np.unwrap(table[:, -1])
@@ -71,9 +79,10 @@ class JointCommands(NamedTuple):
     Attributes
     ----------
     t : ndarray, shape (n,)
-        Times since the first message of the file. [s]
+        Times since the first message of the topic. [s]
     positions, velocities : ndarray, shape (n,)
-        Commanded values and rates; NaN where a message has none. [rad or m, rad/s or m/s]
+        Commanded values and rates; NaN where a message does not contain them. [rad or m, rad/s or
+        m/s]
     """
 
     t: Array
@@ -82,7 +91,7 @@ class JointCommands(NamedTuple):
 
 
 def read_joint_commands(path: Path) -> dict[str, JointCommands]:
-    """Return the commands in the messages JointState of an MCAP file, by the name of the joint.
+    """Return the joint commands in the JointState messages of an MCAP file, by name of the joint.
 
     Raises
     ------
@@ -104,27 +113,27 @@ def read_joint_commands(path: Path) -> dict[str, JointCommands]:
     found = {name: JointCommands(*np.array(table).T) for name, table in rows.items()}
     if any(np.diff(each.t, prepend=-1.0).min() <= 0 for each in found.values()):
         raise DataError(
-            f"{path}: expected increasing times of each joint in topic {topic}, found equal or "
-            "decreasing ones; sort the messages, and keep one for each time"
+            f"{path}: expected increasing times of each joint in topic {topic!r}, found equal or "
+            "decreasing ones; sort the messages, and keep one per time"
         )
     return found
 
 
 def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, Any]]]:
-    """Return the only topic with messages of some types, and these with their times [ns]."""
+    """Return the only topic with messages of the given types, and these with their times [ns]."""
     topics: dict[str, list[tuple[int, Any]]] = {}
     for topic, time, message in _messages(path, kinds):
         topics.setdefault(topic, []).append((time, message))
     if len(topics) != 1:
         raise DataError(
-            f"{path}: expected one topic with messages {' or '.join(kinds)}, found "
+            f"{path}: expected one topic with messages of type {' or '.join(kinds)}, found "
             f"{', '.join(sorted(topics)) or 'none'}; record or extract one such topic"
         )
     return next(iter(topics.items()))
 
 
 def _messages(path: Path, kinds: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, time of recording [ns] and content of each message of some types."""
+    """Yield topic, time of recording [ns] and content of each message of the given types."""
     ros = ros_package()
     from mcap.reader import make_reader
 
@@ -136,12 +145,12 @@ def _messages(path: Path, kinds: Sequence[str]) -> Iterator[tuple[str, int, Any]
                 if decode is None:
                     raise DataError(
                         f"{path}: expected messages of ROS 2 (CDR), found "
-                        f"{channel.message_encoding!r} in topic {channel.topic}; convert the file"
+                        f"{channel.message_encoding!r} in topic {channel.topic!r}; convert the file"
                     )
                 yield channel.topic, record.log_time, decode(record.data)
     except DataError:
         raise
-    except Exception as error:  # the library lets those of its parsers and of codecs pass
+    except Exception as error:  # also those of its parsers and codecs
         raise DataError(
             f"{path}: expected messages as MCAP, found a file that is damaged or of another "
             f"format ({type(error).__name__}); record or convert it again"
@@ -166,7 +175,7 @@ def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, 
 
 
 def _time(message: Any, recorded: int) -> int:
-    """Return the time in the header of a message; without one, that of its recording [ns]."""
+    """Return the time in the header of a message, or of its recording if it has no header [ns]."""
     if not hasattr(message, "header"):
         return recorded
     stamp = message.header.stamp

@@ -29,7 +29,8 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
     ``/tf`` (tf2_msgs/TFMessage: ``map`` to ``base_link``, the platform, and ``base_link`` to each
     wheel; with a URDF, ``map`` to its root link, and all its links), ``/joint_states``
     (sensor_msgs/JointState: moving joints and wheels) and ``/slip/WHEEL``
-    (geometry_msgs/Vector3Stamped: x along, y to the left [m/s]). Times are rounded to nanoseconds.
+    (geometry_msgs/Vector3Stamped: slip velocity of the wheel, x along its rolling direction, y to
+    the left [m/s]). Times are rounded to nanoseconds.
 
     Parameters
     ----------
@@ -40,14 +41,15 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
     vehicle : Vehicle
         The vehicle.
     robot : Robot, optional
-        The URDF of the vehicle, whose joints have the signs of their axes.
+        The URDF of the vehicle: values of its joints have the signs of its axes. Without it, angles
+        of wheels are positive forward.
 
     Raises
     ------
     DataError
         If the package mcap-ros2-support is not installed, or the file cannot be written.
     ModelError
-        If the motion lacks a coordinate of the vehicle.
+        If the motion lacks the pose, a coordinate, or the angles or the slip of the wheels.
     """
     ros, times = ros_package(), [round(t * 1e9) for t in run.t.tolist()]
     tracks = [
@@ -88,7 +90,10 @@ def _stamped(content: dict[str, Any], time: int) -> dict[str, Any]:
 
 
 def _rep103(poses: FramePoses) -> tuple[Array, Rotation]:
-    """Return origins [m] and rotations of frames with axes x forward, y left, as one long list."""
+    """Return origins [m] and rotations of frames with axes x forward, y left.
+
+    The rotations of all samples and frames are in one dimension.
+    """
     right, forward, up = np.moveaxis(poses.rotations, -1, 0)
     turned = np.stack([forward, -right, up], axis=-1)
     return poses.origins, Rotation.from_matrix(turned.reshape(-1, 3, 3))

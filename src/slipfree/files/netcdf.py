@@ -4,7 +4,7 @@ A result file is netCDF-3 (64-bit offsets), which xarray, MATLAB, R, Julia, Pano
 directly. It has the dimensions ``wheel`` and ``time``, and one variable for each quantity with
 ``units`` and ``long_name``. A motion over terrain is a trajectory of the CF conventions
 (`slipfree.files.cf`). Global attributes contain versions, date, the complete problem file, and the
-reason of an early stop. Attributes are UTF-8; a byte of a file name that is not
+reason for an early stop. Attributes are UTF-8; a byte of a file name that is not
 UTF-8, such as 0xff, is written as ``\udcff``.
 """
 
@@ -67,7 +67,7 @@ REMEDY = "run the problem again to write a complete file"
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
 MAX_VALUE = 1e100  # larger numbers in a result file mean that it is damaged
 BLOCK = 65536  # number of samples processed at once
-SIZE = "_size"  # suffix of the dimension of an array that is not over time
+SIZE = "_size"  # suffix of the dimension of a further array
 NOTHING: Mapping[str, npt.NDArray[Any]] = {}
 Attribute = str | float
 
@@ -87,14 +87,15 @@ def write(
         The motion. Versions and date are added to its attributes, unless it was read from a result
         file and has them.
     arrays : mapping of str to ndarray of shape (n,), optional
-        Further arrays by name, which `read_arrays` returns; lengths may differ.
+        Further arrays by name, which `read_arrays` returns; their lengths may differ.
 
     Raises
     ------
     ModelError
         If the trajectory has no samples or uses a reserved name.
     DataError
-        If the file cannot be written.
+        If the file cannot be written, or if the attributes of the trajectory contain invalid map
+        coordinates or an unknown reference system.
     """
     _check(run)
 
@@ -146,12 +147,14 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
     path : path
         The result file.
     lazy : bool
-        Whether to read each quantity from the file whenever it is accessed, to save memory.
+        Whether to read each quantity from the file whenever it is accessed, to save memory. Then
+        the access raises the DataError of a quantity with damaged values.
 
     Raises
     ------
     DataError
-        If the file is missing, is not netCDF-3, is incomplete, or was not written by ``write``.
+        If the file is missing, is not netCDF-3, is incomplete or damaged, or was not written by
+        ``write``.
     """
     file = _open(Path(path))
     with ExitStack() as stack:
@@ -169,7 +172,8 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
     Raises
     ------
     DataError
-        If the file is missing, is not netCDF-3, is incomplete, or was not written by ``write``.
+        If the file is missing, is not netCDF-3, is incomplete or damaged, or was not written by
+        ``write``.
     """
     file = _open(Path(path))
     names = [k for k, each in file.variables.items() if each.dimensions == (f"{k}{SIZE}",)]
@@ -190,8 +194,8 @@ def _check(run: Trajectory) -> None:
     """Raise ModelError for a trajectory without samples or with a reserved name."""
     if run.t.size == 0:
         raise ModelError(
-            "expected a trajectory with at least one sample, found none; check the motion before "
-            "writing it"
+            "expected a trajectory with at least one sample, found none; do not write an empty "
+            "motion"
         )
     taken = RESERVED & {*run.columns, *run.attributes}
     taken |= {name for name in run.attributes if name.startswith(STATISTICS)}
@@ -337,7 +341,8 @@ def _open(path: Path) -> _File:
     if str(attributes[ORIGIN]).startswith(OLD):
         attributes = upgrade_0_1(attributes)
     if not all(dimensions.values()):
-        raise _fault(path, "an empty or unlimited dimension")
+        name = next(name for name, size in dimensions.items() if not size)
+        raise _fault(path, f"the empty or unlimited dimension {name!r}")
     return _File(path, path.open("rb"), attributes, variables)
 
 
@@ -369,8 +374,12 @@ def _trajectory(file: _File) -> Trajectory:
         raise _fault(file.path, f"no variable {min(missing)!r}")
     t = file.values("time").astype(np.float64)
     wheels = file.values("wheel") if "wheel" in variables else np.empty((0, 4), "S1")
-    if t.ndim != 1 or not np.isfinite(t).all() or (np.diff(t) < 0).any():
-        raise _fault(file.path, "times that decrease or are not finite")
+    if t.ndim != 1:
+        raise _fault(file.path, "a variable 'time' that does not have one dimension")
+    if not np.isfinite(t).all():
+        raise _fault(file.path, "times that are not finite")
+    if (np.diff(t) < 0).any():
+        raise _fault(file.path, "times that decrease")
     if wheels.ndim != 2 or wheels.dtype != "S1":
         raise _fault(file.path, "a variable 'wheel' that does not contain names")
     names = tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels)
@@ -398,6 +407,8 @@ def _trajectory(file: _File) -> Trajectory:
 def _outcome(file: _File) -> Outcome:
     """Return the outcome stored in a result file."""
     name = str(file.attributes.get(OUTCOME, "")).upper()
+    if not name:
+        raise _fault(file.path, f"no attribute {OUTCOME!r}")
     if name not in Outcome.__members__:
         raise _fault(file.path, f"the unknown outcome {name.lower()!r}")
     return Outcome[name]
@@ -413,8 +424,9 @@ def _label(file: _File, name: str, sizes: Mapping[tuple[str, ...], tuple[int, ..
         )
     if dtype == "S1":
         raise _fault(file.path, f"text in the variable {name!r}")
-    if not {"units", "long_name"} <= set(words):
-        raise _fault(file.path, f"the variable {name!r} without units or long_name")
+    for key in ("units", "long_name"):
+        if key not in words:
+            raise _fault(file.path, f"the variable {name!r} without the attribute {key!r}")
     return Label(name, str(words["units"]), str(words["long_name"]))
 
 
@@ -433,7 +445,7 @@ class _Columns(Mapping[str, Column]):
             values[k : k + BLOCK] = block = found[k : k + BLOCK]
             if (np.abs(block[np.isfinite(block)]) > MAX_VALUE).any():
                 raise _fault(
-                    self._file.path, f"numbers above {MAX_VALUE:g} in the variable {name!r}"
+                    self._file.path, f"absolute values above {MAX_VALUE:g} in the variable {name!r}"
                 )
         column = Column(label, values)
         is_old = str(self._file.attributes[ORIGIN]).startswith(OLD)

@@ -48,6 +48,8 @@ def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]
 def read_names(path: Path, expected: str) -> list[str]:
     """Return the column names in the first line of a table; ``time`` is returned as ``t``.
 
+    For an MCAP file, return those of its commands (`slipfree.files.mcap_reader.read_mcap`).
+
     Parameters
     ----------
     path : Path
@@ -58,7 +60,7 @@ def read_names(path: Path, expected: str) -> list[str]:
     Raises
     ------
     DataError
-        If the file cannot be read.
+        If the file cannot be read, or is an MCAP file without commands.
     """
     if is_mcap(path):
         return [*read_mcap(path, "v_x")]
@@ -92,7 +94,7 @@ def read_columns(
     ------
     DataError
         If the file cannot be read, if the number of values in a line differs from the number of
-        columns, or if a value is not a finite number.
+        columns, if a value is not a finite number, or if an MCAP file has no such table.
     """
     if is_mcap(path):
         table = read_mcap(path, columns[-1])
@@ -101,8 +103,8 @@ def read_columns(
         text = read_bytes(path, f"{expected} as CSV").decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(
-            f"{path}: expected {expected} as CSV, found a file that is not UTF-8 text; give a text "
-            "file"
+            f"{path}: expected {expected} as CSV, found a file that is not UTF-8 text; save it "
+            "as UTF-8"
         ) from error
     rows, order, width = [], list(range(len(columns))), len(columns)
     wanted = f"{COUNTS.get(width, width)} numbers {','.join(columns)}"
@@ -112,6 +114,7 @@ def read_columns(
             continue
         if number == 1 and {*columns} <= {*(names := _names(line))}:
             order, width = [names.index(name) for name in columns], len(names)
+            wanted = f"{COUNTS.get(width, width)} numbers {','.join(names)}"
             if width > len(columns):
                 wanted = f"{width} values as in line 1, with numbers for {','.join(columns)}"
             continue

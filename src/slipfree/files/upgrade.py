@@ -33,8 +33,9 @@ OUTCOMES_OF_PLANS = {  # outcome by status of IPOPT in the message of the stop
 def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]:
     """Return the attributes of a result of version 0.1 in the current format.
 
-    The outcome follows from the name of the stop. The description of a climb moves from ``outcome``
-    to ``climb``. Verb, model, law and method follow from the problem file.
+    The outcome follows from the name and the message of the stop. The description of a climb moves
+    from ``outcome`` to ``climb``. The attributes ``verb``, ``model``, ``law``, ``formulation`` and
+    ``solved_by`` follow from the problem file, ``plan_violations`` from the statistics.
     """
     found = dict(attributes)
     if OUTCOME in found:
@@ -48,7 +49,8 @@ def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]
 def upgrade_column_0_1(column: Column) -> Column:
     """Return a quantity of a result of version 0.1 with its current values.
 
-    Clearances of 1 m or more meant that no other point of the ground is near; they become infinite.
+    Clearances of 1 m or more become infinite: in version 0.1 they meant that no second point of the
+    ground is near.
     """
     label, values = column
     if label.name != "clearance":
@@ -57,7 +59,7 @@ def upgrade_column_0_1(column: Column) -> Column:
 
 
 def _problem_attributes(attributes: Mapping[str, str | float]) -> dict[str, str]:
-    """Return verb, model, law and method of a motion from its problem file.
+    """Return verb, model, law, formulation and method of a motion from its problem file.
 
     The result is empty if the attributes contain no readable problem file.
     """

@@ -34,10 +34,10 @@ class Guess(NamedTuple):
     Attributes
     ----------
     table, name : str
-        Table of the vehicle file, ``"wheels"`` or ``"joints"``, and the name of a joint; an empty
-        table for a key of the file itself.
+        Table of the vehicle file, ``"wheels"`` or ``"joints"``, and the name of a joint; or an
+        empty table and the name of a top-level key.
     values : mapping of str to float, bool or str
-        Keys in the table of the joint, or the key of the file, and their guessed values.
+        Keys in the table of the joint, or the top-level key, and their guessed values.
     reason : str
         Guessed property, and the reason for the guessed values.
     """
@@ -49,7 +49,7 @@ class Guess(NamedTuple):
 
     @property
     def toml(self) -> str:
-        """Line of its table, or of the file, that overrides the guess, with the guessed values."""
+        """Line with the guessed values, to insert in the table of the guess or at the top level."""
         words = {True: "true", False: "false"}
         pairs = ", ".join(
             f"{key} = "
@@ -60,7 +60,7 @@ class Guess(NamedTuple):
 
     @property
     def override(self) -> str:
-        """Line of the vehicle file that overrides the guess, with the guessed values."""
+        """Line with the guessed values, to insert in the vehicle file at the top level."""
         return f"{self.table} = {{ {self.toml} }}" if self.table else self.toml
 
 
@@ -117,7 +117,8 @@ class UnfitError(DataError):
 def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     """Yield an error if there are too few wheels or too many suspension coordinates.
 
-    Springs at all suspension coordinates determine the pose of the vehicle, whatever their number.
+    With springs at all suspension coordinates, any number of them is valid, since the springs
+    determine the pose of the vehicle.
 
     Yields
     ------
@@ -132,10 +133,14 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
         return
     most = count - 3
     if (more := len(given) - most) > 0:
+        remove, whose, stiffen = f"{more} of them", f"the kind of {more} of them", "each"
+        if len(given) == 1:
+            remove, whose, stiffen = "it", "its kind", "it"
         yield (
-            f"at most {most} suspension coordinates for {count} wheels, one for each beyond three",
-            f"{len(given)}, {more} too many: {', '.join(given)}; remove {more}, or set the kind of "
-            f"{more} of them to 'passive' or 'commanded', add wheels, or give each a stiffness",
+            f"at most {most} suspension coordinate{'s' * (most != 1)} for {count} wheels, one for "
+            "each wheel beyond three",
+            f"{len(given)} ({', '.join(given)}); remove {remove}, set {whose} to 'passive' or "
+            f"'commanded', add {more} wheel{'s' * (more > 1)}, or give {stiffen} a stiffness",
         )
 
 
@@ -145,6 +150,12 @@ def is_symbol(name: str) -> bool:
         name in FUNCTIONS or name in CONSTANTS or name in RESERVED_NAMES or keyword.iskeyword(name)
     )
     return name.isidentifier() and not used
+
+
+def length_words(value: float) -> str:
+    """Return the expected value, in words, for a length that exceeds 100 m in absolute value."""
+    limit = f"at most {MAX_LENGTH:g}" if value > 0 else f"at least {-MAX_LENGTH:g}"
+    return f"metres, {limit} (did you mean millimetres? write {value / 1000:g})"
 
 
 def degrees_words(angle: float) -> str:

@@ -51,6 +51,7 @@ from slipfree.files.vehicle_draft import (
     from_rep103,
     in_order,
     is_symbol,
+    length_words,
     loop_of,
     misfits,
 )
@@ -85,16 +86,14 @@ class VehicleError(ProblemError):
 
 
 def meters(value: float) -> float:
-    """Return a length unchanged; raise an error if it exceeds 100 m."""
+    """Return a length unchanged; raise an error if its absolute value exceeds 100 m."""
     if abs(value) > MAX_LENGTH:
-        raise _expected(
-            f"metres, at most {MAX_LENGTH:g} (did you mean millimetres? write {value / 1000:g})"
-        )
+        raise _expected(length_words(value))
     return value
 
 
 def _place(value: Vector) -> Vector:
-    """Return a position unchanged; raise an error if a component exceeds 100 m."""
+    """Return a position unchanged; raise an error for components beyond -100 m or 100 m."""
     for each in value:
         meters(each)
     return value
@@ -131,7 +130,7 @@ def _axis(value: Any) -> str | Vector:
 
 def _known_section(_: Any) -> None:
     """Raise a validation error with the names of the known sections."""
-    raise PydanticCustomError("expected", "{words}", {"words": f"one of {', '.join(SECTIONS)}"})
+    raise _expected(f"one of {', '.join(map(repr, SECTIONS))}")
 
 
 def _drive(value: Any) -> Drive:
@@ -139,15 +138,19 @@ def _drive(value: Any) -> Drive:
     given = dict(value) if isinstance(value, dict) else {}
     kind = given.pop("kind", None)
     if kind not in DRIVES:
-        raise _expected(f"a table with kind, one of {', '.join(DRIVES)}")
+        raise _expected(f"a table whose 'kind' is one of {', '.join(map(repr, DRIVES))}")
     keys = [each.name for each in fields(DRIVES[kind])]
     needed = [each.name for each in fields(DRIVES[kind]) if each.default is MISSING]
-    numbers = all(isinstance(n, int | float) and not isinstance(n, bool) for n in given.values())
-    if not (set(needed) <= set(given) <= set(keys) and numbers):
-        raise _expected(
-            f"a table of numbers with kind = '{kind}': {', '.join(keys) or 'no further key'}"
-            + (f", of which {', '.join(needed)} are required" if needed else "")
-        )
+    for name in given:
+        if name not in keys:
+            known = ", ".join(map(repr, ("kind", *keys)))
+            raise _expected(f"only the keys {known} for kind = {kind!r}, not {name!r}")
+    for name in needed:
+        if name not in given:
+            raise _expected(f"the key {name!r} for kind = {kind!r}")
+    for name, n in given.items():
+        if not isinstance(n, int | float) or isinstance(n, bool):
+            raise _expected(f"a number as {name!r} for kind = {kind!r}")
     try:
         return DRIVES[kind](**given)
     except ModelError as error:
@@ -401,7 +404,7 @@ def _counted(table: VehicleTable) -> str:
 
 
 def _name_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield an error for each name that is used twice, reserved, or invalid in formulas."""
+    """Yield an error for each name that is not unique, is reserved, or has invalid characters."""
     seen: dict[str, str] = {}
     for part in ("coordinates", "wheels", "joints"):
         if part == "joints":
@@ -409,18 +412,19 @@ def _name_errors(table: VehicleTable) -> Iterator[Fault]:
         for index, each in enumerate(getattr(table, part)):
             place = (part, index, "name")
             if each.name in seen:
-                expected = "a unique name"
-                found = f"{each.name!r}, also the name of {seen[each.name]}; rename one of them"
-                yield Fault(place, expected, found)
+                remedy = "it" if seen[each.name] == "the platform" else "one of them"
+                found = f"{each.name!r}, also the name of {seen[each.name]}; rename {remedy}"
+                yield Fault(place, "a unique name", found)
             seen.setdefault(each.name, spelled((part, index)))
             if part == "wheels" and not re.fullmatch(r"[\w-]+", each.name):
                 yield Fault(
                     place, "a name of letters, digits, _ and -", f"{each.name!r}; rename it"
                 )
             if part == "coordinates" and not is_symbol(each.name):
-                expected = (
-                    "a name of letters, digits and _ that is not the name of a function or state"
-                )
+                expected = "a name of letters, digits and _ that does not begin with a digit"
+                if each.name.isidentifier():
+                    expected = "a name other than those of functions, constants, states of the "
+                    expected += "platform and Python keywords"
                 yield Fault(place, expected, f"{each.name!r}; rename it")
 
 
@@ -458,13 +462,15 @@ def _value_errors(table: VehicleTable) -> Iterator[Fault]:
         try:
             used = names_in(joint.value)
         except ModelError as error:
-            yield Fault(place, "a formula of coordinates, '0' if it is rigid", str(error))
+            yield Fault(place, "a formula of coordinates, '0' for a rigid joint", str(error))
             continue
         for name in sorted(used):
             if name not in motions:
                 expected = f"a formula of the coordinates ({', '.join(known) or 'none'})"
-                add = f'{_near(name, known)}; add it to coordinates, as {{ name = "{name}", kind = '
-                yield Fault(place, expected, f'{add}"passive" }}')
+                add = f'{{ name = "{name}", kind = "passive" }} to "coordinates"'
+                near = _near(name, known)
+                found = f"{near} otherwise add" if "?" in near else f"{near}; correct it, or add"
+                yield Fault(place, expected, f"{found} {add}")
             motions.setdefault(name, set()).add(joint.motion)
     for index, c in enumerate(table.coordinates):
         if not motions[c.name]:
@@ -485,8 +491,7 @@ def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
         for key in ("lower", "upper", "rest"):
             value = getattr(c, key) or 0.0
             if c.name in slides and abs(value) > MAX_LENGTH:
-                expected = f"metres, at most {MAX_LENGTH:g}"
-                yield Fault(("coordinates", index, key), expected, f"{value:g}")
+                yield Fault(("coordinates", index, key), length_words(value), f"{value:g}")
             elif c.name not in slides and (expected := bare_words(value)):
                 yield Fault(("coordinates", index, key), expected, f"{value:g}")
         values = {key: getattr(c, key) for key in ("lower", "upper", "rest", "max_rate")}
@@ -496,7 +501,7 @@ def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
     for index, wheel in enumerate(table.wheels):
         if isinstance(wheel, WheelTable) and wheel.tube > wheel.radius:
             expected = f"at most the radius, {wheel.radius:g} m (a ball)"
-            yield Fault(("wheels", index, "tube"), expected, f"{wheel.tube:g}")
+            yield Fault(("wheels", index, "tube"), expected, f"{wheel.tube:g}; reduce it")
             continue
         try:
             _section_of(wheel)

@@ -226,9 +226,10 @@ def _check_keys(ending: str, reading: Reading) -> None:
         value = getattr(reading, name)
         if value is not None and not takes_key(ending, name):
             endings = [each for reader in READERS if name in reader.keys for each in reader.endings]
+            kind = f"a {ending} file" if ending else "a file without an ending"
             raise DataError(
-                f"expected no {name} for a {ending} file, found {value!r}; remove it "
-                f"({name} is for {', '.join(endings)})"
+                f"expected no {name!r} for {kind}, found {value!r}; remove it "
+                f"({name!r} is for {', '.join(endings)})"
             )
 
 
@@ -415,7 +416,7 @@ def _read_cloud(path: Path, ask: Reading) -> Heights:
 
 
 class MapReader(NamedTuple):
-    """Format of map files.
+    """Reader of map files of one format.
 
     Attributes
     ----------
@@ -440,8 +441,9 @@ def _read_raster(path: Path, ask: Reading) -> Heights:
         if path.suffix.lower() in FORMATS or UNKNOWN not in str(error):
             raise
         raise DataError(
-            f"{_expected_endings()}, found {path.suffix or 'no ending'!r} with unknown contents; "
-            "convert it: gdal_translate in out.tif, or check that it is a map"
+            f"{_expected_endings()}, found {repr(path.suffix) if path.suffix else 'no ending'} "
+            "with unknown contents; convert it: gdal_translate in out.tif, or check that it is a "
+            "map"
         ) from error
 
 

@@ -25,5 +25,5 @@ def check_header(path: Path) -> None:
             pass
     except DAMAGED as error:
         raise DataError(
-            "expected a readable netCDF, found a damaged header; copy or download it again"
+            "expected a readable netCDF file, found a damaged header; copy or download it again"
         ) from error.with_traceback(None)

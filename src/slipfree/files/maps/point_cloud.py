@@ -47,7 +47,7 @@ class _Cloud(NamedTuple):
     version : str
         Version of the format, such as ``"1.2"``.
     crs : rasterio.crs.CRS or None
-        Horizontal reference system.
+        Horizontal reference system; None if not given.
     unit : str
         Unit of the heights; empty if unknown.
     """
@@ -62,7 +62,8 @@ class _Cloud(NamedTuple):
 def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -> Heights:
     """Return the height map of a point cloud.
 
-    Ground points are used if the file has some, otherwise all points but noise. The points of a
+    Points classified as ground are used if there are any, otherwise all points except noise and
+    withheld points. The points of a
     cell are averaged in x, y and z, and heights are interpolated linearly between these averages:
     a plane is exact. Cells without points, and nodes outside the convex hull, are holes.
 
@@ -78,8 +79,8 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
     Raises
     ------
     DataError
-        If laspy or lazrs is not installed, if the file is damaged or not in metres, or if it has
-        too few points.
+        If laspy, lazrs or pyproj is not installed, if the file is damaged or not in metres, if its
+        points are too few or too many or lie on a line, or if the window contains too few nodes.
     """
     near = None if window is None or spacing is None else _widened(window, spacing)
     cloud = _read(path, near)
@@ -91,14 +92,16 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
         refuse(
             "at least 3 points",
             f"{len(points)}",
-            "use another file" if window is None else "enlarge or move the window",
+            "use another file" if near is None else "enlarge or move the window",
         )
     density = _density(points)
     cell = _two_digits(math.sqrt(POINTS_PER_CELL / density)) if spacing is None else spacing
     x, y = (_axis(points[:, k], cell) for k in (0, 1))
     i, j = parts(x, y, window)
     z, occupied = _gridded(points, x, y, (i, j))
-    chosen = "" if spacing else f", chosen for {POINTS_PER_CELL:g} points in each: set spacing"
+    chosen = ""
+    if not spacing:
+        chosen = f", chosen for {POINTS_PER_CELL:g} points in each (override by spacing)"
     used = f"{len(points)} classified as ground, of" if cloud.ground.any() else "all"
     words = (
         f"{used} {len(cloud.points)} points, {density:.3g} per m2; cells of {cell:g} m{chosen}; "
@@ -125,7 +128,7 @@ def _widened(window: Window, cell: float) -> Window:
 
 
 def _read(path: Path, near: Window | None) -> _Cloud:
-    """Return the points of a file without noise and withheld ones; those in a window if given."""
+    """Return the points of a file in ``near`` (default all), except noise and withheld points."""
     laspy = _laspy()
     points, ground = [np.empty((0, 3))], [np.empty(0, bool)]
     try:
@@ -143,10 +146,11 @@ def _read(path: Path, near: Window | None) -> _Cloud:
                 ground.append(kind[good] == GROUND)
                 if sum(map(len, ground)) > MAX_POINTS:
                     remedy = "set spacing and window, or thin the points"
-                    refuse(f"at most {MAX_POINTS:g} points", f"{count}", remedy)
+                    found_words = f"more, of {count} in the file"
+                    refuse(f"at most {MAX_POINTS:g} points", found_words, remedy)
             found = np.concatenate(points)
             if not (np.abs(found) <= MAX_COORDINATE).all():
-                raise ValueError(f"coordinates that are not numbers up to {MAX_COORDINATE:g}")
+                raise ValueError(f"coordinates that are not finite or exceed {MAX_COORDINATE:g}")
             version = str(file.header.version)
             return _Cloud(found, np.concatenate(ground), version, *_system(file.header))
     except (DataError, OSError):
@@ -227,7 +231,7 @@ def _vertical_unit(keys: dict[int, int], vertical: Any) -> str:
 
 
 def _density(points: Array) -> float:
-    """Return the number of points per area, of the area that has points [1/m2]."""
+    """Return the number of points per area, excluding areas without points [1/m2]."""
     low, extent = points[:, :2].min(axis=0), np.ptp(points[:, :2], axis=0)
     if not extent.prod() > 0:
         refuse("points that span a surface", "that they lie on a line in x and y", "check the file")
@@ -249,7 +253,7 @@ def _axis(places: Array, cell: float) -> Axis:
 
 
 def _gridded(points: Array, x: Axis, y: Axis, part: tuple[slice, slice]) -> tuple[Array, int]:
-    """Return heights at nodes, NaN in cells without points, and the number of other cells.
+    """Return heights at nodes, NaN in cells without points, and the number of cells with points.
 
     Parameters
     ----------

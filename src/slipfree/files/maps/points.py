@@ -36,9 +36,9 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
     Raises
     ------
     DataError
-        If the file is not such a table, if a coordinate exceeds 1e12 m, if ``spacing`` is None or
-        too large, if the window contains too few nodes, or if the points lie on a line or have
-        fewer than three different positions.
+        If the file is not such a table, if a coordinate exceeds 1e12 m, if ``spacing`` is None, too
+        large or too small, if the window contains too few nodes, or if the points lie on a line or
+        have fewer than three different positions.
     """
     columns = _columns(path)
     if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:
@@ -89,7 +89,12 @@ def _columns(path: Path) -> Array:
     except (ValueError, OSError):
         found = np.empty((0, 0))
     if found.shape[1] != 3 or not np.isfinite(found).all():
-        number, text = next(_bad_lines(path, skip, delimiter), (skip + 1, "no points"))
+        number, text = next(_bad_lines(path, skip, delimiter), (0, ""))
+        if not number:
+            raise DataError(
+                "expected lines with three numbers x y z, found none that can be read; check the "
+                "file"
+            )
         raise DataError(
             f"line {number}: expected three numbers x y z, found {text!r}; correct it, or keep "
             "three columns, for example: awk '{print $1, $2, $3}' in.txt > out.xyz"
@@ -144,7 +149,7 @@ def _distinct(points: Array) -> tuple[Array, int, float]:
     points : ndarray, shape (m, 3)
         Distinct points; heights of points with equal x and y are averaged.
     repeated : int
-        Number of removed points.
+        Number of points removed by averaging.
     apart : float
         Largest difference of heights at the same x and y. [m]
     """
@@ -191,6 +196,11 @@ def interpolate_points(
     -------
     ndarray, shape (n_x, n_y)
         Heights. [m]
+
+    Raises
+    ------
+    DataError
+        If the points lie on a line in x and y.
     """
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
     from scipy.spatial import QhullError
@@ -204,7 +214,7 @@ def interpolate_points(
     except QhullError as error:
         raise DataError(
             "expected points that span a surface, found that they lie on a line in x and y; check "
-            "the order of the columns"
+            "their x and y"
         ) from error
     i, j = (np.arange(each.start, each.stop, dtype=np.float64) for each in part)
     step = max(BLOCK // j.size, 1)

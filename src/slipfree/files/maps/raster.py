@@ -34,7 +34,7 @@ FORMATS = {  # names of formats by the usual endings of files
     **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
     ".img": "ERDAS IMG",
     ".gpkg": "GeoPackage",
-    ".nc": "netCDF",
+    ".nc": "netCDF file",
     ".grd": "Surfer grid",
     ".bt": "Binary Terrain file",
     ".ter": "Terragen file",
@@ -63,6 +63,7 @@ BY_NAME = {  # drivers whose libraries open files by name only, by the first byt
 UNKNOWN = "not recognized as being in a supported file format"  # in errors of GDAL
 CACHE = 64  # GDAL's cache of blocks [MB]
 TO_GRAY = "keep the heights alone: gdal_translate -b 1 in.tif out.tif"
+TO_REAL = "convert them: gdal_translate -ot Float32 in.tif out.tif"
 TO_METRES = "reproject it to metres: gdalwarp -t_srs EPSG:326xx in.tif out.tif (xx: the UTM zone)"
 Registration = Literal["area", "point"]
 WORDS = {
@@ -85,7 +86,7 @@ class Reading(NamedTuple):
         so that the border is half a cell outside the first node. ``"point"``: at nodes, so that the
         border passes through the first node.
     spacing : float or None
-        Distance between nodes for scattered points. [m]
+        Distance between nodes for scattered points and point clouds. [m]
     """
 
     window: Window | None = None
@@ -136,7 +137,9 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     ------
     DataError
         If the file is damaged, if it does not have one band of heights on an upright grid in metres
-        or degrees, or if it has no coordinates and cell or registration is missing.
+        or degrees, if it has no coordinates and cell or registration is missing, if it has
+        coordinates and one of them is given, or if the window is empty or contains too few or too
+        many nodes.
     """
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
@@ -306,7 +309,7 @@ def _wrong_word(words: list[bytes]) -> bytes | None:
 
 
 def _scale_facts(file: Any) -> tuple[tuple[str, str], ...]:
-    """Return the scale and offset of the heights as facts; empty if the file has none."""
+    """Return the unit of the heights as facts, with scale and offset if the file has them."""
     scale, offset, unit = file.scales[0], file.offsets[0], file.units[0]
     words = "in metres" if unit else "unit not stated: taken as metres"
     if _unit(file) != 1:
@@ -338,7 +341,7 @@ def _check_band(file: Any) -> None:
         refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
     if kind not in "iuf":
-        refuse("heights that are numbers", file.dtypes[0], TO_GRAY)
+        refuse("heights that are real numbers", f"the type {file.dtypes[0]}", TO_REAL)
     if file.colorinterp[0].name == "palette":
         refuse(
             "heights",
@@ -348,7 +351,7 @@ def _check_band(file: Any) -> None:
     if not math.isfinite(file.offsets[0]) or not 0 < abs(file.scales[0]) < math.inf:
         refuse(
             "a scale of the heights other than 0, and an offset, both finite",
-            f"{file.scales[0]:g} and {file.offsets[0]:g}",
+            f"the scale {file.scales[0]:g} and the offset {file.offsets[0]:g}",
             "correct them: gdal_translate -a_scale 1 -a_offset 0 in.tif out.tif",
         )
     if (file.units[0] or "").lower() not in LENGTHS:
@@ -375,9 +378,9 @@ def _place(file: Any, ask: Reading) -> _Place:
     for name in ("cell", "registration"):
         if (value := getattr(ask, name)) is not None:
             refuse(
-                f"no {name} for a raster that contains coordinates",
+                f"no {name!r} for a raster that contains coordinates",
                 f"{name} = {value!r}",
-                f"remove {name}, or correct the coordinates in the file with gdal_edit",
+                f"remove {name!r}, or correct the coordinates in the file with gdal_edit",
             )
     # the hemisphere of the zone is in a file beside it
     crs = None if file.driver == "BT" and file.crs and file.crs.is_projected else file.crs

@@ -45,7 +45,8 @@ def system_name(crs: Any, remedy: str) -> tuple[str, bool]:
     Raises
     ------
     DataError
-        If its coordinates are neither metres nor degrees on the earth.
+        If the system is neither projected, geographic nor local, or if its coordinates are neither
+        metres nor degrees on the earth.
     """
     if crs is None:
         return "", False
@@ -95,7 +96,7 @@ def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, fl
 
 
 def scale_facts(crs: Any, x: float, y: float, remedy: str) -> tuple[tuple[str, str], ...]:
-    """Return the scale of a projected map as facts; raise DataError if it is more than 1 % from 1.
+    """Return the scale of a projected map as facts for summaries.
 
     In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres.
 
@@ -107,11 +108,23 @@ def scale_facts(crs: Any, x: float, y: float, remedy: str) -> tuple[tuple[str, s
         Position where the scale is computed. [m]
     remedy : str
         Command that reprojects such a file to metres, for messages.
+
+    Raises
+    ------
+    DataError
+        If the scale differs from 1 by more than 1 %, or the position is outside the domain of the
+        projection.
     """
     if crs is None or not crs.is_projected:
         return ()
     found = _metres(crs, x, y)
-    if not np.allclose(found, 1.0, rtol=0, atol=STRETCH):  # NaN outside the projection's domain
+    if not np.isfinite(found).all():
+        refuse(
+            "a map inside the domain of its projection",
+            f"no scale at x = {x:.9g}, y = {y:.9g} ({crs.to_string()})",
+            "correct the coordinates or the reference system of the file",
+        )
+    if not np.allclose(found, 1.0, rtol=0, atol=STRETCH):
         refuse(
             f"a map with a scale error of at most {100 * STRETCH:g} %",
             f"that 1 m of the map is {found[0]:.4g} m along x and {found[1]:.4g} m along y on the "
@@ -128,7 +141,10 @@ def scale_facts(crs: Any, x: float, y: float, remedy: str) -> tuple[tuple[str, s
 
 
 def _metres(crs: Any, x: float, y: float) -> tuple[float, float]:
-    """Return the lengths on the ellipsoid of one map metre along x and along y at (x, y) [m]."""
+    """Return the lengths on the ellipsoid of one map metre along x and along y at (x, y) [m].
+
+    They are NaN outside the domain of the projection.
+    """
     from rasterio.crs import CRS
     from rasterio.warp import transform
 

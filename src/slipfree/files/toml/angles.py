@@ -14,7 +14,7 @@ from slipfree.files.toml.errors import Fault, format_value
 from slipfree.files.toml.source_lines import Place
 
 FULL_TURN = 2 * pi * 1.001  # larger bare angles are probably degrees; the margin allows rounding
-EXAMPLE = 'a number, or text with a unit of an angle as in "30 deg" or "5 deg/s"'
+EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'
 TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|rad)(/s2?)?\s*")
 
 
@@ -60,7 +60,7 @@ def parse_unit(value: Any) -> Any:
 
 
 def _read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
-    """Return a validated number; a `WithUnit`, which `unit_faults` checks, if it has a unit."""
+    """Return a validated number: a `WithUnit` if it has a unit, which `unit_faults` checks."""
     found = parse_unit(value)
     if isinstance(found, str):
         raise PydanticCustomError("expected", "{words}", {"words": EXAMPLE})

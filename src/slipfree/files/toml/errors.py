@@ -14,7 +14,7 @@ from slipfree.files.toml.source_lines import Place, Source
 
 
 class ProblemError(DataError):
-    """Error in a problem file, with one message per invalid value.
+    """Error in a TOML file, with one message per invalid value.
 
     Attributes
     ----------
@@ -24,7 +24,8 @@ class ProblemError(DataError):
 
     def __init__(self, *faults: str) -> None:
         shown, rest = faults[:MAX_ERRORS], len(faults) - MAX_ERRORS
-        super().__init__("\n".join((*shown, *([f"and {rest} more errors"] if rest > 0 else []))))
+        more = [f"and {rest} more error{'s' * (rest > 1)}"] if rest > 0 else []
+        super().__init__("\n".join((*shown, *more)))
         self.faults = faults
 
 
@@ -53,7 +54,7 @@ EXPECTED = {
 
 
 class Fault(NamedTuple):
-    """One error in a problem file.
+    """One error in a TOML file.
 
     Attributes
     ----------
@@ -123,8 +124,8 @@ def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
 def _unknown(place: Place, known: Sequence[str]) -> Fault:
     """Return the error for an unknown key."""
     name = str(place[-1])
-    expected, found = f"one of {listed(known)}", f"the unknown key {_cut(name)!r}"
-    return Fault(place, expected, found, similar_hint(name, known))
+    expected = f"one of {listed(known)}" if known else "no key"
+    return Fault(place, expected, f"the unknown key {_cut(name)!r}", similar_hint(name, known))
 
 
 def similar_hint(name: str, known: Sequence[str]) -> str:

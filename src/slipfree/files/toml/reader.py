@@ -33,8 +33,8 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
         raise ProblemError(_syntax(path, text, str(error))) from error
     except RecursionError as error:
         raise ProblemError(
-            f"{path}: expected arrays and tables with a few levels, found hundreds of levels; "
-            "remove the nesting"
+            f"{path}: expected arrays and tables with a few nested levels, found hundreds; reduce "
+            "the nesting"
         ) from error
     except ValueError as error:  # Python limits the length of integers
         raise ProblemError(

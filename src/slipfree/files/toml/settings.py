@@ -37,7 +37,8 @@ def replace_values(
     Raises
     ------
     ProblemError
-        If a setting cannot be read, or removes a key that does not exist.
+        If a setting is not UTF-8 or not ``key=value``, if it sets a key inside a value that is not
+        a table, or if it removes a key that does not exist.
     """
     places: dict[Place, str] = {}
     faults = []
@@ -54,16 +55,22 @@ def replace_values(
             if not equals:
                 raise ValueError
             new = _insert(data, path, _value(text)) if text.strip() else _remove(data, path)
+        except _KeyPlaceError as error:
+            faults.append(f"{option} {key.strip()}: {error}")
         except ValueError:
             faults.append(
                 f"{option} {key.strip()}: expected key=value with a value in TOML or a bare word, "
-                f"or key= to remove an existing key, found {setting!r}"
+                f"or key= to remove a key, found {setting!r}"
             )
         else:
             places |= dict.fromkeys(new, setting)
     if faults:
         raise ProblemError(*faults)
     return places
+
+
+class _KeyPlaceError(ValueError):
+    """Error of a valid key that cannot be set or removed in the given tables."""
 
 
 def _value(text: str) -> Any:
@@ -80,7 +87,10 @@ def _value(text: str) -> Any:
 
 
 def _insert(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
-    """Insert a value into nested tables; return its path and the paths of new tables."""
+    """Insert a value into nested tables; return its path and the paths of new tables.
+
+    Raise `_KeyPlaceError` if the path leads through a value that is not a table.
+    """
     places: list[Place] = [path]
     *tables, last = path
     for depth, name in enumerate(tables, start=1):
@@ -88,16 +98,22 @@ def _insert(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Pla
             places.append(path[:depth])
         data = data.setdefault(name, {})
         if not isinstance(data, dict):
-            raise ValueError(name)
+            raise _KeyPlaceError(
+                f"expected a key of a table, found that {'.'.join(path[:depth])!r} is not a table; "
+                "correct the key"
+            )
     data[last] = value
     return places
 
 
 def _remove(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
-    """Remove a key from nested tables; return its path in a list."""
+    """Remove a key from nested tables; return its path in a list.
+
+    Raise `_KeyPlaceError` if there is no such key.
+    """
     for name in path[:-1]:
         data = data.get(name, {})
     if not isinstance(data, dict) or path[-1] not in data:
-        raise ValueError(path)
+        raise _KeyPlaceError("expected a key to remove, found no such key; correct the key")
     del data[path[-1]]
     return [path]

@@ -103,7 +103,8 @@ def key_path(text: str) -> tuple[str, ...]:
 def key_lines(text: str) -> Mapping[Place, int]:
     """Return the line of every key and table of a valid TOML text.
 
-    Keys inside an inline table or an array are not included; they have the line of its key.
+    Keys inside an inline table or an array are not included; their line is that of the key to which
+    the table or array belongs.
     """
     found: dict[Place, int] = {}
     counts: dict[Place, int] = {}

@@ -68,13 +68,13 @@ def _piecewise_constant(value: Any) -> float | Piecewise:
 
 
 def _piecewise_constant_or_file(value: Any) -> float | Piecewise | str:
-    """Return a constant, times and values of a piecewise constant, or the name of a file."""
+    """Return a number, the pairs of a piecewise-constant function, or the name of a file."""
     value = parse_unit(value)
     return value if isinstance(value, str) and value else _piecewise_constant(value)
 
 
 def _time_function(value: Any) -> float | Piecewise | str:
-    """Return a constant, times and values of a piecewise constant, or a formula of time."""
+    """Return a number, the pairs of a piecewise-constant function, or a formula of time."""
     value = parse_unit(value)
     if isinstance(value, str) and value:
         return value

@@ -12,7 +12,13 @@ from typing import Any
 from slipfree.files.urdf.guesses import joint_guess
 from slipfree.files.urdf.roles import JointRole, Roles
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint
-from slipfree.files.vehicle_draft import MAX_LENGTH, degrees_words, is_symbol
+from slipfree.files.vehicle_draft import (
+    MAX_LENGTH,
+    degrees_words,
+    is_symbol,
+    length_words,
+    toml_key,
+)
 from slipfree.vehicle.tree import Coordinate
 
 
@@ -44,13 +50,12 @@ class Coordinates:
         self.found: dict[str, Coordinate] = {}
 
     def value(self, joint: UrdfJoint) -> str:
-        """Return the formula of a joint's value; create the coordinate in the formula."""
+        """Return the formula of a joint's value; create its coordinate if it is new."""
         if joint.type in ("floating", "planar"):
             self._findings.faults.add(
                 joint.line,
-                f"joint {joint.name!r}: expected fixed, revolute, "
-                f"continuous or prismatic, found {joint.type}; replace it by "
-                "such joints",
+                f"joint {joint.name!r}: expected the type 'fixed', 'revolute', 'continuous' or "
+                f"'prismatic', found {joint.type!r}; replace it by such joints",
             )
             return "0"
         leader, multiplier, offset = self._leader(joint)
@@ -76,19 +81,16 @@ class Coordinates:
         while (mimic := self._mimic(chain[-1])) is not None:
             leader = self._tree.joints.get(mimic.joint)
             wrong = (
-                "no joint of that name"
+                "no joint of that name; correct the name"
                 if leader is None
-                else "a wheel"
+                else "a wheel; choose another joint, or remove the mimic"
                 if leader.name in self._wheels
-                else "a joint that follows this one"
+                else "a joint that follows this one; remove one of the mimics"
                 if leader in chain
                 else ""
             )
             if leader is None or wrong:
-                words = (
-                    f"expected a mimic of an independent joint, found {mimic.joint!r}, {wrong}; "
-                    "correct the name"
-                )
+                words = f"expected a mimic of an independent joint, found {mimic.joint!r}, {wrong}"
                 self._findings.faults.add(chain[-1].line, f"joint {chain[-1].name!r}: {words}")
                 break
             offset += multiplier * mimic.offset
@@ -151,7 +153,7 @@ class Coordinates:
         joint, leader : UrdfJoint
             Joint that the coordinate moves, and the joint that it follows.
         multiplier, offset : float
-            Value of the joint: ``offset + multiplier coordinate``.
+            Value of the joint: ``offset + multiplier * coordinate``. [rad or m]
         """
         c, role = self.found.get(name), self._roles.joints.get(leader.name)
         if multiplier == 0:
@@ -170,10 +172,10 @@ class Coordinates:
             self._findings.faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected a lower limit of {name} below the "
-                f"upper one, found {lower:g} and {upper:g}; write {leader.name} = "
-                '"fixed" in "joints" if it does not move, else its "lower" and "upper", '
-                "which override those of the URDF, in a vehicle file with urdf = "
-                f'"{Path(self._tree.file).name}"',
+                f"upper one, found {lower:g} and {upper:g}; in a vehicle file with urdf = "
+                f'"{Path(self._tree.file).name}", write {toml_key(leader.name)} = "fixed" in '
+                '"joints" if it does not move, else its "lower" and "upper", which override '
+                "those of the URDF",
             )
             return
         rate = c.max_rate
@@ -186,12 +188,12 @@ class Coordinates:
         value = joint.lower if key == "lower" else joint.upper
         expected = ""
         if not math.isinf(value) and joint.type == "prismatic" and abs(value) > MAX_LENGTH:
-            expected = f"metres, at most {MAX_LENGTH:g} (did you mean millimetres?)"
+            expected = length_words(value)
         elif not math.isinf(value) and joint.type != "prismatic" and degrees_words(value):
             expected = f"radians ({degrees_words(value)})"
         if expected:
             self._findings.faults.add(
                 joint.line,
-                f"joint {joint.name!r}: expected {key} in {expected}, found {value:g}; correct it",
+                f"joint {joint.name!r}: expected {key} in {expected}, found {value:g}",
             )
         return value

@@ -27,7 +27,8 @@ from slipfree.vehicle.wheel import ORIGIN
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 FREE = ("floating", "planar")
-IGNORED = ("gazebo", "material", "xacro:property", "xacro:arg", "xacro:macro")  # without parts
+# tags without links or joints
+IGNORED = ("gazebo", "material", "xacro:property", "xacro:arg", "xacro:macro")
 MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 UNIT_SCALE = (1.0, 1.0, 1.0)
@@ -171,7 +172,7 @@ def _link(element: Element, faults: Faults) -> Link:
 def _of_geometry(
     element: Element, read: Callable[[Element, Faults, str], T | None], faults: Faults, link: str
 ) -> tuple[T, ...]:
-    """Return what a function reads in the collision elements of a link, else in the visual ones."""
+    """Return the shapes that ``read`` finds in a link's collision elements, else in visual ones."""
     for tag in ("collision", "visual"):
         found = (read(each, faults, link) for each in element.all(tag))
         if known := tuple(each for each in found if each is not None):
@@ -243,7 +244,8 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
     who, kind = f"joint {name!r}", element.attributes.get("type", "")
     if kind not in TYPES:
         expected = f"one of the types {', '.join(TYPES)}"
-        faults.add(element.line, f"{who}: expected {expected}, found {kind!r}; choose one")
+        found = repr(kind) if kind else "none"
+        faults.add(element.line, f"{who}: expected {expected}, found {found}; choose one")
     ends = []
     for tag in ("parent", "child"):
         link = _end(element, tag)
@@ -291,9 +293,10 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
 def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[float, float]:
     """Return the lower and upper limit of a joint [rad or m].
 
-    They are infinite for kinds of joint without limits, without the attributes ``lower`` and
-    ``upper``, and for absolute values of at least 1000. If only one is given, the other is zero, as
-    in URDF. Their values are checked later, since a vehicle file may override them.
+    A limit is infinite if its absolute value is at least 1000. Both are infinite if the joint is of
+    a type without limits, or has neither ``lower`` nor ``upper``. If one of these attributes is
+    missing, its limit is zero, as in URDF. The values are checked later, since a vehicle file may
+    override them.
     """
     limit = element.first("limit")
     if kind not in ("revolute", "prismatic", "fixed") or limit is None:
@@ -324,7 +327,7 @@ def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]
     if max(map(abs, at)) > MAX_LENGTH:
         faults.add(
             origin.line,
-            f"{who}: expected xyz in metres, at most {MAX_LENGTH:g} (did you mean "
+            f"{who}: expected xyz in metres, from {-MAX_LENGTH:g} to {MAX_LENGTH:g} (did you mean "
             f"millimetres?), found {origin.attributes['xyz']}; correct it",
         )
     for angle in turned:
@@ -341,7 +344,7 @@ def _vector(element: Element, key: str, default: Vector, faults: Faults, who: st
     values = [_float(part) for part in text.replace(",", " ").split()]
     if len(values) != 3 or not all(map(math.isfinite, values)):
         faults.add(
-            element.line, f"{who}: expected three numbers in {key}, found {text!r}; correct them"
+            element.line, f"{who}: expected three numbers in {key!r}, found {text!r}; correct them"
         )
         return default
     return values[0], values[1], values[2]
@@ -359,7 +362,8 @@ def _number(element: Element, key: str, default: float | None, faults: Faults, w
     value = _float(text or "")
     if not math.isfinite(value):
         found = "none" if text is None else repr(text)
-        faults.add(element.line, f"{who}: expected a number in {key}, found {found}; give one")
+        remedy = "add it" if text is None else "correct it"
+        faults.add(element.line, f"{who}: expected a number in {key!r}, found {found}; {remedy}")
         return default or 1.0
     return value
 
@@ -375,7 +379,8 @@ def _float(text: str) -> float:
 def _text(element: Element, key: str, faults: Faults, who: str) -> str:
     """Return the name in an attribute; add an error if it is missing."""
     if not element.attributes.get(key):
-        faults.add(element.line, f"{who}: expected a name in {key}, found none; give one")
+        words = f"{who}: expected a name in the attribute {key!r}, found none; add it"
+        faults.add(element.line, words)
     return element.attributes.get(key, "")
 
 

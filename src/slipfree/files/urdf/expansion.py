@@ -20,8 +20,8 @@ FINDER = "ament_index_python"  # package of ROS that xacro asks for the folders 
 def expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
     """Return the URDF that a xacro file describes.
 
-    Where ROS is not installed, packages in ``$(find ...)`` are searched in the folders above the
-    file.
+    Where ROS is not installed, packages in ``$(find ...)`` are searched in the folders of
+    `package_folders`.
 
     Parameters
     ----------
@@ -33,7 +33,8 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
     Raises
     ------
     DataError
-        If the file cannot be read or expanded, or the package ``xacro`` is not installed.
+        If the file cannot be read or expanded, if a package in ``$(find ...)`` is not found, or if
+        the package ``xacro`` is not installed.
     """
     try:
         import xacro
@@ -59,7 +60,7 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
 
 @contextmanager
 def _packages_above(path: Path) -> Iterator[None]:
-    """Let xacro find packages in the folders above a file where ROS is not installed."""
+    """Let xacro find packages without ROS, in the folders of `package_folders`."""
     if find_spec(FINDER) is not None:
         yield
         return
@@ -68,8 +69,9 @@ def _packages_above(path: Path) -> Iterator[None]:
         found = [each for each in package_folders(package, path.parent) if each.is_dir()]
         if not found:
             raise DataError(
-                f"{path}: expected the package {package!r} in a folder above this file, found "
-                "none; put it there, or add its parent folder to ROS_PACKAGE_PATH"
+                f"{path}: expected the package {package!r} in a folder above this file or in "
+                "ROS_PACKAGE_PATH, found none; put it there, or add its parent folder to "
+                "ROS_PACKAGE_PATH"
             )
         return str(found[0])
 

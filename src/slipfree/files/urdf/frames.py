@@ -10,12 +10,12 @@ from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import in_axes
 from slipfree.records import Array
 
-STEEP = 0.5  # smallest vertical component of the axis of a steering joint, largest of an axle
+STEEP = 0.5  # largest vertical component of a level axis, as of an axle; other axes are steep
 FORWARD_YAW = {"x": 0.0, "y": np.pi / 2, "-x": np.pi, "-y": -np.pi / 2}  # of the axes [rad]
 
 
 def link_frames(tree: Tree) -> dict[str, tuple[Array, Array]]:
-    """Return rotation and origin [m] of each link in the root, with all joints at zero."""
+    """Return rotation and origin [m] of each link in the root's frame, with all joints at zero."""
     frames = {tree.root: (np.eye(3), np.zeros(3))}
     for joint in tree.joints.values():
         rotation, origin = frames[joint.parent]
@@ -38,13 +38,13 @@ def is_last(tree: Tree, joint: UrdfJoint) -> bool:
 
 
 def fixed_to_turning(tree: Tree) -> frozenset[str]:
-    """Return the names of the joints below a continuous joint that is the last to move."""
+    """Return the names of the joints below continuous joints, if none of them moves."""
     turning = [j for j in tree.joints.values() if j.type == "continuous" and is_last(tree, j)]
     return frozenset(below.name for joint in turning for below in tree.below(joint.child))
 
 
 def facing_forward(tree: Tree, forward: str) -> Tree:
-    """Return a URDF whose root is turned so that an axis of it, such as ``"-y"``, becomes x."""
+    """Return a URDF with its root rotated so that the forward axis, such as ``"-y"``, becomes x."""
     yaw = FORWARD_YAW[forward]
     back = rotation_of((0.0, 0.0, -yaw))
 

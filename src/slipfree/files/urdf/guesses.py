@@ -1,4 +1,4 @@
-"""Guesses of what a URDF does not say: wheels without a round shape, casters, kinds of joints."""
+"""Guesses that complete a URDF: wheels without a round shape, casters, kinds of joints."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WHEEL = re.compile("wheel|tire|tyre", re.IGNORECASE)
 CASTER = re.compile("cast[eo]r", re.IGNORECASE)
 FOOTPRINT = re.compile("footprint", re.IGNORECASE)  # link on the ground, by REP 120
 BALL = "a caster on a fixed joint slides freely as a ball"
-ALONG = 0.9  # least component along x of axles for another direction than x to be forward
+ALONG = 0.9  # if the components of all axles along x are at least this large, y or -y is forward
 
 
 class WheelGuess(NamedTuple):
@@ -46,8 +46,9 @@ def wheel_guesses(
 ) -> dict[str, WheelGuess]:
     """Return the wheels that joints probably carry, by name of the joint.
 
-    Names count only together with a shape, a height or a radius, and only if no joint moves below.
-    All wheels with a radius from the height have that of the lowest one.
+    A name such as "wheel" or "caster" counts only together with a shape, a height or a radius, and
+    only if no joint moves below. All wheels with a radius from the height have that of the lowest
+    one.
 
     Parameters
     ----------
@@ -72,9 +73,10 @@ def wheel_guesses(
         if not joint.moves and CASTER.search(name):
             depth = max((_depth(box, rotation) for box in link.boxes), default=0.0)
             if link.shapes:
-                found[joint.name] = WheelGuess(None, True, f"{BALL}, with its radius")
+                found[joint.name] = WheelGuess(None, True, f"{BALL}, with the radius of its shape")
             elif depth > 0:
-                found[joint.name] = WheelGuess(depth, True, f"{BALL}, as high as its shape")
+                reason = f"{BALL}, with the radius to its lowest point"
+                found[joint.name] = WheelGuess(depth, True, reason)
         elif joint.moves and (abs(float((rotation @ unit_vector(joint.axis))[2])) > STEEP):
             continue
         elif joint.moves and radius and link.meshes and not link.shapes:
@@ -84,7 +86,7 @@ def wheel_guesses(
         elif WHEEL.search(name) and link.meshes and grounds and origin[2] > grounds[0]:
             heights[joint.name] = float(origin[2] - grounds[0])
     lowest = min(heights.values(), default=0.0)
-    reason = "its mesh cannot be read; radius from the least height above the footprint"
+    reason = "its name, without a round shape; radius from the least height above the footprint"
     return found | {name: WheelGuess(lowest, False, reason) for name in heights}
 
 
@@ -108,7 +110,7 @@ def joint_guess(
     wheels : frozenset of str
         Names of the joints that carry wheels.
     most : int
-        Number of suspension coordinates that the vehicle can have besides those already guessed.
+        Number of suspension coordinates that the vehicle can have in addition to the existing ones.
     """
     carried = [each for each in tree.below(joint.child) if each.name in wheels]
     if not carried:

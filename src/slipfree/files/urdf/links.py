@@ -73,8 +73,9 @@ def joint_values(
     vehicle : Vehicle
         The vehicle.
     robot : Robot or None
-        Its URDF, whose joints have the signs of their axes; joints without effect on the vehicle
-        are at zero or at the closest limit. Without URDF, wheels are positive forward.
+        Its URDF: values of its joints have the signs of its axes; joints without effect on the
+        vehicle are at zero, or at the limit closest to zero. For None, angles of wheels are
+        positive forward.
     values, angles : mapping of str to SX
         Values of the coordinates, and angles of the wheels, by name. [rad or m]
     """
@@ -112,7 +113,7 @@ def link_poses(robot: Robot, values: Mapping[str, Array]) -> Iterator[LinkPoses]
 
 
 def _wheel_signs(vehicle: Vehicle, robot: Robot) -> dict[str, float]:
-    """Return 1.0 for each joint that turns with its wheel rolling forward, -1.0 for others."""
+    """Return 1.0 for each joint that turns forward if its value increases, -1.0 for the others."""
     wheels = {wheel.name: wheel for wheel in vehicle.wheels}
     signs = {}
     for joint in facing_forward(robot.tree, robot.forward).joints.values():

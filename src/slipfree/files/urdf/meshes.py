@@ -27,9 +27,10 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | Non
     """Return the body of revolution that encloses the meshes of a link, about an axis.
 
     The axis goes through the link's origin. The radius is the largest distance of a point from the
-    axis. The centre is on the axis, in the middle of the tread. The tube is that of a circle
-    through the outline of the tread, if the outline is such a circle of at most the tread's width;
-    otherwise zero. The result is None for meshes that are not round about the axis.
+    axis. The centre is on the axis, in the middle of the tread. The tube radius is that of a circle
+    fitted to the outline of the tread; it is zero if the outline is not such a circle, or if the
+    circle is larger than the tread's width or the radius. The result is None for meshes that are
+    not round about the axis.
 
     Parameters
     ----------
@@ -43,14 +44,20 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | Non
     Raises
     ------
     DataError
-        If a mesh cannot be read, or if it is too large.
+        If a mesh cannot be read, if the package ``trimesh`` is not installed, or if the radius is
+        zero or too large.
     """
     points = np.vstack([_points(mesh, folder) for mesh in meshes])
     along = points @ axis
     across = points - along[:, None] * axis
     distance = np.linalg.norm(across, axis=1)
     radius = float(distance.max())
-    if not 0 < radius <= MAX_LENGTH:
+    if radius == 0:
+        raise DataError(
+            f"expected a mesh around the axis of its joint, found {meshes[0].name!r} with all "
+            "points on the axis; correct its scale"
+        )
+    if not radius <= MAX_LENGTH:
         raise DataError(
             f"expected a mesh in metres, of at most {MAX_LENGTH:g} m, found {meshes[0].name!r} "
             f"with points {radius:g} m from the axis of its joint; correct its scale"
@@ -81,9 +88,14 @@ def _points(mesh: Mesh, folder: Path) -> Array:
     except ModuleNotFoundError as error:  # the reader of .dae
         raise DataError(missing_package(str(error.name), "urdf")) from error
     except Exception as error:  # trimesh raises errors of many kinds for a damaged file
-        raise DataError(f"expected a mesh, found {mesh.name!r}: {error}; correct it") from error
+        raise DataError(
+            f"expected a readable mesh, found {mesh.name!r}: {error}; correct it"
+        ) from error
     if not vertices.size or not np.isfinite(vertices).all():
-        raise DataError(f"expected a mesh, found no points in {mesh.name!r}; correct it")
+        raise DataError(
+            f"expected a mesh of points with finite coordinates, found none in {mesh.name!r}; "
+            "correct it"
+        )
     found: Array = vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
     return found
 
@@ -91,20 +103,19 @@ def _points(mesh: Mesh, folder: Path) -> Array:
 def _file_of(name: str, folder: Path) -> Path:
     """Return the file of a mesh, relative to the folder of its URDF or in a package.
 
-    A package is searched in the folders above the URDF, and where ROS looks for packages.
+    A package is searched in the folders of `package_folders`.
     """
     package, _, inside = name.removeprefix("package://").partition("/")
     if name.startswith("package://"):
         tried = [root / inside for root in package_folders(package, folder)]
+        remedy = f"put its package into {str(folder)!r} or a folder above it"
     else:
         tried = [folder / name.removeprefix("file://")]
+        remedy = f"correct the name, which is relative to {str(folder)!r}"
     for path in tried:
         if os.path.isfile(path):  # noqa: PTH113 - False for names that are too long, too
             return path
-    raise DataError(
-        f"expected the mesh {name!r}, found no such file; put its package into a folder above "
-        f"{str(folder)!r}"
-    )
+    raise DataError(f"expected the mesh {name!r}, found no such file; {remedy}")
 
 
 def _largest_gap(across: Array, axis: Array) -> float:
@@ -115,7 +126,7 @@ def _largest_gap(across: Array, axis: Array) -> float:
 
 
 def _tread(along: Array, distance: Array) -> tuple[float, float]:
-    """Return the middle of a tread along the axis, and the radius of its tube [m].
+    """Return the middle of a tread along the axis, and its tube radius, zero if it is flat [m].
 
     Parameters
     ----------

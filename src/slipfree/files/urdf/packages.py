@@ -1,4 +1,4 @@
-"""Folders of the packages that a URDF or xacro file names."""
+"""Folders of the ROS packages to which URDF and xacro files refer."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from pathlib import Path
 
 
 def package_folders(package: str, folder: Path) -> Iterator[Path]:
-    """Yield the folders that a package of ROS may have, for a file of a folder."""
+    """Yield the possible folders of a ROS package to which a file in ``folder`` refers.
+
+    They are in ``folder`` and the folders above it, and in those of the environment variables
+    AMENT_PREFIX_PATH and ROS_PACKAGE_PATH.
+    """
     for above in (folder.resolve(), *folder.resolve().parents):
         if above.name == package:
             yield above

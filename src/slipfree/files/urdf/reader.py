@@ -33,8 +33,10 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     Raises
     ------
     UnfitError
-        If the kind of a joint or the shape of a wheel is unknown, or if the numbers of wheels and
-        suspension coordinates do not match.
+        If a joint or a wheel is invalid or not completely described, or if there are too few wheels
+        or too many suspension coordinates.
+    ModelError
+        If a number in the URDF or the roles is out of range.
     """
     findings = Findings(tree.file)
     draft = from_rep103(_draft(tree, roles, findings))
@@ -92,16 +94,16 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
 
 
 def _check_axes(tree: Tree, roles: Roles, findings: Findings) -> None:
-    """Add an error for each role that needs an axis of a joint of type fixed without one."""
+    """Add an error for each fixed joint without an axis whose role needs one."""
     for joint in tree.joints.values():
         role = roles.joints.get(joint.name)
         if not joint.moves and role is not None and role.kind != "fixed":
             findings.faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected a joint with an axis, so that it can be "
-                f"{role.kind}, found one of type 'fixed' without an axis; give it in the vehicle "
-                f'file, as in {{ kind = "{role.kind}", axis = [0, 1, 0] }}, or remove the joint '
-                'from "joints"',
+                f"{role.kind}, found one of type 'fixed' without an axis; add the axis in the "
+                f'vehicle file, as in {{ kind = "{role.kind}", axis = [0, 1, 0] }}, or remove the '
+                'joint from "joints"',
             )
 
 
@@ -143,13 +145,13 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
     links, notes = wheels.tree.links, findings.notes
     if file.omitted:
         notes.append(
-            "left out with the links below, since they contain xacro that is not expanded: "
+            "omitted, since they or links above them contain xacro that is not expanded: "
             f"{', '.join(file.omitted)}"
         )
     used = [links[wheels.tree.root], *(links[j.child] for j in (*kept, *wheels.joints))]
     bare = [link.name for link in used if link.mass is None and link.name in file.links]
     if bare:
-        notes.append(f"without mass, since they have no inertial: {', '.join(bare)}")
+        notes.append(f"without mass, since the URDF does not contain it: {', '.join(bare)}")
     estimated = [link.name for link in used if link.mass and link.inertia is None]
     if estimated:
         notes.append(
@@ -159,8 +161,8 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
     released = [j.name for j in kept if j.moves and not file.joints.get(j.name, j).moves]
     if released:
         notes.append(
-            "of type fixed in the URDF, but treated as revolute, since they or the "
-            f'joints that they mimic are in "joints": {", ".join(released)}'
+            "of type fixed in the URDF, but treated as moving joints, since they or the joints "
+            f'that they mimic are in "joints": {", ".join(released)}'
         )
     for reason in dict.fromkeys(guess.reason for guess in findings.guesses):
         alike = [guess for guess in findings.guesses if guess.reason == reason]

@@ -24,15 +24,15 @@ class JointRole(NamedTuple):
     Attributes
     ----------
     kind : {"commanded", "passive", "suspension", "fixed"}
-        Kind of its coordinate.
+        Kind of its coordinate; ``"fixed"`` for a joint that does not move.
     keywords : mapping of str to Any
-        Keywords of `slipfree.vehicle.tree.Coordinate`.
+        Keyword arguments of `slipfree.vehicle.tree.Coordinate`.
     axis : tuple of 3 floats or None
         Axis in the joint's frame; None for that of the URDF.
     motion : {"turn", "slide"} or None
         Motion of the joint; None for that of its type in the URDF.
     carries : tuple of str
-        Joints that a new joint, which is not in the URDF, carries; empty for joints of the URDF.
+        Joints that a new joint carries; empty for joints of the URDF.
     at : tuple of 3 floats
         Position of a new joint in the link that carried these joints. [m]
     """
@@ -52,11 +52,12 @@ class WheelRole:
     Attributes
     ----------
     driven : bool or None
-        Whether the wheel is driven; None to derive it from the transmissions of the URDF.
+        Whether the wheel is driven; None to derive it from the actuators in the URDF, or else
+        to guess it.
     radius : float or None
-        Rolling radius; None for the radius of the shape in the URDF. [m]
+        Rolling radius; None for that of the shape in the URDF, or ``Roles.radius`` for a mesh. [m]
     tube : float or None
-        Radius of the tube of a torus; None for that of a mesh, or ``Roles.tube``. [m]
+        Tube radius; None for that of a sphere or a rounded mesh in the URDF, or ``Roles.tube``. [m]
     grip : float
         Factor that multiplies the ground's coefficient of friction. [1]
     rollers : bool
@@ -66,7 +67,8 @@ class WheelRole:
     inertia : tuple of 2 floats or None
         Moments of inertia about the axle and across it; None for those of the URDF. [kg m^2]
     static_depth : float or None
-        Depth in the ground under an equal share of the weight. [m]
+        Depth in the ground under an equal share of the weight; None for the default of
+        `slipfree.vehicle.wheel.Wheel`. [m]
     drive : Drive
         Drive of the wheel, for dynamics.
     """
@@ -108,17 +110,17 @@ class Roles:
     Attributes
     ----------
     joints : mapping of str to JointRole
-        Kinds of the joints; not required for joints with a transmission, a command interface or a
-        mimic.
+        Properties of joints by name. Without a role, a joint with a transmission or a command
+        interface is commanded, a mimic follows its joint, and the kind of other joints is guessed.
     wheels : mapping of str to WheelRole
         Properties of wheels by name of their joint. These joints carry wheels even if the URDF has
         no suitable shape.
     links : mapping of str to LinkRole
-        Mass properties of links.
+        Mass properties of links by name.
     tube : float
-        Tube radius of wheels whose link is a cylinder. [m]
+        Tube radius of wheels whose shape is neither a sphere nor a rounded mesh. [m]
     radius : float or None
-        Rolling radius of wheels whose link has no round shape; None for a guess. [m]
+        Rolling radius of wheels whose shape is a mesh; None to measure or guess it. [m]
     forward : {"x", "-x", "y", "-y"} or None
         Axis of the root link that points forward; None for a guess.
     """
@@ -135,10 +137,10 @@ NO_ROLES = Roles()
 
 
 def completed(tree: Tree, roles: Roles) -> Tree:
-    """Return a URDF with the new joints, released joints, axes and masses of its roles.
+    """Return a URDF completed by roles: new joints, released joints, axes and mass properties.
 
-    A joint of type fixed becomes revolute if it has an axis, and it or the joint that it mimics has
-    a role other than ``"fixed"``.
+    A joint of type fixed that has an axis is released, so that it moves, if it or the joint that it
+    mimics has a role other than ``"fixed"``.
     """
     for name, role in roles.joints.items():
         if role.carries:
@@ -199,7 +201,7 @@ def _with_role(joint: UrdfJoint, roles: Roles) -> UrdfJoint:
 
 
 def _followers(joints: Mapping[str, UrdfJoint], freed: set[str], roles: Roles) -> set[str]:
-    """Return the names of fixed joints with an axis that mimic joints released by their roles."""
+    """Return the names of fixed joints that have an axis and mimic a released joint."""
     fixed = [
         joint
         for name, joint in joints.items()

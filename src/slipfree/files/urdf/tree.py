@@ -1,4 +1,4 @@
-"""Links and joints of a URDF as records, and what their conversion to a vehicle finds."""
+"""Links and joints of a URDF, and the errors, notes and guesses of their conversion."""
 
 from __future__ import annotations
 
@@ -77,18 +77,19 @@ class Link(NamedTuple):
     name : str
         Name of the link.
     mass : float or None
-        Mass; None without an element ``inertial``. [kg]
+        Mass; None if the URDF does not contain it. [kg]
     center : tuple of 3 floats
         Centre of mass in the frame of the link. [m]
     shapes : tuple of Shape
-        Cylinders and spheres among the collision shapes; otherwise among the visual shapes.
+        Cylinders and spheres among the collision shapes; if there are none, among the visual
+        shapes.
     meshes : tuple of Mesh
-        Meshes among the collision shapes; otherwise among the visual shapes.
+        Meshes among the collision shapes; if there are none, among the visual shapes.
     boxes : tuple of Box
-        Boxes among the collision shapes; otherwise among the visual shapes.
+        Boxes among the collision shapes; if there are none, among the visual shapes.
     inertia : tuple of 6 floats or None
-        ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre of mass, in the axes of the link; None
-        without moments of inertia that a body can have. [kg m^2]
+        ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre of mass, in the axes of the link; None if
+        they are missing, or impossible for a body. [kg m^2]
     """
 
     name: str
@@ -172,7 +173,7 @@ class Tree(NamedTuple):
     actuated : frozenset of str
         Names of the joints with a transmission or a command interface.
     omitted : tuple of str
-        Names of the links that are left out, since they have unexpanded xacro.
+        Names of the omitted links: links with unexpanded xacro, and the links below them.
     """
 
     file: str

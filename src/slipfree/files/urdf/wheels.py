@@ -1,4 +1,4 @@
-"""Wheels of a URDF: which joints carry them, and their position, size, mass and drive."""
+"""Wheels of a URDF: their recognition, and their position, size, mass and drive."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import mesh_shape
 from slipfree.files.urdf.roles import Roles, WheelRole
 from slipfree.files.urdf.tree import Findings, Mesh, Shape, Tree, UrdfJoint
-from slipfree.files.vehicle_draft import angles_of, rotation_of
+from slipfree.files.vehicle_draft import angles_of, rotation_of, toml_key
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import tensor
 from slipfree.records import Array
@@ -87,11 +87,12 @@ class Wheels:
         size = self._size(joint, role)
         if size is None:
             return None
-        if not is_last(self.tree, joint):
+        below = [repr(each.name) for each in self.tree.below(joint.child) if each.moves]
+        if below:
             faults.add(
                 joint.line,
-                f"joint {joint.name!r}: expected a wheel without moving "
-                "joints below it, found some; remove the joints or the wheel",
+                f"joint {joint.name!r}: expected a wheel without moving joints below it, found "
+                f"{', '.join(below)}; remove {'them' if len(below) > 1 else 'it'} or the wheel",
             )
             return None
         radius, tube, at = size
@@ -126,14 +127,15 @@ class Wheels:
         thin = [joint.name for joint in self.joints if self._is_thin(joint)]
         if thin:
             notes.append(
-                f"cylinders treated as thin discs; change by tube = ...: {', '.join(thin)}"
+                f"treated as thin discs, since their treads are flat: {', '.join(thin)}; override "
+                "by tube = ..."
             )
 
     def _with_fixed_shapes(self, tree: Tree) -> Tree:
         """Return a URDF with the shapes of tyres on their hubs.
 
-        The links that are the last to move, and have no shape, get the shapes and meshes of the
-        links fixed to them.
+        Child links of continuous joints without moving joints below them, and without a shape or a
+        mesh of their own, get the shapes and meshes of the links fixed to them.
         """
         links = dict(tree.links)
         for joint in tree.joints.values():
@@ -175,7 +177,7 @@ class Wheels:
         return tree._replace(links=links)
 
     def _may_be_wheel(self, tree: Tree, joint: UrdfJoint) -> bool:
-        """Return whether a joint may carry a wheel, if its mesh is round."""
+        """Return whether a joint carries a wheel if its mesh is round."""
         if joint.name in self._roles.wheels:
             return True
         if joint.name in self._roles.joints or not is_last(tree, joint):
@@ -267,7 +269,7 @@ class Wheels:
         return min(shapes, key=lambda shape: _lowest(shape, rotation), default=None)
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
-        """Return rolling radius, tube radius and position of a wheel in its link [m].
+        """Return rolling radius, tube radius, and position in its link, of a wheel [m].
 
         The result is None, with an error added, if they are invalid.
         """
@@ -278,8 +280,8 @@ class Wheels:
             words = reason if joint.name in self._unread else f"{reason}wheel, found none"
             faults.add(
                 joint.line,
-                f"joint {joint.name!r}: {words}; write wheels = {{ {joint.name} = {{ radius = ... "
-                f"}} }}{self._in_file}",
+                f"joint {joint.name!r}: {words}; write wheels = {{ {toml_key(joint.name)} = {{ "
+                f"radius = ... }} }}{self._in_file}",
             )
             return None
         ball = shape is not None and shape.kind == "sphere"
@@ -306,7 +308,7 @@ class Wheels:
         return radius, tube, shape.at
 
     def _radius(self, shape: Shape | None) -> float | None:
-        """Return the rolling radius of a wheel without a given one; None if it is unknown [m]."""
+        """Return the rolling radius of a wheel whose role has no radius; None if unknown [m]."""
         if shape is None:
             return None
         return (shape.kind == "mesh" and self._roles.radius) or shape.radius
@@ -314,8 +316,9 @@ class Wheels:
     def _mass(self, joint: UrdfJoint) -> tuple[float, tuple[float, float] | None]:
         """Return the mass of a wheel and its moments of inertia about and across the axle.
 
-        They include the links fixed to the wheel's. The moments are those about the centres of
-        mass, since these become the centre of the wheel; None if a link has a mass without them.
+        They include the links that are fixed to the wheel's link. The moments are sums of those
+        about the links' centres of mass, since these centres are moved to the centre of the wheel.
+        They are None if no link has a mass, or if a link has a mass without moments.
         """
         links, frames = [joint.child], {joint.child: np.eye(3)}
         for below in self.tree.below(joint.child):
@@ -336,7 +339,11 @@ class Wheels:
         return mass, (axial, float(np.trace(total) - axial) / 2)
 
     def _is_driven(self, joint: UrdfJoint) -> bool:
-        """Return whether a wheel has an actuator; without any, all but casters are driven."""
+        """Return whether a wheel is driven, and record the guess if the URDF does not say it.
+
+        If a wheel of the URDF has an actuator, the wheels with actuators are driven; otherwise all
+        wheels but casters.
+        """
         actuated, guess = self.tree.actuated, self._findings.guess
         if any(wheel.name in actuated for wheel in self.joints):
             if joint.name not in actuated:
@@ -368,13 +375,13 @@ class Wheels:
             return _vector(axis)
         if left < MIN_AXLE_LEFT:
             self._findings.notes.append(
-                f"wheel {joint.name}: rolls sideways; its rate has the sign of its joint; if the "
+                f"wheel {joint.name} rolls sideways; its rate has the sign of its joint; if the "
                 "robot drives this way, write forward = 'y' or '-y'"
             )
         return _vector(-axis)
 
     def _add_shape_notes(self) -> None:
-        """Add a note for each wheel whose link has several shapes, with the chosen radius."""
+        """Add notes on the wheels whose links have several shapes, with the chosen radius."""
         alike: dict[str, list[str]] = {}
         for joint in self.joints:
             shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
@@ -386,18 +393,18 @@ class Wheels:
                 f"{n} {kind}{'s' * (n > 1)} of {radius:g} m" for (kind, radius), n in counts.items()
             )
             words = (
-                f"several shapes ({found}), radius {chosen.radius:g} m of the shape about the "
-                "axle that touches level ground first"
+                f"several shapes ({found}), of which the one about the axle that touches level "
+                f"ground first gives the radius, {chosen.radius:g} m"
             )
             alike.setdefault(words, []).append(joint.name)
         for words, names in alike.items():
             self._findings.notes.append(
-                f"{words}; override by wheels = {{ {names[0]} = {{ radius = ... }} "
-                f"}}: {', '.join(names)}"
+                f"{words}: {', '.join(names)}; override by wheels = {{ {toml_key(names[0])} = {{ "
+                "radius = ... } }"
             )
 
     def _is_thin(self, joint: UrdfJoint) -> bool:
-        """Return whether a cylinder, or a mesh with a flat tread, becomes a disc by default."""
+        """Return whether a wheel with a flat tread becomes a disc, since no tube is given."""
         shape, given = self._shape(joint), self._given.get(joint.name, WheelRole())
         flat = shape is not None and shape.kind != "sphere" and not shape.tube
         return flat and given.tube is None and not self._roles.tube
