@@ -136,7 +136,7 @@ def test_examples_that_are_none() -> None:
     assert "did you mean 'paper_direct'?" in result.stderr
     assert "list them with slipfree examples" in _invoke("examples", "xyz").stderr
     assert (
-        "expected a folder that exists or can be made"
+        "expected a folder that exists or can be created"
         in _invoke("examples", "--to", "p.toml").stderr
     )
 
