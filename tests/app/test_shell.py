@@ -119,7 +119,7 @@ def test_an_example_is_copied_with_what_it_needs(folder: Path) -> None:
     assert _invoke("check", "map/dynamics_ice.toml").exit_code == 0
     again = _invoke("examples", "your_vehicle", "--to", "deep/er")
     assert again.exit_code == 2
-    assert "replace them with --force" in again.stderr
+    assert "use --force to replace" in again.stderr
     assert _invoke("examples", "your_vehicle", "--to", "deep/er", "--force").exit_code == 0
 
 
