@@ -21,7 +21,7 @@ Motion, a `Trajectory`
     `simulate`, with `SolverOptions`; the `Outcome` says whether the motion is complete.
     `cross_check`, the difference between two formulations.
 Plan
-    `plan`, the inputs that reach a goal at least `Cost`. `replan`, a plan from the current
+    `plan`, the inputs that reach a goal with the least `Cost`. `replan`, a plan from the current
     state while driving. `Region`, a keep-out region. `Route`, a path over a map.
 Problem file
     `load_problem` and `run_problem`, as in ``slipfree run``. `open_result`, the result in a file.

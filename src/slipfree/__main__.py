@@ -8,7 +8,7 @@ import sys
 
 
 def _leave_current_folder() -> None:
-    """Remove the current folder from ``sys.path``, where ``python -m`` has inserted it first.
+    """Remove the current folder from ``sys.path``, where ``python -m`` inserts it first.
 
     A file ``numpy.py`` in that folder would be imported instead of numpy. The folder is not removed
     if slipfree itself is in it.

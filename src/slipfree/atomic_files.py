@@ -27,15 +27,15 @@ def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
     Raises
     ------
     DataError
-        If the file cannot be written, or if ``path`` is a folder or a device.
+        If the file cannot be written, or if ``path`` is a folder, device, pipe or socket.
     """
     target = Path(os.path.realpath(path))  # a symbolic link stays a link
     part = target.with_name(f".{secrets.token_hex(6)}.part{target.suffix}")
     try:
         if target.exists() and not target.is_file():
+            kind = "a folder" if target.is_dir() else "a device, pipe or socket"
             raise DataError(
-                f"{path}: expected the name of a file to write, found a folder or device; choose "
-                "another name"
+                f"{path}: expected the name of a file to write, found {kind}; choose another name"
             )
         fill(part)
         with part.open("rb+") as file:

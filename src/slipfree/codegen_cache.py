@@ -33,7 +33,7 @@ FOLDER = "SLIPFREE_CACHE"  # environment variable: path of the cache folder; emp
 # and without optimisation they take three times as long, like the interpreter.
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
 NO_COMPILER = (
-    "no C compiler was found: cc, gcc, clang, or the command in CC; install one, or set CC"
+    "no C compiler was found (searched: the command in CC, cc, gcc, clang); install one, or set CC"
 )
 CACHE_DISABLED = f"{FOLDER} is empty; unset it, or set it to a folder"
 COMPILER_TIMEOUT = 300.0  # [s]
@@ -61,8 +61,8 @@ def library(
     Returns
     -------
     tuple of casadi Function, or None
-        The functions in the order of ``names``; None if they are not cached and cannot be compiled.
-        A warning then gives the reason.
+        The functions in the order of ``names``; None if they can be neither loaded from the
+        cache nor compiled. A warning then gives the reason.
     """
     key = _key(text)
     try:
@@ -104,7 +104,8 @@ def compiled_functions(
     make : callable
         ``make()`` returns the derived functions.
     compiled : bool
-        Whether to compile the functions; ignored if no compiler is found.
+        Whether to compile the functions. Without a compiler or a cache they are interpreted, with a
+        warning.
 
     Returns
     -------
@@ -175,11 +176,14 @@ def _prepare(cache: Path) -> None:
     """
     try:
         cache.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_private(cache.stat()):
+        status = cache.stat()
+        if not _is_private(status):
+            found, remedy = "one that others can write to", "remove their write permission"
+            if status.st_uid != os.geteuid():
+                found, remedy = "one of another user", "change its owner"
             raise _UnavailableError(
-                f"{cache}: expected a folder that only this user can write to, found one with "
-                f"another owner or write access for others; change its owner and mode, or set "
-                f"{FOLDER} to another folder"
+                f"{cache}: expected a folder that only this user can write to, found {found}; "
+                f"{remedy}, or set {FOLDER} to another folder"
             )
     except OSError as error:
         raise _UnavailableError(_unusable(cache, error)) from error
@@ -248,13 +252,20 @@ def _compile(
     Raises
     ------
     _UnavailableError
-        If the cache cannot be written or the compiler fails.
+        If the cache cannot be written, or the compiler cannot be started, fails, takes more than
+        300 s or writes no library.
     """
     try:
         with tempfile.TemporaryDirectory(dir=cache, prefix=SCRATCH_PREFIX) as scratch:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"
             text.write_text(source(functions), encoding="utf-8")
-            _run([*command, *FLAGS, "-o", str(file), str(text), "-lm"])
+            try:
+                _run([*command, *FLAGS, "-o", str(file), str(text), "-lm"])
+            except OSError as error:
+                raise _UnavailableError(
+                    f"{shlex.join(command)}: the C compiler cannot be started ({error.strerror}); "
+                    "set CC to another C compiler"
+                ) from error
             if not file.exists():
                 raise _UnavailableError(
                     f"{shlex.join(command)}: expected a C compiler, found a command that wrote no "
@@ -265,9 +276,10 @@ def _compile(
     except OSError as error:
         raise _UnavailableError(_unusable(cache, error)) from error
     except subprocess.SubprocessError as error:
+        is_slow = isinstance(error, subprocess.TimeoutExpired)
+        how = f"took more than {COMPILER_TIMEOUT:g} s" if is_slow else "failed"
         raise _UnavailableError(
-            f"{shlex.join(command)}: the C compiler failed or took more than "
-            f"{COMPILER_TIMEOUT:g} s; set CC to another C compiler"
+            f"{shlex.join(command)}: the C compiler {how}; set CC to another C compiler"
         ) from error
     _remove_old(cache)
 
@@ -277,6 +289,8 @@ def _run(command: Sequence[str]) -> None:
 
     Raises
     ------
+    OSError
+        If the compiler cannot be started.
     subprocess.SubprocessError
         If the compiler fails, or does not end within 300 s.
     """

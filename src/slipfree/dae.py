@@ -223,7 +223,7 @@ class Dae:
     ------
     ModelError
         If the numbers of equations and variables differ, ``size`` is not positive and finite, or
-        two variables have the same name.
+        several variables have the same name.
 
     Notes
     -----
@@ -287,15 +287,15 @@ class Dae:
                 )
         if not 0 < self.size < float("inf"):
             raise ModelError(
-                f"size: expected a positive length in metres, found {self.size}; give a finite "
-                "length, such as the extent of the vehicle"
+                f"size: expected a positive, finite length in metres, found {self.size}; give, for "
+                "example, the extent of the vehicle"
             )
         names = [label.full for label in leaves(tuple(self.labels[:5]))]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
             raise ModelError(
-                f"labels: expected a different name for each variable, found {min(twice)!r} twice; "
-                "rename a coordinate of the vehicle or an output"
+                f"labels: expected a different name for each variable, found {min(twice)!r} more "
+                "than once; rename a coordinate of the vehicle or an output"
             )
 
     def __repr__(self) -> str:
@@ -465,9 +465,15 @@ def _same_names(
     unknown = sorted(set(given) - set(names))
     missing = [name for name in names if name not in set(given)] if all_needed else []
     if unknown or missing:
+        expected = f"values {'for' if all_needed else 'only for'} {_quoted(names)}"
+        found = [f"the unknown {_quoted(unknown)}"] if unknown else []
+        found += [f"no value for {_quoted(missing)}"] if missing else []
+        remedy = "correct or remove unknown names" if unknown else "give a value for each name"
         raise ModelError(
-            f"{what}: expected {', '.join(names)}"
-            + (f"; found the unknown {', '.join(unknown)}" if unknown else "")
-            + (f"; missing: {', '.join(missing)}" if missing else "")
-            + ("; correct the names" if unknown else "; give a value for each")
+            f"{what}: expected {expected if names else 'no values'}, found {' and '.join(found)}; "
+            f"{remedy}"
         )
+
+
+def _quoted(names: Iterable[str]) -> str:
+    return ", ".join(map(repr, names))

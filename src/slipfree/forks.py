@@ -43,7 +43,7 @@ class _Forks:
         self.unsafe = False
 
     def enter(self) -> None:
-        """Count a call of this thread; its first call waits until no fork is waiting."""
+        """Count a call of this thread; an outermost call waits until no fork is waiting."""
         me = threading.get_ident()
         with self.changed:
             if me not in self.depths:
@@ -93,7 +93,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def computing(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a function so that forks of the process in other threads wait until its calls end.
+    """Decorate a function so that forks by other threads wait until its calls end.
 
     A fork waits for at most 10 s.
 

@@ -27,8 +27,9 @@ def to_problem_frame(run: Trajectory) -> Trajectory:
     Parameters
     ----------
     run : Trajectory
-        The motion. It is returned unchanged if it has no attribute ``problem_frame``, as climbs and
-        results of version 0.1, or if its heading is in that frame already.
+        The motion. It is returned unchanged if it has no heading, if it has no attribute
+        ``problem_frame`` (climbs and results of version 0.1), or if its heading is already in that
+        frame.
     """
     stored = run.attributes.get(STORED, "paper")
     wanted = run.attributes.get(WANTED, stored)

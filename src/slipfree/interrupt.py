@@ -115,7 +115,8 @@ def ended_by_interrupt(end: Callable[[], object]) -> Iterator[None]:
     """Call a function at Ctrl-C, before the SIGINT handler, to end a wait inside this context.
 
     After Ctrl-C the end of the context raises KeyboardInterrupt, even if the handler raises no
-    exception. Outside the main thread the context has no effect.
+    exception. The context has no effect outside the main thread or without a Python
+    handler of SIGINT.
 
     Parameters
     ----------

@@ -30,8 +30,8 @@ class Lookup(NamedTuple):
     function : casadi Function
         Function from the argument to the result; CasADi takes its derivatives as zero.
     order : float
-        Highest order of derivatives with respect to the argument for which expressions of the
-        result are exact; infinite for a bicubic ground.
+        Highest order up to which derivatives of expressions of the result, with respect to the
+        argument, are exact; infinite for a bicubic ground.
     """
 
     argument: ca.SX

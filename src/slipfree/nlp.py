@@ -1,4 +1,4 @@
-"""Nonlinear program: interface between further transcriptions and the solver of plans."""
+"""Nonlinear program: interface between other transcriptions and the solver of plans."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Outcomes of motions: complete, or the kind of an early end."""
+"""Outcomes of motions and plans: complete, or the category of the stop reason."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ INCOMPLETE_EXIT_CODE = 1
 
 
 class Outcome(Enum):
-    """Outcome of a motion: complete, or the kind of its early end.
+    """Outcome of a motion or a plan: complete, or the category of the stop reason.
 
     The value of a member is the title in summaries, a colon, and an explanation. Result files
     contain the name of the member in lower case.

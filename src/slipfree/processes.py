@@ -67,7 +67,7 @@ def finish_tasks(tasks: Iterable[T], pool: Pool[T, D], poll: Poll) -> Generator[
     Raises
     ------
     SlipfreeError
-        If the pool fails.
+        If the pool fails, or if a process of `Processes` dies or cannot start.
     """
     waiting, running, finished = iter(tasks), dict[Any, T](), SimpleQueue[Any]()
     while True:
@@ -94,7 +94,7 @@ class Processes(Generic[T, D]):
     Parameters
     ----------
     count : int
-        Number of processes; they start when they are needed.
+        Largest number of processes; they start when they are needed.
     function : callable
         Function at module level; a process calls it with a task.
     """
@@ -105,7 +105,7 @@ class Processes(Generic[T, D]):
         self._busy: dict[Future[D], _Process] = {}
 
     def room(self) -> int:
-        """Return the number of processes, the largest number of open tasks."""
+        """Return the largest number of processes; each has at most one unfinished task."""
         return self._count
 
     def submit(self, task: T) -> Future[D]:
@@ -134,10 +134,9 @@ class Processes(Generic[T, D]):
             how = _exit_words(process.process.exitcode)
             if process.started.exception():
                 raise SlipfreeError(
-                    f"a process for the runs could not start ({how}): see its output above; "
-                    "finished runs are kept; repeat the command to continue"
+                    f"a worker process could not start ({how}): see its output above"
                 ) from error
-            raise ProcessDiedError(f"its process died ({how})") from error
+            raise ProcessDiedError(f"a worker process died ({how})") from error
         self._idle.append(process)
         return future.result()
 
@@ -162,7 +161,7 @@ def local_tasks(
     function : callable
         Function at module level that takes a task and returns its result.
     most : int
-        Largest number of processes.
+        Largest number of processes; it is also limited to the number of available cores.
     """
     count = min(available_cores(), most)
 

@@ -135,7 +135,7 @@ def rearrange(
 
 
 def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> Dae:
-    """Return a model with symbols replaced by values in its equations, outputs and limits.
+    """Return a model with symbols replaced by values in equations, quadratures, outputs, limits.
 
     The symbols remain variables of the model until `rearrange` removes them. Lookups must not
     depend on them.

@@ -19,6 +19,7 @@ KINDS = {
     stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
 }
+WRONG_NAME = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.ELOOP)
 
 
 @contextmanager
@@ -107,8 +108,12 @@ def _checked_size(path: Path, expected: str) -> int:
 
 def _unreadable(path: Path, expected: str, reason: object) -> DataError:
     """Return the error for a file that cannot be read."""
-    is_denied = reason == os.strerror(errno.EACCES)
-    remedy = "check the permissions of the file and its folders" if is_denied else "check the name"
+    if isinstance(reason, ValueError) or reason in map(os.strerror, WRONG_NAME):
+        remedy = "check the name"
+    elif reason == os.strerror(errno.EACCES):
+        remedy = "check the permissions of the file and its folders"
+    else:
+        remedy = "check the file and its disk"
     return DataError(
         f"{path}: expected {expected}, found that it cannot be read ({reason}); {remedy}"
     )

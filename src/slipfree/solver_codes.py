@@ -10,7 +10,7 @@ NOT_FINITE = "the equations have no finite value"
 RATES_NOT_FINITE = "the rates have no finite value"
 INTEGRAL_NOT_FINITE = "an integrated quantity has no finite value"
 TOO_LONG = "the search reached its time limit"
-MALFORMED = "the nonlinear program is malformed: please report this as an error of slipfree"
+MALFORMED = "the nonlinear program is malformed: please report this as a bug in slipfree"
 
 IPOPT_STATUSES = {
     "Solve_Succeeded": "the plan is solved",
@@ -57,7 +57,7 @@ SUNDIALS_FLAGS = {  # flags of IDAS and CVODES without the prefixes IDA_ and CV_
     "LINESEARCH_FAIL": NO_START,
     "NO_RECOVERY": NO_START,
     "BAD_EWT": "an unknown has no finite value",
-    "ILL_INPUT": "the integrator cannot use the initial values",
+    "ILL_INPUT": "an input of the integrator, such as an initial value, is invalid",
     "TOO_CLOSE": "consecutive sample times are too close for double precision",
     "MEM_FAIL": "there is not enough memory",
 }

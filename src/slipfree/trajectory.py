@@ -22,25 +22,37 @@ WHEELS = {"long_name": "name of the wheel"}
 STATISTICS = "statistics_"  # prefix of the solver's statistics in the metadata
 STOP = ("stop_name", "stop_time", "stop_words")
 OUTCOME = "outcome"
-PLAN, PLAN_ACCURACY, PLAN_SHARE = "plan", "plan_accuracy", "plan_share"  # stops of plans
+PLAN, PLAN_ACCURACY, PLAN_SHARE = "plan", "plan_accuracy", "plan_share"
+PLAN_STOPS = (PLAN, PLAN_ACCURACY, PLAN_SHARE)  # names of stops of plans
 
 
 class Stop(NamedTuple):
-    """Reason why a motion ended before the last requested time.
+    """Reason why a motion ended before the last requested time, or why a plan is incomplete.
 
     Attributes
     ----------
     name : str
-        Name of the limit, check or event that ended the motion; otherwise ``"fold"``,
-        ``"no_equilibrium"``, ``"solver"``, ``"interrupted"``, ``"plan"``, ``"plan_accuracy"`` or
-        ``"plan_share"``.
+        Name of the limit, check, residual or event that ended the motion. Other names:
+
+        ``"fold"``
+            The equilibrium continues only with a jump.
+        ``"solver"``
+            The integrator failed.
+        ``"interrupted"``
+            The progress callable returned False.
+        ``"plan"``
+            The search ended without a plan that meets all constraints.
+        ``"plan_accuracy"``
+            The simulation deviates from a solved plan by more than the required accuracy.
+        ``"plan_share"``
+            A robust plan holds on too few of the drawn worlds, or they were not all simulated.
     t : float
-        Time of the last sample. [s]
+        Time of the last sample. It has no meaning for the three stops of plans. [s]
     words : str
         Message: the cause, its location, and a remedy if there is one.
     outcome : Outcome
-        Kind of the reason. A motion that ends at an event of the caller is complete, as in SciPy's
-        ``solve_ivp``.
+        Category of the reason. A motion that ends at an event of the caller is complete, as in
+        SciPy's ``solve_ivp``.
     """
 
     name: str
@@ -96,7 +108,8 @@ class Trajectory:
     wheels : tuple of str
         Names of the wheels, in the order of the columns of quantities of wheels.
     stop : Stop or None
-        Reason of an early end; None if the motion reached the last requested time.
+        Reason of an early end, or of an incomplete plan; None for a motion that reached the last
+        requested time.
     statistics : mapping of str to float
         Statistics of the solver, such as numbers of steps and computing times, by name.
     attributes : mapping of str to str
@@ -109,7 +122,7 @@ class Trajectory:
     >>> from slipfree import Analytic, catalog, direct_kinematics, settle
     >>> start = settle(direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0 * x)))
     >>> start
-    Trajectory: 1 samples from 0 to 0 s; complete
+    Trajectory: 1 sample from 0 to 0 s; complete
       quantities: x, y, heading, tilt_right, tilt_left, steer, z, roll, pitch, contact_x, ...
       wheels: right, left, front
     >>> start["contact_x"].shape, start["contact_x", "right"].shape
@@ -127,8 +140,9 @@ class Trajectory:
     def __repr__(self) -> str:
         span = f" from {self.t[0]:.6g} to {self.t[-1]:.6g} s" if self.t.size else ""
         stop = {} if self.stop is None else {"stop": (self.stop.name, self.stop.words)}
+        samples = "1 sample" if self.t.size == 1 else f"{self.t.size} samples"
         return overview(
-            f"Trajectory: {self.t.size} samples{span}; {self.outcome.title}",
+            f"Trajectory: {samples}{span}; {self.outcome.title}",
             quantities=self.columns,
             wheels=self.wheels,
             events=self.events,
@@ -309,10 +323,11 @@ def joined(*runs: Trajectory) -> Trajectory:
 def outcome_title(run: Trajectory) -> str:
     """Return the outcome of a motion in words, with time and name of its stop.
 
-    The stop of a plan has no time in the result, since a plan is solved for all times at once.
+    For the stop of a plan the time is omitted, since a plan is solved for all times at once. A name
+    that repeats the title is omitted too.
     """
     stop, title = run.stop, run.outcome.title
-    if stop is None or stop.name in (PLAN, PLAN_ACCURACY, PLAN_SHARE):
+    if stop is None or stop.name in PLAN_STOPS:
         return title
     name = "" if stop.name.replace("_", " ") in title else f" ({stop.name})"
     return f"{title} at t = {stop.t:.6g} s{name}"
@@ -321,6 +336,15 @@ def outcome_title(run: Trajectory) -> str:
 def outcome_words(run: Trajectory) -> str:
     """Return the outcome of a motion in words, followed by the message of its stop."""
     return f"{outcome_title(run)}: {run.stop.words}" if run.stop else outcome_title(run)
+
+
+def stop_words(run: Trajectory) -> str:
+    """Return the time of a stop, or the outcome of a plan, and the message; empty if complete."""
+    if run.stop is None:
+        return ""
+    is_plan = run.stop.name in PLAN_STOPS
+    title = run.outcome.title if is_plan else f"stopped at t = {run.stop.t:.4g} s"
+    return f"{title}: {run.stop.words}"
 
 
 def path_length(run: Trajectory) -> float:

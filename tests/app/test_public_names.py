@@ -107,7 +107,7 @@ def test_reprs_of_models_and_their_motions(model):
     dae = model(rover, Bicubic(jacksboro(scale=0.005), mu=0.9))
     assert lines_of(dae)[1].startswith("  states: x, y, ")
     start = settle(direct_kinematics(rover, Bicubic(jacksboro(scale=0.005))), x=136.0, y=79.0)
-    assert lines_of(start)[0] == "Trajectory: 1 samples from 0 to 0 s; complete"
+    assert lines_of(start)[0] == "Trajectory: 1 sample from 0 to 0 s; complete"
     for record in (*start.columns.values(), *dae.limits, Event(dae.x.heading)):
         lines_of(record)
     lines_of(slipfree.Cost("rolling", dae.ode[0], "rad2 s-1", "squared roll rate " * 20))

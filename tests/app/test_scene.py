@@ -300,7 +300,7 @@ def test_a_long_way_is_drawn_finely_and_followed(drive: Driven) -> None:
     (a, b), (c, d) = corners[:, 1].T - corners[:, 0].T, corners[:, 2].T - corners[:, 0].T
     covered = 0.5 * (a * d - b * c).sum()  # once, without holes
     assert_allclose(covered, np.prod(np.ptp(points[:, :2], axis=0)), rtol=1e-9)
-    off = float(next(note for note in scene.notes if "apart" in note).split()[6])
+    off = float(next(note for note in scene.notes if "apart" in note).split()[8])
     assert off < 0.1
     assert scene.warnings == () or off > 0.1 * 0.3
 

@@ -119,7 +119,7 @@ def test_an_example_is_copied_with_what_it_needs(folder: Path) -> None:
     assert _invoke("check", "map/dynamics_ice.toml").exit_code == 0
     again = _invoke("examples", "your_vehicle", "--to", "deep/er")
     assert again.exit_code == 2
-    assert "replace them with --force" in again.stderr
+    assert "use --force to replace" in again.stderr
     assert _invoke("examples", "your_vehicle", "--to", "deep/er", "--force").exit_code == 0
 
 
@@ -136,7 +136,7 @@ def test_examples_that_are_none() -> None:
     assert "did you mean 'paper_direct'?" in result.stderr
     assert "list them with slipfree examples" in _invoke("examples", "xyz").stderr
     assert (
-        "expected a folder that exists or can be made"
+        "expected a folder that exists or can be created"
         in _invoke("examples", "--to", "p.toml").stderr
     )
 

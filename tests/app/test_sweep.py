@@ -88,13 +88,13 @@ def test_values_of_a_key(text: str, key: str, values: tuple[str, ...]) -> None:
         ("a", "expected key=a:b:n for n numbers from a to b, or key=v1,v2"),
         ("=1,2", "expected key=a:b:n"),
         ("a=", "expected key=a:b:n"),
-        ("a=1:2:1", "expected two different ends and 2 to"),
-        ("a=1:1:3", "expected two different ends"),
+        ("a=1:2:1", "expected 2 to 100000 values, found 1"),
+        ("a=1:1:3", "expected two different finite ends, found 1 and 1"),
         ("a=1,1", "found 1 twice"),
         ("a=1,2,1.0", "found 1 and 1.0, which are equal"),
         ('a=x,"x"', 'found x and "x", which are equal'),
-        ("a=1e999:2:3", "all finite, found 1e999:2:3"),
-        ("a=0:1e999:3", "all finite, found 0:1e999:3"),
+        ("a=1e999:2:3", "finite ends, found 1e999 and 2"),
+        ("a=0:1e999:3", "finite ends, found 0 and 1e999"),
         ("a=x,,y", "found an empty value"),
     ],
 )
@@ -155,7 +155,7 @@ def test_a_dry_run_says_what_would_be_run(file: Path) -> None:
         log.append(ROW._replace(seconds=6.0))
         log.append(ROW._replace(run=2, seconds=8.0))
     result = sweep_in(file.parent, *words, "--dry-run")
-    assert "about 2.3 min: 7 s per run on 1 processes" in result.stdout
+    assert "about 2.3 min: 7 s per run on 1 process\n" in result.stdout
 
 
 def test_a_seed_that_the_file_leaves_out_is_found() -> None:
@@ -166,7 +166,10 @@ def test_a_seed_that_the_file_leaves_out_is_found() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--repeat", "2", "--set", "terrain.synthetic.power_law="], "add a random table such as"),
+        (
+            ["--repeat", "2", "--set", "terrain.synthetic.power_law="],
+            "add a table with a seed, such as",
+        ),
         (
             ["--repeat", "2", "--vary", "terrain.synthetic.power_law.seed=1,2"],
             "which --vary changes",
@@ -278,10 +281,10 @@ def test_an_unknown_figure_is_refused_with_those_there_are(whole: tuple[Path, An
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (["--repeat", "2"], "those of another --repeat: 3, now 2"),
-        (["--seed", "7"], "those of another --seed"),
-        (["--set", "time.step=0.05"], 'those of another --set: [], now ["time.step=0.05"]'),
-        (["--vary", "time.step=0.05,0.1"], "those of another --vary"),
+        (["--repeat", "2"], "some with another --repeat: 3, now 2"),
+        (["--seed", "7"], "some with another --seed"),
+        (["--set", "time.step=0.05"], 'some with another --set: [], now ["time.step=0.05"]'),
+        (["--vary", "time.step=0.05,0.1"], "some with another --vary"),
     ],
 )
 def test_results_of_another_sweep_are_not_mixed(
@@ -302,7 +305,7 @@ def test_results_of_another_problem_are_not_mixed(file: Path) -> None:
     with Log(file.parent / "runs.jsonl", head):
         pass
     file.write_text(PROBLEM.replace("hurst = 0.9", "hurst = 0.8"))
-    with pytest.raises(DataError, match="those of another problem file; choose another folder"):
+    with pytest.raises(DataError, match="some with another problem file; choose another folder"):
         Log(file.parent / "runs.jsonl", sweep_of(file, []).head)
 
 
@@ -331,7 +334,7 @@ def test_results_of_other_input_files_are_not_mixed(
     with Log(log, sweep_of(file, vary, settings).head):
         pass
     changed.write_text("other")
-    with pytest.raises(DataError, match=f"those of another input file: {name}; choose another"):
+    with pytest.raises(DataError, match=f"some with another input file: {name}; choose another"):
         Log(log, sweep_of(file, vary, settings).head)
     changed.unlink()
     assert sweep_of(file, vary, settings).files[name] == "missing"
@@ -399,7 +402,7 @@ def test_results_that_were_not_kept_are_told(file: Path) -> None:
     assert sweep_in(file.parent, *words).exit_code == 0
     result = sweep_in(file.parent, *words, "--keep")
     assert result.exit_code == 0
-    assert "--keep: 1 run finished without --keep and has no result file" in result.stderr
+    assert "--keep: 1 finished run has no result file" in result.stderr
     command = result.stderr[result.stderr.index("slipfree run") :].split()
     assert CliRunner().invoke(app, [*command[1:], "--no-draw"]).exit_code == 0
     assert "no result file" not in sweep_in(file.parent, *words, "--keep").stderr
@@ -488,7 +491,8 @@ def test_processes_that_cannot_start_are_no_fault_of_the_runs(
 ) -> None:
     monkeypatch.setattr(processes, "prepare_process", sys.exit)  # ends at once
     pool = ProcessPool(1)
-    with pytest.raises(SlipfreeError, match=r"could not start \(exit code 0\): see its output"):
+    words = r"could not start \(exit code 0\): see its output above; finished runs are kept"
+    with pytest.raises(SlipfreeError, match=words):
         list(finish_tasks(tasks_of(file, "time.step=0.1"), pool, lambda: None))
 
 
@@ -650,7 +654,7 @@ def test_figures_that_cannot_be_drawn() -> None:
         show.figure(_swept([SPEEDS, AXLES, AXLES], np.ones((3, 2, 2, 1))))
     with pytest.raises(ModelError, match="a value in at least one run"):
         show.figure(_swept([AXLES], [[np.nan], [np.nan]]))
-    with pytest.raises(ModelError, match="expected 1 varied keys, found 2"):
+    with pytest.raises(ModelError, match="expected 1 varied key, found 2"):
         show.curve(_swept([SPEEDS, AXLES], np.ones((3, 2, 1))), Figure().subplots())
 
 

@@ -368,15 +368,19 @@ FAULTS = {
     "start not finite": Fault(
         _set("start", x=np.nan), "start: expected a finite number for 'x', found nan"
     ),
-    "unknown start": Fault(_set("start", yaw=0.1), r"start: expected x, .*; found the unknown yaw"),
+    "unknown start": Fault(
+        _set("start", yaw=0.1), r"start: expected values only for 'x', .*, found the unknown 'yaw'"
+    ),
     "unknown guess": Fault(
         _set("start", guess={"height": 1.0}), r"guess: expected names .*found 'height'"
     ),
     "input not finite": Fault(_first_input(np.inf), r"input \w+_rate: expected finite numbers"),
     "short input": Fault(_first_input(np.ones(2)), r"input \w+: expected .* found shape \(2,\)"),
-    "missing input": Fault(lambda r: r["inputs"].pop(next(iter(r["inputs"]))), r"missing: \w+"),
+    "missing input": Fault(
+        lambda r: r["inputs"].pop(next(iter(r["inputs"]))), r"found no value for '\w+'"
+    ),
     "unknown input": Fault(
-        _set("inputs", thrust=1.0), r"inputs: expected .* found the unknown thrust"
+        _set("inputs", thrust=1.0), r"inputs: expected .* found the unknown 'thrust'"
     ),
     "tolerance": Fault(
         lambda r: r["call"].update(options=SolverOptions(tolerance=0.0)),

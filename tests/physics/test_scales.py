@@ -72,5 +72,7 @@ def _stand():
 def test_size_is_a_positive_length():
     dae = direct_kinematics(three_wheeler(), formula(1.0))
     assert dae.size == 1.0  # the paper's vehicle: tolerances in metres
-    with pytest.raises(ModelError, match="size: expected a positive length in metres, found 0"):
+    with pytest.raises(
+        ModelError, match="size: expected a positive, finite length in metres, found 0"
+    ):
         replace(dae, size=0.0)

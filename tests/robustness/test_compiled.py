@@ -413,7 +413,7 @@ def test_a_sweep_says_it_once_whatever_its_processes_find(tmp_path, monkeypatch,
     sweep = ["sweep", "p.toml", "--repeat", "2", "--processes", "2", "--no-draw", *words]
     result = CliRunner().invoke(app, sweep)
     assert result.exit_code == 0, result.output
-    assert result.stderr.count("compiled = true: SLIPFREE_CACHE is empty") == 1
+    assert result.stderr.count("cannot be compiled: SLIPFREE_CACHE is empty") == 1
     assert "UserWarning" not in capfd.readouterr().err
 
 

@@ -118,7 +118,7 @@ def test_a_process_that_dies_costs_one_run(file: Path) -> None:
     aims[0] = True
     row = next(found).row
     assert (row.run, row.outcome) == (2, "lost")
-    assert row.words == "its process died (signal SIGKILL; possibly out of memory)"
+    assert row.words == "a worker process died (signal SIGKILL; possibly out of memory)"
     row = next(found).row
     assert (row.run, row.outcome) == (3, "complete")
     assert list(found) == []

@@ -179,7 +179,8 @@ def test_tolerance_is_checked(tolerance):
 def test_inputs_are_checked():
     dae = follows_input()
     with pytest.raises(
-        ModelError, match="inputs: expected speed; found the unknown pace; missing: speed"
+        ModelError,
+        match=r"inputs: expected .* 'speed', found the unknown 'pace' and no value for 'speed'",
     ):
         dae.inputs(pace=1.0)
     start = settle(dae)
@@ -208,7 +209,7 @@ def test_mismatched_equations_are_refused():
     ):
         Dae(**{**dae.__dict__, "alg": (*dae.alg, ca.SX.zeros(0, 1))})
     labels = dae.labels._replace(u=Rate(Label("value", "m", "again")))
-    with pytest.raises(ModelError, match="found 'value' twice; rename a coordinate"):
+    with pytest.raises(ModelError, match="found 'value' more than once; rename a coordinate"):
         Dae(**{**dae.__dict__, "labels": labels})
 
 

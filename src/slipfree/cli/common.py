@@ -55,8 +55,8 @@ InputFolder = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Folder of the input files of the problem; default: the folder of the problem file, "
-        "the folder of the result, or the current folder.",
+        help="Folder of the input files of the problem; default: the first folder that contains "
+        "them: that of the problem file, that of the result, or the current one.",
     ),
 ]
 
@@ -89,8 +89,9 @@ def about(file: Path) -> Iterator[None]:
     Raises
     ------
     DataError
-        For a ModelError or DataError of the block, and for a KeyError, since every result of
-        ``slipfree run`` has the requested quantities and attributes.
+        For a KeyError of the block, since every result of ``slipfree run`` has the requested
+        quantities, statistics and attributes, and for a ModelError or DataError. The latter two are
+        raised unchanged if their message contains the name.
     """
     try:
         yield
@@ -100,8 +101,8 @@ def about(file: Path) -> Iterator[None]:
         raise DataError(f"{file}: {error}") from error
     except KeyError as error:  # every result has this quantity, statistic or attribute
         raise DataError(
-            f"{file}: expected a result of slipfree run, found no quantity {error} in it; run the "
-            "problem again"
+            f"{file}: expected a result of slipfree run, found no quantity, statistic or attribute "
+            f"{error} in it; run the problem again"
         ) from error
 
 
@@ -148,9 +149,9 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
     Raises
     ------
     DataError
-        If a path, with symbolic links resolved, is outside the working folder and the problem's
-        folder, if the result's name does not end in ``.nc`` or has characters that are not allowed,
-        or if a path would replace a file that is not a result or a figure.
+        If a path is not a valid file name or, with symbolic links resolved, is outside the working
+        folder and the problem's folder, if the result's name does not end in ``.nc``, or if a path
+        would replace a file that is not a result or a figure.
     """
     from slipfree.files.netcdf import is_result
 
@@ -225,13 +226,13 @@ def check_outputs(files: list[Path | None], folder: Path | None, problem: Proble
 
 
 def check_page(out: Path, files: Sequence[Path]) -> None:
-    """Raise DataError if a page does not end in .html or .htm, is a result file, or is unwritable.
+    """Raise DataError if a page cannot be written, or if its name does not end in .html or .htm.
 
-    ``files`` are the result files that the page shows.
+    The page must not be one of ``files``, the result files that it shows.
     """
     check_apart(out, files)
     if out.suffix.lower() not in (".html", ".htm"):
-        raise DataError(f"{out}: expected a name that ends in .html; choose another name")
+        raise DataError(f"{out}: expected a name that ends in .html or .htm; choose another name")
     check_output(out)
 
 
@@ -252,13 +253,15 @@ def check_output(path: Path) -> None:
         )
     if path.exists() and not path.is_file():
         raise DataError(
-            f"{path}: expected the name of a file to write, found a device or a pipe; choose "
+            f"{path}: expected the name of a file to write, found a device, pipe or socket; choose "
             "another name"
         )
     if not path.parent.is_dir():
+        found, remedy = "none", "create it, or choose another folder"
+        if path.parent.exists():
+            found, remedy = "a file", "choose another folder"
         raise DataError(
-            f"{path}: expected a folder {path.parent} to write to, found none; create it, or "
-            "choose another folder"
+            f"{path}: expected a folder {path.parent} to write to, found {found}; {remedy}"
         )
     check_writable(path, path.parent)
 

@@ -45,7 +45,7 @@ def examples(
         bool, typer.Option("--force", help="Replace files of the same names.")
     ] = False,
 ) -> None:
-    """List the shipped problems, or copy some of them.
+    """List the shipped problems, or copy them.
 
     Copies include the input files that the problems need.
     """
@@ -102,7 +102,7 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
     Raises
     ------
     DataError
-        If files exist already and ``force`` is not set, or the folder cannot be made.
+        If files exist already and ``force`` is not set, or a file or folder cannot be written.
     """
     texts = {}
     while wanted:
@@ -120,16 +120,16 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
     taken = [str(out) for out in places if out.exists()]
     if taken and not force:
         raise DataError(
-            f"examples: expected new files, found existing ones: {', '.join(taken)}; replace them "
-            "with --force"
+            f"examples: expected new files, found existing: {', '.join(taken)}; use --force to "
+            "replace, or choose another folder: --to DIR"
         )
     for out, text in places.items():
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise DataError(
-                f"{out.parent}: expected a folder that exists or can be made, found that it "
-                f"cannot be made ({error.strerror}); choose another folder: --to DIR"
+                f"{out.parent}: expected a folder that exists or can be created, found that it "
+                f"cannot be created ({error.strerror}); choose another folder: --to DIR"
             ) from error
         write_new_file(text, out, force)
         print_line(f"wrote {out}")

@@ -66,7 +66,7 @@ def vehicle(
     write: Annotated[
         Path | None,
         typer.Option(
-            "--write", metavar="FILE", help="Write the guesses about a URDF to a vehicle file."
+            "--write", metavar="FILE", help="Write a vehicle file with the guesses about a URDF."
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
@@ -176,14 +176,19 @@ def export(
     file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
     path: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv|.geojson", help="Path of the platform in map coordinates."),
+        typer.Option(
+            metavar="FILE.csv|.geojson", help="Write the platform's path in map coordinates."
+        ),
     ] = None,
     rates: Annotated[
-        Path | None, typer.Option(metavar="FILE.csv", help="Rates of driven wheels and joints.")
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Write the rates of driven wheels and joints."),
     ] = None,
     mcap: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.mcap", help="Path, joints, transforms and slip for ROS 2."),
+        typer.Option(
+            metavar="FILE.mcap", help="Write path, joints, transforms and slip for ROS 2."
+        ),
     ] = None,
     folder: InputFolder = None,
 ) -> None:

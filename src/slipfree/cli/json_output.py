@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def motion_json(run: Trajectory) -> dict[str, Any]:
-    """Return the JSON object of a motion: times, stop, wheels, statistics, ranges of quantities."""
+    """Return the JSON object of a motion: times, stop, wheels, ranges of quantities, statistics."""
     return {
         "samples": run.t.size,
         "time": {"unit": "s", "first": run.t[0], "last": run.t[-1]},
@@ -60,7 +60,10 @@ def row_json(row: Row) -> dict[str, Any]:
 
 
 def _drive(drive: Drive) -> dict[str, Any]:
-    """Return the JSON object of one motion of a vehicle, with the largest slip of each wheel."""
+    """Return the JSON object of one motion of a vehicle: extremes over time, and its stop.
+
+    Values of slip are arrays with one entry per wheel.
+    """
     return {
         "slip_along": {"unit": "m s-1", "max": drive.along},
         "slip_across": {"unit": "m s-1", "max": drive.across},

@@ -29,7 +29,7 @@ import typer
 DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANINGS = {
     DONE: "done",
-    STOPPED: "not complete or failed; see files for what was saved",
+    STOPPED: "not complete or failed; 'files' lists the saved files, if any",
     BAD_INPUT: "bad input, or a package that is not installed",
     INTERRUPTED: "interrupted",
 }

@@ -59,7 +59,7 @@ def migrate(
 
 
 def _check_new(path: Path, file: Path) -> None:
-    """Raise DataError if the output file ``path`` exists or is the input file ``file``."""
+    """Raise DataError if the output file exists, cannot be written, or is the input ``file``."""
     check_output(path)
     if resolve_links(path) == resolve_links(file):
         raise DataError(

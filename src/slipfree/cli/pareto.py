@@ -33,7 +33,7 @@ def pareto(
         str,
         typer.Option(
             metavar="NAME",
-            help="Second objective: duration, effort, energy, or any quantity (squared).",
+            help="Second objective: duration, effort, energy, or any quantity (its square).",
         ),
     ] = "duration",
     points: Annotated[
@@ -100,9 +100,10 @@ def pareto(
         print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
         if front.outcome.exit_code:
             unsolved = sum(not each.is_solved for each in front.points)
+            verb, what = ("is", "the reason is") if unsolved == 1 else ("are", "the reasons are")
             print_error(
-                f"{unsolved} of {len(front.points)} points are not solved; the reasons are in the "
-                f"last column of {folder / TABLE}"
+                f"{unsolved} of {len(front.points)} points {verb} not solved; {what} in the last "
+                f"column of {folder / TABLE}"
             )
             raise typer.Exit(front.outcome.exit_code)
 

@@ -143,7 +143,7 @@ def _output_paths(
 def _check_options(
     problem: Problem[Any], cross_check: bool, resume: Path | None, animation: Path | None
 ) -> None:
-    """Raise DataError for options that the verb does not support."""
+    """Raise DataError for options that the verb does not support, and animations not in .gif."""
     from slipfree.problem.verbs.base import ANIMATION, CROSS_CHECK, RESUME
     from slipfree.problem.verbs.registry import check_option
 

@@ -101,8 +101,8 @@ def sweep(
             _check_figures(folder / FIGURES)
         if plan.problem.spec.solver.compiled and (why := obstacle()):
             warn(
-                f"compiled = true: {why}; equations that are not in the cache are interpreted, "
-                "which is slower"
+                f"solver.compiled is true, but functions cannot be compiled: {why}; until then, "
+                "equations that are not in the cache are interpreted, which is slower"
             )
         rows = _run_all(plan, folder, _pool(processes, scheduler), keep, again)
         names = choose_figures(plan, rows, figures or [])
@@ -123,7 +123,7 @@ def _check_figures(folder: Path) -> None:
     check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise DataError(
-            f"{folder}: expected a folder for figures, found a file; move it, or draw none: "
+            f"{folder}: expected a folder for figures, found a file; move it, or draw no figures: "
             "--no-draw"
         )
 
@@ -143,7 +143,8 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
             if len(rows):
                 each = sum(row.seconds for row in rows) / len(rows)
                 about_all = duration(left * each / processes)
-                words = f"about {about_all}: {each:.3g} s per run on {processes} processes"
+                count = "1 process" if processes == 1 else f"{processes} processes"
+                words = f"about {about_all}: {each:.3g} s per run on {count}"
     print_facts([*facts, ("time", words if left else "nothing is left to run")])
 
 
@@ -156,7 +157,7 @@ def duration(seconds: float) -> str:
 
 
 def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
-    """Warn about runs that were finished without ``--keep`` and therefore have no result file."""
+    """Warn about finished runs without a result file, for example of a sweep without ``--keep``."""
     from slipfree.sweep.run import missing_results, result_path
 
     if missing := missing_results(folder, plan, rows):
@@ -166,8 +167,8 @@ def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
         words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", str(file)]
         runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
         warn(
-            f"--keep: {len(missing)} {runs} finished without --keep and {have} no result file; to "
-            f"write all, sweep into another folder with -o; to write one: {shlex.join(words)}"
+            f"--keep: {len(missing)} finished {runs} {have} no result file; to write all, sweep "
+            f"into another folder with -o; to write the first: {shlex.join(words)}"
         )
 
 

@@ -69,7 +69,7 @@ class Driven(NamedTuple):
     keep_out : tuple of Region
         Keep-out regions of a plan.
     plan : Trajectory or None
-        The plan that the motion simulates, with poses and contact points.
+        The plan that the motion simulates, with poses and contact points; None without a plan.
     """
 
     name: str
@@ -91,8 +91,8 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
     Raises
     ------
     ModelError
-        If a motion leaves the ground of the first one, or its ground differs by more than a wheel
-        radius.
+        If a motion leaves the ground of the first one, or if its own ground differs from that by
+        more than a wheel radius.
     """
     first, grid = drives[0], drives[0].terrain.grid
     reach = max(extents(drive.vehicle)[2] for drive in drives)
@@ -201,7 +201,7 @@ def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
     cost = layers.cost[nodes_at(layers, places)]
     free = np.isfinite(cost)
     top = float(np.percentile(cost[free], 99)) if free.any() else 1.0
-    legend = f"cost per metre of path, 1 to {top:.3g}; gray: blocked"
+    legend = f"cost per metre of path, 1 to {top:.3g}; grey: blocked"
     found = layer("traversability", np.where(free, cost, 1.0), legend, 1.0, top)
     found.colors[~free] = BLOCKED
     return found
@@ -314,7 +314,7 @@ def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]
     radius = min(wheel.radius for drive in drives for wheel in drive.vehicle.wheels)
     if off >= least * radius:
         sunk = ": wheels may appear below or above the ground" if off >= SEEN * radius else ""
-        yield f"Drawn ground and contact points are {off:.2g} m apart or less{sunk}."
+        yield f"Drawn ground and contact points are at most {off:.2g} m apart{sunk}."
 
 
 def _others(drives: Sequence[Driven]) -> Iterable[str]:

@@ -28,7 +28,7 @@ class Refined(NamedTuple):
     near : ndarray of bool, shape (n_x - 1, n_y - 1)
         Mask of the divided cells.
     parts : int
-        Number of parts of a divided cell per side.
+        Number of intervals on each side of a divided cell; 1 if no cell is divided.
     terrain : Terrain
         Ground that gives the heights inside divided cells.
     """
@@ -124,7 +124,7 @@ class Refined(NamedTuple):
         return np.clip(i, 0, n - 1).astype(int), np.clip(j, 0, m - 1).astype(int)
 
     def _shares(self) -> tuple[Array, Array]:
-        """Return x and y of a divided cell's nodes [cell], shape (parts + 1, parts + 1) each."""
+        """Return x and y of a cell's nodes, from 0 to 1, shape (parts + 1, parts + 1) each."""
         share = np.arange(self.parts + 1) / self.parts
         a, b = np.meshgrid(share, share, indexing="ij")
         return a, b
@@ -143,6 +143,8 @@ def refined(
 ) -> Refined:
     """Return a grid with divided cells near paths, with at most about 60 000 added nodes.
 
+    No cell is divided if the grid is fine enough, or if there are too many cells near the paths.
+
     Parameters
     ----------
     grid : Grid
@@ -154,7 +156,7 @@ def refined(
     margin : float
         Distance from the paths within which cells are divided. [m]
     spacing : float
-        Desired distance between nodes in divided cells. [m]
+        Desired distance between nodes in divided cells; larger if it needs too many nodes. [m]
     """
     whole = Refined(grid, np.zeros((grid.x.size - 1, grid.y.size - 1), bool), 1, terrain)
     cell = float(max(grid.spacing))

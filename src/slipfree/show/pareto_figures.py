@@ -26,13 +26,14 @@ class DrawnFront(NamedTuple):
     name, unit : str
         Name and unit of the second objective.
     bounds, second : ndarray, shape (n,)
-        Bound and value of the second objective; the value is NaN for unsolved points.
+        Bound and value of the second objective, in its unit; the value is NaN for unsolved points.
     objective, slopes : ndarray, shape (n,)
-        Minimised objective, and its derivative with respect to the bound. [m2/s]
+        Minimised objective, and its derivative with respect to the bound. [m2/s, m2/s per unit of
+        the bound]
     slip : ndarray, shape (n,)
         Slip per wheel and metre of path. [m/m]
     is_dominated : ndarray of bool, shape (n,)
-        Whether another point dominates a point.
+        Whether another point of the front dominates the point.
     given : tuple of 3 floats
         Second objective, first objective [m2/s] and slip [m/m] of the plan with the costs of the
         problem.

@@ -20,7 +20,7 @@ from slipfree.geometry.mesh import Mesh
 from slipfree.records import Array
 from slipfree.show import style
 from slipfree.show.meshes import plate
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import Trajectory, stop_words
 
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
 NARROW = 0.55  # width of the platform [width of the vehicle]
@@ -129,7 +129,8 @@ class Actor(NamedTuple):
     ghost : bool
         Whether the motion is a plan, which is drawn as wireframe.
     stop : str
-        Time and reason of an early stop; empty without one.
+        Time and reason of an early stop, or outcome and reason of an incomplete plan; empty without
+        a stop.
     """
 
     name: str
@@ -239,8 +240,8 @@ def framed(
 
 
 def stopped(run: Trajectory) -> str:
-    """Return time and reason of an early stop in words; empty without a stop."""
-    return f"stopped at t = {run.stop.t:.4g} s: {run.stop.words}" if run.stop else ""
+    """Return a stop in words, as in `Actor`; empty without a stop."""
+    return stop_words(run)
 
 
 def color_of(k: int) -> Color:

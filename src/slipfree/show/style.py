@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import Trajectory, stop_words
 
 MM = 1 / 25.4  # [in]
 COLUMN, PAGE = 120 * MM, 180 * MM  # widths of the figures [in]
@@ -64,7 +64,8 @@ def finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str
         columns = _columns(list(entries), int(width * 18))
         figure.legend(entries.values(), entries, loc="outside upper center", ncols=columns)
     if run.stop is not None:
-        note = f"Stopped at t = {run.stop.t:.4g} s: {run.stop.words}\n{note}".strip()
+        reason = stop_words(run)
+        note = f"{reason[0].upper()}{reason[1:]}\n{note}".strip()
     if note:
         lines = [textwrap.fill(line, int(width * 19)) for line in note.splitlines()]
         figure.supxlabel("\n".join(lines), x=0.02, ha="left", fontsize=7, parse_math=False)

@@ -32,7 +32,8 @@ ROOM = 7  # largest number of horizontal texts at an axis
 def distribution(swept: Swept, ax: Axes) -> Axes:
     """Draw the cumulative distribution over the runs, and the mean."""
     values = swept.values[np.isfinite(swept.values)]
-    ax.ecdf(values, color=PALETTE[0], label=f"{values.size} runs")
+    count = "1 run" if values.size == 1 else f"{values.size} runs"
+    ax.ecdf(values, color=PALETTE[0], label=count)
     ax.axvline(values.mean(), color=PALETTE[1], ls="--", label=f"mean {values.mean():.4g}")
     ax.set_xlabel(_labelled(swept.name, swept.unit))
     ax.set_ylabel("share of runs [1]")
@@ -149,7 +150,8 @@ def save_sweep_figures(
 def _axes(swept: Swept, count: int) -> tuple[Varied, ...]:
     if len(swept.axes) != count:
         raise ModelError(
-            f"{swept.name}: expected {count} varied keys, found {len(swept.axes)}; use figure(), "
+            f"{swept.name}: expected {count} varied {'key' if count == 1 else 'keys'}, found "
+            f"{len(swept.axes)}; use slipfree.show.sweep_figures.figure, "
             "which chooses the diagram"
         )
     return swept.axes

@@ -40,7 +40,7 @@ class Cluster:
     ------
     DataError
         If the package distributed is not installed, no scheduler responds, it has no workers, or
-        they have another version of slipfree.
+        they do not have the same version of slipfree.
     """
 
     def __init__(self, address: str, warn: Callable[[str], None]) -> None:
@@ -50,7 +50,7 @@ class Cluster:
         self._open: dict[str, Any] = {}
 
     def room(self) -> int:
-        """Return the largest number of open tasks; warn if all workers are lost or available again.
+        """Return the largest number of open tasks; warn if no workers are left, or some are back.
 
         Raises
         ------

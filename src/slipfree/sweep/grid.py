@@ -175,8 +175,9 @@ def sweep_of(
     Raises
     ------
     DataError
-        If ``vary`` is invalid or contains a key twice, if there are too many runs, or if the
-        problem has no seed for repetitions; a `ProblemError` if a value is invalid.
+        If ``vary`` is invalid or contains a key that is varied or set elsewhere, if there are more
+        than 100 000 runs, or if the problem has no seed for repetitions; a `ProblemError` if a
+        value is invalid.
     """
     axes = tuple(axis_of(each) for each in vary)
     _check_keys(axes, settings)
@@ -204,8 +205,8 @@ def sweep_of(
         raise DataError(
             f"{where}: expected a key that ends in .{SEED} for --repeat, found "
             + (f"only {', '.join(found)}, which --vary changes" if found else "none")
-            + "; add a random table such as [terrain.synthetic.power_law], [terrain.error] or "
-            "[control.noise], or omit --repeat"
+            + "; add a table with a seed, such as [terrain.synthetic.power_law], [terrain.error] "
+            "or [control.noise], or omit --repeat"
         )
     return replace(bare, seeds=seeds, repeat=repeat)
 
@@ -316,13 +317,18 @@ def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
     Raises
     ------
     DataError
-        If there are fewer than two or too many values, or the ends are equal or not finite.
+        If there are fewer than 2 or more than 100 000 values, or the ends are equal or not finite.
     """
     low, high, n = float(first), float(last), int(count)
-    if not (2 <= n <= MOST_RUNS and low != high and isfinite(low) and isfinite(high)):
+    if not 2 <= n <= MOST_RUNS:
         raise DataError(
-            f"--vary {text}: expected two different ends and 2 to {MOST_RUNS} values, "
-            f"all finite, found {first}:{last}:{count}; correct the range"
+            f"--vary {text}: expected 2 to {MOST_RUNS} values, found {count}; correct the last "
+            "number"
+        )
+    if not (low != high and isfinite(low) and isfinite(high)):
+        raise DataError(
+            f"--vary {text}: expected two different finite ends, found {first} and {last}; correct "
+            "the first two numbers"
         )
     numbers = [float(f"{value:.{DIGITS}g}") for value in np.linspace(low, high, n)]
     whole = WHOLE.fullmatch(first) and WHOLE.fullmatch(last) and (high - low) % (n - 1) == 0

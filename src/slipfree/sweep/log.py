@@ -273,7 +273,7 @@ class Log:
         for key, words in WORDS.items():
             if found.get(key) != head[key]:
                 raise DataError(
-                    f"{self.path}: expected results of this sweep, found those of another {words}"
+                    f"{self.path}: expected results of this sweep, found some with another {words}"
                     f"{_how(key, found.get(key), head[key])}; choose another folder with -o, or "
                     "remove this file"
                 )

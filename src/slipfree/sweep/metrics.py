@@ -32,8 +32,9 @@ def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
         Values at the end (``end_x``), extremes over time and wheels (``pitch_largest``, of absolute
         values; ``clearance_least``), ``slip_rms`` over time and wheels, ``tilt_largest`` of all
         tilt angles, differences between end and start (``work``), and the solver's statistics
-        except times. ``complete`` is 1 if the motion reached its end. ``within_limits`` of a plan
-        is 1 if its simulation is complete and violates no limit by more than ``plan.accuracy``.
+        except computing times. Values that are not finite are omitted. ``complete`` is 1 if the
+        motion reached its end. ``within_limits`` of a plan is 1 if its simulation is complete and
+        violates no limit by more than ``plan.accuracy``.
     """
     verb, run = verb_of(problem), to_problem_frame(run)
     found = {COMPLETE: Quantity(float(run.stop is None), "1")}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from concurrent.futures import Future
 
+from slipfree.errors import SlipfreeError
 from slipfree.processes import Pool as AnyPool
 from slipfree.processes import ProcessDiedError, Processes
 from slipfree.sweep.log import LOST
@@ -22,7 +23,7 @@ class ProcessPool(Processes[Task, Done]):
     Parameters
     ----------
     count : int
-        Number of processes; they start when they are needed.
+        Largest number of processes; they start when they are needed.
     """
 
     def __init__(self, count: int) -> None:
@@ -40,3 +41,7 @@ class ProcessPool(Processes[Task, Done]):
             return super().result(future, task)
         except ProcessDiedError as error:
             return without_motion(task, LOST, str(error))
+        except SlipfreeError as error:
+            raise SlipfreeError(
+                f"{error}; finished runs are kept; repeat the command to continue"
+            ) from error

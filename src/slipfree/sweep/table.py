@@ -187,5 +187,6 @@ def plan_facts(sweep: Sweep) -> Facts:
             if len(axis.values) <= MOST_VALUES
             else (*axis.values[:3], "...", axis.values[-1])
         )
-        facts.append((f"  {axis.key}", f"{', '.join(few)} ({len(axis.values)} values)"))
+        count = "1 value" if len(axis.values) == 1 else f"{len(axis.values)} values"
+        facts.append((f"  {axis.key}", f"{', '.join(few)} ({count})"))
     return [*facts, *seed_facts(sweep)]

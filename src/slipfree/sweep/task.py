@@ -59,7 +59,7 @@ class Done(NamedTuple):
 
 
 def without_motion(task: Task, outcome: str, words: str, seconds: float = 0.0) -> Done:
-    """Return the result of a run without motion, with outcome failed or lost and the reason."""
+    """Return the result of a failed or lost run, with the reason; it has no motion."""
     return Done(
         Row(task.run, own_settings(task), outcome, words, None, {COMPLETE: (0.0, "1")}, seconds)
     )
