@@ -478,7 +478,7 @@ def test_what_cannot_be_shown_is_refused(
     assert_allclose(shown(named, "named", data).terrain.grid.z, grid.z)
     old = {**run.attributes, "problem": PROBLEM.replace("speed", "pace")}
     netcdf.write(bare, replace(run, attributes=old))
-    assert "with these errors corrected:\nhills.toml:" in refused(str(bare))
+    assert "correct these errors and run the problem again:\nhills.toml:" in refused(str(bare))
     assert "expected a separate file, found the result file" in refused(
         str(file), "--html", str(file)
     )

@@ -458,7 +458,7 @@ def test_exported_joint_states_drive_the_same_motion(
             "commands of one or more of the joints .*right_drive, found those of arm",
         ),
         ([(["left_drive"], [], [1.0])], "right_drive_rate: expected a rate, found none"),
-        ([(["left_drive"], [1.0], []), (["left_drive"], [], [1.0])], "in each message"),
+        ([(["left_drive"], [1.0], []), (["left_drive"], [], [1.0])], "in every message"),
     ],
 )
 def test_commands_of_joints_that_do_not_suffice(

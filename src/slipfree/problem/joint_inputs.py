@@ -124,7 +124,7 @@ def _rates(
     else:
         raise DataError(
             f"expected a velocity, or a position, of joint {joint} in every message that names it, "
-            "found messages without velocity and messages without position; record one of both in "
+            "found messages without velocity and messages without position; record either in "
             "every message"
         )
     later: Array = given.t if given.t[0] == 0 else np.append(0.0, given.t)
