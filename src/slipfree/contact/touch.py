@@ -138,7 +138,19 @@ def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Fun
         compiled = terrain.nearest_point(*radii, radius)
         if compiled is not None:
             return compiled
-    return _search_graph(terrain, section, radius)
+    return _plane_search(terrain, section) or _search_graph(terrain, section, radius)
+
+
+def _plane_search(terrain: Terrain, section: Section) -> ca.Function | None:
+    """Return the search on a plane, where one step of Newton's method is exact; None elsewhere."""
+    spot, lookups = ca.SX.sym("spot", 2), LookupTable()
+    hessian = terrain.jet(spot[0], spot[1], lookups).hessian
+    if lookups.lookups or ca.sparsify(hessian).nnz():
+        return None
+    jet, newton, asked = _jet_function(terrain), _newton_function(section), ca.SX.sym("asked", 6)
+    spot = asked[:2] + newton(asked[:2], asked, jet(asked[:2]))[0][:2]
+    found = _result(jet, newton, spot, asked)[:13]
+    return ca.Function("search", [asked], [found], {"cse": True})
 
 
 def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Function:
