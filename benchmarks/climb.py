@@ -25,12 +25,12 @@ from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, standing
 from slipfree.climb.friction_demand import least_friction
-from slipfree.terrain.solids import Profile, flat, step
 from slipfree.climb.reference import PerAxle, Tilts, motors, odometry, ratios, reference
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.terrain.solids import Profile, flat, step
 from slipfree.trajectory import SolverError
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "physics"))

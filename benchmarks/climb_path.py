@@ -24,11 +24,11 @@ from slipfree.climb.friction_demand import (
     least_friction,
     least_friction_forces,
 )
-from slipfree.terrain.solids import Profile, ramp, step
 from slipfree.climb.time_scaling import climb, history
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.records import Array
+from slipfree.terrain.solids import Profile, ramp, step
 from slipfree.trajectory import Trajectory
 
 HEIGHT, NODES, MARGIN = 0.09, 60, 1.03

@@ -15,8 +15,8 @@ from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control
 from slipfree.climb.noise import Noise
 from slipfree.climb.plan_tracking import Tracking
-from slipfree.terrain.solids import Profile, step
 from slipfree.climb.vehicle import Climber
+from slipfree.terrain.solids import Profile, step
 from slipfree.trajectory import SolverError
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))

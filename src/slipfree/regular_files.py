@@ -108,7 +108,7 @@ def _checked_size(path: Path, expected: str) -> int:
 
 def _unreadable(path: Path, expected: str, reason: object) -> DataError:
     """Return the error for a file that cannot be read."""
-    if isinstance(reason, ValueError) or reason in map(os.strerror, WRONG_NAME):
+    if isinstance(reason, ValueError) or reason in [os.strerror(code) for code in WRONG_NAME]:
         remedy = "check the name"
     elif reason == os.strerror(errno.EACCES):
         remedy = "check the permissions of the file and its folders"

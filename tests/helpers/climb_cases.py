@@ -14,12 +14,12 @@ from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, standing
 from slipfree.climb.metrics import Metrics, metrics
 from slipfree.climb.plan_tracking import TrackedPlan, Tracking, tracked_plan
-from slipfree.terrain.solids import Profile, ramp, step
 from slipfree.climb.time_scaling import climb as program
 from slipfree.climb.vehicle import Climber, seven_wheels
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
+from slipfree.terrain.solids import Profile, ramp, step
 from slipfree.trajectory import Trajectory
 
 AMPLE = 8.0  # torque of the lab's motors that "never" limits; on the step it does, 1 % of the time

@@ -13,12 +13,12 @@ from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control, largest_period
 from slipfree.climb.dynamics import climbing, standing
 from slipfree.climb.noise import Noise
-from slipfree.terrain.solids import Profile, kerb, ramp, stairs, step
 from slipfree.climb.reference import Law
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.terrain.solids import Profile, kerb, ramp, stairs, step
 from slipfree.trajectory import Trajectory
 
 AHEAD, EVERY, TOLERANCE = 0.02, 0.01, 1e-6

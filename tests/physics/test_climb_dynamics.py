@@ -34,13 +34,13 @@ from slipfree.climb.contact import CompliantContact, direction, wheel_contacts
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, standing
 from slipfree.climb.metrics import climb_window
-from slipfree.terrain.solids import flat, kerb, stairs
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.errors import ModelError
 from slipfree.records import pack
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.terrain.solids import flat, kerb, stairs
 
 HELD = [f"torque_held[{axle}]" for axle in AXLES]
 

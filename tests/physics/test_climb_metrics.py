@@ -5,10 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from slipfree.climb.metrics import disturbance_ratio, metrics, slip_ratio
-from slipfree.terrain.solids import step
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.errors import ModelError
 from slipfree.records import Label
+from slipfree.terrain.solids import step
 from slipfree.trajectory import Column, Trajectory
 
 N, RADIUS = 101, 0.066  # a sample every 10 ms

@@ -18,12 +18,12 @@ from scipy.optimize import brentq, linprog
 
 from slipfree.climb.contact_path import axle_arms, legs, sample
 from slipfree.climb.friction_demand import least_friction
-from slipfree.terrain.solids import kerb, ramp, stairs, step
 from slipfree.climb.time_scaling import MIN_ACCELERATION, climb, history, in_sequence
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.errors import ModelError
 from slipfree.nlp import Nlp
 from slipfree.plan.external_nlp import solve_nlp
+from slipfree.terrain.solids import kerb, ramp, stairs, step
 from slipfree.trajectory import SolverError
 
 SPEED, WEIGHT = 0.25, 9.81 * 21.6

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree.terrain.solids import Profile, Solid, flat, kerb, ramp, stairs, step
 from slipfree.errors import ModelError
+from slipfree.terrain.solids import Profile, Solid, flat, kerb, ramp, stairs, step
 
 SQUARE = Solid(((0, 0), (1, 0), (1, 1), (0, 1)))
 KITE = Solid(((0.0, -0.3), (0.8, 0.1), (0.5, 0.9), (-0.2, 0.6), (-0.4, 0.1)))

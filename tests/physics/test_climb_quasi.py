@@ -24,9 +24,9 @@ from slipfree.climb.friction_demand import (
     least_friction,
     least_friction_forces,
 )
-from slipfree.terrain.solids import Profile, Solid, flat, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import seven_wheels
 from slipfree.errors import ModelError
+from slipfree.terrain.solids import Profile, Solid, flat, kerb, ramp, stairs, step
 
 RADIUS, LINKS = 0.066, (0.215, 0.255)
 SLOPE = np.pi / 4

@@ -6,10 +6,10 @@ from numpy.testing import assert_allclose
 
 from helpers.climb_drawn import drawn, drive, finite
 from slipfree.climb.ending import climb_ending
-from slipfree.terrain.solids import Profile, Solid, step
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.outcome import Outcome
 from slipfree.records import Label
+from slipfree.terrain.solids import Profile, Solid, step
 from slipfree.trajectory import Column, Stop, Trajectory
 
 N, RADIUS = 401, 0.066  # a sample every 10 ms

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from slipfree.terrain.solids import Profile
 from slipfree.errors import ModelError
+from slipfree.terrain.solids import Profile
 
 GUIDE_GAP, GUIDE_WIDTH = 1.5e-3, 6e-4  # gap below which a solid guides a wheel, and transition [m]
 

@@ -12,12 +12,12 @@ from slipfree.climb.contact import CompliantContact, direction, wheel_contacts
 from slipfree.climb.control import Commands, Control, check_period, torques
 from slipfree.climb.noise import Noise, measured
 from slipfree.climb.plan_tracking import Tracking, tracked
-from slipfree.terrain.solids import Profile
 from slipfree.climb.records import OnSolid, Outputs, State, labels_of
 from slipfree.climb.reference import PerAxle, estimated_directions, reference
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.dae import Dae, Limit
 from slipfree.records import Array, Label, pack, symbols
+from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import GRAVITY
 
 MAX_TILT = 1.4  # a body with a larger tilt has overturned [rad]

@@ -7,9 +7,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.climb.metrics import has_reached_top, touches_obstacle
-from slipfree.terrain.solids import Profile
 from slipfree.climb.vehicle import Climber
 from slipfree.records import Array
+from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Trajectory
 
 Ending = Literal["climbs", "stalls", "slides back", "tips over", "unfinished"]

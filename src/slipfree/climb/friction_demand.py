@@ -21,10 +21,10 @@ import numpy as np
 import scipy
 
 from slipfree.climb.contact_path import Leg, PathSamples, axle_arms, legs, sample, tangents
-from slipfree.terrain.solids import Profile, step
 from slipfree.climb.vehicle import Body, Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array
+from slipfree.terrain.solids import Profile, step
 from slipfree.trajectory import SolverError
 from slipfree.vehicle.tree import GRAVITY
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from slipfree.climb.control import Driver
-from slipfree.terrain.solids import Profile
 from slipfree.climb.reference import PerAxle, Tilts
 from slipfree.climb.vehicle import AXLES
 from slipfree.dae import Labels
 from slipfree.records import Label
+from slipfree.terrain.solids import Profile
 
 
 class State(NamedTuple):

@@ -19,6 +19,8 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
+ROOT_OFFSET = 1e-30  # keeps a quotient finite [1]
+
 
 class ContactFrame(NamedTuple):
     """Contact point of a wheel and the directions there, in the terrain's local coordinates.
@@ -136,7 +138,8 @@ def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.S
     v = 1.5 * ca.pi + ca.atan2(down[1], -down[2])
     x_w = carrier.rotation @ ca.vertcat(-ca.sin(u), ca.cos(v) * ca.cos(u), ca.sin(v) * ca.cos(u))
     n = contact.normal
-    x_g = ca.vertcat(n[2], 0, -n[0]) / ca.sqrt(n[0] ** 2 + n[2] ** 2)  # along (1, 0, h_x)
+    x_g = ca.vertcat(n[2], 0, -n[0])  # along (1, 0, h_x); zero at a vertical face across y
+    x_g /= ca.sqrt(ca.sumsqr(x_g) + ROOT_OFFSET)
     return u, v, ca.atan2(-ca.dot(x_w, ca.cross(n, x_g)), ca.dot(x_w, x_g))
 
 

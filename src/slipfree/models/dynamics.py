@@ -21,7 +21,7 @@ import numpy as np
 
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import has_exact_closure, support_fault
-from slipfree.contact.solid_touch import solid_touch, tube_radii
+from slipfree.contact.solid_touch import solid_touch
 from slipfree.contact.touch import Touch, search_function, touch
 from slipfree.dae import Dae, Labels, Limit, Standing
 from slipfree.errors import ModelError

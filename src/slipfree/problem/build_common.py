@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.solids import Prism
 from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
@@ -48,6 +49,8 @@ class Setup:
         Times of the samples. [s]
     driven : str
         Description of the inputs.
+    prisms : tuple of Prism
+        Solids on the ground.
     """
 
     ground: Ground
@@ -59,6 +62,7 @@ class Setup:
     inputs: Any
     t: Array
     driven: str
+    prisms: tuple[Prism, ...] = field(default=(), kw_only=True)
 
     @property
     def facts(self) -> Facts:

@@ -16,6 +16,7 @@ from slipfree.problem import schema
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.terrain.base import Terrain
+from slipfree.terrain.solids import Prism, Solids
 from slipfree.vehicle.tree import Vehicle
 
 L = TypeVar("L")
@@ -27,9 +28,13 @@ LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
 
 
 def build_model(
-    problem: Problem[S], spec: schema.Modelled, vehicle: Vehicle, terrain: Terrain
+    problem: Problem[S],
+    spec: schema.Modelled,
+    vehicle: Vehicle,
+    terrain: Terrain,
+    prisms: tuple[Prism, ...] = (),
 ) -> Dae:
-    """Return the model of a problem for a vehicle on a ground.
+    """Return the model of a problem for a vehicle on a ground; ``prisms`` are for dynamics.
 
     Raises
     ------
@@ -43,7 +48,8 @@ def build_model(
             return direct_kinematics(vehicle, terrain, slip=law)
         if spec.model == "quasi-static":
             return quasi_statics(vehicle, terrain, law=law)
-        return dynamics(vehicle, terrain, law=law)
+        ground = Solids(terrain, prisms) if prisms else terrain
+        return dynamics(vehicle, ground, law=law)
 
 
 def law_name(spec: schema.Modelled) -> str:

@@ -164,6 +164,15 @@ class Task(CommonKeys):
         ("terrain",): ("file", "sample", "synthetic")
     }
 
+    def faults(self) -> Iterator[Fault]:
+        """Yield the errors of common keys, and an error for obstacles without dynamics."""
+        yield from super().faults()
+        model = getattr(self, "model", "kinematics")
+        if self.terrain.obstacles and (self.verb, model) != ("direct", "dynamics"):
+            expected = "obstacles only with verb = 'direct' and model = 'dynamics'"
+            found = f"verb = {self.verb!r}, model = {model!r}; change them, or remove the obstacles"
+            yield Fault(("terrain", "obstacles"), expected, found)
+
 
 class Motion(Task, Runnable):
     """Common keys of problems with the motion of one vehicle."""

@@ -16,6 +16,7 @@ from slipfree.files.toml.types import (
     coefficient,
 )
 from slipfree.problem.ground_features import FEATURES, SEED, Feature
+from slipfree.problem.schema_solids import Obstacle
 
 
 class MadeGround(Record):
@@ -109,4 +110,7 @@ class Terrain(Record):
     )
     friction: Annotated[float | str | None, PlainValidator(coefficient)] = Field(
         default=None, description="coefficient of friction, or the name of a friction map [1]"
+    )
+    obstacles: Annotated[tuple[Obstacle, ...], Field(strict=False)] = Field(
+        default=(), description="solids on the ground, for model = 'dynamics'"
     )

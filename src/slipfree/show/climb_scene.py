@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.climb.metrics import MIN_LOAD
-from slipfree.terrain.solids import Profile
 from slipfree.climb.vehicle import AXLES, Body, Climber
 from slipfree.errors import ModelError
 from slipfree.geometry.mesh import Mesh
@@ -23,6 +22,7 @@ from slipfree.records import Array
 from slipfree.show import climb_figures, scene
 from slipfree.show.meshes import clipped, extruded, joined, plate, rod, spokes
 from slipfree.show.scene import PLATE, ROD, TYRE, Actor, Arrows, Color, Ground, Scene
+from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.sections.torus import Torus
 

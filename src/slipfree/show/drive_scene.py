@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.errors import ModelError
+from slipfree.geometry.mesh import Mesh
 from slipfree.models.poses import FramePoses, part_poses, wheel_poses
 from slipfree.records import Array
 from slipfree.routing.regions import Region
@@ -16,7 +17,7 @@ from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
 from slipfree.show.mesh_refinement import Refined, refined
-from slipfree.show.meshes import joined, rod, spokes
+from slipfree.show.meshes import clipped, extruded, joined, rod, spokes
 from slipfree.show.scene import (
     BLOCKED,
     PLAN,
@@ -39,6 +40,7 @@ from slipfree.show.scene import (
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import cut
+from slipfree.terrain.solids import Prism
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -70,6 +72,8 @@ class Driven(NamedTuple):
         Keep-out regions of a plan.
     plan : Trajectory or None
         The plan that the motion simulates, with poses and contact points; None without a plan.
+    prisms : tuple of Prism
+        Solids on the ground.
     """
 
     name: str
@@ -78,6 +82,7 @@ class Driven(NamedTuple):
     vehicle: Vehicle
     keep_out: tuple[Region, ...] = ()
     plan: Trajectory | None = None
+    prisms: tuple[Prism, ...] = ()
 
 
 def drive_scene(drives: Sequence[Driven]) -> Scene:
@@ -119,13 +124,49 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
                 )
             )
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
-    ground = Ground(fine.mesh(origin), tuple(layers))
-    backdrop = _backdrop(first.terrain, window, origin, reach)
+    solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
+    ground = _with_solids(Ground(fine.mesh(origin), tuple(layers)), solids)
+    backdrop = _backdrop(first.terrain, window, origin, reach, solids)
     return framed(ground, actors, origin, reach, backdrop, notes, warnings)
 
 
-def _backdrop(terrain: Bicubic, window: Window, origin: Array, reach: float) -> Backdrop:
+def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> Mesh:
+    """Return the mesh of a prism in the drawn part of the ground, relative to an origin.
+
+    ``bottom`` is the lowest drawn height. [m]
+    """
+    west, east, south, north = window
+    reach = np.hypot(east - west, north - south) / 2
+    center = np.array([(west + east) / 2, (south + north) / 2, 0.0])
+    place, axes = np.array([prism.x, prism.y, prism.z]), prism.axes
+    along, right, _ = (center - place) @ axes
+    low = along - reach, bottom - prism.z
+    corners = clipped(prism.section.points, low, (along + reach, np.inf))
+    sides = [
+        float(np.clip(right + sign * reach, -prism.half_width, prism.half_width))
+        for sign in (-1, 1)
+    ]
+    if len(corners) < 3 or sides[0] == sides[1]:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint32))
+    outline = np.insert(corners, 1, sides[0], axis=1) @ axes.T + place - origin
+    return extruded(outline, (sides[1] - sides[0]) * axes[:, 1])
+
+
+def _with_solids(ground: Ground, solids: Sequence[Mesh]) -> Ground:
+    """Return a ground with meshes of solids, which are gray in every layer."""
+    if not solids:
+        return ground
+    count = sum(len(each.vertices) for each in solids)
+    gray = np.tile(np.array(BLOCKED, np.uint8), (count, 1))
+    layers = (each._replace(colors=np.concatenate([each.colors, gray])) for each in ground.layers)
+    return Ground(joined(ground.mesh, *solids), tuple(layers))
+
+
+def _backdrop(
+    terrain: Bicubic, window: Window, origin: Array, reach: float, solids: Sequence[Mesh]
+) -> Backdrop:
     """Return the ground of a film: shaded in plan view, and a surface around the vehicle."""
+    blocks = [mesh.vertices[face] for mesh in solids for face in mesh.faces]
 
     def near(middle: Array, half: float) -> Sequence[Array]:
         west, east, south, north = terrain.domain
@@ -140,7 +181,8 @@ def _backdrop(terrain: Bicubic, window: Window, origin: Array, reach: float) -> 
         corners = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
         faces = np.stack(corners, axis=2).reshape(-1, 4, 3)
         middle_x, middle_y, _ = np.moveaxis(faces.mean(axis=1) + origin, -1, 0)
-        return list(faces[~terrain.grid.touches(terrain.grid.holes, middle_x, middle_y)])
+        whole = ~terrain.grid.touches(terrain.grid.holes, middle_x, middle_y)
+        return [*faces[whole], *blocks]
 
     def draw(ax: Axes) -> Axes:
         return ground_drawing.muted(terrain.grid, ax, window)
@@ -216,7 +258,7 @@ def _actor(
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
     bodies = [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
     axles = wheels.rotations[..., 0]
-    arrows = [] if ghost else _arrows(run, drive.terrain, contacts, axles)
+    arrows = [] if ghost else _arrows(run, drive, contacts, axles)
     return Actor(
         name,
         color,
@@ -262,9 +304,15 @@ def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body
         yield Body(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
 
 
-def _arrows(run: Trajectory, terrain: Bicubic, contacts: Array, axles: Array) -> list[Arrows]:
+def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> list[Arrows]:
     """Return the arrows of slip velocities and contact forces; absent quantities are skipped."""
-    normals = ground_normals(terrain, contacts)
+    normals = ground_normals(drive.terrain, contacts)
+    height = drive.terrain.elevation(contacts[..., 0], contacts[..., 1])
+    nearest = np.abs(contacts[..., 2] - height)
+    for prism in drive.prisms:
+        away, outward = prism.distance(contacts)
+        normals = np.where((np.abs(away) < nearest)[..., None], outward, normals)
+        nearest = np.minimum(nearest, np.abs(away))
     along = np.cross(normals, axles)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     frame = {"along": along, "across": np.cross(along, normals), "normal": normals}

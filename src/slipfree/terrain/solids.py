@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -279,6 +280,27 @@ class Prism:
             axes @ ca.if_else(at_edge, slanted, nearest),
         )
 
+    def distance(self, points: Array) -> tuple[Array, Array]:
+        """Return the distances and normals of `gap` for an array of points.
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 3)
+            Points in map coordinates. [m]
+
+        Returns
+        -------
+        distance : ndarray, shape (...)
+            Distances, negative inside. [m]
+        normal : ndarray, shape (..., 3)
+            Outward unit vectors.
+        """
+        place = ca.SX.sym("place", 3)
+        gap = ca.Function("gap", [place], [ca.densify(each) for each in self.gap(place)])
+        flat = points.reshape(-1, 3)
+        distance, normal = (np.array(each) for each in gap.map(len(flat))(flat.T))
+        return distance.reshape(points.shape[:-1]), normal.T.reshape(points.shape)
+
     def top(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the heights of the upper side at map points; minus infinity beside the prism [m].
 
@@ -340,6 +362,15 @@ class Solids:
 
     base: Terrain
     prisms: tuple[Prism, ...]
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise ModelError for the attributes of a `Terrain`, which solids do not have."""
+        if name in ("origin", "domain", "has_friction", "height", "jet", "friction"):
+            raise ModelError(
+                "ground: expected a ground given by its height, found solids, which only dynamics "
+                "supports; use slipfree.dynamics, or the base of the solids"
+            )
+        raise AttributeError(name)
 
     def elevation(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the heights of the highest surface at map points, of broadcastable shapes [m]."""

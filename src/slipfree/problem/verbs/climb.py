@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
 from math import degrees, isfinite
@@ -18,7 +17,6 @@ from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import climb_window, metrics
 from slipfree.climb.noise import Noise
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
-from slipfree.terrain.solids import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
@@ -27,6 +25,7 @@ from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.source_lines import Place
 from slipfree.problem.build_common import samples
 from slipfree.problem.build_ground import at
+from slipfree.problem.build_solids import OBSTACLES
 from slipfree.problem.problem import Problem
 from slipfree.problem.summary import Facts
 from slipfree.problem.verbs import climb_schema
@@ -54,6 +53,7 @@ from slipfree.records import Array
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.terrain.solids import Profile, Solid
 from slipfree.trajectory import SolverError, Trajectory
 
 if TYPE_CHECKING:
@@ -61,12 +61,6 @@ if TYPE_CHECKING:
     from slipfree.show.climb_scene import Climbed
     from slipfree.show.plots import Plot
 
-OBSTACLES: Mapping[str, Callable[..., Profile]] = {
-    "ramp": ramp,
-    "step": step,
-    "kerb": kerb,
-    "stairs": stairs,
-}
 SLACK = 1e-5  # largest distance of wheels from their equilibrium on the floor [m]
 SUNK = 2e-3  # largest depth of contacts at rest, so that the end of a climb is recognised [m]
 EVEN = 1e-6  # smaller relative differences of times count as zero

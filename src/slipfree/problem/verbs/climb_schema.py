@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import inf, pi
+from math import inf
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from slipfree.climb.control import Directions
 from slipfree.climb.reference import Law
-from slipfree.files.toml.angles import IN_RADIANS
 from slipfree.files.toml.source_lines import Place as KeyPath
 from slipfree.files.toml.types import (
     Count,
@@ -22,37 +21,8 @@ from slipfree.files.toml.types import (
     Record,
 )
 from slipfree.problem.schema import TOLERANCE, VERB, Runnable, Solver
+from slipfree.problem.schema_solids import Incline, Kerb, Stairs, Step
 from slipfree.solve.options import MIN_TOLERANCE, Method
-
-
-class Incline(Record):
-    """A ramp up to a plateau; it begins at x = 0."""
-
-    angle: Annotated[float, Field(gt=0, le=pi / 2), IN_RADIANS] = Field(
-        description="angle of the ramp [rad]"
-    )
-    height: Positive = Field(description="height of the plateau [m]")
-
-
-class Step(Record):
-    """A vertical step at x = 0 up to a plateau."""
-
-    height: Positive = Field(description="height of the plateau [m]")
-
-
-class Kerb(Record):
-    """A rectangular block; it begins at x = 0."""
-
-    height: Positive = Field(description="height of the block [m]")
-    length: Positive = Field(description="length of the block along x [m]")
-
-
-class Stairs(Record):
-    """Stairs up to a plateau; they begin at x = 0."""
-
-    height: Positive = Field(description="height of a step [m]")
-    depth: Positive = Field(description="depth of a step along x [m]")
-    count: Annotated[int, Field(ge=1)] = Field(description="number of steps")
 
 
 class Solid(Record):

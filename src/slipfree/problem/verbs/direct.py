@@ -27,6 +27,7 @@ from slipfree.problem.build_common import (
 from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model, model_law
+from slipfree.problem.build_solids import build_solids
 from slipfree.problem.joint_inputs import read_joint_inputs
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import FILE, VERB, Driver, Modelled, Task
@@ -96,8 +97,9 @@ class DirectVerb(DriveVerb):
         with at(problem, ("vehicle",)):
             vehicle = build_vehicle(spec.vehicle, problem.folder)
         terrain = build_terrain(problem, ground)
+        prisms = build_solids(problem, terrain)
         dae: Dae
-        model = dae = build_model(problem, spec, vehicle, terrain)
+        model = dae = build_model(problem, spec, vehicle, terrain, prisms)
         given, source = _given(problem, vehicle)
         check_names(problem, dae, given)
         start = build_start(problem, dae)
@@ -117,7 +119,7 @@ class DirectVerb(DriveVerb):
         else:
             driven = f"driver {spec.driver.name}"
             inputs = build_law(problem, spec.driver, dae, vehicle, start)
-        return Setup(ground, terrain, vehicle, model, dae, start, inputs, t, driven)
+        return Setup(ground, terrain, vehicle, model, dae, start, inputs, t, driven, prisms=prisms)
 
     def drive(
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None

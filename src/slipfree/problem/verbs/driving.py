@@ -21,6 +21,7 @@ from slipfree.models.rocking import has_pressed_wheels
 from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
 from slipfree.problem.build_ground import Ground, at, build_ground, filled_words
 from slipfree.problem.build_model import law_name
+from slipfree.problem.build_solids import build_solids
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, Motion
 from slipfree.problem.summary import Facts, integrator_fact
@@ -51,6 +52,7 @@ from slipfree.solve.settle import stable_poses
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.solids import Prism
 from slipfree.trajectory import SolverError, Trajectory, path_length
 from slipfree.vehicle.tree import Vehicle
 
@@ -184,8 +186,9 @@ class DriveVerb(MotionVerb):
 
         run, problem = result.trajectory, result.problem
         terrain, vehicle = build_terrain(problem, ground_of(result)), vehicle_of(result)
-        _check_ground(run, terrain, vehicle, problem)
-        return Driven(name, run, terrain, vehicle)
+        prisms = build_solids(problem, terrain)
+        _check_ground(run, terrain, prisms, vehicle, problem)
+        return Driven(name, run, terrain, vehicle, prisms=prisms)
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return attributes of the result: input names, frames, coordinates of the map file."""
@@ -304,13 +307,18 @@ def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) 
 def _check_ground(
     run: Trajectory,
     terrain: Bicubic,
+    prisms: Sequence[Prism],
     vehicle: Vehicle,
     problem: Problem[Motion],
 ) -> None:
-    """Raise DataError unless the ground matches the contact points of the motion."""
+    """Raise DataError unless the ground or a solid is at the contact points of the motion."""
     heights = terrain.elevation(run["contact_x"], run["contact_y"])
     # points on wheels that press into the ground, or are above it
-    off = (np.abs(heights - run["contact_z"]) - STEEPEST * np.abs(_depth(run))).max()
+    away = np.abs(heights - run["contact_z"]) - STEEPEST * np.abs(_depth(run))
+    points = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
+    for prism in prisms:
+        away = np.minimum(away, np.abs(prism.distance(points)[0]) - np.abs(_depth(run)))
+    off = away.max()
     if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
         words = f"it is up to {off:.2g} m from the contact points"
         raise _changed("ground", problem.spec.terrain.file, words)
