@@ -36,6 +36,7 @@ CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 RESIDUAL_FACTOR = 100.0  # residual allowed at samples of models with a continuation [tolerance]
 LIMIT_TOLERANCE = 1e-6  # tolerated violation of a limit [unit or scale of the limit]
 MAX_STEPS = 10_000  # of the integrator between two samples
+NEWTON_SHARE = 0.01  # of the error allowed in a step of CVODES, at which Newton's method ends
 MAX_RESTARTS = 20  # after failures of the integrator, per interval of the inputs
 ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
 CHUNK_SIZE = 2000  # samples checked together, to bound the memory
@@ -439,7 +440,10 @@ def _integrator(
         options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
         options |= {"cache": {"jacF": scaled_jacobian(system.jacobian, x_size, m_size)}}
     else:
-        options["quad_err_con"] = True
+        # CVODES infers the error of Newton's method from an earlier rate of convergence, and mostly
+        # ends it after one iteration. With an old Jacobian, CVODES's default share of 0.1 then
+        # leaves errors of many tolerances, which its error test misses.
+        options |= {"quad_err_con": True, "nonlin_conv_coeff": NEWTON_SHARE}
     return ca.integrator("motion", solver.method, problem, float(t[0]), t, options)
 
 
