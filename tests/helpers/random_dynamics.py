@@ -173,7 +173,7 @@ def mirrored(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, joints=tuple(joints), wheels=tuple(wheels), body=body(vehicle.body))
 
 
-def run(case: Case, view: str = "as drawn") -> Trajectory:
+def run(case: Case, view: str = "as drawn", tolerance: float = TOLERANCE) -> Trajectory:
     """Return the motion of a case, or of its mirror image, or turned by 90 degrees."""
     vehicle = mirrored(case.vehicle) if view == "mirrored" else case.vehicle
     heading = {"as drawn": 1, "mirrored": -1, "turned": 1}[view] * case.heading
@@ -181,7 +181,7 @@ def run(case: Case, view: str = "as drawn") -> Trajectory:
     model = dynamics(vehicle, case.ground.terrain(view))
     start = settle(model, x=0.0, y=0.0, heading=heading, speed=case.speed)
     inputs = model.inputs(**case.inputs)
-    return simulate(model, start, inputs, case.t, options=SolverOptions(TOLERANCE))
+    return simulate(model, start, inputs, case.t, options=SolverOptions(tolerance))
 
 
 def difference(case: Case, view: str) -> float:
@@ -219,7 +219,7 @@ def ending(case: Case) -> Ending:
     return Ending(kind, words, ledger(motion))
 
 
-def ledger(motion: Trajectory) -> float:
+def ledger(motion: Trajectory, tolerance: float = TOLERANCE) -> float:
     """Return the largest error of the energy balance, over 100 x tolerance x energy.
 
     The energy is one joule, since the tolerance of the work is absolute too, and the largest of
@@ -231,4 +231,4 @@ def ledger(motion: Trajectory) -> float:
     total, work, lost = kinetic + potential + contact, motion["work"], motion["lost_energy"]
     error = np.abs(total - total[0] - work + lost).max()
     energy = 1 + max(np.abs(work).max(), lost.max(), kinetic.max(), np.ptp(potential))
-    return float(error / (100 * TOLERANCE * energy))
+    return float(error / (100 * tolerance * energy))

@@ -1,6 +1,6 @@
 """300 random runs with inertia: each completes, ends at a named limit, or is refused.
 
-Energy balances within 100 x tolerance, but for two draws; mirror images and turned runs agree.
+Energy balances within 100 x tolerance; mirror images and turned runs agree.
 """
 
 from __future__ import annotations
@@ -8,11 +8,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from helpers.random_dynamics import TOLERANCE, difference, draw, ending
+from helpers.random_dynamics import TOLERANCE, difference, draw, ending, ledger, run
 
 COUNT, BATCH = 300, 10
-# Known shortfalls, with unknown cause: draws whose energy balance exceeds the bound, up to this
-EXCEEDING = {179: 3, 261: 1.2}
 
 
 @pytest.mark.parametrize("begin", range(0, COUNT, BATCH))
@@ -22,7 +20,15 @@ def test_random_runs_end_as_they_should(begin):
         found = ending(case)
         assert found.kind in ("complete", "limit", "refused"), (case.words, found)
         assert (found.kind == "complete") == (found.words == ""), (case.words, found)
-        assert found.ledger < EXCEEDING.get(index, 1), (case.words, found)
+        assert found.ledger < 1, (case.words, found)
+
+
+@pytest.mark.parametrize("index", [179, 261])
+def test_energy_balances_at_any_tolerance(index):
+    """Both vehicles fall, in large steps; 3.1 and 2.5 by the default of CVODES's Newton method."""
+    case = draw(index)
+    for tolerance in np.geomspace(1e-5, 1e-9, 13):
+        assert ledger(run(case, tolerance=tolerance), tolerance) < 1, tolerance
 
 
 @pytest.mark.parametrize("index", range(0, COUNT, 20))
