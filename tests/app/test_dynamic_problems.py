@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from slipfree import open_result
+from slipfree import Bicubic, Solids, load_problem, open_result
 from slipfree.cli import app
+from slipfree.problem.build_ground import build_ground
+from slipfree.problem.build_solids import build_solids
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 ROCKS = str(PROBLEMS / "dynamics_rocks.toml")
@@ -129,3 +131,50 @@ def test_mistakes_are_reported(problem, settings, words, tmp_path):
     done = invoke("run", problem, "-o", tmp_path / "r.nc", *options)
     assert done.exit_code == 2
     assert words in " ".join((done.output + done.stderr).split())
+
+
+STEP = PROBLEMS / "dynamics_step.toml"
+
+
+def test_a_rover_meets_a_step(tmp_path):
+    file = tmp_path / "r.nc"
+    done = invoke("run", STEP, "-o", file, "--set", "time.duration=4", "--no-draw")
+    assert done.exit_code == 0, done.output
+    assert "not converged" not in done.output
+    run = open_result(file).trajectory
+    assert run["solid_load_1"].max() > 10
+    assert run["contact_z"].max() > 0.05
+    page = invoke("show", file, "--html", tmp_path / "page.html")
+    assert page.exit_code == 0, page.output
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (["model=kinematics"], "expected obstacles only with verb = 'direct' and model = 'dynam"),
+        (["terrain.obstacles=[{y = 0.6}]"], "expected one of ramp, step, kerb, stairs, points, f"),
+        (["terrain.obstacles=[{step = {height = 0.1}, y = 9.0}]"], "off the map; move the obst"),
+        (["start.y=0.4"], "touches a solid at the start"),
+        (["terrain.obstacles=[{points = [[0, 0], [1, 0]], y = 1}]"], "three or more points"),
+    ],
+)
+def test_obstacles_that_do_not_fit_are_refused(change, words):
+    done = invoke("check", STEP, *(word for each in change for word in ("--set", each)))
+    assert done.exit_code == 2
+    assert words in " ".join(done.output.split())
+
+
+def test_an_obstacle_stands_where_the_file_says():
+    """A kerb along y, in a file whose headings count from x, on ground at 2 m."""
+    problem = load_problem(
+        STEP,
+        settings=[
+            "terrain.synthetic.base=2.0",
+            "terrain.obstacles=[{kerb = {height = 0.1, length = 0.5}, y = 1.0, heading = '90 deg', half_width = 0.3}]",
+        ],
+    )
+    terrain = Bicubic(build_ground(problem).grid, (0.0, 0.0), 0.9)
+    (prism,) = build_solids(problem, terrain)
+    x, y = np.array([0.1, 0.4, 0.1]), np.array([1.2, 1.2, 1.6])
+    tops = Solids(terrain, (prism,)).elevation(x, y)
+    assert tops == pytest.approx([2.1, 2.0, 2.0])

@@ -1,0 +1,243 @@
+"""Solids on a ground: distances, contacts of wheels, and climbs in three dimensions."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.dynamics import FLAT, four_wheels, moved
+from slipfree import (
+    Analytic,
+    ModelError,
+    Solids,
+    catalog,
+    direct_kinematics,
+    dynamics,
+    inverse_kinematics,
+    montana_kinematics,
+    quasi_statics,
+    settle,
+)
+from slipfree.contact import touch
+from slipfree.contact.solid_touch import solid_touch
+from slipfree.geometry.frame import Pose
+from slipfree.lookups import LookupTable
+from slipfree.terrain.solids import Prism, Solid, kerb, placed, ramp, stairs, step
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.wheel import Wheel
+
+GRIPPY = replace(FLAT, mu=0.9)
+BLOCK = Solid(((0.0, -0.2), (0.5, -0.2), (0.5, 0.3), (0.0, 0.3)))
+COUNT = 150
+
+
+def gap_function(prism):
+    place = ca.SX.sym("place", 3)
+    distance, normal = prism.gap(place)
+    return ca.Function("gap", [place], [distance, normal, ca.gradient(distance, place)])
+
+
+def test_the_distance_of_a_turned_block_is_that_of_its_box():
+    prism = Prism(BLOCK, 0.3, -0.4, 0.1, heading=0.7, half_width=0.25)
+    place = np.random.default_rng(0).uniform(-0.8, 0.8, (3, COUNT))
+    inside = prism.axes.T @ (place - [[0.3], [-0.4], [0.1]])
+    low, high = np.array([[0.0, -0.25, -0.2], [0.5, 0.25, 0.3]])[..., None]
+    outside = np.linalg.norm(inside - np.clip(inside, low, high), axis=0)
+    depth = np.minimum(inside - low, high - inside).min(axis=0)
+    expected = np.where(outside > 0, outside, -depth)
+    distance, normal, gradient = (np.array(each) for each in gap_function(prism).map(COUNT)(place))
+    assert (expected < 0).sum() > 2
+    assert_allclose(distance[0], expected, atol=1e-9)
+    assert_allclose(normal, gradient, atol=1e-6)
+    assert_allclose(np.linalg.norm(normal, axis=0), 1, atol=1e-9)
+    again = prism.distance(place.T)
+    assert_allclose(again[0], expected, atol=1e-9)
+    assert_allclose(again[1], normal.T, atol=1e-12)
+
+
+def test_the_elevation_is_that_of_the_highest_surface():
+    rising = Analytic(lambda x, y: 0.1 * y + 0 * x, mu=1.0)
+    ground = Solids(rising, placed(ramp(np.pi / 4, 0.2), x=1.0, y=2.0, z=0.2, heading=-np.pi / 2))
+    x = np.array([0.5, 1.0, 1.1, 1.5, 1.5, 1.5])
+    y = np.array([2.0, 2.0, 2.0, 2.0, 3.0, 6.0])
+    assert_allclose(ground.elevation(x, y), [0.2, 0.2, 0.3, 0.4, 0.4, 0.6], atol=1e-12)
+    narrow = Solids(rising, placed(kerb(0.3, 0.4), y=2.0, half_width=0.5))
+    assert_allclose(narrow.elevation([0.4, 0.6, 0.4], [2.2, 2.2, 2.5]), [0.3, 0.22, 0.25])
+
+
+def poses(rng):
+    """Return axles and centres of wheels above, on and in a step, leaning and steered."""
+    heading, lean = rng.uniform(-1, 1, COUNT), rng.uniform(-0.5, 0.5, COUNT)
+    cosine = np.cos(lean)
+    axle = np.array([np.cos(heading) * cosine, np.sin(heading) * cosine, np.sin(lean)])
+    y, z = rng.uniform(-0.12, 0.12, COUNT), rng.uniform(0.03, 0.2, COUNT)
+    return np.vstack([rng.uniform(-0.05, 0.05, COUNT), y, z]), axle
+
+
+def contact_function(prism, section, terrain=FLAT):
+    center, axle = ca.SX.sym("center", 3), ca.SX.sym("axle", 3)
+    pose = Pose(ca.horzcat(axle, ca.SX.zeros(3, 2)), center)
+    wheel = Wheel("w", "platform", (0, 0, 0), section, True)
+    at = solid_touch(prism, terrain, wheel, pose, LookupTable())
+    found = [at.gap, at.frame.normal, at.frame.point, ca.gradient(at.gap, center)]
+    return ca.Function("contact", [center, axle], found, {"cse": True})
+
+
+@pytest.mark.parametrize(
+    "prism",
+    [placed(step(0.09))[0], placed(ramp(np.pi / 4, 0.09))[0], Prism(BLOCK, half_width=0.04)],
+    ids=["step", "ramp", "block"],
+)
+def test_the_gap_of_a_leaning_torus_is_the_distance_of_its_disc(prism):
+    r1, r2 = 0.02, 0.045
+    center, axle = poses(np.random.default_rng(2))
+    gap, normal, point, gradient = (
+        np.array(each) for each in contact_function(prism, Torus(r1, r2)).map(COUNT)(center, axle)
+    )
+    side = np.cross(axle.T, [0, 0, 1.0])
+    side /= np.linalg.norm(side, axis=1)[:, None]
+    other = np.cross(side, axle.T)
+    radius, angle = np.meshgrid(np.linspace(0, r2, 10), np.linspace(0, 2 * np.pi, 541))
+    discs = center.T[:, None] + radius.ravel()[None, :, None] * (
+        np.cos(angle.ravel())[None, :, None] * side[:, None]
+        + np.sin(angle.ravel())[None, :, None] * other[:, None]
+    )
+    expected = prism.distance(discs)[0].min(axis=1) - r1
+    near = (expected > -0.005) & (expected < 0.02)
+    assert near.sum() > 10
+    assert_allclose(gap[0, near], expected[near], atol=5e-5)  # of the sampled disc
+    assert_allclose(normal[:, near], gradient[:, near], atol=2e-3)
+    wide = np.median(np.abs(normal - gradient)[:, near].max(axis=0))
+    assert wide < 1e-8
+    on_solid = point - gap * normal
+    assert np.abs(prism.distance(on_solid[:, near].T)[0]).max() < 1e-5
+
+
+@pytest.mark.parametrize("section", [Torus(0.03, 0.12), Sphere(0.15)], ids=str)
+def test_a_wheel_touches_the_top_of_a_solid_as_it_touches_a_plane(section):
+    prism = Prism(Solid(((-9.0, -1.0), (9.0, -1.0), (9.0, 0.0), (-9.0, 0.0))))
+    rng = np.random.default_rng(3)
+    axle = rng.standard_normal((3, COUNT)) * [[1.0], [1.0], [0.4]]
+    axle /= np.linalg.norm(axle, axis=0)
+    center = np.vstack([rng.uniform(-1, 1, (2, COUNT)), rng.uniform(0.12, 0.3, COUNT)])
+    gap, normal, point, _ = (
+        np.array(each) for each in contact_function(prism, section).map(COUNT)(center, axle)
+    )
+    symbols = ca.SX.sym("center", 3), ca.SX.sym("axle", 3)
+    wheel, lookups = Wheel("w", "platform", (0, 0, 0), section, True), LookupTable()
+    search = touch.search_function(FLAT, section, 0.15)
+    pose = Pose(ca.horzcat(symbols[1], ca.SX.zeros(3, 2)), symbols[0])
+    at = touch.touch(FLAT, wheel, pose, search, lookups)
+    (lookup,) = lookups.lookups
+    found = ca.Function("plane", [*symbols, lookup.found], [at.gap, at.frame.point])
+    answers = lookup.function.map(COUNT)(np.vstack([center, axle]))
+    plane_gap, plane_point = (np.array(each) for each in found.map(COUNT)(center, axle, answers))
+    assert_allclose(gap, plane_gap, atol=1e-9)
+    assert_allclose(point, plane_point, atol=1e-9)
+    assert_allclose(normal, np.tile([[0], [0], [1]], COUNT), atol=1e-12)
+
+
+def test_a_plane_needs_one_step_of_the_search():
+    slope = Analytic(lambda x, y: 0.3 * x - 0.1 * y + 0.05, mu=0.8)
+    section = Torus(0.03, 0.12)
+    plane, graph = (
+        touch._plane_search(slope, section),
+        touch._search_graph(slope, section, 0.15),
+    )
+    rng = np.random.default_rng(0)
+    axle = rng.standard_normal((3, COUNT)) * [[1.0], [1.0], [0.4]]
+    asked = np.vstack([rng.uniform(-1, 1, (3, COUNT)), axle / np.linalg.norm(axle, axis=0)])
+    assert_allclose(plane.map(COUNT)(asked), graph.map(COUNT)(asked), atol=1e-12)
+    assert touch._plane_search(Analytic(lambda x, y: x * y), section) is None
+
+
+def test_a_disc_keeps_its_radius_in_its_plane():
+    prism, radius = placed(step(0.09))[0], 0.066
+    contact = contact_function(prism, Disc(radius))
+    for y, z in ((-0.063, 0.03), (-0.05, 0.13), (0.2, 0.155)):  # face, edge, top
+        found = contact([0.0, y, z], [1.0, 0.0, 0.0])
+        away, _ = prism.distance(np.array([[0.0, y, z]]))
+        assert float(found[0]) == pytest.approx(away[0] - radius, abs=1e-9)
+
+
+def climbing(vehicle, ground, heading, speed, duration, tolerance=1e-6):
+    """Return a motion from rest at rates of a forward speed."""
+    model = dynamics(vehicle, ground)
+    rates = {label.full: 0.0 for part in model.labels.u for label in part}
+    for wheel in vehicle.wheels:
+        rates[f"{wheel.name}_rate"] = speed / wheel.radius * ca.tanh(model.t / 0.3)
+    start = settle(model, x=0.0, y=0.0, heading=heading)
+    return moved(model, start, np.linspace(0, duration, 101), tolerance, **rates)
+
+
+def ledger(run):
+    """Return the error of the energy balance over its bound, 100 x tolerance x work."""
+    energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
+    error = np.abs(energy - energy[0] - run["work"] + run["lost_energy"]).max()
+    return error / (100 * run.statistics["tolerance"] * np.abs(run["work"]).max())
+
+
+def test_rocky_7_climbs_a_step_higher_than_its_wheels_at_a_heading():
+    """Mirror images agree, and all wheels end on the step."""
+    ground = Solids(GRIPPY, placed(step(0.09), y=0.6))
+    vehicle = catalog.rocky7()
+    run = climbing(vehicle, ground, np.deg2rad(20), 0.2, 9.0)
+    assert run.stop is None
+    assert run["center_z"][-1].min() > 0.09 + 0.06
+    assert run["solid_load_1"][0].max() == 0
+    assert run["solid_load_1"][-1].sum() == pytest.approx(vehicle.weight, rel=0.2)
+    assert ledger(run) < 1
+    left, right = (climbing(vehicle, ground, np.deg2rad(each), 0.2, 1.5) for each in (20, -20))
+    assert_allclose(-right["x"], left["x"], atol=1e-5)  # before wheels slide
+    assert_allclose(right["z"], left["z"], atol=1e-5)
+
+
+def test_a_rigid_four_wheeler_climbs_stairs_that_its_wheels_can():
+    ground = Solids(GRIPPY, placed(stairs(0.05, 0.6, 2), y=1.2))
+    run = climbing(catalog.rigid_skid_steer(), ground, 0.1, 0.4, 7.0)
+    assert run.stop is None
+    assert run["solid_load_2"][-1].max() > 0
+    assert run["center_z"][-1].max() > 0.1 + 0.1
+    assert ledger(run) < 1
+
+
+def test_with_too_little_friction_it_stays_below():
+    ground = Solids(replace(FLAT, mu=0.2), placed(step(0.09), y=0.6))
+    run = climbing(catalog.rocky7(), ground, 0.0, 0.2, 4.0)
+    assert run["center_z"][-1].max() < 0.09
+    assert np.abs(run["x"]).max() < 1e-6
+
+
+def test_a_start_that_touches_a_solid_is_refused():
+    model = dynamics(four_wheels(), Solids(FLAT, placed(step(0.1), y=0.5)))
+    with pytest.raises(ModelError, match="touches a solid at the start"):
+        settle(model, x=0.0, y=0.0, heading=0.0)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        direct_kinematics,
+        quasi_statics,
+        montana_kinematics,
+        lambda vehicle, ground: inverse_kinematics(vehicle, ground, given=("forward", "yaw_rate")),
+    ],
+    ids=["direct", "quasi-statics", "montana", "inverse"],
+)
+def test_models_without_inertia_refuse_solids(model):
+    ground = Solids(FLAT, placed(step(0.1), y=2.0))
+    with pytest.raises(ModelError, match="found solids, which only dynamics supports"):
+        model(catalog.three_wheeler(), ground)
+
+
+@pytest.mark.parametrize(
+    ("words", "numbers"),
+    [("a finite number as 'heading'", {"heading": np.nan}), ("half-width", {"half_width": 0.0})],
+)
+def test_a_prism_of_invalid_numbers_is_refused(words, numbers):
+    with pytest.raises(ModelError, match=words):
+        Prism(BLOCK, **numbers)
