@@ -170,7 +170,8 @@ def test_an_obstacle_stands_where_the_file_says():
         STEP,
         settings=[
             "terrain.synthetic.base=2.0",
-            "terrain.obstacles=[{kerb = {height = 0.1, length = 0.5}, y = 1.0, heading = '90 deg', half_width = 0.3}]",
+            "terrain.obstacles=[{kerb = {height = 0.1, length = 0.5}, y = 1.0, "
+            "heading = '90 deg', half_width = 0.3}]",
         ],
     )
     terrain = Bicubic(build_ground(problem).grid, (0.0, 0.0), 0.9)

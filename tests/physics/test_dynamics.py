@@ -11,6 +11,7 @@ from slipfree import (
     Analytic,
     Bicubic,
     Grid,
+    ModelError,
     catalog,
     direct_kinematics,
     quasi_statics,
@@ -315,3 +316,11 @@ def test_discs_and_balls_stand_on_maps(section):
     run = moved(model, start, np.linspace(0, 0.1, 3), 1e-7)
     load = run["force_normal"][-1].sum()
     assert load == pytest.approx(vehicle.mass * GRAVITY * np.cos(np.arctan(0.1)), rel=1e-3)
+
+
+def test_a_coordinate_without_mass_is_refused():
+    with pytest.raises(ModelError, match="coordinate 'press_rear': expected that it moves"):
+        dynamics(catalog.seven_wheels(), FLAT)
+    model = dynamics(catalog.seven_wheels(wheel_mass=0.4), FLAT)
+    run = moved(model, settle(model), np.linspace(0, 1, 3), 1e-6, middle_rate=1.0)
+    assert run["y"][-1] > 0.01

@@ -12,6 +12,8 @@ from slipfree.vehicle.sections.omni import Omni
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
+FRONT_MASS, REAR_MASS = 7.8, 13.8  # of the bodies, wheels included [kg]
+
 
 def seven_wheels(
     *,
@@ -20,6 +22,7 @@ def seven_wheels(
     stiffness: float = 2e3,
     preload: float = 20.0,
     grip: float = 1.0,
+    wheel_mass: float = 0.0,
 ) -> Vehicle:
     """Return the step climber of Chugo et al. [1]_, with seven driven omni wheels.
 
@@ -45,6 +48,8 @@ def seven_wheels(
         Stiffness of the springs, and their force on level ground. [N/m, N]
     grip : float
         Factor that multiplies the ground's coefficient of friction at each wheel. [1]
+    wheel_mass : float
+        Mass of each wheel, a part of the masses of the bodies; dynamics needs it. [kg]
 
     Raises
     ------
@@ -62,6 +67,11 @@ def seven_wheels(
             "seven_wheels: expected a positive, finite stiffness of the springs, since seven rigid "
             f"contacts are too many for five degrees of freedom, found {stiffness} N/m"
         )
+    if not 0 <= 3 * wheel_mass < FRONT_MASS:
+        raise ModelError(
+            f"seven_wheels: expected a mass of wheels of at least 0 and below {FRONT_MASS / 3:g} "
+            f"kg, found {wheel_mass} kg; change 'wheel_mass'"
+        )
     radius, behind, ahead, lengths, above = 0.066, 0.215, 0.255, (0.400, 0.195), 0.05
     pressed = [
         Coordinate(
@@ -76,7 +86,8 @@ def seven_wheels(
     middles = (-behind - radius + lengths[0] / 2, ahead - joint + radius - lengths[1] / 2)
 
     def wheel(name: str, part: str, at: Vector, axle: Axis = "x") -> Wheel:
-        return Wheel(name, part, at, Omni(Disc(radius)), driven=True, grip=grip, axle=axle)
+        section, mass = Omni(Disc(radius)), wheel_mass
+        return Wheel(name, part, at, section, driven=True, grip=grip, axle=axle, mass=mass)
 
     pairs = [
         wheel(f"{end}_{side}", part, (sign * half_track, y, 0.0))
@@ -100,7 +111,7 @@ def seven_wheels(
                 "y",
                 ORIGIN,
                 "roll_joint",
-                body=Body(7.8, (0.0, middles[1], above)),
+                body=Body(FRONT_MASS - 3 * wheel_mass, (0.0, middles[1], above)),
             ),
             Joint("rear_press", "platform", "z", (0.0, -behind, 0.0), "press_rear", "slide"),
             Joint("front_press", "twist", "z", (0.0, ahead - joint, 0.0), "press_front", "slide"),
@@ -112,5 +123,5 @@ def seven_wheels(
             *pairs[2:],
             wheel("front_across", "front_press", ORIGIN, "y"),
         ),
-        Body(13.8, (0.0, middles[0], above)),
+        Body(REAR_MASS - 4 * wheel_mass, (0.0, middles[0], above)),
     )

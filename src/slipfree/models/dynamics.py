@@ -57,11 +57,13 @@ from slipfree.models.multibody import (
 )
 from slipfree.models.pressed_model import pressed_dae
 from slipfree.models.records import Inputs
-from slipfree.records import Label, leaves, symbols
+from slipfree.records import Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism, Solids
 from slipfree.vehicle.tree import Vehicle
 
+ATTITUDE_W = 3  # index of the quaternion's scalar in the states
+MIN_INERTIA = 1e-15  # smaller generalised masses count as zero [kg, kg m^2]
 LAG = 1e-3  # time constant of prescribed rates [s]
 NORMALISATION = 1.0  # rate at which the norm of the quaternion returns to one [1/s]
 STANDING_SMOOTHING = 0.01  # width of the load law of the vehicle at rest [static depths]
@@ -96,8 +98,8 @@ def dynamics(
     ------
     ModelError
         If the vehicle has no mass, if a wheel whose rate is not prescribed has neither mass nor
-        inertia, if the ground has no coefficient of friction, or if a wheel on solids is not a
-        torus, a disc or a sphere.
+        inertia, if a coordinate that is not commanded moves no mass, if the ground has no
+        coefficient of friction, or if a wheel on solids is not a torus, a disc or a sphere.
 
     Notes
     -----
@@ -127,7 +129,9 @@ def dynamics(
     x, u, lookups = symbols(labels.x), symbols(labels.u), LookupTable()
     body = _multibody(vehicle, x)
     contacts = _contacts(vehicle, terrain, prisms, law, body, lookups)
-    ode, effort = _motion(vehicle, x, u, body, contacts)
+    matrix = mass_matrix(body)
+    _check_inertia(vehicle, x, matrix)
+    ode, effort = _motion(vehicle, x, u, body, matrix, contacts)
     shown = [deepest(each) for each in contacts]
     q = quantities(vehicle, terrain, x, u, body, shown, lookups)
     forces = dynamic_forces(q, contacts, x, effort)
@@ -182,6 +186,19 @@ def _check(vehicle: Vehicle, terrain: Terrain) -> None:
             raise ModelError(
                 f"dynamics: wheel {wheel.name!r}: expected a mass or a moment of inertia, since "
                 "its rate is not prescribed, found neither; set its 'mass' or 'inertia'"
+            )
+
+
+def _check_inertia(vehicle: Vehicle, x: DynamicState, matrix: ca.SX) -> None:
+    """Raise ModelError for a coordinate without inertia, with all coordinates at zero."""
+    still = np.zeros(pack(x).numel())
+    still[ATTITUDE_W] = 1.0
+    values = np.diag(np.array(ca.Function("mass", [pack(x)], [matrix])(still)))[6:]
+    for c, value in zip(vehicle.coordinates, values, strict=True):
+        if c.kind != "commanded" and not value > MIN_INERTIA:
+            raise ModelError(
+                f"dynamics: coordinate {c.name!r}: expected that it moves a part or a wheel with "
+                "mass, found none; give a part or a wheel that it carries a mass"
             )
 
 
@@ -274,12 +291,13 @@ def _motion(
     x: DynamicState,
     u: Inputs,
     body: Multibody,
+    matrix: ca.SX,
     contacts: Sequence[tuple[Contact, ...]],
 ) -> tuple[ca.SX, Effort]:
     """Return the rates of the states, and the efforts of drives and actuators."""
     wheels = _wheels(x, u, body, contacts)
     forces = generalised_forces(body, (each.load for each in wheels)) - bias_forces(body)
-    accelerations, actuators = _accelerations(vehicle, x, u, mass_matrix(body), forces)
+    accelerations, actuators = _accelerations(vehicle, x, u, matrix, forces)
     spins, torques, integrals = list[ca.SX](), list[ca.SX](), list[ca.SX]()
     for wheel, on in zip(body.wheels, wheels, strict=True):
         if wheel.prescribed:
