@@ -300,11 +300,12 @@ def test_bad_settings(setting: str, tmp_path: Path) -> None:
 
 
 def test_settings_of_keys_that_do_not_exist(tmp_path: Path) -> None:
-    assert _faults(tmp_path, VALID, "time.step.x=1", "no.key=", "time.step.x=") == [
+    settings = "time.step.x=1", "no.key=", "time.step.x=", "time.step.x.y="
+    missing = "expected a key to remove, found no such key; correct the key"
+    assert _faults(tmp_path, VALID, *settings) == [
         "--set time.step.x: expected a key of a table, found that 'time.step' is not a table; "
         "correct the key",
-        "--set no.key: expected a key to remove, found no such key; correct the key",
-        "--set time.step.x: expected a key to remove, found no such key; correct the key",
+        *(f"--set {key}: {missing}" for key in ("no.key", "time.step.x", "time.step.x.y")),
     ]
 
 

@@ -24,6 +24,7 @@ from slipfree.files import netcdf
 from slipfree.models.given_rates import COMMANDS
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.steering_guide import MAX_STEERING_RATE, STOP_CLEARANCE, steering_effects
+from slipfree.models.wheel_authority import wheel_rates
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
@@ -466,3 +467,10 @@ def test_without_steering_all_but_the_velocity_across_is_met(terrain):
     assert_allclose(announced(run), missed, rtol=0, atol=1e-9)
     again = planar(replay(direct, run).motion)
     assert_allclose(again[[0, 2]], [[0.3] * run.t.size, [0.2] * run.t.size], rtol=0, atol=1e-6)
+
+
+def test_unknown_joints_are_refused():
+    vehicle = ackermann()
+    model = direct_kinematics(vehicle, Analytic(lambda x, y: 0 * (x + y)))
+    with pytest.raises(ModelError, match=r"joints: expected names of .*steer.*found 'stear_rate'"):
+        wheel_rates(vehicle, model, settle(model), joints={"stear_rate": 0.1}, forward=0.2)

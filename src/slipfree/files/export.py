@@ -68,7 +68,12 @@ def export_rates(file: Path, out: Path) -> None:
     """
     run = read(file)
     check_name(out, file, (".csv",))
-    names = [name for name in run.attributes.get("inputs", "").split() if name in run.columns]
+    inputs = run.attributes.get("inputs", "").split()
+    names = [
+        name
+        for name in inputs
+        if name in run.columns and run.columns[name].label.unit in ("rad s-1", "m s-1")
+    ]
     if not names:
         raise DataError(
             f"{file}: expected rates of driven wheels or actuated joints, found none; {RUN_AGAIN}"

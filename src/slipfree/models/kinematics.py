@@ -6,6 +6,7 @@ import casadi as ca
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.dae import Dae, Labels
+from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import Equations, Motion, SlipLaw, check_law, wheel_labels
@@ -53,8 +54,9 @@ def direct_kinematics(
     Raises
     ------
     ModelError
-        If ``slip`` is not a slip law or cannot be used with the vehicle, if the vehicle has fewer
-        than three wheels, or if contacts and springs do not determine its pose.
+        If ``slip`` is not a slip law or cannot be used with the vehicle, if ``smoothing`` is not
+        positive, if the vehicle has fewer than three wheels, or if contacts and springs do not
+        determine its pose.
 
     See Also
     --------
@@ -77,6 +79,11 @@ def direct_kinematics(
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
     check_slip_law(vehicle, slip)
+    if not smoothing > 0:
+        raise ModelError(
+            f"direct_kinematics: smoothing: expected a positive number, found {smoothing}; "
+            "increase it"
+        )
     if not has_exact_closure(vehicle):
         return pressed_dae(vehicle, terrain, slip, smoothing)
     labels = labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle)))

@@ -75,14 +75,20 @@ def wheel_rates(
     Raises
     ------
     ModelError
-        If no rate is given, if a rate is unknown or cannot be imposed, if there are more rates than
-        driven wheels, or if ``right`` is missing though all driven wheels have rollers.
+        If no rate is given, if a rate or a joint is unknown, if a rate cannot be imposed, if there
+        are more rates than driven wheels, or if ``right`` is missing though all driven wheels have
+        rollers.
     """
     check_commands(vehicle, tuple(given))
     at = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
     effect, slip = (np.array(part) for part in input_effects(direct, direct, tuple(given))(*at))
     names = [label.full for label in leaves(direct.labels.u)]
     count, moving = len(direct.u.wheels), joints or {}
+    if unknown := set(moving) - set(names[count:]):
+        raise ModelError(
+            f"joints: expected names of {', '.join(names[count:]) or 'no inputs'}, found "
+            f"{', '.join(map(repr, sorted(unknown)))}; correct the names"
+        )
     turning = np.array([moving.get(name, 0.0) for name in names[count:]])
     requested = np.array(list(given.values())) - effect[:, count:] @ turning
     wheels = _least_slip_inputs(

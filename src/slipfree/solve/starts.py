@@ -168,7 +168,7 @@ def settle_nearest(
     asked = {**{label.full: 0.0 for label in leaves(dae.labels.x)}, **pose}
     shift = np.concatenate(dae.shift)[: len(names)]
     wish = np.array([asked.get(name, 0.0) for name in names]) - shift
-    weight = np.array([weights.get(name, 1.0) * (name in asked) for name in names])
+    weight = np.array([weights.get(name, 1.0) if name in asked else 0.0 for name in names])
     guess = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
     first = np.concatenate([wish[:n_x], guess[: len(names) - n_x]])
     first[weight > 0] = wish[weight > 0]

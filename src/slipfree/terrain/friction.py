@@ -123,7 +123,7 @@ def _extend_axis(axis: Array, spacing: float) -> Array:
 
 def _check_map(grid: Grid) -> None:
     """Raise DataError for a map with nodes without a value, or values that are not positive."""
-    if grid.holes is not None:
+    if grid.holes is not None and grid.holes.any():
         i, j = np.argwhere(grid.holes)[0]
         raise DataError(
             f"friction: expected a coefficient at every node, found none at "

@@ -94,7 +94,9 @@ class Wheel:
                 f"wheel {self.name!r}: mass: expected a finite number of zero or more, found "
                 f"{self.mass} kg"
             )
-        if self.inertia is not None and not all(0 < each < math.inf for each in self.inertia):
+        if self.inertia is not None and not (
+            len(self.inertia) == 2 and all(0 < each < math.inf for each in self.inertia)
+        ):
             raise ModelError(
                 f"wheel {self.name!r}: inertia: expected two finite positive numbers in kg m^2, "
                 f"found {self.inertia}"

@@ -112,7 +112,7 @@ def _remove(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
     Raise `_KeyPlaceError` if there is no such key.
     """
     for name in path[:-1]:
-        data = data.get(name, {})
+        data = data.get(name, {}) if isinstance(data, dict) else {}
     if not isinstance(data, dict) or path[-1] not in data:
         raise _KeyPlaceError("expected a key to remove, found no such key; correct the key")
     del data[path[-1]]
