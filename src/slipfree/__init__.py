@@ -4,7 +4,7 @@ Build a ground and a vehicle, then a model of both and a start; then simulate or
 
 Ground
     `Analytic`, a formula. `Bicubic`, the surface of a `Grid` of heights. `read_map`, heights from a
-    file.
+    file. `Solids`, steps, stairs and boxes on a ground.
 Vehicle
     `catalog`, vehicles ready for use. `read_vehicle`, from a TOML or URDF file. `Vehicle`, made of
     `Coordinate`, `Joint`, `Body` and `Wheel`, which a `Rate`, `Torque` or `Motor` drives.

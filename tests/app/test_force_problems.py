@@ -231,7 +231,7 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
         (
             ["model=kinematics", "law.coulomb={ creep = 1e-3 }"],
             "law.coulomb: expected model = 'quasi-static', where this law applies, found model = "
-            "'kinematics'; change it",
+            "'kinematics'; set it to 'quasi-static', or remove the table",
         ),
         (["terrain.friction="], "p.toml:2: model: Coulomb friction: expected a ground with"),
         (

@@ -356,7 +356,7 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
         ),
         (
             ['given={velocity_x=0.0, velocity_y="t", heading_rate=0.0}'],
-            "given.velocity_y: expected a number, found a function of time; only forward, right",
+            "given.velocity_y: expected a number, found a function of time; give a number (only ",
         ),
         (
             [*CAR, "given.yaw_rate=q*t"],

@@ -331,11 +331,11 @@ def test_what_does_not_suit_is_refused():
 
     fails("a vehicle with mass, found none in", vehicle=three_wheeler(mass=0.0, wheel_mass=0.0))
     fails("a ground with a coefficient of friction, found none", ground=slope(0.0, None))
-    fails("creep: expected a number > 0, found 0", creep=0.0)
-    fails("creep: expected a number <= 0.3, found 1", creep=1.0)
-    fails("creep: expected a number > 0, found nan", creep=np.nan)
-    fails("reserve: expected a number >= 0, found -1", reserve=-1.0)
-    fails("reserve: expected a number < inf", reserve=np.inf)
+    fails("'creep': expected a number > 0, found 0", creep=0.0)
+    fails("'creep': expected a number <= 0.3, found 1", creep=1.0)
+    fails("'creep': expected a number > 0, found nan", creep=np.nan)
+    fails("'reserve': expected a number >= 0, found -1", reserve=-1.0)
+    fails("'reserve': expected a number < inf", reserve=np.inf)
     fails("expected a wheel-ground law such as", law=LeastSlip)
     fails("expected a wheel-ground law such as", law=lambda: Coulomb)
     for of in (direct_kinematics, montana_kinematics):

@@ -174,7 +174,7 @@ def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
 
     found = run_problem(load_problem(PROBLEM, FEW), tell=interrupt)
     assert found.outcome is Outcome.INTERRUPTED
-    assert "from 1 starts" in found.trajectory.attributes["plan_starts"]
+    assert "from 1 start" in found.trajectory.attributes["plan_starts"]
     assert found.trajectory["y"][-1] == pytest.approx(2.6, abs=1e-3)
 
 

@@ -55,7 +55,8 @@ def test_plane_is_exact():
 
 def test_unknown_names_are_refused(on_hills):
     with pytest.raises(
-        ModelError, match=r"start: expected x, y, heading, .*; found the unknown azimuth"
+        ModelError,
+        match=r"start: expected values only for 'x', 'y', .*, found the unknown 'azimuth'",
     ):
         settle(on_hills, azimuth=0.1)
     with pytest.raises(ModelError, match="guess: expected names of unknowns of the model, z, roll"):

@@ -110,7 +110,7 @@ def test_starts_from_a_contact_are_checked():
         settle_contact(dae, "rear", contact_x=0.0, contact_y=0.0)
     with pytest.raises(ModelError, match="which follow from the contact point, found y"):
         settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, y=1.0)
-    with pytest.raises(ModelError, match="found the unknown azimuth"):
+    with pytest.raises(ModelError, match="found the unknown 'azimuth'"):
         settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, azimuth=1.0)
 
 

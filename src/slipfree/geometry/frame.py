@@ -111,12 +111,16 @@ def platform(
 
 
 def rotation_of(attitude: ca.SX) -> ca.SX:
-    """Return the rotation matrix of a unit quaternion ``(w, x, y, z)``, shape (3, 3)."""
+    """Return the rotation matrix of a quaternion ``(w, x, y, z)`` of any norm, shape (3, 3).
+
+    A norm that integration changes slightly therefore does not change lengths.
+    """
     w, x, y, z = ca.vertsplit(attitude)
+    s = 2 / ca.sumsqr(attitude)
     return ca.vertcat(
-        ca.horzcat(1 - 2 * (y**2 + z**2), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x**2 + z**2), 2 * (y * z - w * x)),
-        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)),
+        ca.horzcat(1 - s * (y**2 + z**2), s * (x * y - w * z), s * (x * z + w * y)),
+        ca.horzcat(s * (x * y + w * z), 1 - s * (x**2 + z**2), s * (y * z - w * x)),
+        ca.horzcat(s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x**2 + y**2)),
     )
 
 

@@ -69,7 +69,9 @@ def at(problem: Problem[A], place: Place) -> Iterator[None]:
     except (ModelError, DataError) as error:
         if isinstance(error, ProblemError):
             raise
-        words = str(error).removeprefix(f"{place[0]}: ")  # the line of the key contains it
+        words = str(error)
+        for name in (place[0], place[-1]):  # the line of the key contains them
+            words = words.removeprefix(f"{name}: ")
         raise ProblemError(f"{problem.source.where(place)}: {words}") from error
 
 
