@@ -182,15 +182,15 @@ class Base(NamedTuple):
     """Dimensions of the seven-wheeled vehicle in plan view; wheels are numbered as in the paper.
 
     Wheels 1 and 3 are on the rear axle, 4 on the middle axle, 5 and 7 on the front axle; 2 and 6
-    roll sideways. The motors of a pair rotate in opposite directions when the vehicle moves
-    forward, (2) and (3).
+    roll sideways. The motors of wheels 1 and 3, and of 5 and 7, rotate in opposite directions when
+    the vehicle moves forward (equations 2 and 3 of the paper).
 
     Attributes
     ----------
     radius : float
         Radius of the wheels. [m]
     gear : float
-        Rate of a wheel over the rate of its motor, k in (1). [1]
+        Ratio of the rate of a wheel to that of its motor, k in equation (1). [1]
     along : float
         Lever arm of wheels 2 and 6 about the vertical axis, R1. [m]
     aside : float

@@ -65,7 +65,7 @@ LABELS = (
 
 @dataclass(frozen=True, eq=False)
 class Climb:
-    """Nonlinear program of the climb of a leg.
+    """Nonlinear program of the time scaling along one leg, a smooth section of the contact path.
 
     Attributes
     ----------

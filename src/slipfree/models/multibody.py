@@ -98,7 +98,8 @@ class WheelMotion(NamedTuple):
     axial : float
         Moment of inertia about the axle. [kg m^2]
     rotor : float
-        Moment of inertia of the drive, which the spin adds to that of the wheel. [kg m^2]
+        Moment of inertia of the drive about the axle, added to `axial` in the equation of the
+        wheel's spin. [kg m^2]
     speed : SX, shape (1, 1)
         Generalised speed of the wheel, forward positive: its rate relative to the carrier if that
         is prescribed, otherwise its spin relative to fixed axes. [rad/s]

@@ -150,9 +150,9 @@ def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
 def _value_conflicts(
     task: PlanTask, along: list[_Bounds], role: str, known: Array
 ) -> Iterator[str]:
-    """Yield a sentence for each bound that the known states and unknowns violate.
+    """Yield a message for each bound that known values of states and algebraic unknowns violate.
 
-    ``known`` contains their values, nan for values that are not known, shape (n_x + n_z,).
+    ``known`` contains these values, and NaN where none is known, shape (n_x + n_z,).
     """
     x, z, u = task.dae.columns()
     xz = ca.vertcat(x, z)

@@ -243,10 +243,11 @@ def _sum(first: Tightening, second: Tightening, factor: float) -> dict[Bound, fl
 
 
 def added_tightening(replays: Replays, share: float) -> dict[Bound, float]:
-    """Return the tightening of each violated bound: a quantile of its excess.
+    """Return the additional tightening of each violated bound, a quantile of its excess.
 
-    All bounds have the same level of the quantile, the smallest one with which the share of the
-    simulations keeps all bounds together. Simulations with an infinite excess keep no bound.
+    The level of the quantile is the same for all bounds: the smallest level at which at least the
+    fraction ``share`` of the simulations exceeds no bound by more than its quantile. Simulations
+    with an infinite excess count as failed.
     """
     finite = [each.excess for each in replays.each if np.isfinite([*each.excess.values()]).all()]
     bounds = [*dict.fromkeys(b for excess in finite for b, size in excess.items() if size > 0)]

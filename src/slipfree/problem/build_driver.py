@@ -58,7 +58,7 @@ def path_points(problem: Problem[S], driver: Driver) -> Array:
     """
     if (driver.path is None) == (driver.file is None):
         raise ModelError(
-            "driver: expected either 'path', an array of [x, y], or 'file' with name = 'follow', "
-            + ("found neither; give one" if driver.path is None else "found both; remove one")
+            "driver: name = 'follow' requires either 'path' (an array of [x, y]) or 'file', found "
+            + ("neither; give one" if driver.path is None else "both; remove one")
         )
     return np.array(driver.path or read_columns(problem.folder / str(driver.file), "xy"))

@@ -207,9 +207,9 @@ def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
     if not np.abs(rates).max() < REST_RATE:
         name = list(leaves(model.labels.x))[int(np.abs(rates).argmax())].full
         raise ModelError(
-            f"the vehicle finds no equilibrium at the start: after {RELAXATION_TIME:g} s, expected "
-            f"rates of at most {REST_RATE:g} rad or vehicle sizes per second, found "
-            f"{np.abs(rates).max():.1e} for {name}; choose another start"
+            f"no equilibrium was found at the start: after {RELAXATION_TIME:g} s of relaxation, "
+            f"expected all rates below {REST_RATE:g} 1/s (lengths divided by the vehicle's size), "
+            f"found {np.abs(rates).max():.1e} 1/s for {name!r}; choose another start"
         )
     return run
 

@@ -272,7 +272,7 @@ def _cost_words(first: FoundPlan, robust: FoundPlan) -> str:
 
 
 def _stop(found: RobustPlan[FoundPlan], robust: Robust) -> Stop | None:
-    """Return the stop of a plan that holds too rarely; None if it reaches its share."""
+    """Return the stop of a plan that keeps its bounds in too few simulations, otherwise None."""
     after = found.after
     if after.share >= robust.share:
         return None
