@@ -105,6 +105,31 @@ def test_a_car_that_tips_over_stops_at_a_named_limit(tmp_path):
     assert slower.exit_code == 0, slower.output
 
 
+def test_a_sampled_driver_ends_near_the_continuous_one(tmp_path):
+    ends = []
+    for name, sampled in (("continuous", []), ("sampled", ["--set", "driver.period=0.01"])):
+        file = tmp_path / f"{name}.nc"
+        short = ["--set", "time.duration=1.5", "--set", "time.step=0.02"]
+        done = invoke("run", ROCKS, "-o", file, "--no-draw", *short, *sampled)
+        assert done.exit_code == 0, done.output
+        assert ("driver straight, every 0.01 s" in done.output) == (name == "sampled")
+        run = open_result(file).trajectory
+        assert run.t == pytest.approx(0.02 * np.arange(76))
+        ends.append(np.array([run["x"][-1], run["y"][-1], run["z"][-1]]))
+    assert 1e-7 < np.linalg.norm(ends[0] - ends[1]) < 1e-3
+
+
+def test_a_sampled_driver_stops_at_a_limit(tmp_path):
+    file = tmp_path / "r.nc"
+    settings = ("driver.period=0.005", "terrain.synthetic.x=[-3.0, 0.7]", "time.step=0.02")
+    options = [word for each in settings for word in ("--set", each)]
+    done = invoke("run", ROCKS, "-o", file, "--no-draw", *options)
+    assert done.exit_code == 1, done.output
+    run = open_result(file).trajectory
+    assert run.t == pytest.approx(0.02 * np.arange(run.t.size))
+    assert 0 <= run.stop.t - run.t[-1] < 0.02
+
+
 def test_a_check_gives_the_start_at_equilibrium():
     done = invoke("check", ROCKS)
     assert done.exit_code == 0, done.output
@@ -119,6 +144,19 @@ def test_a_check_gives_the_start_at_equilibrium():
         (ROCKS, ["formulation=montana"], "expected model = 'kinematics' with formulation"),
         (ROCKS, ["law.coulomb={ creep = 1e-3 }"], "model = 'quasi-static', where this law applies"),
         (ROCKS, ["start.sped=1"], "did you mean 'speed'?"),
+        (
+            ROCKS,
+            ["driver.period=0.02"],
+            "time.step: expected a multiple of driver.period, 0.02 s, found 0.01; change one",
+        ),
+        (ROCKS, ["driver.period=0.0"], "driver.period: expected a number greater than 0, found 0"),
+        (ROCKS, ["driver.period=1e-7"], "driver.period: expected a period with at most 1000000"),
+        (
+            ROCKS,
+            ["driver.period=0.01", "model=quasi-static"],
+            "driver.period: expected a period only with model = 'dynamics', found model = 'quasi-",
+        ),
+        (str(PROBLEMS / "plan_real_dem.toml"), ["driver.period=0.01"], "unknown key 'period'"),
         (
             str(PROBLEMS / "plan_real_dem.toml"),
             ["model=dynamics"],

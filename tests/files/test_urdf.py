@@ -15,6 +15,7 @@ from slipfree.catalog import differential_drive
 from slipfree.contact.closure import has_exact_closure
 from slipfree.geometry.frame import Pose
 from slipfree.problem.build_vehicle import VehicleError, is_vehicle_file, read_vehicle
+from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections.omni import Omni
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
@@ -360,6 +361,13 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
 )
 def test_what_the_file_cannot_say_is_asked(roles, words, tmp_path):
     assert words in faults(changed(tmp_path, "cart", roles=roles))
+
+
+def test_a_joint_has_a_drive(tmp_path):
+    joint = 'joints.caster = { kind = "commanded", stiffness = 2, drive = { kind = "torque" } }'
+    roles = f'urdf = "cart.urdf"\nwheels.caster_axle = {{ driven = false }}\n{joint}\n'
+    (caster,) = read_vehicle(changed(tmp_path, "cart", roles=roles)).coordinates
+    assert (caster.stiffness, caster.drive) == (2.0, Torque())
 
 
 def test_roles_complete_and_override(tmp_path):

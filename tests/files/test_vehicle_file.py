@@ -20,7 +20,7 @@ from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTabl
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.catalog_table import CATALOG
-from slipfree.vehicle.drives import Motor
+from slipfree.vehicle.drives import Motor, Torque
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.omni import Omni
 from slipfree.vehicle.sections.registry import SECTIONS
@@ -654,15 +654,31 @@ def test_vehicles_of_files_are_compared(folder):
     assert "mine" in result.stdout
 
 
+DRIVE = "{ kind = 'motor', stall = 2.0, no_load = 20, kp = 5.0 }"
+
+
 def test_inertia_and_drives_are_read_with_the_axes_of_the_file(tmp_path):
     text = LONG.replace('frame = "rep103"', 'frame = "rep103"\ninertia = [1, 2, 3, 0.1, 0.2, 0.3]')
-    motor = "drive = { kind = 'motor', stall = 2.0, no_load = 20, kp = 5.0 }"
-    text = text.replace("radius = 0.1\n", f"radius = 0.1\ninertia = [0.01, 0.006]\n{motor}\n")
+    text = text.replace(
+        "radius = 0.1\n", f"radius = 0.1\ninertia = [0.01, 0.006]\ndrive = {DRIVE}\n"
+    )
     (tmp_path / "v.toml").write_text(text)
     vehicle = read_vehicle(tmp_path / "v.toml")
     assert vehicle.body.inertia == (2, 1, 3, -0.1, -0.3, 0.2)
     assert vehicle.wheels[2].inertia == (0.01, 0.006)
     assert vehicle.wheels[2].drive == Motor(2.0, 20.0, 5.0)
+
+
+def test_drives_of_coordinates_are_read(tmp_path):
+    for drive, words in (
+        (Torque(), "{ kind = 'torque' }"),
+        (Motor(2.0, 20.0, 5.0, 1.0, 0.1), DRIVE.replace("}", ", ki = 1, rotor_inertia = 0.1 }")),
+    ):
+        text = LONG.replace(
+            'kind = "passive"', f'kind = "commanded"\nstiffness = 3\ndrive = {words}'
+        )
+        (swivel,) = read(tmp_path, text).coordinates
+        assert (swivel.drive, swivel.stiffness) == (drive, 3.0)
 
 
 @pytest.mark.parametrize(
@@ -678,6 +694,16 @@ def test_inertia_and_drives_are_read_with_the_axes_of_the_file(tmp_path):
         ("radius = 0.1\n", "drive = { kind = 'rate', kp = 2 }", "for kind = 'rate', not 'kp'"),
         ("radius = 0.1\n", "drive = { kind = 'motor', stall = '', no_load = 1, kp = 1 }", "number"),
         ("radius = 0.1\n", "inertia = [0.0, 1.0]", "greater than 0"),
+        (
+            'kind = "passive"',
+            "drive = { kind = 'steam' }",
+            "v.toml:7: coordinates[0].drive (coordinate 'swi",
+        ),
+        (
+            'kind = "passive"',
+            f"drive = {DRIVE}",
+            "expected a drive only for kind = 'commanded', found Motor",
+        ),
     ],
 )
 def test_wrong_inertia_and_drives_are_reported(old, line, words, tmp_path):

@@ -69,7 +69,7 @@ def draw(index: int) -> Case:
             value = float(rng.uniform(-0.2, 0.6)) * share * wheel.radius
             rate = speed / wheel.radius * side
             torque = isinstance(wheel.drive, Torque)
-            inputs[f"{wheel.name}_{wheel.drive.input[0]}"] = value if torque else rate
+            inputs[f"{wheel.name}_{'torque' if torque else 'rate'}"] = value if torque else rate
         wheels.append(wheel)
     for c in vehicle.coordinates:
         if c.kind == "commanded":

@@ -12,7 +12,7 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.path import Path
-from slipfree.records import Array, unpack
+from slipfree.records import Array, leaves, unpack
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -115,8 +115,9 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     Raises
     ------
     ModelError
-        If the speed is zero or not finite, if the input of a driven wheel is not its rate, or if
-        the vehicle has neither steered wheels nor driven wheels on both sides.
+        If the speed is zero or not finite, if the input of a driven wheel or a commanded coordinate
+        is not its rate, or if the vehicle has neither steered wheels nor driven wheels on both
+        sides.
 
     Examples
     --------
@@ -135,11 +136,11 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
             f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
             "speed, or a negative one to drive backwards"
         )
-    wrong = [label.full for label in dae.labels.u.wheels if label.unit != "rad s-1"]
+    wrong = [label.full for label in leaves(dae.labels.u) if not label.unit.endswith("s-1")]
     if wrong:
         raise ModelError(
-            f"follow: expected the rates of all driven wheels as inputs, found {', '.join(wrong)}; "
-            "use drives whose input is a rate: Rate() or Motor(...)"
+            "follow: expected the rates of all driven wheels and commanded coordinates as inputs, "
+            f"found {', '.join(wrong)}; use drives whose input is a rate: Rate() or Motor(...)"
         )
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
     plan = planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})

@@ -180,6 +180,7 @@ class CoordinateTable(Record):
     damping: NonNegative = 0.0
     bump: NonNegative = 0.0
     max_rate: Annotated[Positive, WITH_UNIT] | None = None
+    drive: DriveTable = RATE
 
 
 class JointTable(Record):
@@ -557,7 +558,7 @@ def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -
 
 def _coordinate(table: CoordinateTable) -> Coordinate:
     """Return the coordinate that a table describes."""
-    given = table.model_dump(exclude_none=True)
+    given = {key: value for key, value in table if value is not None}
     return Coordinate(**{"words": table.name.replace("_", " "), **given})
 
 

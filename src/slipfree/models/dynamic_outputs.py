@@ -15,7 +15,7 @@ from slipfree.dae import Limit
 from slipfree.laws.compliant import GroundForce
 from slipfree.lookups import LookupTable
 from slipfree.models.base import outputs
-from slipfree.models.dynamic_records import DynamicOutputs, DynamicState
+from slipfree.models.dynamic_records import DynamicOutputs, DynamicState, output_efforts
 from slipfree.models.multibody import Multibody, WheelMotion, kinetic_energy
 from slipfree.models.quantities import Mechanics, Quantities
 from slipfree.models.records import (
@@ -252,7 +252,7 @@ def dynamic_forces(
         needed,
         used,
         effort.torques,
-        effort.actuators,
+        output_efforts(q.vehicle, effort.actuators),
         ca.dot(efforts, ca.vertcat(*rates)),
         q.mechanics.damped + sum(each.dissipation for touching in contacts for each in touching),
         q.mechanics.potential,

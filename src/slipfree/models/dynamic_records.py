@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeVar
 
 from slipfree.dae import Labels
 from slipfree.laws.protocols import wheel_labels
-from slipfree.models.labels import labels_of, pressed_labels
+from slipfree.models.labels import effort_label, labels_of, pressed_labels
 from slipfree.models.records import Inputs, Outputs
 from slipfree.records import Label
 from slipfree.vehicle.tree import Coordinate, Vehicle
 from slipfree.vehicle.wheel import Wheel
+
+T = TypeVar("T")
 
 
 class DynamicState(NamedTuple):
@@ -18,8 +21,9 @@ class DynamicState(NamedTuple):
 
     ``attitude`` is the unit quaternion (w, x, y, z) of the platform; ``joints`` are all
     coordinates, ``joint_speeds`` their rates, and ``spins`` the speeds of the wheels
-    (`slipfree.models.multibody.WheelMotion`). ``drives`` are the integrals of the speed
-    controllers. [m, rad, m/s, rad/s, N m]
+    (`slipfree.models.multibody.WheelMotion`). ``drives`` and ``joint_drives`` are the
+    integrals of the speed controllers of wheels and of commanded coordinates.
+    [m, rad, m/s, rad/s, N m, N]
     """
 
     x: Any
@@ -32,6 +36,7 @@ class DynamicState(NamedTuple):
     joint_speeds: tuple[Any, ...]
     spins: tuple[Any, ...]
     drives: tuple[Any, ...]
+    joint_drives: tuple[Any, ...]
 
 
 class DynamicTotals(NamedTuple):
@@ -71,16 +76,27 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0) -> Labels:
     still = labels_of(vehicle, follow=False)
     words = "energy lost in contacts and dampers"
     q = DynamicTotals(still.q.wheels, still.q.work[0], Label("lost_energy", "J", words))
-    u = Inputs(tuple(_input(wheel) for wheel in vehicle.wheels if wheel.driven), still.u.joints)
+    joints = zip(vehicle.of("commanded"), still.u.joints, strict=True)
+    u = Inputs(
+        tuple(_wheel_input(wheel) for wheel in vehicle.wheels if wheel.driven),
+        tuple(effort_label(vehicle, c) if c.drive.takes_effort else rate for c, rate in joints),
+    )
     return Labels(
         _state_labels(vehicle, still), (), q, u, _output_labels(vehicle, still, solids), ()
     )
 
 
-def _input(wheel: Wheel) -> Label:
+def _wheel_input(wheel: Wheel) -> Label:
     """Return the label of the input of a driven wheel."""
-    name, unit, words = wheel.drive.input
-    return Label(f"{wheel.name}_{name}", unit, f"{words} wheel {wheel.name}, forward positive")
+    words = f"wheel {wheel.name}, forward positive"
+    if wheel.drive.takes_effort:
+        return Label(f"{wheel.name}_torque", "N m", f"torque on {words}")
+    return Label(f"{wheel.name}_rate", "rad s-1", f"rate of {words}")
+
+
+def _integral(name: str, unit: str) -> Label:
+    """Return the label of the integral of the controller of a wheel or a coordinate."""
+    return Label(f"{name}_motor_integral", unit, f"integral of the controller of {name}")
 
 
 def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
@@ -102,11 +118,12 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
         tuple(_joint_speed(vehicle, c) for c in vehicle.coordinates),
         wheel_labels(vehicle, "spin", "rad s-1", spin),
         tuple(
-            Label(
-                f"{wheel.name}_motor_integral", "N m", f"integral of the controller of {wheel.name}"
-            )
-            for wheel in vehicle.wheels
-            if wheel.acting_drive.has_integral
+            _integral(each.name, "N m") for each in vehicle.wheels if each.acting_drive.has_integral
+        ),
+        tuple(
+            _integral(c.name, effort_label(vehicle, c).unit)
+            for c in vehicle.coordinates
+            if c.acting_drive.has_integral
         ),
     )
 
@@ -115,6 +132,8 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
     """Return the labels of the outputs, from those of a model without inertia."""
     position, rates = still.z.position, still.z.rates
     ratio = "rim speed minus speed of the wheel's centre, divided by the larger of the two"
+    forces: Any = still.y.forces
+    forces = forces._replace(joint_effort=output_efforts(vehicle, forces.joint_effort))
     return DynamicOutputs(
         still.x.heading,
         position.roll,
@@ -124,7 +143,7 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
         rates.pitch,
         tuple(each.x for each in position.contacts),
         tuple(each.y for each in position.contacts),
-        still.y._replace(**pressed_labels(vehicle)),
+        still.y._replace(forces=forces, **pressed_labels(vehicle)),
         wheel_labels(vehicle, "slip_ratio", "1", ratio),
         Label("kinetic_energy", "J", "kinetic energy"),
         Label("contact_energy", "J", "elastic energy of the contacts"),
@@ -133,6 +152,12 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
             for k in range(1, solids + 1)
         ),
     )
+
+
+def output_efforts(vehicle: Vehicle, efforts: Sequence[T]) -> tuple[T, ...]:
+    """Return the efforts of commanded coordinates that are outputs, since they are not inputs."""
+    pairs = zip(vehicle.of("commanded"), efforts, strict=True)
+    return tuple(effort for c, effort in pairs if not c.drive.takes_effort)
 
 
 def _joint_speed(vehicle: Vehicle, c: Coordinate) -> Label:

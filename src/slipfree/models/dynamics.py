@@ -7,7 +7,8 @@ drive's torque ``tau`` and the ground force ``F`` on the point ``P``,
 ``I_a sigma' = tau - a . ((P - C) x F)``. The carrier bears the rest of the moment.
 
 A prescribed rate of a wheel or a joint is a state with a prescribed acceleration
-``(u - rate) / LAG`` (hybrid dynamics); the torque that it needs is an output.
+``(u - rate) / LAG`` (hybrid dynamics); the torque that it needs is an output. Other drives exert an
+effort on a wheel or a coordinate that is free.
 """
 
 from __future__ import annotations
@@ -91,14 +92,14 @@ def dynamics(
     Returns
     -------
     Dae
-        Inputs are those of the drives: the rate of a wheel with a `Rate` or `Motor`, the torque on
-        a wheel with a `Torque`; and the rates of the commanded coordinates.
+        Inputs are those of the drives of wheels and commanded coordinates: the rate of a `Rate` or
+        `Motor`, the torque or force of a `Torque`.
 
     Raises
     ------
     ModelError
         If the vehicle has no mass, if a wheel whose rate is not prescribed has neither mass nor
-        inertia, if a coordinate that is not commanded moves no mass, if the ground has no
+        inertia, if a coordinate whose rate is not prescribed moves no mass, if the ground has no
         coefficient of friction, or if a wheel on solids is not a torus, a disc or a sphere.
 
     Notes
@@ -195,7 +196,7 @@ def _check_inertia(vehicle: Vehicle, x: DynamicState, matrix: ca.SX) -> None:
     still[ATTITUDE_W] = 1.0
     values = np.diag(np.array(ca.Function("mass", [pack(x)], [matrix])(still)))[6:]
     for c, value in zip(vehicle.coordinates, values, strict=True):
-        if c.kind != "commanded" and not value > MIN_INERTIA:
+        if not (c.acting_drive.prescribed or value > MIN_INERTIA):
             raise ModelError(
                 f"dynamics: coordinate {c.name!r}: expected that it moves a part or a wheel with "
                 "mass, found none; give a part or a wheel that it carries a mass"
@@ -297,7 +298,7 @@ def _motion(
     """Return the rates of the states, and the efforts of drives and actuators."""
     wheels = _wheels(x, u, body, contacts)
     forces = generalised_forces(body, (each.load for each in wheels)) - bias_forces(body)
-    accelerations, actuators = _accelerations(vehicle, x, u, matrix, forces)
+    accelerations, actuators, joint_integrals = _accelerations(vehicle, x, u, matrix, forces)
     spins, torques, integrals = list[ca.SX](), list[ca.SX](), list[ca.SX]()
     for wheel, on in zip(body.wheels, wheels, strict=True):
         if wheel.prescribed:
@@ -310,7 +311,8 @@ def _motion(
             torques.append(on.torque)
         integrals.extend(on.integral_rate)
     attitude = _attitude_rate(ca.vertcat(*x.attitude), ca.vertcat(*x.omega))
-    ode = ca.vertcat(*x.velocity, attitude, *x.joint_speeds, accelerations, *spins, *integrals)
+    speeds = *x.velocity, attitude, *x.joint_speeds
+    ode = ca.vertcat(*speeds, accelerations, *spins, *integrals, *joint_integrals)
     return ode, Effort(tuple(torques), actuators)
 
 
@@ -324,7 +326,7 @@ def _wheels(
         drive = wheel.wheel.acting_drive
         wanted = next(inputs) if wheel.wheel.driven else zero
         integral = next(integrals) if drive.has_integral else zero
-        torque, rate = drive.torque(wanted, wheel.rate, integral)
+        torque, rate = drive.effort(wanted, wheel.rate, integral)
         center = wheel.motion.pose.origin
         force = sum((each.total for each in touching), ca.SX.zeros(3))
         moment = sum((each.moment(center) for each in touching), ca.SX.zeros(3))
@@ -342,25 +344,33 @@ def _wheels(
 
 def _accelerations(
     vehicle: Vehicle, x: DynamicState, u: Inputs, matrix: ca.SX, forces: ca.SX
-) -> tuple[ca.SX, tuple[ca.SX, ...]]:
-    """Return the rates of the generalised speeds, and the efforts of commanded coordinates.
+) -> tuple[ca.SX, tuple[ca.SX, ...], tuple[ca.SX, ...]]:
+    """Return the rates of the generalised speeds, and efforts and integrals' rates of actuators.
 
-    ``forces`` are those of contacts, drives, gravity and inertia at constant speeds. Springs and
-    dampers act on the coordinates that are not commanded.
+    ``forces`` are those of contacts, drives of wheels, gravity and inertia at constant speeds.
+    Springs, dampers and efforts of drives act on the coordinates whose rates are not prescribed.
     """
-    found, commands = ca.SX.zeros(matrix.shape[0]), iter(u.joints)
+    found, efforts = ca.SX.zeros(matrix.shape[0]), ca.SX.zeros(matrix.shape[0])
+    inputs, integrals, integral_rates = iter(u.joints), iter(x.joint_drives), list[ca.SX]()
     fixed, free = list[int](), [*range(6)]
     for k, c in enumerate(vehicle.coordinates):
-        value, rate = x.joints[k], x.joint_speeds[k]
-        (fixed if c.kind == "commanded" else free).append(6 + k)
-        if c.kind == "commanded":
-            found[6 + k] = (next(commands) - rate) / LAG
-        elif c.is_loaded:
+        value, rate, drive = x.joints[k], x.joint_speeds[k], c.acting_drive
+        (fixed if drive.prescribed else free).append(6 + k)
+        wanted = next(inputs) if c.kind == "commanded" else ca.SX(0)
+        if drive.prescribed:
+            found[6 + k] = (wanted - rate) / LAG
+        integral = next(integrals) if drive.has_integral else ca.SX(0)
+        efforts[6 + k], integral_rate = drive.effort(wanted, rate, integral)
+        if drive.has_integral:
+            integral_rates.append(integral_rate)
+        if c.is_loaded:
             forces[6 + k] -= ca.gradient(c.potential(value), value) + c.damping * rate
-    right = forces[free] - matrix[free, fixed] @ found[fixed]
+    right = forces[free] + efforts[free] - matrix[free, fixed] @ found[fixed]
     found[free] = ca.ldl_solve(right, *ca.ldl(matrix[free, free]))
-    efforts = matrix[fixed, :] @ found - forces[fixed]
-    return found, tuple(ca.vertsplit(efforts)) if fixed else ()
+    efforts[fixed] = matrix[fixed, :] @ found - forces[fixed]
+    pairs = zip(vehicle.coordinates, ca.vertsplit(efforts)[6:], strict=True)
+    actuators = tuple(effort for c, effort in pairs if c.kind == "commanded")
+    return found, actuators, tuple(integral_rates)
 
 
 def _attitude_rate(attitude: ca.SX, omega: ca.SX) -> ca.SX:
@@ -391,7 +401,7 @@ def _standing(
     joints = [values[c.name] for c in vehicle.coordinates]
     count, speed = len(joints), ca.SX.sym("speed")
     rolling = [speed / wheel.radius for wheel in vehicle.wheels]
-    motors = ca.SX.zeros(len(labels.x.drives))
+    motors = ca.SX.zeros(len(labels.x.drives) + len(labels.x.joint_drives))
     exact = has_exact_closure(vehicle)
     guess = replace(direct_kinematics(vehicle, terrain), limits=(), checks=()) if exact else None
     return Standing(

@@ -175,12 +175,13 @@ def _output_labels(vehicle: Vehicle, *, follow: bool) -> Outputs:
     )
 
 
-def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
-    def effort(name: str, words: str) -> Label:
-        turns = vehicle.unit(name) == "rad"
-        kind, unit = ("torque", "N m") if turns else ("force", "N")
-        return Label(f"{name}_{kind}", unit, f"{kind} of the actuator of {words}")
+def effort_label(vehicle: Vehicle, c: Coordinate) -> Label:
+    """Return the label of the torque or force of the actuator of a commanded coordinate."""
+    kind, unit = ("torque", "N m") if vehicle.unit(c.name) == "rad" else ("force", "N")
+    return Label(f"{c.name}_{kind}", unit, f"{kind} of the actuator of {c.words}")
 
+
+def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
     return ForceOutputs(
         () if follow else wheel_labels(vehicle, *ALONG),
         () if follow else wheel_labels(vehicle, *ACROSS),
@@ -191,7 +192,7 @@ def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
         wheel_labels(
             vehicle, "drive_torque", "N m", "torque of the wheel's drive, forward positive"
         ),
-        tuple(effort(c.name, c.words) for c in vehicle.of("commanded")),
+        tuple(effort_label(vehicle, c) for c in vehicle.of("commanded")),
         Label("power", "W", "power of the drives and actuators"),
         Label("dissipation", "W", "power dissipated in contacts and dampers"),
         Label(

@@ -157,6 +157,10 @@ class Multibody(NamedTuple):
         for unit rate of the joint.
     gears : SX, shape (n_joints, n_coordinates)
         Derivatives of the joint values with respect to the coordinates.
+    rates : SX, shape (n_coordinates, 1)
+        Rates of the coordinates. [rad/s, m/s]
+    rotors : DM, shape (n_coordinates, 1)
+        Inertias of the drives of the coordinates. [kg m^2, kg]
     bodies : tuple of RigidBody
         Parts with mass, and wheels.
     wheels : tuple of WheelMotion
@@ -167,6 +171,8 @@ class Multibody(NamedTuple):
     parents: dict[str, str]
     screws: dict[str, tuple[ca.SX, ca.SX]]
     gears: ca.SX
+    rates: ca.SX
+    rotors: ca.DM
     bodies: tuple[RigidBody, ...]
     wheels: tuple[WheelMotion, ...]
 
@@ -241,7 +247,9 @@ def multibody(
         wheels.append(
             WheelMotion(wheel, motion, axial, drive.added_inertia, speed, drive.prescribed)
         )
-    return Multibody(parts, parents, screws, gears, tuple(bodies), tuple(wheels))
+    rotors = ca.DM([c.acting_drive.added_inertia for c in vehicle.coordinates])
+    moving = speeds.rates, rotors
+    return Multibody(parts, parents, screws, gears, *moving, tuple(bodies), tuple(wheels))
 
 
 def _entries(column: ca.SX) -> list[ca.SX]:
@@ -324,7 +332,7 @@ def mass_matrix(system: Multibody) -> ca.SX:
     arms = ca.skew(first)
     platform = ca.blockcat([[mass * eye, -arms], [arms, second]])
     across = base @ system.gears
-    inner = system.gears.T @ between @ system.gears
+    inner = system.gears.T @ between @ system.gears + ca.diag(system.rotors)
     return ca.sparsify(ca.blockcat([[platform, across], [across.T, inner]]))
 
 
@@ -340,7 +348,7 @@ def angular_acceleration(system: Multibody, part: str, accelerations: ca.SX) -> 
 
 def kinetic_energy(system: Multibody) -> ca.SX:
     """Return the kinetic energy [J]."""
-    total = ca.SX(0)
+    total = ca.dot(system.rotors, system.rates**2) / 2
     for body in system.bodies:
         motion = body.motion
         total += body.mass / 2 * ca.sumsqr(motion.velocity)

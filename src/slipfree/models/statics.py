@@ -54,7 +54,7 @@ def mechanics(
     ]
     unknown, given = pack(rates.motion), pack(u)
     potential = _potential(vehicle, x, position)
-    damped = _damping(vehicle, rates)
+    damped = _damping(vehicle, rates, u)
     power = ca.jtimes(potential, q, q_dot)
     # the damper force is the gradient of the dissipation function, which is half the power
     lost = power + damped / 2
@@ -83,11 +83,14 @@ def _potential(vehicle: Vehicle, x: Configuration, position: Dependent) -> ca.SX
     return ca.SX(GRAVITY * height + springs)
 
 
-def _damping(vehicle: Vehicle, rates: Rates) -> ca.SX:
+def _damping(vehicle: Vehicle, rates: Rates, u: Inputs) -> ca.SX:
     """Return the power of the dampers [W]."""
-    pairs = zip(vehicle.of("passive"), rates.passive, strict=True)
-    others = zip(vehicle.of("suspension"), rates.suspension, strict=True)
-    return ca.SX(sum(c.damping * rate**2 for c, rate in (*pairs, *others)))
+    pairs = [
+        *zip(vehicle.of("passive"), rates.passive, strict=True),
+        *zip(vehicle.of("suspension"), rates.suspension, strict=True),
+        *zip(vehicle.of("commanded"), u.joints, strict=True),
+    ]
+    return ca.SX(sum(c.damping * rate**2 for c, rate in pairs))
 
 
 def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:

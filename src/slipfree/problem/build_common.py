@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.files.toml.errors import Fault, ProblemError, name_errors, problem_error
+from slipfree.files.toml.source_lines import Place as KeyPath
 from slipfree.frames import OFFSET
 from slipfree.problem import schema
 from slipfree.problem.build_ground import Ground, at, ground_facts
@@ -27,6 +28,7 @@ from slipfree.vehicle.tree import Vehicle
 
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are rougher
 TIME_TOLERANCE = 1e-9  # times at a smaller distance count as equal [duration]
+EVEN = 1e-6  # smaller relative differences of periods count as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +48,14 @@ class Setup:
     inputs : record
         Inputs of ``dae``: constant rates, rates per interval of ``t``, or a driving law.
     t : ndarray, shape (n,)
-        Times of the samples. [s]
+        Times of the samples, or of the evaluations of a sampled driving law. [s]
     driven : str
         Description of the inputs.
     prisms : tuple of Prism
         Solids on the ground.
+    every : int
+        Number of evaluations of a sampled driving law per sample of the result; zero for a
+        continuous one.
     """
 
     ground: Ground
@@ -63,6 +68,7 @@ class Setup:
     t: Array
     driven: str
     prisms: tuple[Prism, ...] = field(default=(), kw_only=True)
+    every: int = field(default=0, kw_only=True)
 
     @property
     def facts(self) -> Facts:
@@ -155,6 +161,52 @@ def samples(
         return np.asarray(rates[np.searchsorted(times, middles, side="right") - 1])
 
     return t, {name: by_interval(value) for name, value in inputs.items()}
+
+
+class SampledTimes(NamedTuple):
+    """Times of a motion that may have a sampled controller.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times of the samples of the result, or of the steps of a sampled controller. [s]
+    every : int
+        Number of controller steps per sample of the result; zero for continuous control.
+    """
+
+    t: Array
+    every: int
+
+
+def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> SampledTimes:
+    """Return the times of the steps of a sampled controller, up to the last regular sample.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    key : tuple of str
+        Key of the period, for messages.
+    period : float
+        Time between the steps of the controller. [s]
+
+    Raises
+    ------
+    ProblemError
+        If the period does not divide the time between samples, or there are more than a million
+        steps.
+    """
+    time = problem.spec.time
+    if time.duration / period > schema.MOST_SAMPLES:
+        expected = f"a period with at most {schema.MOST_SAMPLES} steps in {time.duration:g} s"
+        raise problem_error(problem.source, [Fault(key, expected, f"{period:g} s; increase it")])
+    every = round(time.step / period)
+    if every < 1 or abs(every * period - time.step) > EVEN * period:
+        expected = f"a multiple of {'.'.join(map(str, key))}, {period:g} s"
+        fault = Fault(("time", "step"), expected, f"{time.step:g}; change one of them")
+        raise problem_error(problem.source, [fault])
+    count = every * int(time.duration / time.step + EVEN) + 1
+    return SampledTimes(np.asarray(period * np.arange(count)), every)
 
 
 def check_names(problem: Problem[S], dae: Dae, inputs: Iterable[str] | None) -> None:

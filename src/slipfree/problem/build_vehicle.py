@@ -68,6 +68,7 @@ class JointTable(Record):
     damping: NonNegative | None = None
     bump: NonNegative | None = None
     max_rate: Positive | None = None
+    drive: DriveTable = None
 
 
 class WheelTable(Record):
@@ -118,7 +119,7 @@ class UrdfTable(Record):
         joints = {
             name: JointRole(
                 each.kind,
-                each.model_dump(exclude_none=True, exclude=own),
+                {key: value for key, value in each if key not in own and value is not None},
                 None if each.axis is None else unit_vector(each.axis),
                 each.motion,
                 each.carries,

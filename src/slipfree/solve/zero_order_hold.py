@@ -41,8 +41,9 @@ def simulate_sampled(
 ) -> Trajectory:
     """Return the motion under inputs that are constant between samples.
 
-    CVODES restarts at every sample. The motion ends with the first sample that violates a limit of
-    the model.
+    CVODES restarts at every sample. At periods of 10 and 20 ms, dynamics of a vehicle takes 3 to 40
+    times as long as under continuous inputs. The motion ends with the first sample that violates a
+    limit of the model.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Drives of wheels: how the input of a driven wheel acts on it in dynamics."""
+"""Drives of wheels and commanded coordinates: how an input acts on them in dynamics."""
 
 from __future__ import annotations
 
@@ -13,81 +13,84 @@ from slipfree.errors import ModelError
 
 @dataclass(frozen=True)
 class Drive:
-    """Base class of drives of wheels; it exerts no torque, as for a wheel that is not driven.
+    """Base class of drives; it exerts no effort, as for a wheel that is not driven.
 
-    Kinematic and quasi-static models use the rate of every driven wheel.
+    A drive acts on a wheel or on a commanded coordinate. Its effort is a torque on a wheel or a
+    coordinate that turns, and a force on a coordinate that slides; units of the latter are N and m
+    instead of N m and rad. Kinematic and quasi-static models use the rate of every drive.
 
     Attributes
     ----------
-    input : tuple of 3 str
-        Name of the input, its unit, and its description, which the wheel's name completes.
     prescribed : bool
-        Whether the wheel rotates at the rate of its input; the torque follows from the motion.
+        Whether the input is the rate, and the effort follows from the motion.
+    takes_effort : bool
+        Whether the input is the effort; otherwise it is a rate.
     has_integral : bool
         Whether the drive has a controller with an integral term, which is a state of the model.
     """
 
-    input: ClassVar[tuple[str, str, str]] = ("rate", "rad s-1", "rate of")
     prescribed: ClassVar[bool] = False
+    takes_effort: ClassVar[bool] = False
     has_integral: ClassVar[bool] = False
 
     @property
     def added_inertia(self) -> float:
-        """Moment of inertia of the drive about the axle [kg m^2]."""
+        """Inertia of the drive, which is added to that of the wheel or the coordinate [kg m^2]."""
         return 0.0
 
-    def torque(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002
-        """Return the torque on the wheel and the rate of the integral.
+    def effort(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002
+        """Return the effort and the rate of the integral.
 
         Parameters
         ----------
         wanted : SX, shape (1, 1)
             The input. [rad/s or N m]
         rate : SX, shape (1, 1)
-            Rate of the wheel. [rad/s]
+            Rate of the wheel or the coordinate. [rad/s]
         integral : SX, shape (1, 1)
             Integral of the controller. [N m]
 
         Returns
         -------
         tuple of 2 SX, shape (1, 1)
-            Torque, forward positive [N m], and rate of the integral [N m/s].
+            Effort in the sense of the rate [N m], and rate of the integral [N m/s].
         """
         return ca.SX(0), ca.SX(0)
 
 
 @dataclass(frozen=True)
 class Rate(Drive):
-    """Ideal drive: the wheel rotates at the rate of its input; the torque follows from that."""
+    """Ideal drive: the input is the rate; the effort follows from the motion."""
 
     prescribed: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
 class Torque(Drive):
-    """Drive without controller: the input is the torque on the wheel."""
+    """Drive without controller: the input is the effort, a torque or a force."""
 
-    input: ClassVar[tuple[str, str, str]] = ("torque", "N m", "torque on")
+    takes_effort: ClassVar[bool] = True
 
-    def torque(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002
-        """Return the input as torque; there is no integral."""
+    def effort(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002
+        """Return the input as effort; there is no integral."""
         return wanted, ca.SX(0)
 
 
 @dataclass(frozen=True)
 class Motor(Drive):
-    """Direct-current motor with a speed controller: the input is the wanted rate of the wheel.
+    """Direct-current motor with a speed controller: the input is the wanted rate.
 
-    The torque is ``kp (wanted - rate) + e``, limited to ``stall min(1, 1 - rate / no_load)``
+    The effort is ``kp (wanted - rate) + e``, limited to ``stall min(1, 1 - rate / no_load)``
     forward and ``stall min(1, 1 + rate / no_load)`` backward. The integral ``e`` follows
-    ``e' = ki (wanted - rate - (unlimited torque - torque) / kp)``; the last term prevents wind-up.
+    ``e' = ki (wanted - rate - (unlimited effort - effort) / kp)``; the last term prevents wind-up.
+    Units are those of a rotation; for a coordinate that slides, N and m replace N m and rad.
 
     Attributes
     ----------
     stall : float
-        Largest torque on the wheel, at the output of the gear. [N m]
+        Largest effort, at the output of the gear. [N m]
     no_load : float
-        Rate of the wheel at which the torque vanishes. [rad/s]
+        Rate at which the effort vanishes. [rad/s]
     kp, ki : float
         Gains of the controller. [N m s/rad, N m/rad]
     rotor_inertia : float
@@ -118,17 +121,17 @@ class Motor(Drive):
         """Moment of inertia of the rotor, times the square of the gear ratio [kg m^2]."""
         return self.rotor_inertia
 
-    def torque(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the limited torque of the controller, and the rate of its integral."""
+    def effort(self, wanted: ca.SX, rate: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the limited effort of the controller, and the rate of its integral."""
         error = wanted - rate
         unlimited = self.kp * error + integral
         forward, backward = (
             self.stall * ca.fmin(1, 1 - sign * rate / self.no_load) for sign in (1, -1)
         )
-        torque = ca.fmax(-backward, ca.fmin(forward, unlimited))
-        return torque, self.ki * (error - (unlimited - torque) / self.kp)
+        effort = ca.fmax(-backward, ca.fmin(forward, unlimited))
+        return effort, self.ki * (error - (unlimited - effort) / self.kp)
 
 
-NO_DRIVE = Drive()  # of wheels that are not driven
-RATE = Rate()  # the default of all wheels
+NO_DRIVE = Drive()  # of wheels that are not driven, and of coordinates that are not commanded
+RATE = Rate()  # the default
 DRIVES: dict[str, type[Drive]] = {"rate": Rate, "torque": Torque, "motor": Motor}

@@ -14,6 +14,7 @@ from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
 from slipfree.geometry.tensor import Elements, tensor
 from slipfree.records import field_overview, overview
+from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
 from slipfree.vehicle.formula import evaluate, names_in
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -70,8 +71,9 @@ class Coordinate:
     name : str
         Name, unique among the coordinates.
     kind : {"commanded", "passive", "suspension"}
-        ``"commanded"``: the rate is an input; ``"passive"``: the rate follows from the slip law or
-        friction; ``"suspension"``: the value follows from the contacts of the wheels.
+        ``"commanded"``: the rate is an input (in dynamics, the input is that of ``drive``);
+        ``"passive"``: the rate follows from the slip law or friction; ``"suspension"``: the value
+        follows from the contacts of the wheels.
     words : str
         Description in one line.
     lower, upper : float
@@ -87,12 +89,16 @@ class Coordinate:
     max_rate : float
         Largest rate of its actuator, which steering laws respect; infinite if unknown.
         [rad/s or m/s]
+    drive : Drive
+        Drive of a commanded coordinate, such as ``Rate()``, ``Torque()`` or ``Motor(...)``, for
+        dynamics (`slipfree.vehicle.drives`); other models use the rate.
 
     Raises
     ------
     ModelError
         If the stops are not in ascending order, if a number is out of range, if ``bump`` is given
-        without a stop, or if a commanded coordinate has a spring, a damper or elastic stops.
+        without a stop, if a commanded coordinate whose rate is prescribed has a spring, a damper or
+        elastic stops, or if a coordinate that is not commanded has a drive.
     """
 
     name: str
@@ -105,6 +111,7 @@ class Coordinate:
     damping: float = 0.0
     bump: float = 0.0
     max_rate: float = math.inf
+    drive: Drive = RATE
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -136,13 +143,24 @@ class Coordinate:
             raise ModelError(
                 f"coordinate {self.name!r}: rest: expected a finite number, found {self.rest}"
             )
-        if self.kind == "commanded" and self.is_loaded:
+        if self.kind != "commanded" and self.drive != RATE:
+            raise ModelError(
+                f"coordinate {self.name!r}: expected a drive only for kind = 'commanded', found "
+                f"{self.drive} for kind = {self.kind!r}; remove 'drive', or change the kind"
+            )
+        if self.acting_drive.prescribed and self.is_loaded:
             keys = [k for k in ("stiffness", "damping", "bump") if getattr(self, k)]
             raise ModelError(
                 f"coordinate {self.name!r}: a commanded coordinate cannot have a spring, a damper "
                 "or elastic stops, since its rate is an input; remove "
-                f"{' and '.join(map(repr, keys))}"
+                f"{' and '.join(map(repr, keys))}, or use a drive with an effort, Torque() or "
+                "Motor(...)"
             )
+
+    @property
+    def acting_drive(self) -> Drive:
+        """Drive of the coordinate; a drive without effort if the coordinate is not commanded."""
+        return self.drive if self.kind == "commanded" else NO_DRIVE
 
     @property
     def is_loaded(self) -> bool:

@@ -126,7 +126,7 @@ class Wheel:
 
     @property
     def acting_drive(self) -> Drive:
-        """Drive of the wheel; a drive without torque if the wheel is not driven."""
+        """Drive of the wheel; a drive without effort if the wheel is not driven."""
         return self.drive if self.driven else NO_DRIVE
 
     @cached_property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import groupby
 from math import degrees, isfinite
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from slipfree.errors import ModelError
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.source_lines import Place
-from slipfree.problem.build_common import samples
+from slipfree.problem.build_common import SampledTimes, sampled_times, samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_solids import OBSTACLES
 from slipfree.problem.problem import Problem
@@ -63,7 +63,6 @@ if TYPE_CHECKING:
 
 SLACK = 1e-5  # largest distance of wheels from their equilibrium on the floor [m]
 SUNK = 2e-3  # largest depth of contacts at rest, so that the end of a climb is recognised [m]
-EVEN = 1e-6  # smaller relative differences of times count as zero
 MEASURES = ("slip", "true_slip", "disturbance", "effort", "bearing")
 EXTREMES = Extremes(
     end=("x", "z", "tilt_rear", "tilt_front"),
@@ -282,22 +281,9 @@ def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
         raise problem_error(problem.source, faults)
 
 
-class _Times(NamedTuple):
-    """Sampling times of a climb.
-
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times of the samples of the result, or of the steps of a sampled controller. [s]
-    every : int
-        Number of controller steps per sample of the result; zero for continuous control.
-    """
-
-    t: Array
-    every: int
-
-
-def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Climber) -> _Times:
+def _times(
+    problem: Problem[climb_schema.Climb], control: Control, climber: Climber
+) -> SampledTimes:
     """Return the times of the computation: of the samples, or of a sampled controller.
 
     Raises
@@ -308,20 +294,14 @@ def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Clim
     """
     period, time = problem.spec.control.period, problem.spec.time
     if period is None:
-        return _Times(samples(time, {})[0], 0)
+        return SampledTimes(samples(time, {})[0], 0)
     with at(problem, ("control", "period")):
         check_period(period, control, climber)
     if problem.spec.solver.method == "idas":
         expected, found = "'cvodes' for a sampled controller", "'idas'; change it"
         fault = Fault(("solver", "method"), expected, found)
         raise problem_error(problem.source, [fault])
-    every = round(time.step / period)
-    if every < 1 or abs(every * period - time.step) > EVEN * period:
-        expected = f"a multiple of control.period, {period:g} s"
-        fault = Fault(("time", "step"), expected, f"{time.step:g}; change one of them")
-        raise problem_error(problem.source, [fault])
-    count = every * int(time.duration / time.step) + 1
-    return _Times(np.asarray(period * np.arange(count)), every)
+    return sampled_times(problem, ("control", "period"), period)
 
 
 def _profile(problem: Problem[climb_schema.Climb]) -> Profile:

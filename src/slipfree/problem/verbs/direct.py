@@ -13,7 +13,7 @@ from slipfree.errors import ModelError
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.errors import Fault, format_value
 from slipfree.files.toml.source_lines import Place as KeyPath
-from slipfree.files.toml.types import PiecewiseConstantOrFile
+from slipfree.files.toml.types import PiecewiseConstantOrFile, Positive
 from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.problem.build_common import (
     Setup,
@@ -21,6 +21,7 @@ from slipfree.problem.build_common import (
     build_terrain,
     build_vehicle,
     check_names,
+    sampled_times,
     samples,
     solver_options,
 )
@@ -42,6 +43,17 @@ if TYPE_CHECKING:
     from slipfree.plan.warm_start import SavedPlan
 
 
+class SampledDriver(Driver):
+    """A driving law: straight ahead from the start, or along a path; continuous or sampled."""
+
+    period: Positive | None = Field(
+        default=None,
+        description="with model = 'dynamics': time between evaluations of the law, a divisor of "
+        "time.step; the inputs are constant in between. By default the law is continuous, which is "
+        "3 to 40 times as fast [s]",
+    )
+
+
 class Direct(Modelled):
     """Direct problem: the motion at given rates, or under a driving law."""
 
@@ -51,7 +63,7 @@ class Direct(Modelled):
         description="rates of driven wheels and commanded joints, by name, or 'file', an MCAP file "
         "with commands of joints [rad/s, m/s]",
     )
-    driver: Driver | None = Field(default=None, description="a driving law")
+    driver: SampledDriver | None = Field(default=None, description="a driving law")
     formulation: Literal["closure", "montana"] = Field(
         default="closure",
         description="formulation of contact: closure of positions, or Montana's equations of rates",
@@ -69,8 +81,12 @@ class Direct(Modelled):
         return (file,) if isinstance(file, str) else ()
 
     def faults(self) -> Iterator[Fault]:
-        """Yield the errors of common keys, and of inputs of the wrong type."""
+        """Yield errors of common keys, inputs of the wrong type, and a period without dynamics."""
         yield from super().faults()
+        if self.driver and self.driver.period and self.model != "dynamics":
+            expected = "a period only with model = 'dynamics'"
+            found = f"model = {self.model!r}; change the model, or remove the period"
+            yield Fault(("driver", "period"), expected, found)
         for name, value in (self.inputs or {}).items():
             if isinstance(value, str) != (name == FILE):
                 words = "a number, or an array of [time, value] pairs"
@@ -103,7 +119,7 @@ class DirectVerb(DriveVerb):
         given, source = _given(problem, vehicle)
         check_names(problem, dae, given)
         start = build_start(problem, dae)
-        t, rates = samples(spec.time, given or {})
+        (t, rates), every = samples(spec.time, given or {}), 0
         if spec.formulation == "montana":
             with at(problem, ("formulation",)):
                 if spec.model != "kinematics":
@@ -119,7 +135,11 @@ class DirectVerb(DriveVerb):
         else:
             driven = f"driver {spec.driver.name}"
             inputs = build_law(problem, spec.driver, dae, vehicle, start)
-        return Setup(ground, terrain, vehicle, model, dae, start, inputs, t, driven, prisms=prisms)
+            if spec.driver.period is not None:
+                driven += f", every {spec.driver.period:g} s"
+                t, every = sampled_times(problem, ("driver", "period"), spec.driver.period)
+        parts = ground, terrain, vehicle, model, dae, start, inputs, t, driven
+        return Setup(*parts, prisms=prisms, every=every)
 
     def drive(
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None

@@ -50,6 +50,7 @@ from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import stable_poses
 from slipfree.solve.simulate import simulate
+from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism
@@ -119,7 +120,7 @@ class DriveVerb(MotionVerb):
 
     def describe_samples(self, problem: Problem[Any], setup: Setup) -> str:
         """Return the description of the sampling of the result."""
-        return f"{setup.t.size} to {setup.t[-1]:g} s"
+        return f"{setup.t[:: setup.every or 1].size} to {setup.t[-1]:g} s"
 
     def facts(self, run: Trajectory) -> Facts:
         """Return the facts of the summary of a motion, pairs of name and text."""
@@ -242,19 +243,24 @@ def vehicle_of(result: Result) -> Vehicle:
 def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:
     """Return the motion, or its part up to a failure of the integrator.
 
+    Of the steps of a sampled driving law, the samples of the result are kept.
+
     Raises
     ------
     SolverError
         If the integrator fails before the first sample.
     """
+    posed = setup.dae, setup.start, setup.inputs, setup.t
     try:
-        return simulate(
-            setup.dae, setup.start, setup.inputs, setup.t, options=options, progress=watch.time
-        )
+        if setup.every:
+            run = simulate_sampled(*posed, options=options)
+        else:
+            run = simulate(*posed, options=options, progress=watch.time)
     except SolverError as error:
         if error.trajectory is None:
             raise
-        return error.trajectory
+        run = error.trajectory
+    return run.part(slice(0, None, setup.every), run.stop) if setup.every else run
 
 
 def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
