@@ -6,12 +6,16 @@
    with the compiled search, on a map without it;
 2. for three vehicles at four speeds, on a formula and on its bicubic map: steps and CPU time of the
    integration per metre, at the loosest tolerance of 1e-5 to 1e-7 with an error below 0.1 mm
-   against 1e-10; interpreted and compiled.
+   against 1e-10; interpreted and compiled;
+3. Rocky 7 in MuJoCo, on a height field with the nodes of our map, both from the pose in which
+   MuJoCo comes to rest: how far the motions are apart, and CPU time per metre of MuJoCo's steps
+   with their errors against the smallest step, and of ours as above. Ends depend on contacts and
+   facets, so further lines have MuJoCo with stiffer contacts and on finer nodes, and ours stiffer.
 
 The time of the integration is that of `simulate` with two samples, the least of a few runs, less
 that of a run whose duration is a thousandth. ``python
 benchmarks/dynamics.py search`` prints the first part alone, ``... rocky7`` (or ``car``,
-``three_wheeler``) one vehicle.
+``three_wheeler``) one vehicle, ``... mujoco`` (extra ``bench``) the last part.
 """
 
 from __future__ import annotations
@@ -19,14 +23,17 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from mjcf import SOFTNESS, Motion, driven, mujoco_model, settled
 from reference import heading
 
 from slipfree import Analytic, Bicubic, Grid, SolverOptions, catalog, dynamics, settle, simulate
 from slipfree.contact import touch
+from slipfree.laws.compliant import Compliant
 from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory, path_length
 from slipfree.vehicle.sections.torus import Torus
@@ -38,6 +45,10 @@ EXACT, ALLOWED = 1e-10, 1e-4  # tolerance of the reference [1]; error [m]
 MU, RISE, REPEATS = 0.8, 0.3, 3  # friction [1]; time in which the rates rise [s]; runs
 SPACING, HALF = 0.1, 9.0  # of maps, and half their side [m]
 QUESTIONS = 2000
+FIELD, FINER, STIFF = 0.04, 0.02, 0.001  # of MuJoCo: spacing of nodes [m], contacts [s]
+STEPS, SAMPLE = (0.00025, 0.0005, 0.001, 0.002), 0.02  # of MuJoCo; of the samples compared [s]
+STIFFER = 10  # times stiffer contacts of ours, with as many times less creep
+ORIGIN, SOFT = {"x": 0.0, "y": 0.0, "heading": 0.0}, Compliant()  # start; default law of contacts
 
 
 def hills(x: Any, y: Any, lib: Any) -> Any:
@@ -60,13 +71,17 @@ VEHICLES: dict[str, tuple[Vehicle, Height]] = {
 }
 
 
+def nodes(height: Height, spacing: float = SPACING) -> Grid:
+    """Return the heights of a formula at the nodes of a map."""
+    axis = np.arange(-HALF, HALF + spacing / 2, spacing)
+    return Grid(axis, axis, height(axis[:, None], axis[None, :], np))
+
+
 def grounds(height: Height) -> dict[str, Terrain]:
     """Return a formula and its map."""
-    axis = np.arange(-HALF, HALF + SPACING / 2, SPACING)
-    z = height(axis[:, None], axis[None, :], np)
     return {
         "formula": Analytic(lambda x, y: height(x, y, ca), mu=MU),
-        "map": Bicubic(Grid(axis, axis, z), mu=MU),
+        "map": Bicubic(nodes(height), mu=MU),
     }
 
 
@@ -116,9 +131,11 @@ class Cost(NamedTuple):
 class Drive:
     """A vehicle that accelerates to a speed from rest, over 3 m, or 1.5 s at least."""
 
-    def __init__(self, vehicle: Vehicle, ground: Terrain, speed: float) -> None:
-        self.model = dynamics(vehicle, ground)
-        self.start = settle(self.model, x=0.0, y=0.0, heading=0.0)
+    def __init__(
+        self, vehicle: Vehicle, ground: Terrain, speed: float, law: Compliant = SOFT, **place: float
+    ) -> None:
+        self.model = dynamics(vehicle, ground, law=law)
+        self.start = settle(self.model, **(ORIGIN | place))
         rate = ca.tanh(self.model.t / RISE) * speed
         rates = {f"{wheel.name}_rate": rate / wheel.radius for wheel in vehicle.wheels}
         names = [label.full for part in self.model.labels.u for label in part]
@@ -171,11 +188,102 @@ def vehicle_costs(name: str) -> None:
         print(f"  {speed:3g} m/s: " + "; ".join(words), flush=True)
 
 
+class Peer:
+    """MuJoCo's model of a vehicle on waves, at rest where it settled, and its motions."""
+
+    def __init__(self, vehicle: Vehicle, spacing: float, softness: float = SOFTNESS) -> None:
+        grid = nodes(waves, spacing)
+        self.vehicle, self.model = vehicle, mujoco_model(vehicle, grid, MU, softness)
+        start = settle(dynamics(vehicle, Bicubic(grid, mu=MU)), **ORIGIN)
+        self.state = settled(self.model, vehicle, start, STEPS[0])
+        rest = Motion(self.state[None])
+        places = (*rest.position[0, :2], rest.heading[0])
+        self.place = dict(zip(ORIGIN, map(float, places), strict=True))
+
+    def drive(
+        self, speed: float, duration: float, step: float, repeats: int
+    ) -> tuple[float, Motion]:
+        """Return the least CPU time of a few motions [s], and the motion at the samples."""
+        t = step * np.arange(round(duration / step))
+        rates = [np.tanh(t / RISE) * speed / wheel.radius for wheel in self.vehicle.wheels]
+        given = self.model, self.state, np.transpose(rates), step
+        runs = [driven(*given) for _ in range(repeats)]
+        return min(cpu for cpu, _ in runs), Motion(runs[0][1][:: round(SAMPLE / step)])
+
+
+def states(run: Trajectory) -> np.ndarray:
+    """Return time, position and quaternion of the platform, as in MuJoCo's states."""
+    names = ("x", "y", "z", *(f"attitude_{k}" for k in "wxyz"))
+    return np.column_stack([run.t, *(run[name] for name in names)])
+
+
+def apart(one: Motion, other: Motion) -> str:
+    """Return how far the end of a motion is from that of another, across and along its heading."""
+    x, y = 1e3 * (one.position[-1] - other.position[-1])[:2]
+    c, s = np.cos(other.heading[-1]), np.sin(other.heading[-1])
+    return f"{np.hypot(x, y):.1f} mm ({c * x + s * y:+.1f} aside, {c * y - s * x:+.1f} along)"
+
+
+def rms(values: np.ndarray) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def beside_mujoco() -> None:
+    """Print how far Rocky 7's motions are from MuJoCo's, and what both cost."""
+    import mujoco
+
+    vehicle = VEHICLES["rocky7"][0]
+    depths = [wheel.radius / 250 / STIFFER for wheel in vehicle.wheels]
+    pairs = zip(vehicle.wheels, depths, strict=True)
+    stiff = replace(vehicle, wheels=tuple(replace(w, static_depth=d) for w, d in pairs))
+    law = Compliant(creep=SOFT.creep / STIFFER)
+    peer = Peer(vehicle, FIELD)
+    others = {
+        f"with contacts of {1e3 * STIFF:g} ms, not {1e3 * SOFTNESS:g}": Peer(vehicle, FIELD, STIFF),
+        f"with nodes {FINER} m apart": Peer(vehicle, FINER),
+    }
+    ground = Bicubic(nodes(waves, FIELD), mu=MU)
+    print(f"rocky7 and MuJoCo {mujoco.__version__} on waves, nodes {FIELD} m apart")
+    for speed in (0.3, 1.0):
+        drive = Drive(vehicle, ground, speed, **peer.place)
+        duration, samples = drive.duration, round(drive.duration / SAMPLE) + 1
+        cost, length = loosest(drive)
+        compiled = 1e3 * drive.cpu(cost.tolerance, compiled=True) / length
+        ours = Motion(states(drive.run(EXACT, samples)))
+        stiffer = Motion(states(Drive(stiff, ground, speed, law, **peer.place).run(EXACT, samples)))
+        found = {step: peer.drive(speed, duration, step, REPEATS) for step in STEPS}
+        theirs = found[STEPS[0]][1]
+        higher = 1e3 * (theirs.position - ours.position)[:, 2]
+        pitch = np.degrees(theirs.pitch - ours.pitch)
+        print(
+            f"  {speed} m/s, {length:.2f} m: MuJoCo ends {apart(theirs, ours)} from ours; "
+            f"height {higher.mean():+.2f} mm, rms {rms(higher):.2f} mm; "
+            f"pitch rms {rms(pitch):.3f} deg of {np.degrees(np.ptp(ours.pitch)):.0f}"
+        )
+        for words, other in others.items():
+            motion = other.drive(speed, duration, STEPS[0], 1)[1]
+            same = Motion(states(Drive(vehicle, ground, speed, **other.place).run(EXACT, samples)))
+            print(f"    {words}: {apart(motion, same)} from ours")
+        print(f"    {apart(theirs, stiffer)} from ours {STIFFER} times stiffer")
+        for step, (cpu, motion) in found.items():
+            error = 1e3 * np.abs(motion.position - theirs.position).max()
+            took = 1e3 * cpu / length
+            print(f"    MuJoCo {1e3 * step:4g} ms: error {error:.3f} mm, {took:5.1f} ms/m")
+        print(
+            f"    ours {cost.tolerance:.0e}: error {1e3 * cost.error:.3f} mm, {cost.steps:.0f} "
+            f"steps/m, {cost.cpu:.1f} ms/m, compiled {compiled:.1f} ms/m",
+            flush=True,
+        )
+
+
 if __name__ == "__main__":
     heading()
-    chosen = sys.argv[1:] or ["search", *VEHICLES]
+    chosen = sys.argv[1:] or ["search", *VEHICLES, "mujoco"]
     if "search" in chosen:
         search_times()
     for each in VEHICLES:
         if each in chosen:
             vehicle_costs(each)
+    if "mujoco" in chosen:
+        beside_mujoco()
