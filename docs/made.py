@@ -39,6 +39,7 @@ TAKES = {
     "tuple[Rock, ...]": "`[[x, y, diameter, height], ...]`",
     "dict[str, float]": "a table of numbers by name",
     "dict[str, Quantity]": 'a table of numbers by name; angles also as `"30 deg"`',
+    "Angle": 'a number, or text as in `"30 deg"`',
     "Angles": '`[numbers]`, or text as in `"30 deg"`',
     "dict[str, NonNegative]": "a table of numbers by name",
     "dict[str, Positive]": "a table of positive numbers by name",

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from slipfree.files.toml.angles import IN_RADIANS
+from slipfree.files.toml.angles import IN_RADIANS, Angle
 from slipfree.files.toml.types import Pair, Positive, Record
 
 
@@ -54,7 +54,7 @@ class Obstacle(Record):
     )
     x: float = Field(default=0.0, description="x of the point where the profile begins [m]")
     y: float = Field(default=0.0, description="y of this point [m]")
-    heading: Annotated[float, IN_RADIANS] = Field(
+    heading: Angle = Field(
         default=0.0,
         description="direction of the profile, counter-clockwise from the axis of frame [rad]",
     )
