@@ -27,6 +27,7 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "abs": (1, ca.fabs),
 }
 CONSTANTS = {"pi": math.pi}
+MAX_SHOWN = 60  # characters of a formula in a message
 MAX_NUMBER = 1e300  # largest number in a formula
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: lambda a, b: a + b,
@@ -116,7 +117,7 @@ def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth
             if len(args) == count:
                 return function(*(_evaluate_node(each, text, values, depth - 1) for each in args))
     found = ast.get_source_segment(text.strip(), node) or text
-    raise _formula_error(text, found[:60])
+    raise _formula_error(text, found[:MAX_SHOWN])
 
 
 def _is_number(value: float) -> bool:
@@ -125,7 +126,8 @@ def _is_number(value: float) -> bool:
 
 
 def _formula_error(text: str, part: str) -> ModelError:
+    start = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
     return ModelError(
-        f"formula {text!r}: expected numbers up to {MAX_NUMBER:g}, coordinates, + - * / **, pi and "
+        f"formula {start!r}: expected numbers up to {MAX_NUMBER:g}, coordinates, + - * / **, pi and "
         f"{', '.join(FUNCTIONS)}, found {part!r}; correct the formula"
     )
