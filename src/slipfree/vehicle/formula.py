@@ -128,6 +128,6 @@ def _is_number(value: float) -> bool:
 def _formula_error(text: str, part: str) -> ModelError:
     start = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
     return ModelError(
-        f"formula {start!r}: expected numbers up to {MAX_NUMBER:g}, coordinates, + - * / **, pi and "
-        f"{', '.join(FUNCTIONS)}, found {part!r}; correct the formula"
+        f"formula {start!r}: expected numbers up to {MAX_NUMBER:g}, coordinates, + - * / **, pi "
+        f"and {', '.join(FUNCTIONS)}, found {part!r}; correct the formula"
     )
