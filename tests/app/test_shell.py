@@ -86,7 +86,7 @@ def test_new_replaces_nothing_unasked() -> None:
     Path("b.toml").mkdir()
     assert "found a folder" in _invoke("new", "plan", "b", "--force").stderr
     for name in ("", ".", "a\nb"):
-        assert "expected a printable name for the problem" in _invoke("new", "plan", name).stderr
+        assert "expected a file name of printable characters" in _invoke("new", "plan", name).stderr
     assert "slipfree run 'a b.toml'" in _invoke("new", "plan", "a b").stdout
     result = _invoke("new", "walk", "a")
     assert result.exit_code == 2

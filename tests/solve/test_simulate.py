@@ -158,10 +158,11 @@ def test_failure_keeps_what_was_reached(capfd):
 @pytest.mark.parametrize(
     ("t", "words"),
     [
-        ([0.0], "two or more finite, ascending times"),
-        ([0.0, 0.0], "ascending"),
-        ([0.0, np.inf], "ascending"),
-        ([[0.0, 1.0]], "ascending"),
+        ([0.0], r"at least two times in seconds, found shape \(1,\)"),
+        ([0.0, 0.0], r"found t\[1\] = 0 s after 0 s"),
+        ([0.0, np.inf], r"found t\[1\] = inf s after 0 s"),
+        ([np.nan, 1.0], r"found t\[0\] = nan s; correct"),
+        ([[0.0, 1.0]], r"found shape \(1, 2\)"),
     ],
 )
 def test_times_are_checked(t, words):

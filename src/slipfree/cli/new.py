@@ -40,7 +40,7 @@ def new(
 
         if not (name.name and str(name).isprintable()):
             raise DataError(
-                f"NAME: expected a printable name for the problem, found {str(name)!r}; choose "
+                f"NAME: expected a file name of printable characters, found {str(name)!r}; choose "
                 "another name"
             )
         out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")

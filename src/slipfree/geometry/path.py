@@ -70,8 +70,8 @@ class Path:
         points = np.asarray(self.points, dtype=float)
         if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 2:
             raise ModelError(
-                f"path: expected two or more points (x, y), found shape {points.shape}; "
-                "give one pair for each way-point"
+                f"path: expected at least two way-points (x, y), shape (n, 2), found shape "
+                f"{points.shape}; give a pair for each way-point"
             )
         if not (np.abs(points) < MAX_COORDINATE).all():
             k = int((~(np.abs(points) < MAX_COORDINATE).all(axis=1)).argmax())

@@ -59,8 +59,9 @@ class Motion(NamedTuple):
     labels : tuple of Label
         Labels of these rates.
     constraints : Equations
-        Constraints under every law, linear in the rates: no wheel moves along the ground's normal,
-        or pressed wheels relax.
+        Constraints of all slip laws, linear in the rates. With exact contact: no wheel moves along
+        the ground's normal. With pressed wheels: height, inclination and suspension relax
+        (`slipfree.models.pressed_model`).
     weights : tuple of SX or float
         Weight of each wheel's slip: about one on the ground, about zero in the air. [1]
     """

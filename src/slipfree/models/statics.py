@@ -75,7 +75,7 @@ def mechanics(
 
 
 def _potential(vehicle: Vehicle, x: Configuration, position: Dependent) -> ca.SX:
-    """Return the energy of gravity and springs, with heights from the ground's origin [J]."""
+    """Return the potential energy of gravity and springs, zero at the ground's origin [J]."""
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     values = values_of(vehicle, x, position)
     height = sum(mass * center[2] for _, mass, center in vehicle.masses(base, values))

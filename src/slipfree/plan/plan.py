@@ -269,12 +269,11 @@ def plan(
     intervals, degree : int
         Initial number of intervals, and number of collocation points per interval.
     accuracy : float
-        Largest admissible difference of the simulation from the plan, and largest violation of a
-        limit, in the unit of the quantity; the mesh is refined where they are larger. A violation
-        may also be at most 1 % of the range of the limit.
+        Largest admissible difference of the simulation from the plan, in the unit of the quantity.
+        The admissible violation of a limit is the smaller of ``accuracy`` and 1 % of its range; for
+        equal bounds it is ``accuracy``. The mesh is refined where they are exceeded.
     options : SolverOptions
-        Tolerance, a hundredth of which is used to simulate the plan, and whether to compile the
-        functions of the program.
+        Options of the solvers; the plan is simulated with a hundredth of the tolerance.
     step : float
         Largest time between samples of the simulation. [s]
     starts : int

@@ -140,12 +140,20 @@ def simulate(
 
 
 def check_times(t: Array) -> Array:
-    """Return the times as an array; raise ModelError unless they are finite and ascend."""
+    """Return the times as an array; raise ModelError unless they are finite and increase."""
     t = np.asarray(t, dtype=float)
-    if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0).all():
+    if t.ndim != 1 or t.size < 2:
         raise ModelError(
-            "t: expected a one-dimensional array of two or more finite, ascending times in "
-            f"seconds, found {np.array2string(t, threshold=6)}; correct the times"
+            f"t: expected a one-dimensional array of at least two times in seconds, found shape "
+            f"{t.shape}; give the times of all samples"
+        )
+    wrong = ~np.isfinite(t) | np.append(False, ~(np.diff(t) > 0))
+    if wrong.any():
+        k = int(wrong.argmax())
+        before = f" after {t[k - 1]:g} s" if k else ""
+        raise ModelError(
+            f"t: expected finite, increasing times in seconds, found t[{k}] = {t[k]:g} s{before}; "
+            "correct or remove this time"
         )
     return t
 

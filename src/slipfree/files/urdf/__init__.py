@@ -1,1 +1,1 @@
-"""Vehicles in URDF files."""
+"""Conversion of URDF files to vehicles."""

@@ -145,7 +145,7 @@ class DriveVerb(MotionVerb):
         return [*trust_facts(run, run.statistics.get("tolerance"))]
 
     def cost_facts(self, run: Trajectory) -> Facts:
-        """Return the facts about the cost of the solution."""
+        """Return the facts about the computational cost."""
         return [integrator_fact(run)]
 
     def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:

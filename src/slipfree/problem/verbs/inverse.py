@@ -160,7 +160,7 @@ class InverseVerb(DriveVerb):
         return super().trust_facts(run)
 
     def cost_facts(self, run: Trajectory) -> Facts:
-        """Return the facts about the cost of the solution and its difference from a replay."""
+        """Return facts about the computational cost, and differences from a replay of the rates."""
         fact = collocation_fact(run) if is_collocated(run) else integrator_fact(run)
         return [fact, *replay_facts(run)]
 
