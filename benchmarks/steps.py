@@ -25,7 +25,7 @@ from slipfree.vehicle.tree import Vehicle
 SPEED, TOLERANCE = 0.2, 1e-5  # [m/s]
 HIGHEST, RESOLUTION = 1.5, 0.02  # of the coefficient of friction [1]
 CLEARANCE = 0.05  # of the first wheel from the step at the start [m]
-WAY = 1.6  # way of the wheels' rims [lengths of the vehicle]
+WAY = 3.5  # way of the wheels' rims [lengths of the vehicle]
 HEADINGS = (0.0, 20.0)  # [degrees]
 VEHICLES: dict[str, tuple[Vehicle, tuple[float, ...]]] = {
     "rocky7": (catalog.rocky7(), (0.05, 0.065, 0.09)),
