@@ -343,7 +343,7 @@ def test_path_from_a_file(folder: Path) -> None:
     assert result.exit_code == 2
     assert "way.csv:3: expected two numbers x,y, found '0.0;1.0'" in result.stderr
     for wrong, words in (
-        ('driver={name="follow", speed=0.2}', "driver: expected either 'path'"),
+        ('driver={name="follow", speed=0.2}', "driver: name = 'follow' requires either 'path'"),
         ('driver={name="follow", speed=0.2, file="no.csv"}', "found that it cannot be read"),
         (
             'driver={name="straight", speed=0.2, file="way.csv"}',

@@ -386,7 +386,9 @@ FAULTS = {
         lambda r: r["call"].update(options=SolverOptions(tolerance=0.0)),
         r"tolerance: expected a number .*, found 0.0",
     ),
-    "times": Fault(_set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected finite, increasing times"),
+    "times": Fault(
+        _set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected finite, increasing times"
+    ),
     "wheel size": Fault(_set("build", r1=-0.1), r"r1: expected a finite radius of zero or more"),
     "track": Fault(
         _set("build", half_track=np.nan), r"half_track: expected a finite positive length"
