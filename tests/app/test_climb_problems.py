@@ -328,7 +328,7 @@ def test_the_least_friction_takes_no_coefficient():
         (
             "speed = 0.25",
             "speed = 0.25\nperiod = 0.005",
-            "p.toml:22: control.period: period: "
+            "p.toml:22: control.period: "
             "expected a time between 0 and 0.0025 s = 2 J / (n kp), the stability limit of the",
         ),
         (
@@ -445,7 +445,7 @@ def test_commands_for_other_problems_say_so():
     for words, expected in (
         (
             ("check", path, "--set", "control.period=0.005"),
-            "--set control.period: period: expected a time between 0 and 0.0025 s",
+            "--set control.period: expected a time between 0 and 0.0025 s",
         ),
         (("vehicle", path), "use slipfree run"),
         (("run", path, "--cross-check"), "expected 'direct' for --cross-check, found 'climb'"),

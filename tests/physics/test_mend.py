@@ -326,7 +326,7 @@ def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["terrain.smooth=9"], r"--set terrain.smooth: smooth: expected a standard deviation"),
+        (["terrain.smooth=9"], r"--set terrain.smooth: expected a standard deviation"),
         (["terrain.error={rms=1, correlation=0, seed=1}"], r"terrain.error.correlation: expected"),
         (["terrain.cell=1"], r"terrain.file: .*g.npz: expected no 'cell' for a .npz file"),
         (["terrain.cell=-1"], r"terrain.cell: expected a number greater than 0, found -1"),
