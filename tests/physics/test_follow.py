@@ -68,8 +68,8 @@ def test_a_line_of_two_points_is_that_of_three():
 @pytest.mark.parametrize(
     ("points", "words"),
     [
-        ([(0.0, 0.0)], "two or more points"),
-        ([0.0, 1.0], "two or more points"),
+        ([(0.0, 0.0)], "at least two way-points"),
+        ([0.0, 1.0], "at least two way-points"),
         ([(0.0, 0.0), (1.0, np.nan)], r"found \[ 1. nan\] at way-point 2"),
         (
             [(0.0, 0.0), (0.0, 1.0), (0.0, 1e160)],
