@@ -224,7 +224,7 @@ def test_the_contact_search_on_a_formula_is_compiled():
     hills = Analytic(lambda x, y: 0.15 * ca.sin(2 * x) * ca.cos(3 * y), mu=0.8)
     search = search_function(hills, Torus(0.03, 0.12), 0.15)
     compiled = _compiled_lookup(search)
-    assert any(each.is_a("External") for each in compiled.find_functions())
+    assert any(each.class_name() == "External" for each in compiled.find_functions())
     rng = np.random.default_rng(0)
     at = np.vstack(
         [rng.uniform(-1, 1, (2, 200)), rng.uniform(0, 0.4, 200), *np.eye(3)[:, [0] * 200]]

@@ -214,7 +214,7 @@ def _compiled_lookups(lookups: Sequence[Lookup]) -> tuple[Lookup, ...]:
 @lru_cache(maxsize=32)
 def _compiled_lookup(function: ca.Function) -> ca.Function:
     parts = [function, *function.find_functions()]
-    if any(part.is_a("External") for part in parts):
+    if any(part.class_name() == "External" for part in parts):
         return function
     found = library(source([function]), (function.name(),), lambda: [function])
     return constant_function(found[0]) if found else function
