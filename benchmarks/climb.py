@@ -23,10 +23,10 @@ from reference import heading
 from slipfree import SolverOptions
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control
-from slipfree.climb.dynamics import climbing, floor_loads, standing
+from slipfree.climb.dynamics import climbing, floor_loads, held_torques, standing
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.reference import PerAxle, Tilts, motors, odometry, ratios, reference
-from slipfree.climb.vehicle import AXLES, seven_wheels
+from slipfree.climb.vehicle import seven_wheels
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
@@ -171,8 +171,8 @@ def statics() -> None:
     values = standing(climber, contact, 0.0)
     start = settle(dae, **values | {"z": values["z"] + 1e-3})
     run = simulate(dae, start, dae.inputs(speed=0.0), np.linspace(0, 1, 11))
-    loads, hand = run["load_0"][-1, ::-1], np.array([67.07, 93.83, 51.00])
-    speed = max(abs(run[name][-1]) for name in ("velocity_x", "velocity_z", "tilt_rear_rate"))
+    loads, hand = run["solid_load_1"][-1, ::-1], np.array([67.07, 93.83, 51.00])
+    speed = max(abs(run[name][-1]) for name in ("velocity_y", "velocity_z", "omega_x"))
     row(
         "loads F/M/R at rest [N]",
         "67.07/93.83/51.00 .2 %",
@@ -207,7 +207,7 @@ def accuracy() -> None:
         rough, fine = runs[1e-6], runs[1e-10]
         apart = max(
             np.abs(rough.run[name] - fine.run[name]).max()
-            for name in ("x", "z", "tilt_rear", "tilt_front")
+            for name in ("y", "z", "tilt_rear", "tilt_front")
         )
         row(f"{name}: dq of 1e-6 against 1e-10 [m, rad]", "<= 1e-5", f"{apart:.1e}", apart < 1e-5)
         moved = 100 * abs(rough.metrics.slip.mean() - fine.metrics.slip.mean())
@@ -450,8 +450,9 @@ def speed() -> None:
                 words = str(error)
             row(f"{name} sensed: times real time, IDAS at {tolerance:g}", "", words, True)
     for period in (1e-3, 2e-3):
-        dae, start = begin(seven_wheels(torque=AMPLE), RAMP, SENSED, TABLE_I, period=period)
-        held = {f"torque_held[{axle}]": law for axle, law in zip(AXLES, dae.y.torques, strict=True)}
+        climber = seven_wheels(torque=AMPLE)
+        dae, start = begin(climber, RAMP, SENSED, TABLE_I, period=period)
+        held = held_torques(climber, dae)
         t = np.arange(round(3 / period) + 1) * period
         seconds = least_time(
             lambda d=dae, s=start, h=held, t=t: simulate_sampled(

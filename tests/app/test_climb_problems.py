@@ -89,7 +89,7 @@ def test_the_ramp_is_the_library_s_climb():
     for measure in ("slip", "true_slip", "disturbance", "effort", "bearing"):
         values = [counts[f"climb_{measure}_{axle}"] for axle in AXLES]
         np.testing.assert_allclose(values, getattr(averages, measure), rtol=1e-3)
-    np.testing.assert_allclose(found["x"], same.run["x"], atol=1e-6)
+    np.testing.assert_allclose(found["y"], same.run["y"], atol=1e-6)
     span = averages.window.span
     assert (counts["climb_from"], counts["climb_to"]) == tuple(same.run.t[span][[0, -1]])
     assert found.attributes["climb"].startswith("climbs: at t = 2.86 s")
@@ -156,11 +156,13 @@ def test_no_averages_before_the_obstacle_is_met():
 @pytest.mark.parametrize("path", [RAMP_FILE, STEP_FILE], ids=["ramp", "step"])
 def test_distance_to_the_obstacle(path):
     setup = build(load_problem(path))
-    assert setup.start["axle_x", "front"][0] == pytest.approx(foot(setup.profile), abs=1e-9)
-    assert setup.start["gap_1"][0].min() > 0.03
+    assert setup.start["center_y", "front"][0] == pytest.approx(foot(setup.profile), abs=1e-9)
+    assert setup.start["solid_gap_2"][0].min() > 0.03
     start = build(load_problem(path, ["start.distance=0", "start.speed=0"])).start
-    assert start["gap_1", "front"][0] == pytest.approx(0, abs=5e-4)  # sunk in under its weight
-    assert start["velocity_x"][0] == 0
+    assert start["solid_gap_2", "front"][0] == pytest.approx(
+        0, abs=5e-4
+    )  # sunk in under its weight
+    assert start["velocity_y"][0] == 0
 
 
 def test_solids_here_and_in_a_file_are_a_step(folder):
@@ -171,8 +173,8 @@ def test_solids_here_and_in_a_file_are_a_step(folder):
     there = run_problem(
         load_problem(folder / "p.toml", ["time.duration=0.5", "profile={file='s.csv'}"])
     ).trajectory
-    np.testing.assert_allclose(here["axle_z"], step["axle_z"], atol=1e-6)
-    np.testing.assert_array_equal(here["axle_z"], there["axle_z"])
+    np.testing.assert_allclose(here["center_z"], step["center_z"], atol=1e-6)
+    np.testing.assert_array_equal(here["center_z"], there["center_z"])
     assert there.attributes["profile"] == "convex solids of s.csv"
 
 
@@ -202,8 +204,8 @@ def test_a_sampled_controller_climbs_as_the_continuous_one():
     sampled = run_problem(load_problem(STAIRS_FILE, brief)).trajectory
     continuous = run_problem(load_problem(STAIRS_FILE, [*brief, "control.period="])).trajectory
     np.testing.assert_allclose(sampled.t, 0.004 * np.arange(126), atol=1e-12)
-    np.testing.assert_allclose(sampled["axle_x"], continuous["axle_x"], atol=5e-3)
-    assert "torque_held" in sampled.columns
+    np.testing.assert_allclose(sampled["center_y"], continuous["center_y"], atol=5e-3)
+    assert "rear_torque" in sampled.columns
     assert sampled.attributes["control"].endswith("every 0.002 s")
 
 
@@ -215,7 +217,7 @@ def test_sensors_may_be_noisy():
 def test_stairs_are_climbed():
     found = run_problem(load_problem(STAIRS_FILE, ["control.period=", *COARSE])).trajectory
     assert found.attributes["climb"].startswith("climbs")
-    np.testing.assert_allclose(found["axle_z"][-1], 3 * 0.06 + 0.066, atol=1e-3)
+    np.testing.assert_allclose(found["center_z"][-1], 3 * 0.06 + 0.066, atol=1e-3)
 
 
 # Plans
@@ -474,5 +476,5 @@ def test_commands_for_other_problems_say_so():
 def test_check_stands_the_vehicle_before_the_obstacle():
     result = _invoke("check", "p.toml")
     assert result.exit_code == 0
-    assert "start     x -0.371, z 0.0653745, velocity_x 0.25 (m, m/s)" in result.output
+    assert "start     y -0.371, z 0.0653745, velocity_y 0.25 (m, m/s)" in result.output
     assert result.output.endswith("ok\n")

@@ -45,17 +45,17 @@ def test_the_strobe_shows_vehicle_and_ground(case, ax):
     shown = range(0, run.t.size, 500)  # every second: every other dot
     assert_allclose(
         [wheel.center for wheel in wheels],
-        [(run["axle_x"][k, i], run["axle_z"][k, i]) for k in shown for i in range(3)],
+        [(run["center_y"][k, i], run["center_z"][k, i]) for k in shown for i in range(3)],
         atol=1e-12,
     )
     assert {wheel.radius for wheel in wheels} == {climber.radius}
     dots = [line.get_xydata() for line in ax.lines if line.get_marker() == "o"]
     assert len(dots) == 8  # 3.6 s, every 0.5 s
-    assert_allclose(dots[3][:, 0], run["axle_x"][750])
+    assert_allclose(dots[3][:, 0], run["center_y"][750])
     assert ax.get_aspect() == 1
     low, high = ax.get_xlim()
-    assert low < run["axle_x"].min() - climber.radius
-    assert high > run["axle_x"].max() + climber.radius
+    assert low < run["center_y"].min() - climber.radius
+    assert high > run["center_y"].max() + climber.radius
 
 
 def test_links_meet_in_the_joint_and_carry_their_centers(case):
@@ -78,7 +78,7 @@ def test_ratios_over_time_average_to_the_metrics(case, ax):
     span = metrics(run, climber, profile).window.span
     lines = named(show.true_slip(run, climber, profile, Figure().subplots()))
     for k, axle in enumerate(AXLES):  # ways slipped over ways of the rim
-        rim = np.abs(run["wheel_rate", axle][span])
+        rim = np.abs(run["spin", axle][span])
         slipped = np.nan_to_num(np.abs(lines[axle].get_ydata()[span])) / 100 * rim
         expected = metrics(run, climber, profile).true_slip[k]
         assert slipped.sum() / rim.sum() == pytest.approx(expected, rel=0.05)  # cut at 100 %
@@ -100,7 +100,8 @@ def test_loads_are_those_of_all_solids_and_the_limit_is_drawn_when_near(case, ax
     climber, profile, run = case
     show.loads(run, profile, ax)
     assert_allclose(
-        named(ax)["middle"].get_ydata(), run["load_0", "middle"] + run["load_1", "middle"]
+        named(ax)["middle"].get_ydata(),
+        run["solid_load_1", "middle"] + run["solid_load_2", "middle"],
     )
     torques = show.torques(run, climber, Figure().subplots())
     limits = {line.get_ydata()[0] for line in torques.lines[3:]}
@@ -124,7 +125,7 @@ def test_plan_and_motion_over_the_way(case):
     lines = named(show.planned_friction(run, plan, profile, Figure().subplots()))
     assert_allclose(lines["rear"].get_xydata(), [[s, 0.5] for s in plan["progress"]])
     driven = show.planned_friction(run, plan, profile, Figure().subplots()).lines[1]
-    assert_allclose(driven.get_xdata()[0], (run["axle_x"] + run["axle_z"])[0].mean())
+    assert_allclose(driven.get_xdata()[0], (run["center_y"] + run["center_z"])[0].mean())
     used = np.nan_to_num(driven.get_ydata())
     assert 0.6 < used.max() <= 0.9 + 1e-9  # static friction
     lines = named(show.planned_speeds(run, plan, climber, Figure().subplots()))

@@ -413,7 +413,7 @@ def test_a_climb_is_drawn_with_a_width(climb_file: Path) -> None:
     (actor,), run = scene.actors, found.run
     bodies = {body.name: body for body in actor.bodies}
     assert len(bodies) == 2 + sum(axle.wheels for axle in found.climber.axles)
-    assert_allclose(bodies["front 1"].origins[:, 0] + scene.origin[0], run["axle_x", "front"])
+    assert_allclose(bodies["front 1"].origins[:, 0] + scene.origin[0], run["center_y", "front"])
     tilt = run["tilt_rear"]
     assert_allclose(bodies["rear body"].rotations[:, 2, 1], np.sin(tilt), atol=1e-12)
     contacts = actor.contacts + scene.origin
@@ -432,15 +432,15 @@ def test_a_climb_is_drawn_with_a_width(climb_file: Path) -> None:
 
 def test_a_planned_climb_starts_when_the_motion_is_there(climb_file: Path, tmp_path: Path) -> None:
     run = netcdf.read(climb_file)
-    come = (run["axle_x"] + run["axle_z"]).mean(axis=1)
-    arrays = {f"plan_{name}": run[name][4:] for name in ("x", "z", "tilt_rear", "tilt_front")}
+    come = (run["center_y"] + run["center_z"]).mean(axis=1)
+    arrays = {f"plan_{name}": run[name][4:] for name in ("y", "z", "tilt_rear", "tilt_front")}
     arrays |= {"plan_time": run.t[4:] - run.t[4], "plan_progress": come[4:] - 1e-9}
     out = tmp_path / "planned.nc"
     netcdf.write(out, run, arrays)
     found = shown(out, "planned")
     assert found.plan is not None
     assert_allclose(found.plan.t, run.t[4:], atol=1e-12)
-    for name in ("axle_x", "axle_z", "wheel_angle"):
+    for name in ("center_y", "center_z", "wheel_angle"):
         assert_allclose(found.plan[name], run[name][4:], atol=1e-9)
     ghost = climb_scene([found]).actors[1]
     assert ghost.ghost

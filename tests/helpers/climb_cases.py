@@ -55,7 +55,7 @@ class Climb(NamedTuple):
     def imbalance(self) -> float:
         """Largest error of the energy's balance [J]."""
         run = self.run
-        given = run["work"] - run["rubbed"] - run["damped"]
+        given = run["work"] - run["lost_energy"]
         return float(np.abs(run["energy"] - run["energy"][0] - given).max())
 
 

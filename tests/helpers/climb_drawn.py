@@ -11,7 +11,7 @@ import numpy as np
 from slipfree import SolverOptions
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control, largest_period
-from slipfree.climb.dynamics import climbing, standing
+from slipfree.climb.dynamics import climbing, held_torques, standing
 from slipfree.climb.noise import Noise
 from slipfree.climb.reference import Law
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
@@ -59,7 +59,7 @@ def drive(case: Drawn) -> Trajectory:
             dae, start, dae.inputs(speed=case.speed), t, options=SolverOptions(tolerance=TOLERANCE)
         )
     t = np.arange(round(until / case.period) + 1) * case.period
-    held = {f"torque_held[{axle}]": law for axle, law in zip(AXLES, dae.y.torques, strict=True)}
+    held = held_torques(case.climber, dae)
     return simulate_sampled(
         dae,
         start,

@@ -13,15 +13,13 @@ from slipfree.trajectory import Column, Trajectory
 
 N, RADIUS = 101, 0.066  # a sample every 10 ms
 PER_AXLE = {
-    "wheel_rate": (4.0, 5.0, 0.2),
+    "spin": (4.0, 5.0, 0.2),
     "reference": (5.0, 4.0, 4.0),
-    "torque": (1.0, -2.0, 3.0),
-    "axle_velocity_x": (9.0, 0.15, 9.0),
-    "axle_velocity_z": (9.0, 0.2, 9.0),
-    "load_0": (30.0, 0.0, 10.0),
-    "load_1": (0.0, 0.5, 60.0),
-    "slip_0": (-0.033, 1.0, 1.0),
-    "slip_1": (1.0, 1.0, 0.00132),
+    "motor_torque": (1.0, -2.0, 3.0),
+    "solid_load_1": (30.0, 0.0, 10.0),
+    "solid_load_2": (0.0, 0.5, 60.0),
+    "solid_slip_1": (-0.033, 1.0, 1.0),
+    "solid_slip_2": (1.0, 1.0, 0.00132),
 }
 
 
@@ -29,9 +27,13 @@ def motion(**changes):
     """Constants, but that the front wheel touches at 0.3 s and the rear axle is up at 0.6 s."""
     t = np.arange(N) * 0.01
     columns = {name: np.tile(values, (N, 1)) for name, values in PER_AXLE.items()}
-    columns["gap_1"] = np.where(t < 0.295, 0.01, -0.01)[:, None] * [0, 0, 1.0]
-    columns["axle_x"] = np.where(t < 0.595, 0.0, 0.03)[:, None] * [1.0, 1, 1]
-    columns["axle_z"] = np.full((N, 3), 0.09 + RADIUS - 0.002)
+    columns["solid_gap_2"] = np.where(t < 0.295, 0.01, -0.01)[:, None] * [0, 0, 1.0]
+    columns["center_y"] = np.where(t < 0.595, 0.0, 0.03)[:, None] * [1.0, 1, 1]
+    columns["center_z"] = np.full((N, 3), 0.09 + RADIUS - 0.002)
+    # The middle axle is 0.1 m behind the joint, whose velocity is (0.15, 0.1) m/s.
+    columns["y"], columns["z"] = columns["center_y"][:, 1] + 0.1, columns["center_z"][:, 1]
+    constants = {"velocity_y": 0.15, "velocity_z": 0.1, "omega_x": -1.0, "fold_rate": 9.0}
+    columns |= {name: np.full(N, value) for name, value in constants.items()}
     columns["torque_scale"] = np.where(t < 0.395, 1.0, 0.5)
     columns |= changes
     return Trajectory(t, {k: Column(Label(k, "1", k), v) for k, v in columns.items()}, wheels=AXLES)
@@ -59,7 +61,7 @@ def test_averages():
 
 
 def test_ratios_are_signed_but_averages_count_at_most_one():
-    run = motion(wheel_rate=np.tile((-4.0, 0.5, 0.5), (N, 1)))
+    run = motion(spin=np.tile((-4.0, 0.5, 0.5), (N, 1)))
     ratios = slip_ratio(run, seven_wheels())
     assert_allclose(ratios[0], 1 - 0.25 / (RADIUS * np.array([-4, 0.5, 0.5])))
     assert_allclose(disturbance_ratio(run)[0], [-9 / 4, 7, 7])
@@ -68,11 +70,11 @@ def test_ratios_are_signed_but_averages_count_at_most_one():
 
 
 def test_what_does_not_come_up_is_averaged_to_its_end():
-    found = averages(motion(axle_x=np.zeros((N, 3))))
+    found = averages(motion(center_y=np.zeros((N, 3))))
     assert (found.window.span, found.window.climbed) == (slice(25, N), False)
     assert_allclose(found.window.t, 1.0)
 
 
 def test_what_does_not_touch_is_refused():
     with pytest.raises(ModelError, match=r"touches only the floor until t = 1 s"):
-        averages(motion(gap_1=np.ones((N, 3))))
+        averages(motion(solid_gap_2=np.ones((N, 3))))

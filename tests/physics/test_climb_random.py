@@ -20,9 +20,9 @@ def motion(x, z=None, stop=None, touching=True):
     """The axles at places x of the front one, 0.2 m apart, over time; all as high as z."""
     z = np.full(N, RADIUS) if z is None else z
     columns = {
-        "axle_x": x[:, None] - [0.4, 0.2, 0.0],
-        "axle_z": np.tile(z[:, None], (1, 3)),
-        "gap_1": np.where(touching & (T > 0.5), -1e-4, 0.1)[:, None] * np.ones(3),
+        "center_y": x[:, None] - [0.4, 0.2, 0.0],
+        "center_z": np.tile(z[:, None], (1, 3)),
+        "solid_gap_2": np.where(touching & (T > 0.5), -1e-4, 0.1)[:, None] * np.ones(3),
     }
     return Trajectory(T, {k: Column(Label(k, "m", k), v) for k, v in columns.items()}, AXLES, stop)
 

@@ -24,6 +24,7 @@ from slipfree.climb.contact import CompliantContact
 from slipfree.climb.contact_path import legs
 from slipfree.climb.dynamics import climbing
 from slipfree.climb.ending import climb_ending
+from slipfree.climb.metrics import axle_speeds
 from slipfree.climb.noise import Noise, measured
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
 from slipfree.climb.reference import PerAxle, Tilts
@@ -59,7 +60,7 @@ def ending(control, mu, **options):
 
 
 def progress(run):
-    return (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    return (run["center_y"] + run["center_z"]).mean(axis=1)
 
 
 # The plan over the progress
@@ -74,7 +75,7 @@ def test_a_course_is_the_plan_over_the_progress():
                 for axle, body in zip(CLIMBER.axles, ("rear", "rear", "front"), strict=True)
             ]
         )
-        for name, turn in (("z", np.sin), ("x", np.cos))
+        for name, turn in (("z", np.sin), ("y", np.cos))
     )
     p = (heights + places).mean(axis=0)
     assert (np.diff(track.p) > 0).all()
@@ -144,24 +145,22 @@ def test_motion_and_torques_are_those_planned():
     speed = np.sqrt(np.interp(p, track.p, track.square))
     moving = on & (speed > 0.05)
     for k, axle in enumerate(("rear", "middle", "front")):
-        going = np.hypot(run["axle_velocity_x", axle], run["axle_velocity_z", axle])
+        going = axle_speeds(run)[:, k]
         aim = speed * np.interp(p, track.p, track.speeds[:, k])
         assert np.sqrt(np.mean((going - aim)[moving] ** 2)) < 0.02
         torque = np.interp(p, track.p, track.torques[:, k])
-        back = control.proportional * (run["reference", axle] - run["wheel_rate", axle])
-        assert_allclose(run["torque", axle][on], (torque + back)[on], atol=0.02)
+        back = control.proportional * (run["reference", axle] - run["spin", axle])
+        assert_allclose(run["motor_torque", axle][on], (torque + back)[on], atol=0.02)
     assert motion.metrics.true_slip.max() < 0.02
-    slip = CLIMBER.radius * run["reference"] - np.hypot(
-        run["axle_velocity_x"], run["axle_velocity_z"]
-    )
+    slip = CLIMBER.radius * run["reference"] - axle_speeds(run)
     assert np.quantile(slip[on], 0.99) < 1.5 * control.spare
 
 
 def test_it_is_driven_at_the_speed_before_and_behind_the_plan():
     run = driven(Tracking(tracked_plan(plans())), 0.9, until=UNTIL).run
-    assert_allclose(run["velocity_x"][-1], SPEED, atol=2e-3)
-    at_wall = np.argmax(run["gap_1", "front"] < 0)
-    assert run["velocity_x"][at_wall] < 0.08
+    assert_allclose(run["velocity_y"][-1], SPEED, atol=2e-3)
+    at_wall = np.argmax(run["solid_gap_2", "front"] < 0)
+    assert run["velocity_y"][at_wall] < 0.08
 
 
 # Noise
@@ -196,7 +195,7 @@ def test_noise_of_the_wheels_sensors_makes_them_slip():
         climb(RAMP, replace(SENSED, noise=noise), TABLE_I)
         for noise in (None, Noise(tilt_rate=1e-6), Noise(tilt_rate=0.1, wheel_rate=0.3))
     )
-    assert_allclose(slight.run["x"], plain.run["x"], atol=1e-5)
+    assert_allclose(slight.run["y"], plain.run["y"], atol=1e-5)
     assert strong.metrics.window.climbed
     slips = [each.metrics.true_slip.mean() for each in (plain, strong)]
     assert slips[1] > 1.3 * slips[0]

@@ -72,14 +72,14 @@ def climb_ending(run: Trajectory, climber: Climber, profile: Profile) -> ClimbEn
         return ClimbEnding(
             "climbs", t, f"at t = {t:.3g} s the rear axle is on top, or behind the obstacle"
         )
-    progress = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    progress = (run["center_y"] + run["center_z"]).mean(axis=1)
     return _ending_below_top(run, progress, end)
 
 
 def _ending_below_top(run: Trajectory, progress: Array, end: float) -> ClimbEnding:
     """Return the ending of a vehicle that did not reach the top."""
     k = int(np.argmax(progress > progress.max() - STALL_PROGRESS))
-    t, x = float(run.t[k]), float(run["axle_x", "front"][k])
+    t, x = float(run.t[k]), float(run["center_y", "front"][k])
     back = float(progress.max() - progress[-1])
     if t > end - STALL_TIME:
         return ClimbEnding(

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.climb.vehicle import Climber
+from slipfree.climb.vehicle import AXLES, FOLD, Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array, Mask
 from slipfree.terrain.solids import Profile
@@ -94,13 +94,13 @@ def metrics(run: Trajectory, climber: Climber, profile: Profile) -> Metrics:
         If the front wheel touches only the floor.
     """
     window = climb_window(run, climber, profile)
-    solids, span = range(len(profile.solids)), window.span
-    rim = climber.radius * run["wheel_rate"][span]
-    loads = np.array([run[f"load_{k}"][span] for k in solids])
-    slips = np.array([run[f"slip_{k}"][span] for k in solids])
+    solids, span = range(1, len(profile.solids) + 1), window.span
+    rim = climber.radius * run["spin"][span]
+    loads = np.array([run[f"solid_load_{k}"][span] for k in solids])
+    slips = np.array([run[f"solid_slip_{k}"][span] for k in solids])
     bearing = loads.max(axis=0) > MIN_LOAD
     slip = np.take_along_axis(np.abs(slips), loads.argmax(axis=0)[None], axis=0)[0]
-    motors = np.abs(run["torque"][span]) * [axle.wheels for axle in climber.axles]
+    motors = np.abs(run["motor_torque"][span]) * [axle.wheels for axle in climber.axles]
     return Metrics(
         window,
         _mean_size(slip_ratio(run, climber)[span]),
@@ -141,15 +141,15 @@ def climb_window(run: Trajectory, climber: Climber, profile: Profile) -> Window:
 def touches_obstacle(run: Trajectory, profile: Profile) -> Mask:
     """Return the mask of samples at which the front wheel touches an obstacle, shape (n,)."""
     touching = np.zeros(run.t.size, dtype=bool)
-    for k in range(1, len(profile.solids)):
-        touching |= run[f"gap_{k}", "front"] < 0
+    for k in range(2, len(profile.solids) + 1):  # the first is the floor
+        touching |= run[f"solid_gap_{k}", "front"] < 0
     return touching
 
 
 def has_reached_top(run: Trajectory, climber: Climber, profile: Profile) -> Mask:
     """Return the mask of samples with the rear axle on top, as in `climb_window`, shape (n,)."""
     edge, top = profile.summit
-    x, z = run["axle_x", "rear"], run["axle_z", "rear"]
+    x, z = run["center_y", "rear"], run["center_z", "rear"]
     up: Mask = (x > edge + EDGE_MARGIN) & (z > top + climber.radius - MAX_SINKAGE)
     return up | (x > profile.end + EDGE_MARGIN)
 
@@ -159,9 +159,17 @@ def slip_ratio(run: Trajectory, climber: Climber) -> Array:
 
     ``r`` and ``w`` are the radius and the rate of a wheel, ``v`` is the speed of the middle axle.
     """
-    speed = np.hypot(run["axle_velocity_x", "middle"], run["axle_velocity_z", "middle"])
+    speed = axle_speeds(run)[:, AXLES.index("middle")]
     rate = _turning_rates(run)
     return np.asarray(1 - speed[:, None] / (climber.radius * rate))
+
+
+def axle_speeds(run: Trajectory) -> Array:
+    """Return the speeds of the axles, shape (n, 3) [m/s]."""
+    turning = np.stack([run["omega_x"]] * 2 + [run["omega_x"] + run[f"{FOLD}_rate"]], axis=1)
+    arm_y, arm_z = (run[f"center_{axis}"] - run[axis][:, None] for axis in "yz")
+    velocity_y = run["velocity_y"][:, None] - turning * arm_z
+    return np.asarray(np.hypot(velocity_y, run["velocity_z"][:, None] + turning * arm_y))
 
 
 def disturbance_ratio(run: Trajectory) -> Array:
@@ -169,11 +177,11 @@ def disturbance_ratio(run: Trajectory) -> Array:
 
     The error is ``(w_ref - w) / w``, equation (21) of Chugo et al. (2009).
     """
-    return np.asarray((run["reference"] - run["wheel_rate"]) / _turning_rates(run))
+    return np.asarray((run["reference"] - run["spin"]) / _turning_rates(run))
 
 
 def _turning_rates(run: Trajectory) -> Array:
-    rate = run["wheel_rate"]
+    rate = run["spin"]
     return np.where(np.abs(rate) < MIN_WHEEL_RATE, np.nan, rate)
 
 

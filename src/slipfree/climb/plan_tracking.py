@@ -23,7 +23,6 @@ import numpy as np
 
 from slipfree.climb.contact_path import axle_arms
 from slipfree.climb.control import Commands, limited
-from slipfree.climb.records import State
 from slipfree.climb.reference import PerAxle
 from slipfree.climb.time_scaling import Climb, history
 from slipfree.climb.vehicle import Climber
@@ -177,7 +176,7 @@ def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
 def tracked(
     control: Tracking,
     climber: Climber,
-    x: State,
+    spins: PerAxle,
     axles: PerAxle,
     velocities: PerAxle,
     speed: ca.SX,
@@ -194,8 +193,8 @@ def tracked(
         The controller with its plan.
     climber : Climber
         The vehicle.
-    x : State
-        States of the vehicle.
+    spins : PerAxle of SX
+        Rates of the wheels. [rad/s]
     axles, velocities : PerAxle of SX, shape (2, 1)
         Positions and velocities of the axles. [m, m/s]
     speed : SX
@@ -206,7 +205,7 @@ def tracked(
     pace = _reference_speed(control.plan, p, at, speed)
     references, wanted = [], []
     for ratio, angle, torque, velocity, spin in zip(
-        at.speeds, at.directions, at.torques, velocities, x.spins, strict=True
+        at.speeds, at.directions, at.torques, velocities, spins, strict=True
     ):
         actual = velocity[0] * ca.cos(angle) + velocity[1] * ca.sin(angle)
         references.append(ca.fmin(pace * ratio, actual + control.spare) / climber.radius)

@@ -25,8 +25,10 @@ import casadi as ca
 
 from slipfree.climb.vehicle import Climber
 from slipfree.errors import ModelError
+from slipfree.terrain.solids import Profile
 
 MIN_MIDDLE_SPEED = 1e-3  # lower bound of the middle axle's relative speed as a divisor
+GUIDE_GAP, GUIDE_WIDTH = 1.5e-3, 6e-4  # gap below which a solid guides a wheel, and transition [m]
 MIN_RIM_SPEED = 0.05  # lower bound of the rim speed in the estimates of directions [m/s]
 MAX_SINE = 0.985  # largest sine of an estimated direction
 Law = Literal["projective", "fixed", "printed_6_8", "printed_14", "printed_16"]
@@ -293,3 +295,34 @@ def estimated_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: Pe
         for rise, spin in zip(rises, spins, strict=True)
     )
     return PerAxle(*(ca.asin(ca.fmin(MAX_SINE, ca.fmax(0, sine))) for sine in sines))
+
+
+def directions(profile: Profile, radius: float, axles: PerAxle) -> PerAxle:
+    """Return the directions in which the axles can move forward, upward from the horizontal [rad].
+
+    The direction of an axle is the steepest upward tangent of the solids near its wheels: wheels
+    that touch floor and wall move up the wall. They move downhill, as over an edge, only if no
+    other solid supports them.
+
+    Parameters
+    ----------
+    profile : Profile
+        The ground.
+    radius : float
+        Radius of the wheels. [m]
+    axles : PerAxle of SX, shape (2, 1)
+        Positions of the axles. [m]
+    """
+    return PerAxle(*(_direction(profile, radius, axle) for axle in axles))
+
+
+def _direction(profile: Profile, radius: float, axle: ca.SX) -> ca.SX:
+    up, down, free = ca.SX(0), ca.SX(0), ca.SX(1)
+    for solid in profile.solids:
+        distance, normal = solid.gap(axle[0], axle[1])
+        near = (1 - ca.tanh((distance - radius - GUIDE_GAP) / GUIDE_WIDTH)) / 2
+        slope = ca.atan2(-normal[0], normal[1])
+        up = ca.fmax(up, near * slope)
+        down = ca.fmin(down, near * slope)
+        free *= ca.if_else(slope >= 0, 1 - near, 1)
+    return up + down * free

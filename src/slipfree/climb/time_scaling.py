@@ -52,7 +52,7 @@ LABELS = (
     Label("s", "m", "path parameter on the leg"),
     Label("path_speed", "m s-1", "first derivative of the path parameter"),
     Label("path_acceleration", "m s-2", "second derivative of the path parameter"),
-    Label("x", "m", "forward position of the joint"),
+    Label("y", "m", "forward position of the joint"),
     Label("z", "m", "height of the joint"),
     Label("tilt_rear", "rad", "tilt of the rear body, nose up positive"),
     Label("tilt_front", "rad", "tilt of the front body, nose up positive"),
@@ -371,7 +371,7 @@ def history(plan: Climb, unknowns: Array) -> Trajectory:
     friction = unknowns[where["tangential"]]
     spinning = middles.speeds * acceleration[:, None] + middles.slopes * means[:, None]
     wheels = np.array([axle.wheels for axle in climber.axles])
-    values = dict(zip(("x", "z", "tilt_rear", "tilt_front"), middles.q.T, strict=True)) | {
+    values = dict(zip(("y", "z", "tilt_rear", "tilt_front"), middles.q.T, strict=True)) | {
         "s": middles.s,
         "path_speed": speed,
         "path_acceleration": acceleration,

@@ -8,22 +8,19 @@ are distances ahead of the joint, along the body, and above the joint.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import casadi as ca
-import numpy as np
-
 from slipfree.catalog import step_climber
 from slipfree.errors import ModelError
-from slipfree.geometry.frame import Pose, unit_vector
-from slipfree.records import Array
-from slipfree.vehicle.tree import Joint, Vehicle
+from slipfree.vehicle import tree
+from slipfree.vehicle.drives import Torque
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.tree import Coordinate, Joint, Vehicle, planar
 from slipfree.vehicle.wheel import Wheel
 
-LENGTH_TOLERANCE = 1e-9  # smaller lengths count as zero [m]
 AXLES = ("rear", "middle", "front")
+FOLD = "fold"  # coordinate of the joint between the bodies
 
 
 class Body(NamedTuple):
@@ -145,118 +142,58 @@ def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
     torque : float
         Largest torque of a wheel's motor. [N m]
     """
-    height, lengths, masses = 0.25, (0.400, 0.195), (13.8, 7.8)
-    inertias = [
-        mass * (length**2 + height**2) / 12 for mass, length in zip(masses, lengths, strict=True)
-    ]
-    return planar(
-        step_climber.seven_wheels(joint=joint),
-        (inertias[0], inertias[1]),
-        (0.010, 0.005, 0.010),
+    height, lengths = 0.25, (0.400, 0.195)
+    whole = step_climber.seven_wheels(joint=joint)
+    front = next(each.body for each in whole.joints if each.name == "twist")
+    wheels = {wheel.name: wheel for wheel in whole.wheels}
+    # the platform's origin is the middle wheel, that of the front body the joint
+    origins = joint, 0.0
+    rear_body, front_body = (
+        Body(each.mass, each.at[1] - origin, each.at[2], each.mass * (length**2 + height**2) / 12)
+        for each, origin, length in zip((whole.body, front), origins, lengths, strict=True)
+    )
+    return Climber(
+        wheels["middle"].radius,
+        rear_body,
+        front_body,
+        Axle(wheels["rear_left"].at[1] - joint, 2, 0.010),
+        Axle(-joint, 1, 0.005),
+        Axle(wheels["front_left"].at[1], 2, 0.010),
         torque,
     )
 
 
-def planar(
-    vehicle: Vehicle,
-    inertias: tuple[float, float],
-    spins: tuple[float, float, float],
-    torque: float = math.inf,
-) -> Climber:
-    """Return the planar climber of a vehicle with two bodies and three axles.
+def side_view(climber: Climber, static_depth: float) -> Vehicle:
+    """Return a step climber as a planar vehicle with one driven disc per axle.
+
+    The platform is the rear body; its origin is the joint. The inputs in dynamics are the total
+    torques of the axles.
 
     Parameters
     ----------
-    vehicle : Vehicle
-        The vehicle. Its platform is the rear body; the front body pitches on one suspension
-        coordinate. Wheels whose axles point forward are ignored, as they do not roll in the plane.
-    inertias : tuple of 2 floats
-        Moments of inertia of the rear and the front body about their centres of mass, without the
-        rotation of the wheels. [kg m2]
-    spins : tuple of 3 floats
-        Moments of inertia of the wheels and rotors of the rear, middle and front axle about the
-        axle. [kg m2]
-    torque : float
-        Largest torque of a wheel's motor. [N m]
-
-    Raises
-    ------
-    ModelError
-        If the vehicle does not have three axles of equal wheels at the height of the joint, two of
-        them on the rear body, or if no coordinate pitches a front body.
+    climber : Climber
+        The step climber.
+    static_depth : float
+        Depth of an axle's wheels in the ground under a third of the weight. [m]
     """
-    joint, carried = _front_body(vehicle)
-    values = {c.name: ca.SX(0) for c in vehicle.coordinates}
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    hinge = _numbers(vehicle.parts(rest, values)[joint.name].origin)
-    axles: dict[tuple[float, bool], list[Wheel]] = {}
-    for wheel, pose in zip(vehicle.wheels, vehicle.carriers(rest, values), strict=True):
-        if abs(_numbers(pose.rotation[:, 0])[0]) > 0.5:
-            _, y, z = _numbers(pose.origin) - hinge
-            if abs(z) > LENGTH_TOLERANCE:
-                raise ModelError(
-                    "planar: expected all wheels at the height of the joint, found wheel "
-                    f"{wheel.name!r} {z:g} m above it; move the wheel or the joint"
-                )
-            axles.setdefault((round(y, 9), wheel.parent in carried), []).append(wheel)
-    places = sorted(axles)
-    radii = {wheel.radius for wheels in axles.values() for wheel in wheels}
-    if [front for _, front in places] != [False, False, True] or len(radii) != 1:
-        raise ModelError(
-            "planar: expected three axles of equal wheels, two of them on the rear body, found "
-            f"axles {[y for y, _ in places]} m ahead of the joint, radii {sorted(radii)} m; change "
-            "the positions or radii of the wheels"
+    parts = ("platform", "platform", "front_body")
+    wheels = tuple(
+        Wheel(
+            name,
+            part,
+            (0.0, axle.ahead, 0.0),
+            Disc(climber.radius),
+            driven=True,
+            drive=Torque(),
+            static_depth=static_depth,
+            inertia=(axle.inertia, axle.inertia),  # the second has no effect in the plane
         )
-    rear, middle, front = (
-        Axle(y, len(axles[y, on_front]), spin)
-        for (y, on_front), spin in zip(places, spins, strict=True)
+        for name, part, axle in zip(AXLES, parts, climber.axles, strict=True)
     )
-    bodies = [
-        Body(mass, float(center[1] - hinge[1]), float(center[2] - hinge[2]), inertia)
-        for (mass, center), inertia in zip(
-            _bodies(vehicle, carried, rest, values), inertias, strict=True
-        )
-    ]
-    return Climber(radii.pop(), bodies[0], bodies[1], rear, middle, front, torque)
-
-
-def _front_body(vehicle: Vehicle) -> tuple[Joint, set[str]]:
-    """Return the joint on which the front body pitches, and all parts that it carries."""
-    yielding = {c.name for c in vehicle.of("suspension")}
-    pitching = [
-        joint
-        for joint in vehicle.joints
-        if joint.motion == "turn"
-        and joint.coordinates & yielding
-        and abs(unit_vector(joint.axis)[0]) == 1
-    ]
-    if len(pitching) != 1:
-        raise ModelError(
-            "planar: expected one turning joint of the suspension with an axis exactly along x "
-            "(sideways), which pitches the front body, found "
-            f"{[joint.name for joint in pitching] or 'none'} in {vehicle.name!r}; give the vehicle "
-            "one such joint"
-        )
-    carried = {pitching[0].name}
-    for joint in vehicle.joints:
-        if joint.parent in carried:
-            carried.add(joint.name)
-    return pitching[0], carried
-
-
-def _bodies(
-    vehicle: Vehicle, carried: set[str], rest: Pose, values: dict[str, ca.SX]
-) -> Iterator[tuple[float, Array]]:
-    """Yield mass and centre of mass of the rear body and of the front body."""
-    for on_front in (False, True):
-        masses = [
-            (mass, _numbers(at))
-            for part, mass, at in vehicle.masses(rest, values)
-            if (part in carried) == on_front
-        ]
-        total = sum(mass for mass, _ in masses)
-        yield total, np.sum([mass * at for mass, at in masses], axis=0) / total
-
-
-def _numbers(vector: ca.SX) -> Array:
-    return np.array(ca.evalf(vector)).ravel()
+    rear, front = (
+        tree.Body(each.mass, (0.0, each.ahead, each.above), 3 * (each.inertia,) + 3 * (0.0,))
+        for each in (climber.rear_body, climber.front_body)
+    )
+    fold = Coordinate(FOLD, "suspension", "pitch of the front body relative to the rear body")
+    joint = Joint("front_body", "platform", "x", (0.0, 0.0, 0.0), FOLD, body=front)
+    return planar(Vehicle("step_climber", (fold,), (joint,), wheels, rear))

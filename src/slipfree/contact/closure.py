@@ -54,9 +54,10 @@ def has_exact_closure(vehicle: Vehicle) -> bool:
     """Return whether all wheels of a vehicle can touch a rigid ground in every configuration.
 
     Every wheel adds one constraint. Three constraints determine the pose of the platform; each
-    further constraint requires a suspension coordinate.
+    further constraint requires a suspension coordinate. The result is false for a vehicle that is
+    locked to a plane.
     """
-    return len(vehicle.of("suspension")) == len(vehicle.wheels) - 3
+    return not vehicle.planar and len(vehicle.of("suspension")) == len(vehicle.wheels) - 3
 
 
 def support_fault(vehicle: Vehicle) -> str:
@@ -67,6 +68,8 @@ def support_fault(vehicle: Vehicle) -> str:
     wheels = len(vehicle.wheels)
     given = len(vehicle.of("suspension"))
     loose = [repr(c.name) for c in vehicle.of("suspension") if not c.stiffness]
+    if vehicle.planar:
+        return "a vehicle that moves in space, found one locked to a plane; use dynamics"
     if wheels < 3:
         return f"at least 3 wheels, found {wheels}; add wheels, or use dynamics"
     if loose and given > wheels - 3:

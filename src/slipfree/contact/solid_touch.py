@@ -74,6 +74,26 @@ def solid_touch(
     tube, circle = tube_radii(wheel)
     center, axle, origin = carrier.origin, carrier.rotation[:, 0], ca.DM(terrain.origin)
 
+    distance, normal = prism.gap(center + origin)
+    if ca.sparsify(ca.dot(normal, axle)).nnz() == 0:
+        # the solid's faces and edges are parallel to the axle: distance from a circle
+        spot, distance = center - circle * normal, distance - circle
+    else:
+        spot = _nearest_on_disc(prism, origin, carrier, circle)
+        distance, normal = prism.gap(spot + origin)
+    forward = ca.cross(normal, axle)
+    uprightness = ca.sqrt(ca.sumsqr(forward) + ROOT_OFFSET)
+    along, point = forward / uprightness, spot - tube * normal
+    across, flat = ca.cross(along, normal), ca.SX.zeros(2, 2)
+    frame = ContactFrame(point, normal, along, across, axle, uprightness, flat)
+    friction = wheel.grip * terrain.friction(point[0], point[1], lookups)
+    return Touch(distance - tube, frame, friction)
+
+
+def _nearest_on_disc(prism: Prism, origin: ca.DM, carrier: Pose, circle: float) -> ca.SX:
+    """Return the point of a disc about the axle that is nearest to a solid, shape (3, 1) [m]."""
+    center, axle = carrier.origin, carrier.rotation[:, 0]
+
     def project(spot: ca.SX) -> ca.SX:
         distance, normal = prism.gap(spot + origin)
         away = spot - distance * normal - center  # Q from the centre
@@ -88,12 +108,4 @@ def solid_touch(
         rate = ca.dot(step, last) / (ca.sumsqr(step) + ROOT_OFFSET)
         rate = ca.fmax(0, ca.fmin(MAX_RATE, rate))
         spot = second + rate / (1 - rate) * last
-    spot = project(spot) if circle else spot
-    distance, normal = prism.gap(spot + origin)
-    forward = ca.cross(normal, axle)
-    uprightness = ca.sqrt(ca.sumsqr(forward) + ROOT_OFFSET)
-    along, point = forward / uprightness, spot - tube * normal
-    across, flat = ca.cross(along, normal), ca.SX.zeros(2, 2)
-    frame = ContactFrame(point, normal, along, across, axle, uprightness, flat)
-    friction = wheel.grip * terrain.friction(point[0], point[1], lookups)
-    return Touch(distance - tube, frame, friction)
+    return project(spot) if circle else spot

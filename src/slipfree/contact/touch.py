@@ -8,7 +8,7 @@ centre ``C``, the axle ``a`` and the unit normal ``n`` of the ground at ``G``. T
 Newton's method finds ``G`` in a lookup function, so that a model contains no unknowns and no
 iteration. The result also contains the inverse Jacobian, height, gradient and Hessian at ``G``. In
 the model one further Newton step, of length zero, has the exact first derivatives of ``G``;
-derivatives of higher order are not exact.
+derivatives of higher order are not exact. On a plane no search is needed.
 """
 
 from __future__ import annotations
@@ -35,6 +35,13 @@ LARGE = 1e9  # any residual is smaller [m^2]
 DIRECTIONS = np.deg2rad([0, -20, 20, -40, 40, -60, 60])  # of a wheel's lower normals [rad]
 
 
+class Plane(NamedTuple):
+    """A plane ground: height at the local origin [m], and gradient, shape (2, 1)."""
+
+    height: ca.DM
+    gradient: ca.DM
+
+
 class Touch(NamedTuple):
     """Contact of a wheel with the ground; positions are local.
 
@@ -54,7 +61,11 @@ class Touch(NamedTuple):
 
 
 def touch(
-    terrain: Terrain, wheel: Wheel, carrier: Pose, search: ca.Function, lookups: LookupTable
+    terrain: Terrain,
+    wheel: Wheel,
+    carrier: Pose,
+    search: ca.Function | Plane,
+    lookups: LookupTable,
 ) -> Touch:
     """Return the contact of a wheel with a ground.
 
@@ -66,19 +77,30 @@ def touch(
         The wheel.
     carrier : Pose
         Pose of the wheel's carrier, at the wheel's centre.
-    search : casadi Function
+    search : casadi Function or Plane
         Result of `search_function` for this ground and the wheel's section.
     lookups : LookupTable
         Lookups of the model.
     """
     center, axle = carrier.origin, carrier.rotation[:, 0]
-    found = lookups.find(search, ca.vertcat(center, axle), order=1)
-    spot, inverse, height, gradient, hessian = _split(found)
-    off = _miss(wheel.section, spot, center, axle, height, gradient)
-    step = -inverse @ off.residual  # zero, with the derivatives of the ground point
-    slope = gradient + hessian @ step
-    height += ca.dot(gradient + slope, step) / 2
-    at = _miss(wheel.section, spot + step, center, axle, height, slope)
+    if isinstance(search, Plane):
+        hessian = ca.SX.zeros(2, 2)
+        at = _miss(
+            wheel.section,
+            ca.SX.zeros(2),
+            center,
+            axle,
+            ca.SX(search.height),
+            ca.SX(search.gradient),
+        )
+    else:
+        found = lookups.find(search, ca.vertcat(center, axle), order=1)
+        spot, inverse, height, gradient, hessian = _split(found)
+        off = _miss(wheel.section, spot, center, axle, height, gradient)
+        step = -inverse @ off.residual  # zero, with the derivatives of the ground point
+        slope = gradient + hessian @ step
+        height += ca.dot(gradient + slope, step) / 2
+        at = _miss(wheel.section, spot + step, center, axle, height, slope)
     forward = ca.cross(at.normal, axle)
     uprightness = ca.norm_2(forward)
     along = forward / uprightness
@@ -113,8 +135,8 @@ def _split(found: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
     return spot, ca.reshape(inverse, 2, 2), height, gradient, ca.reshape(hessian, 2, 2)
 
 
-def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Function:
-    """Return a function that finds the ground point nearest to a wheel.
+def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Function | Plane:
+    """Return a function that finds the ground point nearest to a wheel, or a plane ground.
 
     Parameters
     ----------
@@ -127,7 +149,7 @@ def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Fun
 
     Returns
     -------
-    casadi Function
+    casadi Function or Plane
         From centre and axle, shape (6, 1), to the nearest point, the inverse Jacobian of the
         residual, height, gradient and Hessian there, shape (13, 1). If Newton's method does not
         converge, the result is NaN, or, for a wheel clearly above the ground, the ground point
@@ -138,19 +160,17 @@ def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Fun
         compiled = terrain.nearest_point(*radii, radius)
         if compiled is not None:
             return compiled
-    return _plane_search(terrain, section) or _search_graph(terrain, section, radius)
+    return plane_of(terrain) or _search_graph(terrain, section, radius)
 
 
-def _plane_search(terrain: Terrain, section: Section) -> ca.Function | None:
-    """Return the search on a plane, where one step of Newton's method is exact; None elsewhere."""
+def plane_of(terrain: Terrain) -> Plane | None:
+    """Return a ground as a plane; None if it is not a plane."""
     spot, lookups = ca.SX.sym("spot", 2), LookupTable()
-    hessian = terrain.jet(spot[0], spot[1], lookups).hessian
-    if lookups.lookups or ca.sparsify(hessian).nnz():
+    jet = terrain.jet(spot[0], spot[1], lookups)
+    if lookups.lookups or ca.sparsify(jet.hessian).nnz():
         return None
-    jet, newton, asked = _jet_function(terrain), _newton_function(section), ca.SX.sym("asked", 6)
-    spot = asked[:2] + newton(asked[:2], asked, jet(asked[:2]))[0][:2]
-    found = _result(jet, newton, spot, asked)[:13]
-    return ca.Function("search", [asked], [found], {"cse": True})
+    height, gradient = ca.Function("plane", [spot], [jet.height, jet.gradient])([0, 0])
+    return Plane(height, ca.densify(gradient))
 
 
 def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Function:

@@ -15,7 +15,12 @@ from slipfree.dae import Limit
 from slipfree.laws.compliant import GroundForce
 from slipfree.lookups import LookupTable
 from slipfree.models.base import outputs
-from slipfree.models.dynamic_records import DynamicOutputs, DynamicState, output_efforts
+from slipfree.models.dynamic_records import (
+    DynamicOutputs,
+    DynamicState,
+    OnSolid,
+    output_efforts,
+)
 from slipfree.models.multibody import Multibody, WheelMotion, kinetic_energy
 from slipfree.models.quantities import Mechanics, Quantities
 from slipfree.models.records import (
@@ -190,10 +195,12 @@ def dynamic_outputs(
     normal = q.forces.normal
     slips = tuple(ca.if_else(each.touch.gap < 0, each.slip, 0) for each in shown)
     wheels = zip(body.wheels, shown, slips, strict=True)
+    planar = q.vehicle.planar
     return DynamicOutputs(
+        q.x.x if planar else (),
         q.x.heading,
         q.position.roll,
-        q.position.pitch,
+        () if planar else q.position.pitch,
         q.rates.heading,
         q.rates.roll,
         q.rates.pitch,
@@ -207,10 +214,18 @@ def dynamic_outputs(
         tuple(_slip_ratio(*each) for each in wheels),
         kinetic_energy(body),
         sum((each.energy for touching in contacts for each in touching), ca.SX(0)),
-        tuple(
-            tuple(touching[k].force.normal for touching in contacts)
-            for k in range(1, len(contacts[0]))
-        ),
+        tuple(_on_solid(on_wheels) for on_wheels in list(zip(*contacts, strict=True))[1:]),
+    )
+
+
+def _on_solid(contacts: Sequence[Contact]) -> OnSolid:
+    """Return gap, forces and slip of all wheels at one solid."""
+    along = [each.touch.frame.along for each in contacts]
+    return OnSolid(
+        tuple(each.touch.gap for each in contacts),
+        tuple(each.force.normal for each in contacts),
+        tuple(ca.dot(a, c.force.tangential) for a, c in zip(along, contacts, strict=True)),
+        tuple(ca.dot(a, c.slip) for a, c in zip(along, contacts, strict=True)),
     )
 
 

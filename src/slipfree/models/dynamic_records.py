@@ -19,8 +19,10 @@ T = TypeVar("T")
 class DynamicState(NamedTuple):
     """Differential states: pose and speeds of platform, joints and wheels.
 
-    ``attitude`` is the unit quaternion (w, x, y, z) of the platform; ``joints`` are all
-    coordinates, ``joint_speeds`` their rates, and ``spins`` the speeds of the wheels
+    ``attitude`` is the unit quaternion (w, x, y, z) of the platform. A planar vehicle has no ``x``,
+    its ``attitude`` is the pitch angle, ``velocity`` has the components y and z, and ``omega`` the
+    component x. ``joints`` are all coordinates, ``joint_speeds`` their rates, and ``spins`` the
+    speeds of the wheels
     (`slipfree.models.multibody.WheelMotion`). ``drives`` and ``joint_drives`` are the
     integrals of the speed controllers of wheels and of commanded coordinates.
     [m, rad, m/s, rad/s, N m, N]
@@ -50,12 +52,26 @@ class DynamicTotals(NamedTuple):
     lost: Any
 
 
+class OnSolid(NamedTuple):
+    """Contacts of all wheels with one solid.
+
+    Gap [m], normal force, friction force along the direction of travel [N], and slip velocity along
+    it [m/s].
+    """
+
+    gap: tuple[Any, ...]
+    load: tuple[Any, ...]
+    friction: tuple[Any, ...]
+    slip: tuple[Any, ...]
+
+
 class DynamicOutputs(NamedTuple):
     """Outputs of a dynamic model; positions are map coordinates.
 
-    ``solid_loads`` are, for each solid, the normal forces on the wheels.
+    ``x`` is empty if it is a state, and ``pitch`` if it is a state, that is, for planar vehicles.
     """
 
+    x: Any
     heading: Any
     roll: Any
     pitch: Any
@@ -68,7 +84,7 @@ class DynamicOutputs(NamedTuple):
     slip_ratio: tuple[Any, ...]
     kinetic_energy: Any
     contact_energy: Any
-    solid_loads: tuple[tuple[Any, ...], ...]
+    solids: tuple[OnSolid, ...]
 
 
 def dynamic_labels(vehicle: Vehicle, solids: int = 0) -> Labels:
@@ -102,19 +118,23 @@ def _integral(name: str, unit: str) -> Label:
 def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
     """Return the labels of the states, from those of a model without inertia."""
     joints = {label.name: label for label in (*still.x.joints, *still.z.position.suspension)}
-    words = "{} of the platform's quaternion (x right)"
     spin = (
         "rate of the wheel, relative to its carrier where the rate is an input, otherwise to fixed "
         "axes"
     )
+    words = "{} of the platform's quaternion (x right)"
+    attitude = tuple(Label(f"attitude_{k}", "1", words.format(k)) for k in "wxyz")
+    velocity = _vector("velocity", "m s-1", "velocity of the platform's centre")
+    omega = _vector("omega", "rad s-1", "angular velocity of the platform")
+    planar = vehicle.planar
     return DynamicState(
-        still.x.x,
+        () if planar else still.x.x,
         still.x.y,
         still.z.position.z,
-        tuple(Label(f"attitude_{k}", "1", words.format(k)) for k in "wxyz"),
+        (still.z.position.pitch,) if planar else attitude,
         tuple(joints[c.name] for c in vehicle.coordinates),
-        _vector("velocity", "m s-1", "velocity of the platform's centre"),
-        _vector("omega", "rad s-1", "angular velocity of the platform"),
+        velocity[1:] if planar else velocity,
+        omega[:1] if planar else omega,
         tuple(_joint_speed(vehicle, c) for c in vehicle.coordinates),
         wheel_labels(vehicle, "spin", "rad s-1", spin),
         tuple(
@@ -135,9 +155,10 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
     forces: Any = still.y.forces
     forces = forces._replace(joint_effort=output_efforts(vehicle, forces.joint_effort))
     return DynamicOutputs(
+        still.x.x if vehicle.planar else (),
         still.x.heading,
         position.roll,
-        position.pitch,
+        () if vehicle.planar else position.pitch,
         rates.heading,
         rates.roll,
         rates.pitch,
@@ -147,9 +168,20 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
         wheel_labels(vehicle, "slip_ratio", "1", ratio),
         Label("kinetic_energy", "J", "kinetic energy"),
         Label("contact_energy", "J", "elastic energy of the contacts"),
-        tuple(
-            wheel_labels(vehicle, f"solid_load_{k}", "N", f"normal force of solid {k} on the wheel")
-            for k in range(1, solids + 1)
+        tuple(_solid_labels(vehicle, k) for k in range(1, solids + 1)),
+    )
+
+
+def _solid_labels(vehicle: Vehicle, k: int) -> OnSolid:
+    along = "along the direction of travel"
+    return OnSolid(
+        wheel_labels(vehicle, f"solid_gap_{k}", "m", f"gap between the wheel and solid {k}"),
+        wheel_labels(vehicle, f"solid_load_{k}", "N", f"normal force of solid {k} on the wheel"),
+        wheel_labels(
+            vehicle, f"solid_friction_{k}", "N", f"friction of solid {k} on the wheel {along}"
+        ),
+        wheel_labels(
+            vehicle, f"solid_slip_{k}", "m s-1", f"slip of the wheel on solid {k} {along}"
         ),
     )
 

@@ -23,11 +23,11 @@ import numpy as np
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import has_exact_closure, support_fault
 from slipfree.contact.solid_touch import solid_touch
-from slipfree.contact.touch import Touch, search_function, touch
+from slipfree.contact.touch import Touch, plane_of, search_function, touch
 from slipfree.dae import Dae, Labels, Limit, Standing
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.geometry.frame import Pose, platform, quaternion, rotation_of
+from slipfree.geometry.frame import Pose, platform, quaternion, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.lookups import LookupTable
@@ -63,7 +63,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism, Solids
 from slipfree.vehicle.tree import Vehicle
 
-ATTITUDE_W = 3  # index of the quaternion's scalar in the states
+SPACE, PLANE = range(6), (1, 2, 3)  # free speeds of the platform: velocity, angular velocity
 MIN_INERTIA = 1e-15  # smaller generalised masses count as zero [kg, kg m^2]
 LAG = 1e-3  # time constant of prescribed rates [s]
 NORMALISATION = 1.0  # rate at which the norm of the quaternion returns to one [1/s]
@@ -109,7 +109,9 @@ def dynamics(
     solids, and must not touch them.
 
     A wheel may touch the base and several solids at once. Its outputs are those of the contact with
-    the least gap; ``solid_load`` are the normal forces of the solids.
+    the least gap; the outputs of solid ``k`` are ``solid_gap_k``, ``solid_load_k`` and others.
+
+    A planar vehicle starts at given states.
 
     Examples
     --------
@@ -131,17 +133,21 @@ def dynamics(
     body = _multibody(vehicle, x)
     contacts = _contacts(vehicle, terrain, prisms, law, body, lookups)
     matrix = mass_matrix(body)
-    _check_inertia(vehicle, x, matrix)
+    _check_inertia(vehicle, labels, x, matrix)
     ode, effort = _motion(vehicle, x, u, body, matrix, contacts)
     shown = [deepest(each) for each in contacts]
-    q = quantities(vehicle, terrain, x, u, body, shown, lookups)
+    q = quantities(vehicle, terrain, _in_space(vehicle, x), u, body, shown, lookups)
     forces = dynamic_forces(q, contacts, x, effort)
     y = dynamic_outputs(q, body, shown, contacts, forces)
     on_base = [each[0] for each in contacts]
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     frames = tuple(each.touch.frame for each in on_base)
-    raised = raised_poses(q.poses, frames, tuple(-each.touch.gap for each in on_base))
-    wheels = touch_function(x, (), raised, frames, lookups)
+    checks: tuple[SecondContact, ...] = ()
+    if not plane_of(terrain):  # a wheel touches a plane only once
+        raised = raised_poses(q.poses, frames, tuple(-each.touch.gap for each in on_base))
+        wheels = touch_function(x, (), raised, frames, lookups)
+        pairs = zip(vehicle.wheels, wheels, strict=True)
+        checks = tuple(SecondContact(terrain, wheel, pose, size) for wheel, pose in pairs)
     return Dae(
         ca.SX.sym("t"),
         x,
@@ -157,10 +163,7 @@ def dynamics(
             *limits_of(limit_quantities(q, on_base), static=False),
             *solid_limits(vehicle, contacts),
         ),
-        checks=tuple(
-            SecondContact(terrain, wheel, pose, size)
-            for wheel, pose in zip(vehicle.wheels, wheels, strict=True)
-        ),
+        checks=checks,
         guess=ca.SX(0, 1),
         scale=scale,
         shift=shift,
@@ -190,10 +193,9 @@ def _check(vehicle: Vehicle, terrain: Terrain) -> None:
             )
 
 
-def _check_inertia(vehicle: Vehicle, x: DynamicState, matrix: ca.SX) -> None:
+def _check_inertia(vehicle: Vehicle, labels: Labels, x: DynamicState, matrix: ca.SX) -> None:
     """Raise ModelError for a coordinate without inertia, with all coordinates at zero."""
-    still = np.zeros(pack(x).numel())
-    still[ATTITUDE_W] = 1.0
+    still = [float(label.name == "attitude_w") for label in leaves(labels.x)]
     values = np.diag(np.array(ca.Function("mass", [pack(x)], [matrix])(still)))[6:]
     for c, value in zip(vehicle.coordinates, values, strict=True):
         if not (c.acting_drive.prescribed or value > MIN_INERTIA):
@@ -205,7 +207,7 @@ def _check_inertia(vehicle: Vehicle, x: DynamicState, matrix: ca.SX) -> None:
 
 def _with_depths(vehicle: Vehicle) -> Vehicle:
     """Return a vehicle whose wheels have static depths."""
-    exact = has_exact_closure(vehicle)
+    exact = has_exact_closure(replace(vehicle, planar=False))
     wheels = (
         replace(wheel, static_depth=wheel.radius * EXACT_DEPTH)
         if exact and wheel.static_depth is None
@@ -217,11 +219,22 @@ def _with_depths(vehicle: Vehicle) -> Vehicle:
 
 def _multibody(vehicle: Vehicle, x: DynamicState) -> Multibody:
     """Return the vehicle as a system of rigid bodies in given states."""
-    base = Pose(rotation_of(ca.vertcat(*x.attitude)), ca.vertcat(x.x, x.y, x.z))
+    in_space = _in_space(vehicle, x)
+    attitude = ca.vertcat(*x.attitude)
+    rotation = turn("x", attitude).rotation if vehicle.planar else rotation_of(attitude)
+    base = Pose(rotation, ca.vertcat(in_space.x, x.y, x.z))
     rates = ca.vertcat(ca.SX(0, 1), *x.joint_speeds)
-    speeds = Speeds(ca.vertcat(*x.velocity), ca.vertcat(*x.omega), rates, x.spins)
+    speeds = Speeds(ca.vertcat(*in_space.velocity), ca.vertcat(*in_space.omega), rates, x.spins)
     names = [c.name for c in vehicle.coordinates]
     return multibody(vehicle, base, dict(zip(names, x.joints, strict=True)), speeds)
+
+
+def _in_space(vehicle: Vehicle, x: DynamicState) -> DynamicState:
+    """Return states with all components of position and speeds; a plane fixes three of them."""
+    if not vehicle.planar:
+        return x
+    zero = ca.SX(0)
+    return x._replace(x=zero, velocity=(zero, *x.velocity), omega=(*x.omega, zero, zero))
 
 
 def _contacts(
@@ -310,10 +323,16 @@ def _motion(
             spins.append((on.torque - on.resisting) / (wheel.axial + wheel.rotor))
             torques.append(on.torque)
         integrals.extend(on.integral_rate)
-    attitude = _attitude_rate(ca.vertcat(*x.attitude), ca.vertcat(*x.omega))
+    attitude = ca.vertcat(*x.omega) if vehicle.planar else _attitude_rate(x)
     speeds = *x.velocity, attitude, *x.joint_speeds
-    ode = ca.vertcat(*speeds, accelerations, *spins, *integrals, *joint_integrals)
+    free = accelerations[[*_free_speeds(vehicle), *range(6, accelerations.numel())]]
+    ode = ca.vertcat(*speeds, free, *spins, *integrals, *joint_integrals)
     return ode, Effort(tuple(torques), actuators)
+
+
+def _free_speeds(vehicle: Vehicle) -> Sequence[int]:
+    """Return the indices of the platform's generalised speeds that are not fixed at zero."""
+    return PLANE if vehicle.planar else SPACE
 
 
 def _wheels(
@@ -352,7 +371,7 @@ def _accelerations(
     """
     found, efforts = ca.SX.zeros(matrix.shape[0]), ca.SX.zeros(matrix.shape[0])
     inputs, integrals, integral_rates = iter(u.joints), iter(x.joint_drives), list[ca.SX]()
-    fixed, free = list[int](), [*range(6)]
+    fixed, free = list[int](), [*_free_speeds(vehicle)]
     for k, c in enumerate(vehicle.coordinates):
         value, rate, drive = x.joints[k], x.joint_speeds[k], c.acting_drive
         (fixed if drive.prescribed else free).append(6 + k)
@@ -373,11 +392,13 @@ def _accelerations(
     return found, actuators, tuple(integral_rates)
 
 
-def _attitude_rate(attitude: ca.SX, omega: ca.SX) -> ca.SX:
+def _attitude_rate(x: DynamicState) -> ca.SX:
     """Return the rate of a quaternion (w, x, y, z), with a return of its norm to one [1/s]."""
+    attitude, omega = ca.vertcat(*x.attitude), ca.vertcat(*x.omega)
     scalar, vector = attitude[0], attitude[1:]
     turning = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2
-    return turning + NORMALISATION * (1 - ca.sumsqr(attitude)) * attitude
+    found: ca.SX = turning + NORMALISATION * (1 - ca.sumsqr(attitude)) * attitude
+    return found
 
 
 def _standing(

@@ -25,13 +25,18 @@ def tip_over_margin(
     vertical and the perpendicular from the vehicle's centre of mass to the line (the force-angle
     measure of Papadopoulos and Rey for gravity alone). It is negative if the line of gravity
     passes outside the polygon, -pi if all contacts lie on a line in plan view, and infinite for a
-    vehicle without mass.
+    vehicle without mass. For a planar vehicle, the edges are the contacts of the first and the last
+    wheel.
     """
     if not vehicle.mass:
         return ca.SX.inf()
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     masses = list(vehicle.masses(base, values_of(vehicle, x, position)))
     center = sum(mass * at for _, mass, at in masses) / vehicle.mass
+    if vehicle.planar:
+        arms = [contact.point - center for contact in contacts]
+        ends = ([sign * ca.atan2(arm[1], -arm[2]) for arm in arms] for sign in (1, -1))
+        return ca.mmin(ca.vertcat(*(ca.mmax(ca.vertcat(*each)) for each in ends)))
     down, least = ca.SX([0, 0, -1]), ca.SX.inf()
     for i, j in permutations(range(len(contacts)), 2):
         edge = contacts[j].point - contacts[i].point

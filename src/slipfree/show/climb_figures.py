@@ -71,7 +71,7 @@ def strobe(
     """
     ground(profile, ax)
     for axle in AXLES:
-        ax.plot(run["axle_x", axle], run["axle_z", axle], color="0.5", lw=0.6, zorder=2)
+        ax.plot(run["center_y", axle], run["center_z", axle], color="0.5", lw=0.6, zorder=2)
     duration = float(run.t[-1] - run.t[0])
     times = run.t[0] + every * np.arange(int(duration / every) + 1)
     for number, k in enumerate(np.searchsorted(run.t, times - 1e-9)):
@@ -79,7 +79,7 @@ def strobe(
         if number % POSES == 0:
             _pose(run, climber, int(k), ax, color)
         dots = {"mfc": "white", "mec": color, "mew": 0.8, "ms": 2.6, "ls": "none", "zorder": 4}
-        ax.plot(run["axle_x"][k], run["axle_z"][k], "o", **dots)
+        ax.plot(run["center_y"][k], run["center_z"][k], "o", **dots)
     return frame_motions([run], climber, ax)
 
 
@@ -88,15 +88,15 @@ def _pose(run: Trajectory, climber: Climber, k: int, ax: Axes, color: Any) -> No
     links, centers = _skeleton(run, climber, k)
     ax.plot(*links, color=color, lw=1.3, zorder=3, solid_joinstyle="round")
     ax.plot(*centers, "+", color=color, ms=4, mew=0.8, zorder=3)
-    for x, z in zip(run["axle_x"][k], run["axle_z"][k], strict=True):
+    for x, z in zip(run["center_y"][k], run["center_z"][k], strict=True):
         ax.add_patch(Circle((x, z), climber.radius, fc="none", ec=color, lw=0.9, zorder=3))
 
 
 def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
     """Return rear axle, joint and front axle, and the centers of mass, both of shape (2, n)."""
-    joint = np.array([run["x"][k], run["z"][k]])
+    joint = np.array([run["y"][k], run["z"][k]])
     ends = [
-        np.array([run[name, axle][k] for name in ("axle_x", "axle_z")])
+        np.array([run[name, axle][k] for name in ("center_y", "center_z")])
         for axle in ("rear", "front")
     ]
     centers = []
@@ -110,7 +110,9 @@ def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
 def frame_motions(runs: Sequence[Trajectory], climber: Climber, ax: Axes) -> Axes:
     """Set the limits of axes to contain all motions, with a margin of ground below them."""
     reach = climber.radius + ROOM
-    x, z = (np.concatenate([run[name].ravel() for run in runs]) for name in ("axle_x", "axle_z"))
+    x, z = (
+        np.concatenate([run[name].ravel() for run in runs]) for name in ("center_y", "center_z")
+    )
     top = z.max() + reach + max(climber.rear_body.above, climber.front_body.above)
     ax.set(xlim=(x.min() - reach, x.max() + reach), ylim=(z.min() - climber.radius - BELOW, top))
     return ax
@@ -120,7 +122,7 @@ def references(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
     """Draw the reference and the actual rim speeds of the wheels over time."""
     for k, axle in enumerate(AXLES):
         look = style.look(k)
-        ax.plot(run.t, climber.radius * run["wheel_rate", axle], **look | {"lw": 0.6, "alpha": 0.5})
+        ax.plot(run.t, climber.radius * run["spin", axle], **look | {"lw": 0.6, "alpha": 0.5})
         ax.plot(run.t, climber.radius * run["reference", axle], label=axle, **look)
     ax.set_ylabel("rim speed [m/s]")
     return _over_time(run, ax)
@@ -136,11 +138,11 @@ def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> 
 
     The ratio is the slip velocity divided by the rim speed, at the contact with the largest load.
     """
-    solids = range(len(profile.solids))
-    loads = np.array([run[f"load_{k}"] for k in solids])
-    slips = np.array([run[f"slip_{k}"] for k in solids])
+    solids = range(1, len(profile.solids) + 1)
+    loads = np.array([run[f"solid_load_{k}"] for k in solids])
+    slips = np.array([run[f"solid_slip_{k}"] for k in solids])
     speed = np.take_along_axis(slips, loads.argmax(axis=0)[None], axis=0)[0]
-    rim = climber.radius * run["wheel_rate"]
+    rim = climber.radius * run["spin"]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(loads.max(axis=0) > MIN_LOAD, -speed / rim, np.nan)
     return _ratios(run, ratio, "true slip [%]", ax)
@@ -170,7 +172,7 @@ def tilts(run: Trajectory, ax: Axes) -> Axes:
 
 def loads(run: Trajectory, profile: Profile, ax: Axes) -> Axes:
     """Draw the sum of the normal forces on each axle over time."""
-    total = np.sum([run[f"load_{k}"] for k in range(len(profile.solids))], axis=0)
+    total = np.sum([run[f"solid_load_{k}"] for k in range(1, len(profile.solids) + 1)], axis=0)
     for k, axle in enumerate(AXLES):
         ax.plot(run.t, total[:, k], label=axle, **style.look(k) | {"lw": 0.9})
     ax.set_ylim(0, 1.1 * float(np.percentile(total, 99.5)))
@@ -181,8 +183,8 @@ def loads(run: Trajectory, profile: Profile, ax: Axes) -> Axes:
 def torques(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
     """Draw the torque of one wheel of every axle over time, and the torque limits if near."""
     for k, axle in enumerate(AXLES):
-        ax.plot(run.t, run["torque", axle], label=axle, **style.look(k) | {"lw": 0.9})
-    if climber.torque < 1.5 * np.abs(run["torque"]).max():
+        ax.plot(run.t, run["motor_torque", axle], label=axle, **style.look(k) | {"lw": 0.9})
+    if climber.torque < 1.5 * np.abs(run["motor_torque"]).max():
         for limit in (-climber.torque, climber.torque):
             ax.axhline(limit, color="0.4", lw=0.8, ls="--")
     ax.set_ylabel("torque of a wheel [N m]")
@@ -203,7 +205,7 @@ def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes
     ax : Axes
         The axes.
     """
-    plan_speeds, speeds = (climber.radius * each["wheel_rate"] for each in (plan, run))
+    plan_speeds, speeds = climber.radius * plan["wheel_rate"], climber.radius * run["spin"]
     ax.set_ylabel("rim speed [m/s]")
     return _over_progress(_progress(run), speeds, plan, plan_speeds, ax)
 
@@ -225,8 +227,8 @@ def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Ax
     ax : Axes
         The axes.
     """
-    normal = np.array([run[f"load_{k}"] for k in range(len(profile.solids))])
-    along = np.array([run[f"friction_{k}"] for k in range(len(profile.solids))])
+    normal = np.array([run[f"solid_load_{k}"] for k in range(1, len(profile.solids) + 1)])
+    along = np.array([run[f"solid_friction_{k}"] for k in range(1, len(profile.solids) + 1)])
     most = normal.argmax(axis=0)[None]
     force, load = (np.take_along_axis(each, most, axis=0)[0] for each in (along, normal))
     used = np.where(load > MIN_LOAD, np.abs(force) / np.maximum(load, MIN_LOAD), np.nan)
@@ -238,7 +240,7 @@ def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Ax
 
 def _progress(run: Trajectory) -> Array:
     """Return the progress of a motion: the mean of x + z over the axles, shape (n,) [m]."""
-    return np.asarray((run["axle_x"] + run["axle_z"]).mean(axis=1))
+    return np.asarray((run["center_y"] + run["center_z"]).mean(axis=1))
 
 
 def _over_progress(

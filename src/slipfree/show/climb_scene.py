@@ -32,6 +32,7 @@ TUBE = 0.35  # radius of the wheels' tube [wheel radius]
 ROOM = 4.0  # margin of the ground around a climb [wheel radius]
 LEVELS = 25  # subdivisions of the ground in height, for its colour
 NARROW = 0.6  # width of the bodies [width of the vehicle]
+TILTS = {"rear": "tilt_rear", "middle": "tilt_rear", "front": "tilt_front"}  # by axle
 
 
 class Climbed(NamedTuple):
@@ -78,7 +79,7 @@ def climb_scene(climbs: Sequence[Climbed]) -> Scene:
             )
     reach = max(_reach(each.climber) for each in climbs)
     runs = [run for each in climbs for run in (each.run, each.plan) if run is not None]
-    origin = np.round([np.mean([_span(runs, "axle_x")]), 0.0, 0.0])
+    origin = np.round([np.mean([_span(runs, "center_y")]), 0.0, 0.0])
     ground = _ground(first, runs, origin)
     actors = []
     for k, each in enumerate(climbs):
@@ -128,7 +129,7 @@ def _ground(each: Climbed, runs: Sequence[Trajectory], origin: Array) -> Ground:
     """Return the extruded profile around the climbs."""
     radius = each.climber.radius
     half = WIDTH * TRACK * radius
-    left, right = _span(runs, "axle_x")
+    left, right = _span(runs, "center_y")
     bottom, top = (
         -ROOM * radius,
         max(max(z for _, z in solid.points) for solid in each.profile.solids),
@@ -161,7 +162,7 @@ def _actor(
 
 def _bodies(climber: Climber, run: Trajectory, origin: Array, color: Color) -> Iterable[scene.Body]:
     """Yield the rear and the front body; the origin of both is the joint between them."""
-    joint = np.stack([run["x"], np.zeros(run.t.size), run["z"]], axis=1) - origin
+    joint = np.stack([run["y"], np.zeros(run.t.size), run["z"]], axis=1) - origin
     rear = (climber.rear.ahead, max(climber.middle.ahead, climber.rear.ahead / 2))
     front = (0.0, climber.front.ahead)
     axles = {"rear": [climber.rear.ahead, climber.middle.ahead], "front": [climber.front.ahead]}
@@ -202,24 +203,29 @@ def _wheels(climber: Climber, run: Trajectory, origin: Array, color: Color) -> I
     tread = Torus(TUBE * climber.radius, (1 - TUBE) * climber.radius).mesh()
     looks = ((tread, TYRE), (spokes(0.97 * climber.radius), color))
     for k, axle in enumerate(AXLES):
-        turned = spun(_tilt_rotations(np.zeros(run.t.size)), run["wheel_angle", axle])
+        turned = spun(_tilt_rotations(run[TILTS[axle]]), run["wheel_angle", axle])
         for number, across in enumerate(_abreast(climber, k)):
-            at = np.stack([run["axle_x", axle], np.full(run.t.size, across), run["axle_z", axle]])
+            at = np.stack(
+                [run["center_y", axle], np.full(run.t.size, across), run["center_z", axle]]
+            )
             yield scene.Body(f"{axle} {number + 1}", looks, at.T - origin, turned)
 
 
 def _contacts(each: Climbed, run: Trajectory, origin: Array) -> tuple[Array, tuple[Arrows, ...]]:
     """Return the contact points of all wheels, and the arrows of slip and forces there."""
     points, slips, forces = [], [], []
-    for number, solid in enumerate(each.profile.solids):
-        normals = solid.distance(run["axle_x"], run["axle_z"])[1]
+    for number, solid in enumerate(each.profile.solids, 1):
+        normals = solid.distance(run["center_y"], run["center_z"])[1]
         tangents = np.stack([normals[..., 1], -normals[..., 0]], axis=-1)
         for k, axle in enumerate(AXLES):
             normal, tangent = _to_space(normals[:, k]), _to_space(tangents[:, k])
             load, rubbing, slip = (
-                run[f"{name}_{number}", axle][:, None] for name in ("load", "friction", "slip")
+                run[f"solid_{name}_{number}", axle][:, None]
+                for name in ("load", "friction", "slip")
             )
-            center = np.stack([run["axle_x", axle], np.zeros(run.t.size), run["axle_z", axle]], 1)
+            center = np.stack(
+                [run["center_y", axle], np.zeros(run.t.size), run["center_z", axle]], 1
+            )
             touch = (
                 np.where(load > MIN_LOAD, center - each.climber.radius * normal, np.nan) - origin
             )

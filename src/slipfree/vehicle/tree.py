@@ -270,6 +270,8 @@ class Vehicle:
         forces.
     notes : tuple of str
         Assumptions that were made when the vehicle was read from a file.
+    planar : bool
+        Whether the platform moves only in a vertical plane, see `planar`.
 
     Raises
     ------
@@ -284,6 +286,7 @@ class Vehicle:
     wheels: tuple[Wheel, ...]
     body: Body = Body()
     notes: tuple[str, ...] = ()
+    planar: bool = False
 
     def __repr__(self) -> str:
         driven = sum(wheel.driven for wheel in self.wheels)
@@ -384,6 +387,20 @@ class Vehicle:
         for joint in self.joints:
             parts[joint.name] = parts[joint.parent] @ joint.pose(values)
         return parts
+
+
+def planar(vehicle: Vehicle) -> Vehicle:
+    """Return a vehicle whose platform moves only in the map's plane x = 0, for dynamics.
+
+    The platform moves along y and z and pitches; its x, heading and roll are zero. The forces that
+    keep it in the plane do no work.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle. Its joints are not changed.
+    """
+    return replace(vehicle, planar=True)
 
 
 def actuated(vehicle: Vehicle, *names: str) -> Vehicle:

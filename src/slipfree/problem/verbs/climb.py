@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control, check_period
-from slipfree.climb.dynamics import climbing, floor_loads, standing
+from slipfree.climb.dynamics import climbing, floor_loads, held_torques, standing
 from slipfree.climb.ending import climb_ending
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import climb_window, metrics
@@ -65,9 +65,9 @@ SLACK = 1e-5  # largest distance of wheels from their equilibrium on the floor [
 SUNK = 2e-3  # largest depth of contacts at rest, so that the end of a climb is recognised [m]
 MEASURES = ("slip", "true_slip", "disturbance", "effort", "bearing")
 EXTREMES = Extremes(
-    end=("x", "z", "tilt_rear", "tilt_front"),
-    largest=("torque", "power"),
-    gained=("work", "rubbed", "damped", "energy"),
+    end=("y", "z", "tilt_rear", "tilt_front"),
+    largest=("motor_torque", "power"),
+    gained=("work", "lost_energy", "energy"),
 )
 MEANS = ("climb_slip", "climb_true_slip", "climb_disturbance")
 
@@ -149,11 +149,7 @@ class ClimbVerb(MotionVerb):
         times = _times(problem, control, climber)
         dae = climbing(climber, profile, control, contact, period=spec.control.period)
         start = _start(problem, dae, climber, profile, contact)
-        held = {}
-        if spec.control.period is not None:
-            held = {
-                f"torque_held[{axle}]": law for axle, law in zip(AXLES, dae.y.torques, strict=True)
-            }
+        held = {} if spec.control.period is None else held_torques(climber, dae)
         inputs = dae.inputs(speed=spec.control.speed, **held)
         return Climbing(
             climber,
@@ -200,7 +196,7 @@ class ClimbVerb(MotionVerb):
     ) -> tuple[Trajectory, Facts]:
         """Return the start, and facts about the start and the samples."""
         start = setup.start
-        place = ", ".join(f"{name} {start[name][0]:.6g}" for name in ("x", "z", "velocity_x"))
+        place = ", ".join(f"{name} {start[name][0]:.6g}" for name in ("y", "z", "velocity_y"))
         samples = f"{setup.t.size} to {setup.t[-1]:g} s"
         return start, [("start", f"{place} (m, m/s)"), ("samples", samples)]
 
@@ -473,13 +469,13 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
     The result is None if the wheels are placed correctly. ``sunk`` are the depths of the axles'
     wheels at rest, shape (3,) [m].
     """
-    gap = start[f"gap_{k}"][0]
+    gap = start[f"solid_gap_{k + 1}"][0]
     off = gap + sunk
     wrong = np.abs(off) > SLACK if k == 0 else off < -SLACK
     if not wrong.any():
         return None
     axle = int(np.flatnonzero(wrong)[-1])  # report the front wheels first
-    wheels = f"the {AXLES[axle]} wheels, at x = {start['axle_x'][0, axle]:.4g} m,"
+    wheels = f"the {AXLES[axle]} wheels, at x = {start['center_y'][0, axle]:.4g} m,"
     if k == 0:
         side = "above it" if off[axle] > 0 else "inside it"
         place: Place = ("profile",)

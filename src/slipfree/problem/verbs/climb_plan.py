@@ -23,7 +23,7 @@ AXLE_QUANTITIES = {
     "friction": "N",
     "load": "N",
 }  # shown in figures of a plan
-POSE = ("x", "z", "tilt_rear", "tilt_front")
+POSE = ("y", "z", "tilt_rear", "tilt_front")
 PROGRESS = Label("progress", "m", "mean over the axles of x + z")
 
 
@@ -98,7 +98,7 @@ def _with_progress(run: Trajectory, climber: Climber) -> Trajectory:
         axle.ahead * (np.cos(tilt) + np.sin(tilt))
         for axle, tilt in zip(climber.axles, tilts, strict=True)
     ]
-    progress = np.asarray(run["x"] + run["z"] + np.mean(ahead, axis=0))
+    progress = np.asarray(run["y"] + run["z"] + np.mean(ahead, axis=0))
     return replace(run, columns={**run.columns, PROGRESS.name: Column(PROGRESS, progress)})
 
 
@@ -116,7 +116,7 @@ def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
         Motion that tracks the plan.
     """
     begin, end = plan.run[PROGRESS.name][[0, -1]]
-    progress = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    progress = (run["center_y"] + run["center_z"]).mean(axis=1)
     found = {
         "climb_plan_duration": plan.run.statistics["duration"],
         "climb_plan_friction": plan.run.statistics["mu"],
@@ -216,10 +216,10 @@ def poses_of_plan(
     x, z, rear, front = (columns[name].values for name in POSE)
     ahead = np.array([axle.ahead for axle in climber.axles])
     tilts = np.stack([rear, rear, front], axis=1)
-    for name, start, turned in (("axle_x", x, np.cos), ("axle_z", z, np.sin)):
+    for name, start, turned in (("center_y", x, np.cos), ("center_z", z, np.sin)):
         places = start[:, None] + ahead * turned(tilts)
         columns[name] = Column(run.columns[name].label, places)
-    progress = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    progress = (run["center_y"] + run["center_z"]).mean(axis=1)
     begins = run.t[int((progress > arrays[f"plan_{PROGRESS.name}"][0]).argmax())]
     t = begins + arrays["plan_time"]
     return Trajectory(t, columns | {"wheel_angle": wheel_angles_at(run, t)}, run.wheels)

@@ -86,18 +86,14 @@ def _slippery(run: Trajectory) -> str:
 
 
 def _energy(run: Trajectory) -> str:
-    work, rubbed, damped = (run[name][-1] - run[name][0] for name in ("work", "rubbed", "damped"))
+    work, lost = (run[name] - run[name][0] for name in ("work", "lost_energy"))
     gained = run["energy"] - run["energy"][0]
-    given = sum(
-        sign * (run[name] - run[name][0])
-        for name, sign in (("work", 1), ("rubbed", -1), ("damped", -1))
-    )
-    missed = float(np.abs(gained - given).max())
+    missed = float(np.abs(gained - work + lost).max())
     poor = "; this error is large: reduce solver.tolerance or contact.stiffness"
     return (
-        f"motors {work:.4g} J, lost to friction {rubbed:.3g} J, to damping {damped:.3g} J, gained "
+        f"motors {work[-1]:.4g} J, lost to friction and damping {lost[-1]:.3g} J, gained "
         f"{gained[-1]:.4g} J; balance within {missed:.1e} J"
-        + (poor if missed > UNBALANCED * abs(work) else "")
+        + (poor if missed > UNBALANCED * abs(work[-1]) else "")
     )
 
 
