@@ -34,7 +34,7 @@ from .terrain.bicubic import Bicubic
 from .terrain.solids import Solids
 from .trajectory import SolverError, Trajectory
 from .vehicle.drives import Motor, Rate, Torque
-from .vehicle.tree import Body, Coordinate, Joint, Vehicle
+from .vehicle.tree import Body, Coordinate, Joint, Vehicle, planar
 from .vehicle.wheel import Wheel
 from .version import __version__
 
@@ -78,6 +78,7 @@ __all__ = [
     "montana_kinematics",
     "open_result",
     "plan",
+    "planar",
     "quasi_statics",
     "read_map",
     "read_vehicle",

@@ -23,7 +23,7 @@ from slipfree import (
 from slipfree.contact import touch
 from slipfree.contact.solid_touch import solid_touch
 from slipfree.geometry.frame import Pose
-from slipfree.lookups import LookupTable
+from slipfree.lookups import LookupTable, lookup_function
 from slipfree.terrain.solids import Prism, Solid, kerb, placed, ramp, stairs, step
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
@@ -127,32 +127,37 @@ def test_a_wheel_touches_the_top_of_a_solid_as_it_touches_a_plane(section):
     gap, normal, point, _ = (
         np.array(each) for each in contact_function(prism, section).map(COUNT)(center, axle)
     )
-    symbols = ca.SX.sym("center", 3), ca.SX.sym("axle", 3)
-    wheel, lookups = Wheel("w", "platform", (0, 0, 0), section, True), LookupTable()
     search = touch.search_function(FLAT, section, 0.15)
-    pose = Pose(ca.horzcat(symbols[1], ca.SX.zeros(3, 2)), symbols[0])
-    at = touch.touch(FLAT, wheel, pose, search, lookups)
-    (lookup,) = lookups.lookups
-    found = ca.Function("plane", [*symbols, lookup.found], [at.gap, at.frame.point])
-    answers = lookup.function.map(COUNT)(np.vstack([center, axle]))
-    plane_gap, plane_point = (np.array(each) for each in found.map(COUNT)(center, axle, answers))
+    plane_gap, plane_point = ground_contacts(FLAT, section, search)(center, axle)
     assert_allclose(gap, plane_gap, atol=1e-9)
     assert_allclose(point, plane_point, atol=1e-9)
     assert_allclose(normal, np.tile([[0], [0], [1]], COUNT), atol=1e-12)
 
 
-def test_a_plane_needs_one_step_of_the_search():
+def test_a_plane_needs_no_search():
     slope = Analytic(lambda x, y: 0.3 * x - 0.1 * y + 0.05, mu=0.8)
     section = Torus(0.03, 0.12)
-    plane, graph = (
-        touch._plane_search(slope, section),
-        touch._search_graph(slope, section, 0.15),
-    )
+    plane = touch.plane_of(slope)
+    assert isinstance(touch.search_function(slope, section, 0.15), touch.Plane)
     rng = np.random.default_rng(0)
     axle = rng.standard_normal((3, COUNT)) * [[1.0], [1.0], [0.4]]
-    asked = np.vstack([rng.uniform(-1, 1, (3, COUNT)), axle / np.linalg.norm(axle, axis=0)])
-    assert_allclose(plane.map(COUNT)(asked), graph.map(COUNT)(asked), atol=1e-12)
-    assert touch._plane_search(Analytic(lambda x, y: x * y), section) is None
+    center, axle = rng.uniform(-1, 1, (3, COUNT)), axle / np.linalg.norm(axle, axis=0)
+    searched = ground_contacts(slope, section, touch._search_graph(slope, section, 0.15))
+    for one, other in zip(
+        ground_contacts(slope, section, plane)(center, axle), searched(center, axle), strict=True
+    ):
+        assert_allclose(one, other, atol=1e-12)
+    assert touch.plane_of(Analytic(lambda x, y: x * y)) is None
+
+
+def ground_contacts(terrain, section, search):
+    """Gap and point of a wheel on a ground, as a function of centres and axles (3, n)."""
+    symbols = ca.SX.sym("center", 3), ca.SX.sym("axle", 3)
+    wheel, lookups = Wheel("w", "platform", (0, 0, 0), section, True), LookupTable()
+    pose = Pose(ca.horzcat(symbols[1], ca.SX.zeros(3, 2)), symbols[0])
+    at = touch.touch(terrain, wheel, pose, search, lookups)
+    found = lookup_function(lookups.lookups, "plane", symbols, [at.gap, at.frame.point])
+    return lambda *given: [np.array(each) for each in found.map(COUNT)(*given)]
 
 
 def test_a_disc_keeps_its_radius_in_its_plane():

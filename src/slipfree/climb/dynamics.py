@@ -83,7 +83,8 @@ def climbing(
     vehicle = side_view(climber, contact.depth(share))
     model = dynamics(vehicle, _ground(profile, contact.static), law=contact.law(share))
     controller = _controller(climber, profile, control, model)
-    model = replace(model, limits=(*model.limits, *_limits(controller.y.tilts)))
+    # other limits do not apply: wheels are upright, and their contacts defined at any depth
+    model = replace(model, limits=_limits(controller.y.tilts))
     return controlled(model, controller, sampled=period is not None)
 
 

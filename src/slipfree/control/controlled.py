@@ -59,7 +59,8 @@ def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> 
     controller : Controller
         The controller.
     sampled : bool
-        Whether the inputs of the model remain inputs. They are then given the laws as values, for `slipfree.solve.zero_order_hold.simulate_sampled`.
+        Whether the inputs of the model remain inputs. They are then given the laws as values, for
+        `slipfree.solve.zero_order_hold.simulate_sampled`.
 
     Returns
     -------

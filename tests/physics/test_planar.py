@@ -1,0 +1,140 @@
+"""Vehicles locked to a plane, and models with a controller."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from slipfree import (
+    Analytic,
+    SolverOptions,
+    catalog,
+    direct_kinematics,
+    dynamics,
+    planar,
+    quasi_statics,
+    settle,
+    simulate,
+)
+from slipfree.control.controlled import Controller, controlled
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import Pose
+from slipfree.records import Label, leaves
+from slipfree.vehicle.drives import Motor, Torque
+
+WAVES = Analytic(lambda _x, y: 0.05 * ca.sin(2 * y), mu=0.8)
+TIGHT = SolverOptions(tolerance=1e-8)
+T = np.linspace(0, 1.5, 16)
+
+
+def driven(drive):
+    vehicle = catalog.rigid_skid_steer()
+    return replace(vehicle, wheels=tuple(replace(each, drive=drive) for each in vehicle.wheels))
+
+
+@pytest.mark.parametrize("vehicle", [catalog.rigid_skid_steer(), catalog.rocky7()])
+def test_a_planar_vehicle_moves_as_a_symmetric_one_in_space(vehicle):
+    """The ground does not vary along x; the start has no roll and no speed aside."""
+    space, plane = dynamics(vehicle, WAVES), dynamics(planar(vehicle), WAVES)
+    start = settle(space, y=0.3, speed=0.5)
+    rates = {label.full: 4.0 for label in space.labels.u.wheels}
+    rates |= {label.full: 0.0 for label in space.labels.u.joints}
+    names = {label.full for label in leaves(plane.labels.x)}
+    values = {name: float(start[name][0]) for name in names if name in start}
+    values |= {
+        label.full: float(start[label.name, label.wheel][0])
+        for label in leaves(plane.labels.x)
+        if label.wheel
+    }
+    assert set(values) == names
+    run = simulate(space, start, space.inputs(**rates), T, options=TIGHT)
+    same = simulate(plane, settle(plane, **values), plane.inputs(**rates), T, options=TIGHT)
+    assert run.stop is None and same.stop is None
+    assert run["y"][-1] - run["y"][0] > 0.3
+    for name in ("x", "y", "z", "heading", "roll", "pitch", "velocity_y", "omega_x"):
+        assert_allclose(same[name], run[name], atol=2e-6, err_msg=name)
+    assert_allclose(same["spin"], run["spin"], atol=2e-5)
+    assert_allclose(same["contact_z"], run["contact_z"], atol=2e-6)
+
+
+def test_the_tip_over_margin_of_a_planar_vehicle_is_that_of_its_ends():
+    vehicle = planar(catalog.rigid_skid_steer())
+    start = settle(dynamics(vehicle, FLAT), z=0.2)
+    platform = Pose(ca.SX.eye(3), ca.SX([0, 0, 0.2]))
+    masses = [(mass, np.array(ca.evalf(at))) for _, mass, at in vehicle.masses(platform, {})]
+    center = sum(mass * at for mass, at in masses).ravel() / vehicle.mass
+    height = center[2] - start["contact_z"][0, 0]
+    ends = start["contact_y"][0] - center[1]
+    expected = np.arctan2([ends.max(), -ends.min()], height).min()
+    assert_allclose(start["tip_over_margin"][0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("model", [direct_kinematics, quasi_statics])
+def test_other_models_refuse_planar_vehicles(model):
+    for vehicle in (catalog.three_wheeler(), catalog.rigid_skid_steer()):
+        with pytest.raises(ModelError, match="locked to a plane; use dynamics"):
+            model(planar(vehicle), WAVES)
+
+
+class Sums(NamedTuple):
+    """One sum per wheel."""
+
+    wheels: tuple
+
+
+def test_a_controller_of_torques_equals_the_motors_of_a_vehicle():
+    """PI control of the rates: as states of a controller, and as drives of the wheels."""
+    motors = dynamics(driven(Motor(stall=1e6, no_load=1e6, kp=3.0, ki=20.0)), FLAT)
+    model = dynamics(driven(Torque()), FLAT)
+    names = [wheel.name for wheel in catalog.rigid_skid_steer().wheels]
+    sums, wanted = [ca.SX.sym(f"sum_{name}") for name in names], ca.SX.sym("wanted")
+    errors = [wanted - rate for rate in model.y.common.wheel_rate]
+    controller = Controller(
+        Sums(tuple(sums)),
+        (wanted,),
+        tuple(20.0 * error for error in errors),
+        tuple(3.0 * error + total for error, total in zip(errors, sums, strict=True)),
+        (errors[0],),
+        Sums(tuple(Label(f"sum_{name}", "N m", "integral") for name in names)),
+        (Label("wanted", "rad s-1", "wanted rate"),),
+        (Label("first_error", "rad s-1", "error of the first wheel"),),
+    )
+    closed = controlled(model, controller)
+    runs = []
+    for each, inputs in (
+        (motors, {label.full: 3.0 for label in motors.labels.u.wheels}),
+        (closed, {"wanted": 3.0}),
+    ):
+        start = settle(motors)
+        values = {label.full: float(value) for label, value in states(motors, start)}
+        known = {label.full for label in leaves(each.labels.x)}
+        values = {name: value for name, value in values.items() if name in known}
+        runs.append(
+            simulate(
+                each,
+                settle(each, **values) if each is closed else start,
+                each.inputs(**inputs),
+                T,
+                options=TIGHT,
+            )
+        )
+    for name in ("y", "z", "pitch", "work"):
+        assert_allclose(runs[1][name], runs[0][name], atol=1e-5, err_msg=name)
+    assert_allclose(runs[1]["first_error"], 3.0 - runs[1]["wheel_rate"][:, 0], atol=1e-12)
+
+
+FLAT = Analytic(lambda x, _y: 0 * x, mu=0.8)
+
+
+def states(model, run):
+    """Labels and values of the states of a one-sample trajectory."""
+    return zip(leaves(model.labels.x), model.rows("x", run, -1), strict=True)
+
+
+def test_a_controller_has_a_law_for_every_input():
+    model = dynamics(driven(Torque()), FLAT)
+    with pytest.raises(ModelError, match="expected 4 laws, one per input of the model, found 0"):
+        controlled(model, Controller((), (), (), (), (), (), (), ()))
