@@ -21,12 +21,12 @@ import numpy as np
 from reference import heading
 
 from slipfree import SolverOptions
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.contact import CompliantContact
-from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, held_torques, standing
 from slipfree.climb.friction_demand import least_friction
-from slipfree.climb.reference import PerAxle, Tilts, motors, odometry, ratios, reference
-from slipfree.climb.vehicle import seven_wheels
+from slipfree.control.reference_speeds import PerAxle, Tilts, motors, odometry, ratios, reference
+from slipfree.control.step_climbing import Control
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
@@ -147,7 +147,7 @@ def row(what: str, asked: str, found: str, reached: bool) -> None:
 
 def kinematics() -> None:
     """Print how well the law solves the closure, and the odometry inverts it."""
-    rng, climber, worst, inverse = np.random.default_rng(2), seven_wheels(0.06), 0.0, 0.0
+    rng, climber, worst, inverse = np.random.default_rng(2), step_climber(0.06), 0.0, 0.0
     for _ in range(2000):
         tilts = Tilts(*rng.uniform(-0.6, 0.6, 2))
         directions = PerAxle(*rng.uniform(-0.3, np.pi / 2, 3))
@@ -166,7 +166,7 @@ def kinematics() -> None:
 
 def statics() -> None:
     """Print loads and rest after a drop of a millimeter."""
-    climber, contact = seven_wheels(), CompliantContact()
+    climber, contact = step_climber(), CompliantContact()
     dae = climbing(climber, flat(), FIXED, contact)
     values = standing(climber, contact, 0.0)
     start = settle(dae, **values | {"z": values["z"] + 1e-3})
@@ -355,7 +355,7 @@ def critical(case: Case, between: np.ndarray) -> float:
 def friction() -> None:
     """Print how much friction slow and quick climbs need."""
     grounds = {"ramp": RAMP, "50 mm": step(0.05), "90 mm": STEP}
-    demands = {name: least_friction(seven_wheels(), each).mu for name, each in grounds.items()}
+    demands = {name: least_friction(step_climber(), each).mu for name, each in grounds.items()}
     for name, asked, apart in (
         ("ramp", 0.323, 0.005),
         ("50 mm", 0.543, 0.005),
@@ -419,7 +419,7 @@ def speed() -> None:
     """Print times of integrators and of sampled control."""
     for name, profile, contact in (("ramp", RAMP, TABLE_I), ("step", STEP, TWICE)):
         for control in ("fixed", "sensed"):
-            dae, start = begin(seven_wheels(torque=AMPLE), profile, CONTROLS[control], contact)
+            dae, start = begin(step_climber(torque=AMPLE), profile, CONTROLS[control], contact)
             t = np.linspace(0, 3, 1501)
             seconds = least_time(
                 lambda d=dae, s=start, t=t: simulate(
@@ -432,7 +432,7 @@ def speed() -> None:
                 f"{3 / seconds:.0f}",
                 3 / seconds > 10,
             )
-        dae, start = begin(seven_wheels(torque=AMPLE), profile, SENSED, contact)
+        dae, start = begin(step_climber(torque=AMPLE), profile, SENSED, contact)
         for tolerance in (1e-4, 1e-6):
             begun = time.process_time()
             try:
@@ -450,7 +450,7 @@ def speed() -> None:
                 words = str(error)
             row(f"{name} sensed: times real time, IDAS at {tolerance:g}", "", words, True)
     for period in (1e-3, 2e-3):
-        climber = seven_wheels(torque=AMPLE)
+        climber = step_climber(torque=AMPLE)
         dae, start = begin(climber, RAMP, SENSED, TABLE_I, period=period)
         held = held_torques(climber, dae)
         t = np.arange(round(3 / period) + 1) * period

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.contact_path import Leg, axle_arms, legs, sample
 from slipfree.climb.friction_demand import (
     equilibrium,
@@ -25,11 +26,11 @@ from slipfree.climb.friction_demand import (
     least_friction_forces,
 )
 from slipfree.climb.time_scaling import climb, history
-from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.records import Array
 from slipfree.terrain.solids import Profile, ramp, step
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.climber import AXLES, Climber
 
 HEIGHT, NODES, MARGIN = 0.09, 60, 1.03
 PROFILES = {
@@ -70,21 +71,21 @@ def slow() -> Iterator[str]:
     """Yield the least friction of slow climbs."""
     yield "slow climbs: joint [m], least mu (study), by leg"
     for (name, joint), expected in SLOW.items():
-        found = least_friction(seven_wheels(joint), PROFILES[name])
+        found = least_friction(step_climber(joint), PROFILES[name])
         by_leg = ", ".join(f"{each.leg.axle} {each.mu:.4f}" for each in found.demands)
         yield f"  {name:7s} {joint:5.3f}  {found.mu:.4f} ({expected})  {by_leg}"
-    leg = legs(seven_wheels(), PROFILES["90 mm"])[-1]
-    way = sample(seven_wheels(), PROFILES["90 mm"], leg, np.array([leg.length]))
-    loads = least_friction_forces(*equilibrium(seven_wheels(), way)).normal[0]
+    leg = legs(step_climber(), PROFILES["90 mm"])[-1]
+    way = sample(step_climber(), PROFILES["90 mm"], leg, np.array([leg.length]))
+    loads = least_friction_forces(*equilibrium(step_climber(), way)).normal[0]
     yield "  loads at rest, rear to front: " + ", ".join(f"{load:.2f} N" for load in loads)
-    tallest = highest_obstacle(seven_wheels(), 0.4, 0.1)
+    tallest = highest_obstacle(step_climber(), 0.4, 0.1)
     yield f"  highest step for mu 0.4: {1e3 * tallest:.1f} mm (about 29)"
 
 
 def planned() -> Iterator[str]:
     """Yield the least friction of planned climbs."""
     yield f"planned climbs, {NODES} nodes: least mu (study), difference, time of solving"
-    climber = seven_wheels()
+    climber = step_climber()
     for name, profile in PROFILES.items():
         for leg, expected in zip(legs(climber, profile), LEAST[name], strict=True):
             told = solved(climber, profile, leg, "friction", s=NODES).statistics
@@ -110,7 +111,7 @@ def risen(climber: Climber, profile: Profile, leg: Leg) -> Array:
 def fastest() -> Iterator[str]:
     """Yield the least times of the step's legs at 1.03 times the least friction of each."""
     yield f"least time [s] on the 90 mm step at {MARGIN} of the least mu (study)"
-    full, profile = seven_wheels(), PROFILES["90 mm"]
+    full, profile = step_climber(), PROFILES["90 mm"]
     light = replace(full, **{name: getattr(full, name)._replace(inertia=1e-12) for name in AXLES})
     for k, leg in enumerate(legs(full, profile)):
         found = []
@@ -128,7 +129,7 @@ def fastest() -> Iterator[str]:
 def meshes() -> Iterator[str]:
     """Yield what the number of nodes changes, and the speed."""
     yield "90 mm step, rear leg: nodes, largest speed [m/s], least mu; least time [s] at mu 0.7"
-    climber, profile = seven_wheels(), PROFILES["90 mm"]
+    climber, profile = step_climber(), PROFILES["90 mm"]
     leg = legs(climber, profile)[-1]
     for nodes in (30, 60, 120, 480):
         told = [

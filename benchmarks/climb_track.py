@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from slipfree.climb.contact import CompliantContact
-from slipfree.climb.control import Control
-from slipfree.climb.noise import Noise
 from slipfree.climb.plan_tracking import Tracking
-from slipfree.climb.vehicle import Climber
+from slipfree.control.sensor_noise import Noise
+from slipfree.control.step_climbing import Control
 from slipfree.terrain.solids import Profile, step
 from slipfree.trajectory import SolverError
+from slipfree.vehicle.climber import Climber
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from helpers.climb_cases import (

@@ -38,9 +38,9 @@ import numpy as np
 
 import slipfree
 from slipfree import SolverOptions
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.ending import climb_ending
 from slipfree.climb.friction_demand import highest_obstacle, least_friction
-from slipfree.climb.vehicle import seven_wheels
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.show import climb_figures as show
@@ -272,7 +272,7 @@ for height in (0.03, 0.06, 0.09, 0.128):
             cells += f"{bisected(best, *settings, *law, f'control.speed={speed}', duration):18.2f}"
     print(cells)
 print(
-    f"slow, highest step at a coefficient of 0.4: {1e3 * highest_obstacle(seven_wheels(), 0.4, 0.05):.0f} mm"
+    f"slow, highest step at a coefficient of 0.4: {1e3 * highest_obstacle(step_climber(), 0.4, 0.05):.0f} mm"
 )
 
 # %% [markdown]

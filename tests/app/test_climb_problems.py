@@ -11,15 +11,16 @@ import pytest
 from typer.testing import CliRunner
 
 from helpers.climb_cases import AMPLE, RAMP, SENSED, TABLE_I, climb, foot
+from slipfree.catalog.step_climber import step_climber
 from slipfree.cli import app
-from slipfree.climb.noise import Noise
-from slipfree.climb.vehicle import AXLES, seven_wheels
+from slipfree.control.sensor_noise import Noise
 from slipfree.files.netcdf import read as read_result
 from slipfree.files.netcdf import read_arrays, write
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import motion_facts
 from slipfree.problem.solve import build, run_problem
+from slipfree.vehicle.climber import AXLES
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 RAMP_FILE, STEP_FILE, STAIRS_FILE, PLAN_FILE = (
@@ -191,7 +192,7 @@ def test_what_the_vehicle_s_table_replaces():
             ],
         )
     )
-    plain = seven_wheels(0.06)
+    plain = step_climber(0.06)
     assert setup.climber.radius == 0.07
     assert setup.climber.torque == math.inf
     assert setup.climber.rear_body == plain.rear_body._replace(mass=10, above=0)

@@ -12,7 +12,6 @@ from PIL import Image
 
 from helpers.climb_cases import SENSED, STEP, TWICE, climb
 from slipfree.climb.metrics import disturbance_ratio, metrics, slip_ratio
-from slipfree.climb.vehicle import AXLES
 from slipfree.errors import ModelError
 from slipfree.records import Label
 from slipfree.show import climb_figures as show
@@ -20,6 +19,7 @@ from slipfree.show import plots
 from slipfree.show.climb_scene import Climbed, climb_scene
 from slipfree.show.film import animate
 from slipfree.trajectory import Column, Trajectory
+from slipfree.vehicle.climber import AXLES
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ NAMES = {
     *("Grid", "Bicubic", "Analytic", "Solids", "read_map"),
     *("Vehicle", "Coordinate", "Joint", "Body", "Wheel", "catalog", "read_vehicle"),
     *("direct_kinematics", "inverse_kinematics", "montana_kinematics", "quasi_statics"),
-    *("dynamics", "Compliant", "Rate", "Torque", "Motor"),
+    *("dynamics", "planar", "Compliant", "Rate", "Torque", "Motor"),
     *("LeastSlip", "Rolling", "Coulomb"),
     *("follow", "straight", "Path"),
     *("settle", "simulate", "plan", "replan", "cross_check"),

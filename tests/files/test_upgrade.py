@@ -7,7 +7,7 @@ import pytest
 
 from slipfree.errors import DataError
 from slipfree.files import netcdf
-from slipfree.files.upgrade import upgrade_0_1
+from slipfree.files.upgrade import sums_0_1, upgrade_0_1
 from slipfree.outcome import Outcome
 from slipfree.records import Label
 from slipfree.trajectory import Column, Stop, Trajectory
@@ -95,3 +95,15 @@ def test_motions_without_a_stop_are_complete() -> None:
     motion = Trajectory(np.zeros(1), {})
     assert motion.outcome is Outcome.COMPLETE
     assert motion.metadata["outcome"] == "complete"
+
+
+def test_quantities_of_climbs_have_the_names_of_dynamics() -> None:
+    names = ("x", "tilt_rear", "wheel_rate", "axle_x", "load_0", "gap_1", "rubbed", "damped")
+    found = sums_0_1({name: Label(name, "1", name) for name in names})
+    assert found["solid_load_1"] == {"load_0": 1.0}
+    assert found["solid_gap_2"] == {"gap_1": 1.0}
+    assert found["y"] == {"x": 1.0}
+    assert found["tilt_rear"] == {"tilt_rear": 1.0}
+    assert found["lost_energy"] == {"rubbed": 1.0, "damped": 1.0}
+    assert "axle_x" not in found
+    assert sums_0_1({"x": Label("x", "m", "x")}) == {"x": {"x": 1.0}}

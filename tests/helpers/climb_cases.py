@@ -8,23 +8,24 @@ from typing import NamedTuple
 import numpy as np
 
 from slipfree import SolverOptions
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.contact_path import legs
-from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, standing
 from slipfree.climb.metrics import Metrics, metrics
 from slipfree.climb.plan_tracking import TrackedPlan, Tracking, tracked_plan
 from slipfree.climb.time_scaling import climb as program
-from slipfree.climb.vehicle import Climber, seven_wheels
+from slipfree.control.step_climbing import Control
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.solids import Profile, ramp, step
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.climber import Climber
 
 AMPLE = 8.0  # torque of the lab's motors that "never" limits; on the step it does, 1 % of the time
 SPEED, HEIGHT, EVERY, AHEAD = 0.25, 0.09, 2e-3, 0.05
-CLIMBER = seven_wheels(torque=AMPLE)
+CLIMBER = step_climber(torque=AMPLE)
 MARGIN = 0.96  # part of the friction that a plan may use
 RAMP, STEP = ramp(np.pi / 4, HEIGHT), step(HEIGHT)
 TABLE_I, TWICE = (
@@ -61,7 +62,7 @@ class Climb(NamedTuple):
 
 def foot(profile):
     """Place of the front axle just before the ramp or step. [m]."""
-    radius = seven_wheels().radius
+    radius = step_climber().radius
     edge, top = profile.summit
     angle = np.arctan2(top, edge)
     return -AHEAD - radius * np.tan(angle / 2)
@@ -86,7 +87,7 @@ def climb(
     every=EVERY,
     climber=None,
 ) -> Climb:
-    climber = climber or seven_wheels(torque=torque)
+    climber = climber or step_climber(torque=torque)
     dae, start = begin(climber, profile, control, contact, speed)
     t = np.arange(round(until / every) + 1) * every
     run = simulate(

@@ -9,17 +9,18 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from slipfree import SolverOptions
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.contact import CompliantContact
-from slipfree.climb.control import Control, largest_period
 from slipfree.climb.dynamics import climbing, held_torques, standing
-from slipfree.climb.noise import Noise
-from slipfree.climb.reference import Law
-from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
+from slipfree.control.reference_speeds import Law
+from slipfree.control.sensor_noise import Noise
+from slipfree.control.step_climbing import Control, largest_period
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import Profile, kerb, ramp, stairs, step
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.climber import AXLES, Climber
 
 AHEAD, EVERY, TOLERANCE = 0.02, 0.01, 1e-6
 WAY, EXTRA = 2.0, 2.0  # of a run, with the way that stairs add [m], and its time beyond that [s]
@@ -80,7 +81,7 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _climber(rng: np.random.Generator) -> Climber:
-    base = seven_wheels(rng.choice([0.0, rng.uniform(0, 0.126)]))
+    base = step_climber(rng.choice([0.0, rng.uniform(0, 0.126)]))
     changes: dict[str, Any] = {
         name: getattr(base, name)._replace(
             mass=getattr(base, name).mass * _between(rng, 0.6, 1.6),

@@ -30,18 +30,19 @@ from helpers.climb_cases import (
     climb,
 )
 from slipfree import SolverOptions
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.contact import CompliantContact
-from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, held_torques, standing
 from slipfree.climb.metrics import climb_window
-from slipfree.climb.reference import PerAxle, directions
-from slipfree.climb.vehicle import AXLES, seven_wheels
+from slipfree.control.reference_speeds import PerAxle, directions
+from slipfree.control.step_climbing import Control
 from slipfree.errors import ModelError
 from slipfree.records import pack
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import flat, kerb, stairs
+from slipfree.vehicle.climber import AXLES
 
 HELD = [f"{axle}_torque" for axle in AXLES]
 
@@ -72,7 +73,7 @@ def ratio(measure, profile, control, contact, **options):
 
 
 def test_dropped_on_the_floor_it_comes_to_rest_under_its_weight():
-    climber, contact = seven_wheels(), CompliantContact()
+    climber, contact = step_climber(), CompliantContact()
     dae = climbing(climber, flat(), FIXED, contact)
     values = standing(climber, contact, 0.0)
     start = settle(dae, **values | {"z": values["z"] + 1e-3, "fold": values["fold"] + 0.003})
@@ -85,7 +86,7 @@ def test_dropped_on_the_floor_it_comes_to_rest_under_its_weight():
 
 def test_standing_is_equilibrium_with_the_joint_anywhere():
     for joint in (0.0, 0.06):
-        climber, contact = seven_wheels(joint), CompliantContact()
+        climber, contact = step_climber(joint), CompliantContact()
         dae = climbing(climber, flat(), FIXED, contact)
         start = settle(dae, **standing(climber, contact, 0.3))
         run = simulate(dae, start, dae.inputs(speed=0.0), np.linspace(0, 0.2, 11))
@@ -111,7 +112,7 @@ def test_the_motion_converges_with_the_tolerance():
 
 
 def test_both_integrators_agree():
-    dae, start = begin(seven_wheels(), STEP, EXACT, TWICE)
+    dae, start = begin(step_climber(), STEP, EXACT, TWICE)
     t = np.linspace(0, 0.4, 41)
     runs = [
         simulate(
@@ -167,8 +168,8 @@ def test_sensitivities_agree_with_differences():
 def sensitive_start():
     """Speed and dynamic friction, and the configuration after the front wheel's impact."""
     low, high = (replace(TWICE, dynamic=mu) for mu in (0.6, 0.7))
-    dae, start = begin(seven_wheels(), STEP, EXACT, low)
-    other = climbing(seven_wheels(), STEP, EXACT, high)
+    dae, start = begin(step_climber(), STEP, EXACT, low)
+    other = climbing(step_climber(), STEP, EXACT, high)
     more = ca.substitute(other.ode, ca.vertcat(*other.columns()), ca.vertcat(*dae.columns()))
     given = ca.SX.sym("given", 2)  # forces, and so the rates, are linear in the friction
     ode = dae.ode + (given[1] - 0.6) / 0.1 * (more - dae.ode)
@@ -264,7 +265,7 @@ def test_the_slip_of_the_paper_is_not_zero_without_slip(profile, most, floor, wi
 
 
 def sampled(period, control, start=None, until=3.4, torque=AMPLE):
-    climber = seven_wheels(torque=torque)
+    climber = step_climber(torque=torque)
     dae, rolling = begin(climber, RAMP, control, TABLE_I, period=2e-3)
     held = held_torques(climber, dae)
     t = np.arange(round(until / period) + 1) * period
@@ -286,7 +287,7 @@ def test_a_sampled_controller_does_as_the_continuous_one():
 def test_too_slow_a_sampled_controller_is_refused_since_free_wheels_swing_up():
     words = r"between 0 and 0\.0025 s = 2 J / \(n kp\), .* of the rear axle .* found 0\.005 s"
     with pytest.raises(ModelError, match=words):
-        climbing(seven_wheels(), RAMP, period=5e-3)
+        climbing(step_climber(), RAMP, period=5e-3)
     in_the_air = {"y": -2.0, "z": 1.0}
     calm, wild = (sampled(period, FIXED, in_the_air, 0.12) for period in (2.3e-3, 2.7e-3))
     assert np.abs(calm["spin"][-1] - SPEED / 0.066).max() < 0.1
@@ -307,11 +308,11 @@ def test_too_large_an_integral_makes_free_wheels_swing_up():
     assert late < early / 2
     assert after > 2 * before
     with pytest.raises(ModelError, match=r"between 0 and 0\.00195122 s = 2 kp / ki"):
-        climbing(seven_wheels(), RAMP, replace(FIXED, integral=4100.0), period=2e-3)
+        climbing(step_climber(), RAMP, replace(FIXED, integral=4100.0), period=2e-3)
 
 
 def test_held_inputs_are_checked():
-    dae, start = begin(seven_wheels(), RAMP, FIXED, TABLE_I, period=1e-3)
+    dae, start = begin(step_climber(), RAMP, FIXED, TABLE_I, period=1e-3)
     t, zeros = np.linspace(0, 0.01, 11), dict.fromkeys(HELD, 0.0)
     with pytest.raises(ModelError, match="evenly spaced"):
         simulate_sampled(dae, start, dae.inputs(speed=0.2, **zeros), t**2)
@@ -376,7 +377,7 @@ def test_directions_over_a_kerb(place, expected):
 
 
 def test_falling_over_is_named():
-    climber = seven_wheels()
+    climber = step_climber()
     dae = climbing(climber, flat(), FIXED, TABLE_I)
     start = settle(dae, z=0.4, pitch=0.3, fold=-0.3, omega_x=-9.0, fold_rate=9.0)
     run = simulate(

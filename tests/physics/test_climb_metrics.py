@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.metrics import disturbance_ratio, metrics, slip_ratio
-from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.errors import ModelError
 from slipfree.records import Label
 from slipfree.terrain.solids import step
 from slipfree.trajectory import Column, Trajectory
+from slipfree.vehicle.climber import AXLES
 
 N, RADIUS = 101, 0.066  # a sample every 10 ms
 PER_AXLE = {
@@ -40,7 +41,7 @@ def motion(**changes):
 
 
 def averages(run):
-    return metrics(run, seven_wheels(), step(0.09))
+    return metrics(run, step_climber(), step(0.09))
 
 
 def test_averages():
@@ -62,7 +63,7 @@ def test_averages():
 
 def test_ratios_are_signed_but_averages_count_at_most_one():
     run = motion(spin=np.tile((-4.0, 0.5, 0.5), (N, 1)))
-    ratios = slip_ratio(run, seven_wheels())
+    ratios = slip_ratio(run, step_climber())
     assert_allclose(ratios[0], 1 - 0.25 / (RADIUS * np.array([-4, 0.5, 0.5])))
     assert_allclose(disturbance_ratio(run)[0], [-9 / 4, 7, 7])
     assert_allclose(averages(run).slip, 1)

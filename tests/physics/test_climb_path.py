@@ -16,15 +16,16 @@ import scipy.sparse
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq, linprog
 
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.contact_path import axle_arms, legs, sample
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.time_scaling import MIN_ACCELERATION, climb, history, in_sequence
-from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.errors import ModelError
 from slipfree.nlp import Nlp
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.terrain.solids import kerb, ramp, stairs, step
 from slipfree.trajectory import SolverError
+from slipfree.vehicle.climber import AXLES
 
 SPEED, WEIGHT = 0.25, 9.81 * 21.6
 PROFILES = {"ramp": ramp(np.pi / 4, 0.09), **{f"{mm} mm": step(mm / 1000) for mm in (50, 90, 128)}}
@@ -35,7 +36,7 @@ LEAST = {
     "128 mm": (0.579, 0.608, 0.624),
 }
 ORDER = ("front", "middle", "rear")
-CLIMBER = seven_wheels()
+CLIMBER = step_climber()
 
 
 @cache
@@ -146,7 +147,7 @@ def lagrange(climber):
 @pytest.mark.parametrize("leg", [0, 1, 2])
 def test_equations_of_motion(leg, joint):
     """Forces and torques of a plan are those of Lagrange's equations and of every wheel's spin."""
-    climber = seven_wheels(joint)
+    climber = step_climber(joint)
     plan, run = planned("90 mm", leg, mu=0.8, climber=climber)
     middles, terms = plan.middles, lagrange(climber)
     wheels = np.array([axle.wheels for axle in climber.axles])
@@ -270,7 +271,7 @@ def test_limits_and_rests():
 
 def test_torque_limits():
     free, weak = (
-        planned("90 mm", 0, mu=0.9, climber=seven_wheels(torque=most))[1] for most in (np.inf, 2.0)
+        planned("90 mm", 0, mu=0.9, climber=step_climber(torque=most))[1] for most in (np.inf, 2.0)
     )
     assert np.abs(free["torque"]).max() > 2.5
     assert np.abs(weak["torque"]).max() < 2.0 + 1e-6
@@ -279,7 +280,7 @@ def test_torque_limits():
 
 @pytest.mark.parametrize("leg", [0, 1, 2])
 def test_motors_of_4_newton_meters_need_no_more_friction(leg):
-    strong = seven_wheels(torque=4.0)
+    strong = step_climber(torque=4.0)
     found = planned("90 mm", leg, "friction", climber=strong)[1].statistics["mu"]
     assert_allclose(found, planned("90 mm", leg, "friction")[1].statistics["mu"], atol=1e-3)
 

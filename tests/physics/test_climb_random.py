@@ -5,12 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.climb_drawn import drawn, drive, finite
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.ending import climb_ending
-from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.outcome import Outcome
 from slipfree.records import Label
 from slipfree.terrain.solids import Profile, Solid, step
 from slipfree.trajectory import Column, Stop, Trajectory
+from slipfree.vehicle.climber import AXLES
 
 N, RADIUS = 401, 0.066  # a sample every 10 ms
 T = np.arange(N) * 0.01
@@ -28,7 +29,7 @@ def motion(x, z=None, stop=None, touching=True):
 
 
 def ending(*args, **options):
-    return climb_ending(motion(*args, **options), seven_wheels(), step(0.09))
+    return climb_ending(motion(*args, **options), step_climber(), step(0.09))
 
 
 def test_what_comes_up_climbs():
@@ -42,7 +43,7 @@ def test_what_comes_up_climbs():
 def test_what_is_past_a_bump_has_climbed_it():
     bump = Solid(((0, -0.1), (0.3, -0.1), (0.3, 0.0), (0.15, 0.05), (0, 0.0)))
     ground = Profile((*step(0.09).solids[:1], bump))
-    found = climb_ending(motion(0.25 * T), seven_wheels(), ground)
+    found = climb_ending(motion(0.25 * T), step_climber(), ground)
     assert str(found) == "climbs"
     assert_allclose(found.t, 4 * (0.15 + 0.02 + 0.4) + 0.01, atol=0.011)
 

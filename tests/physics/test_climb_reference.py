@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree.climb.control import Control, largest_period, torques
-from slipfree.climb.reference import (
+from slipfree.catalog.step_climber import step_climber
+from slipfree.control.reference_speeds import (
     Base,
     PerAxle,
     Tilts,
@@ -18,7 +18,7 @@ from slipfree.climb.reference import (
     ratios,
     reference,
 )
-from slipfree.climb.vehicle import seven_wheels
+from slipfree.control.step_climbing import Control, largest_period, torques
 from slipfree.errors import ModelError
 
 ALPHA, TH_A, TH_B = np.radians([45, 12, 7])
@@ -45,7 +45,7 @@ def closure(climber, tilts, directions):
 
 def test_the_law_is_the_one_motion_without_slip():
     rng, worst = np.random.default_rng(0), 0.0
-    vehicles = [seven_wheels(joint) for joint in (0.0, 0.06, 0.126)]
+    vehicles = [step_climber(joint) for joint in (0.0, 0.06, 0.126)]
     for _ in range(2000):
         climber = vehicles[rng.integers(3)]
         tilts = Tilts(*rng.uniform(-0.6, 0.6, 2))
@@ -68,7 +68,7 @@ def test_the_law_is_the_one_motion_without_slip():
 )
 def test_phases_of_a_climb(directions, expected):
     """Figures of the lab for alpha = 45, th_a = 12, th_b = 7 degrees; (6) and (8) are one each."""
-    speeds = numbers(ratios(seven_wheels(), TILTS, PerAxle(*(ALPHA * d for d in directions))))
+    speeds = numbers(ratios(step_climber(), TILTS, PerAxle(*(ALPHA * d for d in directions))))
     speeds = speeds[[0, 2]] / speeds[1]
     six = np.cos(ALPHA - TH_B) / np.cos(TH_B)
     eight = np.cos(TH_A + TH_B) / np.cos(ALPHA - TH_A - TH_B)
@@ -84,7 +84,7 @@ def test_phases_of_a_climb(directions, expected):
 
 
 def test_at_a_wall_the_front_axle_goes_alone():
-    climber, level = seven_wheels(), Tilts(0.0, 0.0)
+    climber, level = step_climber(), Tilts(0.0, 0.0)
     wall = PerAxle(0.0, 0.0, np.pi / 2)
     speeds = numbers(reference(climber, level, wall, cap=1.5))
     assert_allclose(speeds, [0, 0, 1.5], atol=1e-12)
@@ -98,9 +98,9 @@ def test_at_a_wall_the_front_axle_goes_alone():
 
 def test_unknown_laws_are_refused():
     with pytest.raises(ModelError, match="expected one of projective, fixed"):
-        reference(seven_wheels(), TILTS, PerAxle(0, 0, 0), law="best")
+        reference(step_climber(), TILTS, PerAxle(0, 0, 0), law="best")
     with pytest.raises(ModelError, match=r"at least 1 as 'cap', found 0\.5"):
-        reference(seven_wheels(), TILTS, PerAxle(0, 0, 0), cap=0.5)
+        reference(step_climber(), TILTS, PerAxle(0, 0, 0), cap=0.5)
 
 
 # As printed
@@ -108,7 +108,7 @@ def test_unknown_laws_are_refused():
 
 def printed(law, cap=10.0):
     directions = PerAxle(0.0, 0.0, ALPHA)
-    return numbers(reference(seven_wheels(), TILTS, directions, law=law, cap=cap))
+    return numbers(reference(step_climber(), TILTS, directions, law=law, cap=cap))
 
 
 def test_printed_references():
@@ -119,7 +119,7 @@ def test_printed_references():
     assert_allclose(printed("printed_14"), inverse[[0, 3, 4], 0], rtol=1e-12)
     wall = PerAxle(0.0, 0.0, np.pi / 2)
     for law in ("printed_6_8", "printed_14", "printed_16"):
-        assert np.isfinite(numbers(reference(seven_wheels(), Tilts(0.0, 0.0), wall, law=law))).all()
+        assert np.isfinite(numbers(reference(step_climber(), Tilts(0.0, 0.0), wall, law=law))).all()
 
 
 def test_printed_matrices():
@@ -142,7 +142,7 @@ def test_odometry_inverts_the_references():
     for _ in range(100):
         directions = PerAxle(*rng.uniform(0, np.pi / 2, 3))
         tilts = Tilts(*rng.uniform(-0.5, 0.5, 2))
-        speeds = PerAxle(*numbers(reference(seven_wheels(), tilts, directions)))
+        speeds = PerAxle(*numbers(reference(step_climber(), tilts, directions)))
         there, back = (np.array(make(BASE, speeds)) for make in (motors, odometry))
         assert_allclose(back @ there, np.eye(3), atol=1e-14)
         assert_allclose(back, np.linalg.pinv(there), atol=1e-12)
@@ -156,7 +156,7 @@ def test_odometry_inverts_the_references():
 @pytest.mark.parametrize("directions", [(0, 0, 0), (0, 0, 0.8), (0, 0.6, 0), (0.7, 0, 0)])
 def test_sensors_see_the_direction_of_the_axle_that_climbs(directions):
     for joint in (0.0, 0.06):
-        climber = seven_wheels(joint)
+        climber = step_climber(joint)
         tilts = Tilts(0.1, 0.25)
         motion = closure(climber, tilts, directions)
         motion *= 0.25 / motion[1]
@@ -166,7 +166,7 @@ def test_sensors_see_the_direction_of_the_axle_that_climbs(directions):
 
 
 def test_sensors_see_no_more_than_they_can():
-    climber = seven_wheels()
+    climber = step_climber()
     fast = estimated_directions(climber, Tilts(0, 0), Tilts(0, 5.0), PerAxle(1, 1, 1))
     assert_allclose(numbers(fast), [0, 0, np.arcsin(0.985)])
     at_rest = estimated_directions(climber, Tilts(0, 0), Tilts(0, 0), PerAxle(0, 0, 0))
@@ -192,11 +192,11 @@ def test_torques_are_scaled_together():
 
 
 def test_largest_period_of_a_sampled_controller():
-    assert_allclose(largest_period(Control(), seven_wheels()), 2.5e-3)
-    assert_allclose(largest_period(Control(proportional=32.0), seven_wheels()), 2.5e-3 / 8)
-    assert_allclose(largest_period(Control(integral=4000.0), seven_wheels()), 2e-3)
+    assert_allclose(largest_period(Control(), step_climber()), 2.5e-3)
+    assert_allclose(largest_period(Control(proportional=32.0), step_climber()), 2.5e-3 / 8)
+    assert_allclose(largest_period(Control(integral=4000.0), step_climber()), 2e-3)
     with_derivative = Control(derivative=0.02, lag=0.005)
-    assert_allclose(largest_period(with_derivative, seven_wheels()), 1.25e-3)
+    assert_allclose(largest_period(with_derivative, step_climber()), 1.25e-3)
 
 
 @pytest.mark.parametrize(

@@ -20,22 +20,22 @@ from helpers.climb_cases import (
     planned,
     tracking,
 )
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.contact_path import legs
 from slipfree.climb.dynamics import climbing
 from slipfree.climb.ending import climb_ending
 from slipfree.climb.metrics import axle_speeds
-from slipfree.climb.noise import Noise, measured
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
-from slipfree.climb.reference import PerAxle, Tilts
 from slipfree.climb.time_scaling import climb as program
 from slipfree.climb.time_scaling import history, in_sequence
-from slipfree.climb.vehicle import seven_wheels
+from slipfree.control.reference_speeds import PerAxle, Tilts
+from slipfree.control.sensor_noise import Noise, measured
 from slipfree.errors import ModelError
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.trajectory import SolverError
 
-CLIMBER = seven_wheels(torque=AMPLE)
+CLIMBER = step_climber(torque=AMPLE)
 UNTIL = 13.0
 
 

@@ -52,7 +52,7 @@ def test_a_planar_vehicle_moves_as_a_symmetric_one_in_space(vehicle):
     assert set(values) == names
     run = simulate(space, start, space.inputs(**rates), T, options=TIGHT)
     same = simulate(plane, settle(plane, **values), plane.inputs(**rates), T, options=TIGHT)
-    assert run.stop is None and same.stop is None
+    assert (run.stop, same.stop) == (None, None)
     assert run["y"][-1] - run["y"][0] > 0.3
     for name in ("x", "y", "z", "heading", "roll", "pitch", "velocity_y", "omega_x"):
         assert_allclose(same[name], run[name], atol=2e-6, err_msg=name)

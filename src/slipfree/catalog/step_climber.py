@@ -7,6 +7,7 @@ from math import inf
 from slipfree.catalog.carts import SIDES, _positive
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Vector
+from slipfree.vehicle import climber
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.omni import Omni
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
@@ -124,4 +125,41 @@ def seven_wheels(
             wheel("front_across", "front_press", ORIGIN, "y"),
         ),
         Body(REAR_MASS - 4 * wheel_mass, (0.0, middles[0], above)),
+    )
+
+
+def step_climber(joint: float = 0.0, torque: float = inf) -> climber.Climber:
+    """Return the step climber of Chugo et al. (2009), in the plane.
+
+    It is the side view of `seven_wheels`. The paper gives no moments of inertia: those of the
+    bodies are assumed to be those of boxes 250 mm high; those of the wheels with their rotors are
+    estimates.
+
+    Parameters
+    ----------
+    joint : float
+        Distance of the joint ahead of the middle axle. [m]
+    torque : float
+        Largest torque of a wheel's motor. [N m]
+    """
+    height, lengths = 0.25, (0.400, 0.195)
+    whole = seven_wheels(joint=joint)
+    front = next(each.body for each in whole.joints if each.name == "twist")
+    wheels = {wheel.name: wheel for wheel in whole.wheels}
+    # the platform's origin is the middle wheel, that of the front body the joint
+    origins = joint, 0.0
+    rear_body, front_body = (
+        climber.Body(
+            each.mass, each.at[1] - origin, each.at[2], each.mass * (length**2 + height**2) / 12
+        )
+        for each, origin, length in zip((whole.body, front), origins, lengths, strict=True)
+    )
+    return climber.Climber(
+        wheels["middle"].radius,
+        rear_body,
+        front_body,
+        climber.Axle(wheels["rear_left"].at[1] - joint, 2, 0.010),
+        climber.Axle(-joint, 1, 0.005),
+        climber.Axle(wheels["front_left"].at[1], 2, 0.010),
+        torque,
     )

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array
 from slipfree.terrain.solids import Profile
+from slipfree.vehicle.climber import AXLES, Climber
 
 Solids = tuple[int, ...]  # index of the solid below each axle
 FLOOR: Solids = (0, 0, 0)

@@ -9,10 +9,8 @@ import casadi as ca
 import numpy as np
 
 from slipfree.climb.contact import CompliantContact
-from slipfree.climb.control import Commands, Control, check_period, torques
-from slipfree.climb.noise import Noise, measured
 from slipfree.climb.plan_tracking import Tracking, tracked
-from slipfree.climb.records import (
+from slipfree.control.climb_records import (
     INPUTS,
     OUTPUTS,
     ControlOutputs,
@@ -20,14 +18,22 @@ from slipfree.climb.records import (
     Measured,
     state_labels,
 )
-from slipfree.climb.reference import PerAxle, Tilts, directions, estimated_directions, reference
-from slipfree.climb.vehicle import AXLES, FOLD, Climber, side_view
 from slipfree.control.controlled import Controller, controlled
+from slipfree.control.reference_speeds import (
+    PerAxle,
+    Tilts,
+    directions,
+    estimated_directions,
+    reference,
+)
+from slipfree.control.sensor_noise import Noise, measured
+from slipfree.control.step_climbing import Commands, Control, check_period, torques
 from slipfree.dae import Dae, Limit
 from slipfree.models.dynamics import dynamics
 from slipfree.records import Array, Label, symbols
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.solids import Prism, Profile, Solids
+from slipfree.vehicle.climber import AXLES, FOLD, Climber, side_view
 from slipfree.vehicle.tree import GRAVITY
 
 MAX_TILT = 1.4  # a body with a larger tilt has overturned [rad]
@@ -70,7 +76,8 @@ def climbing(
     Raises
     ------
     ModelError
-        If the sample time is not positive, or not below `slipfree.climb.control.largest_period`.
+        If the sample time is not positive, or not below
+        `slipfree.control.step_climbing.largest_period`.
 
     Notes
     -----

@@ -7,10 +7,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.climb.metrics import has_reached_top, touches_obstacle
-from slipfree.climb.vehicle import Climber
 from slipfree.records import Array
 from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.climber import Climber
 
 Ending = Literal["climbs", "stalls", "slides back", "tips over", "unfinished"]
 STALL_TIME, STALL_PROGRESS = 1.0, 5e-3  # a smaller final progress in this time is a stall [s, m]

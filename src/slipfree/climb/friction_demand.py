@@ -21,11 +21,11 @@ import numpy as np
 import scipy
 
 from slipfree.climb.contact_path import Leg, PathSamples, axle_arms, legs, sample, tangents
-from slipfree.climb.vehicle import Body, Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array
 from slipfree.terrain.solids import Profile, step
 from slipfree.trajectory import SolverError
+from slipfree.vehicle.climber import Body, Climber
 from slipfree.vehicle.tree import GRAVITY
 
 MAX_FRICTION = 10.0  # climbs that need a larger coefficient count as impossible

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.climb.vehicle import AXLES, FOLD, Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array, Mask
 from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.climber import AXLES, FOLD, Climber
 
 LEAD_TIME, TRAIL_TIME = 0.05, 0.1  # parts of the window before first contact and after climb [s]
 EDGE_MARGIN, MAX_SINKAGE = 0.02, 0.003  # distance behind the edge, depth below the top level [m]

@@ -22,12 +22,12 @@ import casadi as ca
 import numpy as np
 
 from slipfree.climb.contact_path import axle_arms
-from slipfree.climb.control import Commands, limited
-from slipfree.climb.reference import PerAxle
 from slipfree.climb.time_scaling import Climb, history
-from slipfree.climb.vehicle import Climber
+from slipfree.control.reference_speeds import PerAxle
+from slipfree.control.step_climbing import Commands, limited
 from slipfree.errors import ModelError
 from slipfree.records import Array
+from slipfree.vehicle.climber import Climber
 
 MIN_SPEED = 0.01  # smallest reference, so that the vehicle leaves points of rest [m/s]
 ACCELERATION = 0.3  # braking before the plan and acceleration behind it [m/s2]

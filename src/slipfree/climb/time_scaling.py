@@ -31,12 +31,12 @@ from slipfree.climb.friction_demand import (
     equilibrium,
     least_friction_forces,
 )
-from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.errors import ModelError
 from slipfree.nlp import Nlp
 from slipfree.records import Array, Label
 from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Column, Trajectory, joined
+from slipfree.vehicle.climber import AXLES, Climber
 from slipfree.vehicle.tree import GRAVITY
 
 COSTS = ("time", "friction", "slip")

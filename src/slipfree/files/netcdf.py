@@ -41,10 +41,10 @@ from slipfree.files.cf import (
 )
 from slipfree.files.map_coordinates import MAP_CRS
 from slipfree.files.tables import write_rows
-from slipfree.files.upgrade import upgrade_0_1, upgrade_column_0_1
+from slipfree.files.upgrade import sums_0_1, upgrade_0_1, upgrade_column_0_1
 from slipfree.frames import to_problem_frame
 from slipfree.outcome import Outcome
-from slipfree.records import Label
+from slipfree.records import Array, Label
 from slipfree.regular_files import escape_name, regular_file
 from slipfree.trajectory import (
     OUTCOME,
@@ -435,9 +435,19 @@ class _Columns(Mapping[str, Column]):
 
     def __init__(self, file: _File, labels: Mapping[str, Label]) -> None:
         self._file, self._labels = file, labels
+        self._is_old = str(file.attributes[ORIGIN]).startswith(OLD)
+        self._sums = sums_0_1(labels) if self._is_old else dict.fromkeys(labels, {})
 
     def __getitem__(self, name: str) -> Column:
-        label = self._labels[name]
+        if not self._is_old:
+            return Column(self._labels[name], self._stored(name))
+        parts = self._sums[name]
+        label = replace(self._labels[next(iter(parts))], name=name)
+        values = np.sum([factor * self._stored(part) for part, factor in parts.items()], axis=0)
+        return upgrade_column_0_1(Column(label, values))
+
+    def _stored(self, name: str) -> Array:
+        """Return the values of a stored quantity, shape (n,) or (n, n_wheels)."""
         found = self._file.values(name)
         found = found.T if self._file.variables[name].dimensions[0] == "wheel" else found
         values = np.empty(found.shape)
@@ -447,15 +457,13 @@ class _Columns(Mapping[str, Column]):
                 raise _fault(
                     self._file.path, f"absolute values above {MAX_VALUE:g} in the variable {name!r}"
                 )
-        column = Column(label, values)
-        is_old = str(self._file.attributes[ORIGIN]).startswith(OLD)
-        return upgrade_column_0_1(column) if is_old else column
+        return values
 
     def __contains__(self, name: object) -> bool:
-        return name in self._labels
+        return name in self._sums
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._labels)
+        return iter(self._sums)
 
     def __len__(self) -> int:
-        return len(self._labels)
+        return len(self._sums)

@@ -10,8 +10,23 @@ import numpy as np
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.settings import replace_values
 from slipfree.outcome import Outcome
+from slipfree.records import Label
 from slipfree.trajectory import OUTCOME, STATISTICS, STOP, Column
 
+CLIMBS = {  # current names of quantities of climbs
+    "x": "y",
+    "velocity_x": "velocity_y",
+    "tilt_rear_rate": "omega_x",
+    "axle_x": "center_y",
+    "axle_z": "center_z",
+    "wheel_rate": "spin",
+    "torque": "motor_torque",
+}
+CLIMB_SUMS = {
+    "lost_energy": {"rubbed": 1.0, "damped": 1.0},
+    "fold_rate": {"tilt_front_rate": 1.0, "tilt_rear_rate": -1.0},
+}
+ON_SOLIDS = ("gap", "load", "friction", "slip")  # quantities of climbs with the number of a solid
 NO_CLEARANCE = 1.0  # version 0.1 stored this for a wheel without a second near point [m]
 ROUNDING = 1e-6  # smaller violations of a limit are rounding, in the unit of the limit
 
@@ -44,6 +59,24 @@ def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]
     if violated := _violations(found):
         found["plan_violations"] = violated
     return {**_problem_attributes(found), **found}
+
+
+def sums_0_1(labels: Mapping[str, Label]) -> dict[str, dict[str, float]]:
+    """Return the stored quantities of a result of version 0.1 that make up the current ones.
+
+    A current quantity is a sum of stored quantities with factors. Those of climbs have other names
+    since climbs are dynamics.
+    """
+    if "axle_x" not in labels:
+        return {name: {name: 1.0} for name in labels}
+    found = dict[str, dict[str, float]]()
+    for name in labels:
+        kind, _, number = name.rpartition("_")
+        if kind in ON_SOLIDS and number.isdigit():
+            found[f"solid_{kind}_{int(number) + 1}"] = {name: 1.0}
+        else:
+            found[CLIMBS.get(name, name)] = {name: 1.0}
+    return found | CLIMB_SUMS
 
 
 def upgrade_column_0_1(column: Column) -> Column:

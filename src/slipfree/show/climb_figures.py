@@ -17,13 +17,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from slipfree.climb.metrics import MIN_LOAD, disturbance_ratio, slip_ratio
-from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.records import Array
 from slipfree.show import style
 from slipfree.show.plots import Panel, Plot, stack
 from slipfree.show.style import MM, PAGE, PLATFORM
 from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.climber import AXLES, Climber
 
 EVERY, POSES = 0.3, 2  # time between dots [s], number of dots per drawn vehicle
 TIMES = colormaps["viridis"]

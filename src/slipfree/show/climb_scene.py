@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.climb.metrics import MIN_LOAD
-from slipfree.climb.vehicle import AXLES, Body, Climber
 from slipfree.errors import ModelError
 from slipfree.geometry.mesh import Mesh
 from slipfree.models.poses import spun
@@ -24,6 +23,7 @@ from slipfree.show.meshes import clipped, extruded, joined, plate, rod, spokes
 from slipfree.show.scene import PLATE, ROD, TYRE, Actor, Arrows, Color, Ground, Scene
 from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.climber import AXLES, Body, Climber
 from slipfree.vehicle.sections.torus import Torus
 
 TRACK = 3.5  # half of the track [wheel radius]

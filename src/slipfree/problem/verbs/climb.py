@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slipfree.catalog.step_climber import step_climber
 from slipfree.climb.contact import CompliantContact
-from slipfree.climb.control import Control, check_period
 from slipfree.climb.dynamics import climbing, floor_loads, held_torques, standing
 from slipfree.climb.ending import climb_ending
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import climb_window, metrics
-from slipfree.climb.noise import Noise
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
-from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
+from slipfree.control.sensor_noise import Noise
+from slipfree.control.step_climbing import Control, check_period
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.files.tables import read_columns
@@ -55,6 +55,7 @@ from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import Profile, Solid
 from slipfree.trajectory import SolverError, Trajectory
+from slipfree.vehicle.climber import AXLES, Climber
 
 if TYPE_CHECKING:
     from slipfree.plan.warm_start import SavedPlan
@@ -354,7 +355,7 @@ def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, 
 
 def _climber(spec: climb_schema.Climber) -> Climber:
     """Return the vehicle of the catalogue, with the dimensions that the problem gives."""
-    plain = seven_wheels(spec.joint, spec.torque)
+    plain = step_climber(spec.joint, spec.torque)
     parts = {
         name: getattr(plain, name)._replace(**getattr(spec, name).model_dump(exclude_none=True))
         for name in ("rear_body", "front_body", *AXLES)

@@ -10,13 +10,13 @@ import numpy as np
 
 from slipfree.climb.contact_path import Leg, legs
 from slipfree.climb.time_scaling import Climb, climb, history, in_sequence
-from slipfree.climb.vehicle import Climber
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.problem.build_common import wheel_angles_at
 from slipfree.problem.verbs import climb_schema as schema
 from slipfree.records import Array, Label
 from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Column, SolverError, Trajectory
+from slipfree.vehicle.climber import Climber
 
 AXLE_QUANTITIES = {
     "wheel_rate": "rad s-1",

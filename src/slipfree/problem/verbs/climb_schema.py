@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from slipfree.climb.control import Directions
-from slipfree.climb.reference import Law
+from slipfree.control.reference_speeds import Law
+from slipfree.control.step_climbing import Directions
 from slipfree.files.toml.source_lines import Place as KeyPath
 from slipfree.files.toml.types import (
     Count,
@@ -133,7 +133,7 @@ class Noise(Record):
 
 
 class Control(Record):
-    """Control of the wheels; the defaults are those of `slipfree.climb.control.Control`."""
+    """Control of the wheels; the defaults are those of `slipfree.control.step_climbing.Control`."""
 
     speed: Positive = Field(description="speed of the vehicle [m/s]")
     law: Law | None = Field(default=None, description="law of the axles' reference speeds")

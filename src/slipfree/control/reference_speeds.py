@@ -23,9 +23,9 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import casadi as ca
 
-from slipfree.climb.vehicle import Climber
 from slipfree.errors import ModelError
 from slipfree.terrain.solids import Profile
+from slipfree.vehicle.climber import Climber
 
 MIN_MIDDLE_SPEED = 1e-3  # lower bound of the middle axle's relative speed as a divisor
 GUIDE_GAP, GUIDE_WIDTH = 1.5e-3, 6e-4  # gap below which a solid guides a wheel, and transition [m]

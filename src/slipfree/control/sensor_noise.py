@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.climb.reference import PerAxle, Tilts
+from slipfree.control.reference_speeds import PerAxle, Tilts
 from slipfree.errors import ModelError
 
 TONES = 24  # number of tones in the noise of a sensor

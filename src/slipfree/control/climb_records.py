@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from slipfree.climb.control import Driver
-from slipfree.climb.reference import PerAxle, Tilts
-from slipfree.climb.vehicle import AXLES
+from slipfree.control.reference_speeds import PerAxle, Tilts
+from slipfree.control.step_climbing import Driver
 from slipfree.records import Label
+from slipfree.vehicle.climber import AXLES
 
 
 class Measured(NamedTuple):

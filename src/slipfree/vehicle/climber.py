@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from slipfree.catalog import step_climber
 from slipfree.errors import ModelError
 from slipfree.vehicle import tree
 from slipfree.vehicle.drives import Torque
@@ -126,41 +125,6 @@ class Climber:
     def mass(self) -> float:
         """Mass of the vehicle [kg]."""
         return self.rear_body.mass + self.front_body.mass
-
-
-def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
-    """Return the step climber of Chugo et al. (2009), in the plane.
-
-    It is the side view of `slipfree.catalog.seven_wheels`. The paper gives no moments of inertia:
-    those of the bodies are assumed to be those of boxes 250 mm high; those of the wheels with their
-    rotors are estimates.
-
-    Parameters
-    ----------
-    joint : float
-        Distance of the joint ahead of the middle axle. [m]
-    torque : float
-        Largest torque of a wheel's motor. [N m]
-    """
-    height, lengths = 0.25, (0.400, 0.195)
-    whole = step_climber.seven_wheels(joint=joint)
-    front = next(each.body for each in whole.joints if each.name == "twist")
-    wheels = {wheel.name: wheel for wheel in whole.wheels}
-    # the platform's origin is the middle wheel, that of the front body the joint
-    origins = joint, 0.0
-    rear_body, front_body = (
-        Body(each.mass, each.at[1] - origin, each.at[2], each.mass * (length**2 + height**2) / 12)
-        for each, origin, length in zip((whole.body, front), origins, lengths, strict=True)
-    )
-    return Climber(
-        wheels["middle"].radius,
-        rear_body,
-        front_body,
-        Axle(wheels["rear_left"].at[1] - joint, 2, 0.010),
-        Axle(-joint, 1, 0.005),
-        Axle(wheels["front_left"].at[1], 2, 0.010),
-        torque,
-    )
 
 
 def side_view(climber: Climber, static_depth: float) -> Vehicle:

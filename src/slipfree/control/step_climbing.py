@@ -1,6 +1,6 @@
 """Motor torques: PID control of every wheel's rate, and a common scale factor.
 
-Equations (17) to (19) of Chugo et al. (2009); see `slipfree.climb.reference`.
+Equations (17) to (19) of Chugo et al. (2009); see `slipfree.control.reference_speeds`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import casadi as ca
 
-from slipfree.climb.noise import Noise
-from slipfree.climb.reference import Law, PerAxle
-from slipfree.climb.vehicle import AXLES, Climber
+from slipfree.control.reference_speeds import Law, PerAxle
+from slipfree.control.sensor_noise import Noise
 from slipfree.errors import ModelError
+from slipfree.vehicle.climber import AXLES, Climber
 
 Directions = Literal["contact", "sensors"]
 
@@ -55,7 +55,7 @@ class Control:
     Attributes
     ----------
     law : {"projective", "fixed", "printed_6_8", "printed_14", "printed_16"}
-        Law of the reference speeds, see `slipfree.climb.reference.reference`.
+        Law of the reference speeds, see `slipfree.control.reference_speeds.reference`.
     directions : {"sensors", "contact"}
         Source of the directions of the axles: estimates from tilt sensors, potentiometer and
         encoders, or the true directions of the contacts, known only in simulations.
