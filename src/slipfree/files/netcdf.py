@@ -436,7 +436,7 @@ class _Columns(Mapping[str, Column]):
     def __init__(self, file: _File, labels: Mapping[str, Label]) -> None:
         self._file, self._labels = file, labels
         self._is_old = str(file.attributes[ORIGIN]).startswith(OLD)
-        self._sums = sums_0_1(labels) if self._is_old else dict.fromkeys(labels, {})
+        self._sums = sums_0_1(labels) if self._is_old else {name: {} for name in labels}
 
     def __getitem__(self, name: str) -> Column:
         if not self._is_old:
