@@ -7,7 +7,7 @@ Ground
     file. `Solids`, steps, stairs and boxes on a ground.
 Vehicle
     `catalog`, vehicles ready for use. `read_vehicle`, from a TOML or URDF file. `Vehicle`, made of
-    `Coordinate`, `Joint`, `Body` and `Wheel`, which a `Rate`, `Torque` or `Motor` drives.
+    `Coordinate`, `Joint`, `Body` and `Wheel`, which a `Rate`, `Torque` or `Motor` drives; `planar`.
 Model, a `Dae`
     `direct_kinematics`, the motion at given wheel rates, with a slip law: `LeastSlip`, `Rolling`.
     `inverse_kinematics`, the wheel rates of a given motion. `quasi_statics`, the motion by gravity

@@ -511,7 +511,7 @@ def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.M
         (
             "climb_ramp.toml",
             ("time.duration=0.3",),
-            {"climb_true_slip", "climb_up", "end_tilt_front", "work", "torque_largest"},
+            {"climb_true_slip", "climb_up", "end_tilt_front", "work", "motor_torque_largest"},
         ),
         (
             "paper_inverse.toml",
