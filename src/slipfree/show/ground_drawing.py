@@ -26,7 +26,7 @@ HEATMAP = 600  # samples of a drawn map along an axis
 DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
 INSIDE = 0.44  # largest distance of text on a map from its middle [width of the map]
 
-SOLID: dict[str, Any] = {"fc": (0.2, 0.2, 0.2, 0.25), "ec": "black", "lw": 0.8, "zorder": 2}
+SOLID: dict[str, Any] = {"fc": (0.55, 0.55, 0.55, 0.45), "ec": "black", "lw": 0.8, "zorder": 2}
 
 Window = tuple[float, float, float, float]
 
@@ -95,7 +95,9 @@ def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
             continue
         for first, last in pairwise(np.unique(np.round(corners[:, 0], DIGITS)).tolist()):
             face = np.array([(u, v) for u in (first, last) for v in sides])[[0, 1, 3, 2]]
-            ax.add_patch(Polygon(face @ axes.T + place, label="solids", **SOLID))
+            outline = Polygon(face @ axes.T + place, label="solids", **SOLID)
+            outline.set_path_effects(style.halo(2.0))
+            ax.add_patch(outline)
     return ax
 
 
