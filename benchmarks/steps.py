@@ -11,8 +11,8 @@ monotonic in the coefficient, and other distributions of the torques may need le
 
 The quasi-static value is the largest along the climb of the least coefficient that an optimal
 distribution of the torques needs. For a rigid vehicle with two driven axles it follows from three
-forces that meet in a point: gravity, and the forces of the ground on both axles. For the seven-wheel
-vehicle it is `slipfree.climb.friction_demand.least_friction`.
+forces that meet in a point: gravity, and the forces of the ground on both axles. For the seven-
+wheel vehicle it is `slipfree.climb.friction_demand.least_friction`.
 """
 
 from __future__ import annotations
@@ -32,8 +32,6 @@ from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.vehicle import seven_wheels as climber
 from slipfree.dae import Dae
 from slipfree.models.obstacle_ending import TOP_SHARE
-from slipfree.records import leaves
-from slipfree.solve.events import Event
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.solids import Solids, placed, step
 from slipfree.trajectory import Trajectory
@@ -41,10 +39,12 @@ from slipfree.trajectory import Trajectory
 RESOLUTION, LANES = 0.04, 32  # step of the coefficient of friction [1], and number of steps
 LANE = 10.0  # width of a lane of constant friction; one model serves all coefficients [m]
 CLEARANCE = 0.05  # of the first wheel from the step at the start [m]
-WAY = 2.5  # distance that the rims travel at most [lengths of the vehicle]
-SAMPLES_PER_SECOND = 20
-HEADINGS = (0.0, 20.0)  # [degrees]
-TOP = "top"  # event: all wheels are up
+WAY = 2.2  # distance that the rims travel at most [lengths of the vehicle]
+SAMPLES_PER_SECOND = 10
+HEADINGS: dict[str, tuple[float, ...]] = {  # of other vehicles: zero [degrees]
+    "rigid_skid_steer": (0.0, 20.0),
+    "rocky7": (0.0, 20.0),
+}
 VEHICLES = {
     "rigid_skid_steer": catalog.rigid_skid_steer(),
     "skid_steer": catalog.skid_steer(),
@@ -84,11 +84,10 @@ def at_rest(name: str, heading: float) -> Trajectory:
 
 
 class Course(NamedTuple):
-    """Model of a vehicle before a step, its inputs, the event at the top, and the times [s]."""
+    """Model of a vehicle before a step, its inputs, and the times [s]."""
 
     model: Dae
     inputs: Any
-    top: Event
     t: np.ndarray
 
 
@@ -107,34 +106,27 @@ def course(case: Case) -> Course:
             inputs[f"{wheel.name}_rate"] = rate
     duration = WAY * (ahead + behind) / case.setting.speed / np.cos(case.heading)
     t = np.linspace(0, duration, int(duration * SAMPLES_PER_SECOND) + 1)
-    outputs = dict(
-        zip((each.full for each in leaves(model.labels.y)), leaves(model.y), strict=True)
-    )
-    over = (
-        outputs[f"center_z[{wheel.name}]"] - case.height - TOP_SHARE * wheel.radius
-        for wheel in vehicle.wheels
-    )
-    top = Event(ca.mmin(ca.vertcat(*over)), stop=True, name=TOP)
-    return Course(model, model.inputs(**inputs), top, t)
+    return Course(model, model.inputs(**inputs), t)
 
 
 def climbs(case: Case, lane: int) -> bool:
     """Return whether all wheels reach the top of a step in a lane."""
-    model, inputs, top, t = course(case)
+    model, inputs, t = course(case)
     rest = at_rest(case.name, case.heading)
     x = rest.columns["x"]
-    beside = replace(
-        rest, columns={**rest.columns, "x": x._replace(values=x.values + (lane + 0.5) * LANE)}
-    )
+    x = x._replace(values=x.values + (lane + 0.5) * LANE)
+    beside = replace(rest, columns={**rest.columns, "x": x})
     options = SolverOptions(tolerance=case.setting.tolerance)
     try:
-        run = simulate(model, beside, inputs, t, options=options, events=[top])
+        run = simulate(model, beside, inputs, t, options=options)
     except (SolverError, ModelError) as error:
         print(
             f"  ({case.name}, {case.height:g} m, {RESOLUTION * lane:g}: {error})", file=sys.stderr
         )
         return False
-    return run.stop is not None and run.stop.name == TOP
+    radii = np.array([wheel.radius for wheel in VEHICLES[case.name].wheels])
+    over = run["center_z"] - case.height > TOP_SHARE * radii
+    return bool(over.all(axis=1).any())
 
 
 def least(case: Case) -> float | None:
@@ -231,9 +223,13 @@ def table(names: list[str]) -> None:
         begin = time.perf_counter()
         radius = max(wheel.radius for wheel in VEHICLES[name].wheels)
         for height in rows(name):
-            found = [least(Case(name, height, np.deg2rad(each))) for each in HEADINGS]
+            headings = np.deg2rad(HEADINGS.get(name, (0.0,)))
+            found = [least(Case(name, height, float(each))) for each in headings]
+            aside = words(found[1]) if found[1:] else ""
+            known = demand(name, height)
+            statics = "" if known is None else words(known)
             step_words = f"{1e3 * height:.0f} mm, {height / radius:.2f} R"
-            shown = f"{words(found[0]):>7} {words(found[1]):>7} {words(demand(name, height)):>20}"
+            shown = f"{words(found[0]):>7} {aside:>7} {statics:>20}"
             print(f"{name:18} {step_words:>14} {shown}", flush=True)
         print(f"  {time.perf_counter() - begin:.0f} s", flush=True)
 
