@@ -115,16 +115,15 @@ def model(group: int) -> tuple[Dae, Solids]:
 
 
 @lru_cache(maxsize=len(VEHICLES))
-def flat_model(name: str, group: int) -> Dae:
+def level_model(group: int) -> Dae:
     """Return the model of a group's vehicle on level ground."""
     return dynamics(world(group).vehicle, Analytic(lambda x, y: 0 * (x + y), mu=1.0))
 
 
 def start(case: Climb) -> Trajectory:
     """Return the vehicle at rest before the obstacle."""
-    its, first = world(case.group), case.group % len(VEHICLES)
-    flat = flat_model(VEHICLES[first], first)
-    rest = settle(flat, x=0.0, y=0.0, heading=case.heading)
+    its, level = world(case.group), level_model(case.group % len(VEHICLES))
+    rest = settle(level, x=0.0, y=0.0, heading=case.heading)
     y = -rest["center_y"].max() - (1 + CLEARANCE) * its.radius
     shifts = {"x": LANE * (case.lane + 0.5), "y": y}
     moved = {
