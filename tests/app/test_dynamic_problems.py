@@ -10,6 +10,8 @@ from slipfree import Bicubic, Solids, load_problem, open_result
 from slipfree.cli import app
 from slipfree.problem.build_ground import build_ground
 from slipfree.problem.build_solids import build_solids
+from slipfree.problem.verbs.registry import verb_of
+from slipfree.show import plots
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 ROCKS = str(PROBLEMS / "dynamics_rocks.toml")
@@ -179,8 +181,21 @@ def test_a_rover_meets_a_step(tmp_path):
     done = invoke("run", STEP, "-o", file, "--set", "time.duration=4", "--no-draw")
     assert done.exit_code == 0, done.output
     assert "not converged" not in done.output
-    run = open_result(file).trajectory
+    assert "obstacles unfinished: until t = 4 s" in " ".join(done.output.split())
+    result = open_result(file)
+    run = result.trajectory
     assert run["solid_load_1"].max() > 10
+    maps = [
+        each
+        for each in verb_of(result.problem).figures(result)
+        if each.name in ("map", "utilisation_map")
+    ]
+    for name, figure in plots.draw(maps).items():
+        for ax in (ax for ax in figure.axes if ax.get_xlabel()):
+            (outline,) = [each for each in ax.patches if each.get_label() == "solids"]
+            corners = outline.get_xy()
+            assert corners[:, 1].min() == pytest.approx(0.6), name
+            assert corners[:, 1].max() > ax.get_ylim()[1], name
     assert run["contact_z"].max() > 0.05
     page = invoke("show", file, "--html", tmp_path / "page.html")
     assert page.exit_code == 0, page.output

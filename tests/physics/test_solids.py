@@ -24,7 +24,10 @@ from slipfree.contact import touch
 from slipfree.contact.solid_touch import solid_touch
 from slipfree.geometry.frame import Pose
 from slipfree.lookups import LookupTable, lookup_function
+from slipfree.models.obstacle_ending import obstacle_ending
+from slipfree.outcome import Outcome
 from slipfree.terrain.solids import Prism, Solid, kerb, placed, ramp, stairs, step
+from slipfree.trajectory import Stop
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
@@ -160,6 +163,22 @@ def ground_contacts(terrain, section, search):
     return lambda *given: [np.array(each) for each in found.map(COUNT)(*given)]
 
 
+@pytest.mark.parametrize("degrees", [3, 10, 20])
+def test_the_gap_of_a_wheel_along_an_edge(degrees):
+    """The wheel leans on the edge of a step; alternating projections alone converge slowly."""
+    prism, (r1, r2) = placed(step(0.09))[0], (0.02, 0.045)
+    angle = np.deg2rad(degrees)
+    axle = np.array([-np.sin(angle), np.cos(angle), 0.0])  # edge along x
+    contact = contact_function(prism, Torus(r1, r2))
+    turn = np.linspace(0, 2 * np.pi, 100_001)
+    forward, up = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, 1.0])
+    rim = r2 * (np.cos(turn)[:, None] * forward + np.sin(turn)[:, None] * up)
+    for center in ([0.0, -0.02, 0.12], [0.0, -0.015, 0.13]):
+        disc = np.concatenate([center + share * rim for share in (1.0, 0.9, 0.8, 0.7, 0.5)])
+        expected = prism.distance(disc)[0].min() - r1
+        assert float(contact(center, axle)[0]) == pytest.approx(expected, abs=1e-4)
+
+
 def test_a_disc_keeps_its_radius_in_its_plane():
     prism, radius = placed(step(0.09))[0], 0.066
     contact = contact_function(prism, Disc(radius))
@@ -208,6 +227,10 @@ def test_a_rigid_four_wheeler_climbs_stairs_that_its_wheels_can():
     assert run["solid_load_2"][-1].max() > 0
     assert run["center_z"][-1].max() > 0.1 + 0.1
     assert ledger(run) < 1
+    ending = obstacle_ending(run, catalog.rigid_skid_steer(), ground.prisms)
+    assert ending.name == "climbs"
+    assert ending.t < 7.0
+    assert "z = 0.1 m" in ending.words
 
 
 def test_with_too_little_friction_it_stays_below():
@@ -215,6 +238,16 @@ def test_with_too_little_friction_it_stays_below():
     run = climbing(catalog.rocky7(), ground, 0.0, 0.2, 4.0)
     assert run["center_z"][-1].max() < 0.09
     assert np.abs(run["x"]).max() < 1e-6
+    ending = obstacle_ending(run, catalog.rocky7(), ground.prisms)
+    assert ending.name == "stalls"
+    assert "0 of 6 wheels reached the top, z = 0.09 m" in ending.words
+    early = obstacle_ending(run.part(slice(0, 5)), catalog.rocky7(), ground.prisms)
+    assert (early.name, early.words) == ("unfinished", "no wheel touched a solid")
+    words = "the platform overturns (cosine of its inclination)"
+    over = replace(run, stop=Stop("upright", 4.0, words, Outcome.LIMIT))
+    ending = obstacle_ending(over, catalog.rocky7(), ground.prisms)
+    assert str(ending) == f"tips over: at t = 4 s {words}"
+    assert obstacle_ending(run, catalog.rocky7(), ()) is None
 
 
 def test_a_start_that_touches_a_solid_is_refused():

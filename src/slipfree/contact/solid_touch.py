@@ -24,8 +24,8 @@ from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism
 from slipfree.vehicle.wheel import Wheel
 
-ROUNDS = 4  # of two projections and an extrapolation
-MAX_RATE = 0.95  # largest rate of convergence that is extrapolated
+ROUNDS = 6  # of two projections and an extrapolation
+MAX_RATE = 0.99  # largest rate of convergence that is extrapolated
 EDGE_RADIUS = 0.1  # radius of the edge of discs [radii]
 ROOT_OFFSET = 1e-18  # keeps the derivatives of square roots finite [m2 or 1]
 

@@ -22,6 +22,7 @@ from slipfree.terrain.base import Terrain
 Domain = tuple[float, float, float, float]
 MIN_AXLE_SINE = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
 MIN_INCLINATION_COSINE = 0.1  # a platform with its up axis 6 degrees from horizontal has overturned
+UPRIGHT = "upright"  # name of the limit of the platform's inclination
 MIN_FRICTION = 1e-6  # smaller values of a friction formula count as zero
 
 
@@ -39,7 +40,7 @@ def upright(q: Quantities) -> Iterator[Limit]:
     """Yield the limit of the cosine of the platform's inclination."""
     words = "the platform overturns (cosine of its inclination)"
     cosine = ca.cos(q.position.roll) * ca.cos(q.position.pitch)
-    yield Limit(Label("upright", "1", words), cosine, MIN_INCLINATION_COSINE, np.inf)
+    yield Limit(Label(UPRIGHT, "1", words), cosine, MIN_INCLINATION_COSINE, np.inf)
 
 
 def map_margin(q: Quantities) -> Iterator[Limit]:

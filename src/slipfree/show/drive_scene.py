@@ -126,7 +126,7 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
     solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
     ground = _with_solids(Ground(fine.mesh(origin), tuple(layers)), solids)
-    backdrop = _backdrop(first.terrain, window, origin, reach, solids)
+    backdrop = _backdrop(first, window, origin, reach, solids)
     return framed(ground, actors, origin, reach, backdrop, notes, warnings)
 
 
@@ -163,9 +163,10 @@ def _with_solids(ground: Ground, solids: Sequence[Mesh]) -> Ground:
 
 
 def _backdrop(
-    terrain: Bicubic, window: Window, origin: Array, reach: float, solids: Sequence[Mesh]
+    first: Driven, window: Window, origin: Array, reach: float, solids: Sequence[Mesh]
 ) -> Backdrop:
     """Return the ground of a film: shaded in plan view, and a surface around the vehicle."""
+    terrain = first.terrain
     blocks = [mesh.vertices[face] for mesh in solids for face in mesh.faces]
 
     def near(middle: Array, half: float) -> Sequence[Array]:
@@ -185,7 +186,7 @@ def _backdrop(
         return [*faces[whole], *blocks]
 
     def draw(ax: Axes) -> Axes:
-        return ground_drawing.muted(terrain.grid, ax, window)
+        return ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))
 
     return Backdrop(draw, PLAN, near, AROUND * reach, (28.0, -55.0))
 

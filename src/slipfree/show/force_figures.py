@@ -227,7 +227,7 @@ def utilisation_map_plot(scene: Drive) -> Plot | None:
     if "utilisation" not in scene.run:
         return None
     caption = "Friction needed along the tracks."
-    return Plot("utilisation_map", caption, lambda: _utilisation_map(scene.run, scene.grid))
+    return Plot("utilisation_map", caption, lambda: _utilisation_map(scene))
 
 
 def energy_plot(scene: Drive) -> Plot | None:
@@ -240,11 +240,13 @@ def energy_plot(scene: Drive) -> Plot | None:
     return Plot("energy", caption, lambda: stack(run, panels))
 
 
-def _utilisation_map(run: Trajectory, grid: Grid) -> Figure:
+def _utilisation_map(scene: Drive) -> Figure:
+    run, grid = scene.run, scene.grid
     west, east, south, north = ground_drawing.around(run, grid, pad=0.15)
     panel = min(85 * MM * (north - south) / (east - west), 110 * MM)
     figure = style.figure(COLUMN, panel + 27 * MM)
-    style.finished(figure, run, [utilisation_map(run, grid, figure.subplots())])
+    ax = utilisation_map(run, grid, figure.subplots())
+    style.finished(figure, run, [ground_drawing.solids(scene.prisms, ax)])
     figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
     return figure
 

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LightSource
+from matplotlib.patches import Polygon
 from scipy.interpolate import RectBivariateSpline
 
 from slipfree.errors import ModelError
 from slipfree.lookups import LookupTable, lookup_function
 from slipfree.records import Array
 from slipfree.show import style
+from slipfree.show.meshes import clipped
 from slipfree.terrain.base import Grid, Terrain
+from slipfree.terrain.solids import Prism
 from slipfree.trajectory import Trajectory
 
 HEATMAP = 600  # samples of a drawn map along an axis
 DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
 INSIDE = 0.44  # largest distance of text on a map from its middle [width of the map]
+
+SOLID: dict[str, Any] = {"fc": (0.55, 0.55, 0.55, 0.45), "ec": "black", "lw": 0.8, "zorder": 2}
 
 Window = tuple[float, float, float, float]
 
@@ -66,6 +73,31 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
             words.set_path_effects(style.halo(1.5))
             inside = ax.transAxes.inverted().transform(ax.transData.transform(words.get_position()))
             words.set_visible(bool(np.all(np.abs(inside - 0.5) < INSIDE)))
+    return ax
+
+
+def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
+    """Draw the outlines of solids and of their faces in plan view, on axes with a ground.
+
+    Drawn is the part of each solid above the height of the ground where it begins.
+    """
+    (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
+    reach = float(np.hypot(east - west, north - south)) / 2
+    middle = np.array([(west + east) / 2, (south + north) / 2])
+    for prism in prisms:
+        axes, place = prism.axes[:2, :2], np.array([prism.x, prism.y])
+        along, right = (middle - place) @ axes
+        corners = clipped(prism.section.points, (along - reach, 0.0), (along + reach, np.inf))
+        sides = np.clip(
+            [right - reach, right + reach], -prism.half_width, prism.half_width
+        ).tolist()
+        if len(corners) < 3 or sides[0] == sides[1]:
+            continue
+        for first, last in pairwise(np.unique(np.round(corners[:, 0], DIGITS)).tolist()):
+            face = np.array([(u, v) for u in (first, last) for v in sides])[[0, 1, 3, 2]]
+            outline = Polygon(face @ axes.T + place, label="solids", **SOLID)
+            outline.set_path_effects(style.halo(2.0))
+            ax.add_patch(outline)
     return ax
 
 

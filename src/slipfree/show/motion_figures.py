@@ -35,6 +35,7 @@ from slipfree.show.plots import Drive, Panel, Plot, stack
 from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.solids import Prism
 from slipfree.trajectory import Trajectory
 
 HEIGHTS = "cividis"
@@ -296,7 +297,12 @@ def check(run: Trajectory, name: str, ax: Axes) -> Axes:
     return ax
 
 
-def motion_plots(run: Trajectory, grid: Grid, surface: Terrain | None = None) -> tuple[Plot, ...]:
+def motion_plots(
+    run: Trajectory,
+    grid: Grid,
+    surface: Terrain | None = None,
+    prisms: tuple[Prism, ...] = (),
+) -> tuple[Plot, ...]:
     """Return the figures of a motion, the most important first.
 
     Parameters
@@ -307,19 +313,21 @@ def motion_plots(run: Trajectory, grid: Grid, surface: Terrain | None = None) ->
         The ground.
     surface : Terrain, optional
         Surface of the ground in the model; by default the bicubic spline through the grid.
+    prisms : tuple of Prism
+        Solids on the ground.
 
     Returns
     -------
     tuple of Plot
         Figures of `FIGURES` that have content, 120 or 180 mm wide; not drawn yet.
     """
-    drive = Drive(run, grid, surface or Bicubic(grid))
+    drive = Drive(run, grid, surface or Bicubic(grid), prisms)
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
 
 
 def map_plot(drive: Drive) -> Plot:
     """Return the figure of ground and path in plan view."""
-    return Plot("map", "Ground and path in plan view.", lambda: _map(drive.run, drive.grid))
+    return Plot("map", "Ground and path in plan view.", lambda: _map(drive))
 
 
 def elevation_plot(drive: Drive) -> Plot:
@@ -392,7 +400,8 @@ FIGURES: tuple[Callable[[Drive], Plot | None], ...] = (
 )  # of a motion over terrain, the most important first
 
 
-def _map(run: Trajectory, grid: Grid) -> Figure:
+def _map(drive: Drive) -> Figure:
+    run, grid = drive.run, drive.grid
     whole, window = ground_drawing.whole(grid), ground_drawing.around(run, grid, pad=0.15)
     spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
     ratio = spans[0][0] / spans[0][1]
@@ -402,7 +411,7 @@ def _map(run: Trajectory, grid: Grid) -> Figure:
     figure = style.figure(PAGE if columns == 2 else COLUMN, rows * (panel + 11 * MM) + 16 * MM)
     panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for ax, part in zip(panels, (whole, window), strict=False):
-        path(run, ground(grid, ax, part))
+        path(run, ground_drawing.solids(drive.prisms, ground(grid, ax, part)))
     if _tracks_differ(run, spans[-1][0]):
         tracks(run, panels[-1])
     if twice:

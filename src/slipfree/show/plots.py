@@ -21,6 +21,7 @@ from slipfree.errors import DataError, ModelError
 from slipfree.show import style
 from slipfree.show.style import DPI, MM, PAGE, STYLE
 from slipfree.terrain.base import Grid, Terrain
+from slipfree.terrain.solids import Prism
 from slipfree.trajectory import Trajectory
 
 MAIN_COUNT = 4  # number of figures that are drawn unless all are requested
@@ -75,11 +76,14 @@ class Drive(NamedTuple):
         The ground.
     surface : Terrain
         Surface of the ground as used by the model.
+    prisms : tuple of Prism
+        Solids on the ground.
     """
 
     run: Trajectory
     grid: Grid
     surface: Terrain
+    prisms: tuple[Prism, ...] = ()
 
 
 def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float = PAGE) -> Figure:

@@ -11,6 +11,7 @@ from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory, path_length
 
 FORMULATION = "formulation"  # attribute of results of direct problems
+OBSTACLES = "obstacles"  # attribute of motions over solids: their ending
 UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has one contact point
 MAX_ROCKS = 5  # changes of the lightest wheel that a summary lists
 CHECKS = (
@@ -35,6 +36,8 @@ def path_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "path length", f"{path_length(run):.6g} m"
     yield "height along the path", f"{z.min():.4f} to {z.max():.4f} m"
     place = ", ".join(f"{name} {run[name][-1]:.3f} m" for name in "xyz")
+    if OBSTACLES in run.attributes:
+        yield OBSTACLES, run.attributes[OBSTACLES]
     if "filled_ground" in run.attributes:
         yield "filled ground", run.attributes["filled_ground"]
     yield "end position", place

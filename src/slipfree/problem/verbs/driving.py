@@ -15,6 +15,7 @@ from slipfree.errors import DataError
 from slipfree.files.map_coordinates import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.frames import STORED, WANTED, to_problem_frame
 from slipfree.models.friction_feasibility import BEST, best_utilisation
+from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.models.poses import wheel_poses
 from slipfree.models.records import is_determinate
 from slipfree.models.rocking import has_pressed_wheels
@@ -37,6 +38,7 @@ from slipfree.problem.verbs.base import (
 )
 from slipfree.problem.verbs.drive_facts import (
     CHECKS,
+    OBSTACLES,
     angle_facts,
     certificate,
     contact_facts,
@@ -167,7 +169,10 @@ class DriveVerb(MotionVerb):
         """Return the figures of a motion, the most important first."""
         from slipfree.show.motion_figures import motion_plots
 
-        return motion_plots(result.trajectory, ground_of(result).grid)
+        ground = ground_of(result)
+        terrain = build_terrain(result.problem, ground)
+        prisms = build_solids(result.problem, terrain)
+        return motion_plots(result.trajectory, ground.grid, prisms=prisms)
 
     def viewer(self) -> Viewer:
         """Return the viewer of motions over terrain."""
@@ -267,6 +272,7 @@ def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
     """Return a motion with its diagnostics; its attributes name those that fail, with the error."""
     diagnostics: dict[str, Callable[[Trajectory], Trajectory]] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
+        OBSTACLES: partial(_with_ending, setup),
     }
     vehicle = setup.vehicle
     has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
@@ -287,6 +293,14 @@ def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
     """Return a motion with an attribute about wheel paths over filled holes, if there are holes."""
     words = filled_words(grid, run)
     return replace(run, attributes={**run.attributes, "filled_ground": words}) if words else run
+
+
+def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:
+    """Return a motion with an attribute about its ending on solids, if there are solids."""
+    ending = obstacle_ending(run, setup.vehicle, setup.prisms)
+    if ending is None:
+        return run
+    return replace(run, attributes={**run.attributes, OBSTACLES: str(ending)})
 
 
 def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) -> None:
