@@ -239,7 +239,8 @@ def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, An
         "print_level": 0,
         "sb": "yes",
         "tol": IPOPT_TOLERANCE,
-        "mu_strategy": "adaptive",
+        # Contact forces as unknowns need the monotone barrier (docs/decisions.md).
+        "mu_strategy": "monotone" if program.task.dae.replay else "adaptive",
         "honor_original_bounds": "yes",
         "mumps_permuting_scaling": 0,
         "mumps_pivot_order": QUASI_DENSE_ORDERING,

@@ -304,7 +304,7 @@ def task_of(
         duration_of(duration),
         terms,
         tuple(timed_conditions(dae, goal, way_points or {})),
-        limits_of(dae, limits),
+        (*limits_of(dae, limits), *(dae.replay.limits if dae.replay else ())),
         bounds_of(dae, inputs or {}),
         bounds_of(dae, accelerations or {}),
         smooth,
