@@ -165,7 +165,9 @@ def dynamics(
         scale=scale,
         shift=shift,
         size=size,
-        standing=None if support_fault(vehicle) else standing_start(vehicle, terrain, prisms, labels),
+        standing=None
+        if support_fault(vehicle)
+        else standing_start(vehicle, terrain, prisms, labels),
         lookups=lookups.lookups,
     )
 

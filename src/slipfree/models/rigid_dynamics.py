@@ -270,9 +270,7 @@ def _sliding(
         )
     )
     friction = tuple(each.friction for each in touches)
-    return SlidingContacts(
-        vehicle, along, across, constraints, friction, driven, lambda _x, _z: ""
-    )
+    return SlidingContacts(vehicle, along, across, constraints, friction, driven, lambda _x, _z: "")
 
 
 def _guess(vehicle: Vehicle, body: Multibody, labels: Labels) -> ca.SX:

@@ -21,6 +21,7 @@ OTHER_VIOLATION_GROWTH = 100.0  # for the repetition of a search without progres
 STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
 IPOPT_TOLERANCE = 1e-8
 WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
+WARM_MONOTONE_BARRIER = 1e-3  # the same for the monotone barrier, whose problems change more
 WARM_PUSH = 1e-9  # smallest distance from the bounds in a warm start [scaled unknowns]
 WARM_OPTIONS: dict[str, Any] = {
     "warm_start_init_point": "yes",
@@ -206,6 +207,8 @@ def solve_program(
         "max_iter": iterations,
         "theta_max_fact": growth,
     }
+    if warm is not None:  # of the monotone barrier; the adaptive one chooses it
+        ipopt["mu_init"] = WARM_MONOTONE_BARRIER
     with InterruptGuard() as guard:
         watch = _IterateWatcher(program, on_iterate or (lambda _: True), guard)
         solver = _ipopt_solver(program, ipopt, {"iteration_callback": watch})

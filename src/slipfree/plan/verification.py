@@ -95,12 +95,11 @@ def verify_plan(
         _limit_excess(dae, limits, samples),
         tolerated_excess(limits, accuracy)[:, None],
     )
-    ends = program.mesh.ends
-    where = np.clip(np.searchsorted(ends, parts - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
-    worse = np.zeros(ends.size - 1, dtype=bool)
+    where, count = _intervals(program, parts), program.mesh.ends.size - 1
+    worse = np.zeros(count, dtype=bool)
     if (over > allowed).any():  # refinement moves violations to neighbours
         worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
-    worse |= _error_sources(gaps, where, accuracy, ends.size - 1)
+    worse |= _error_sources(gaps, where, accuracy, count)
     if replay.stop is not None:
         # A finer mesh helps only if the simulation ended at a limit that the program contains.
         worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
@@ -130,16 +129,15 @@ def _verify_on_replay(
     """Compare a plan with the simulation of its inputs by another model, ``dae.replay``.
 
     Positions and angles must agree within the accuracy. Speeds differ by the vibrations that the
-    planned model leaves out; they are reported only. No interval is refined, since the difference
-    of the models does not depend on the mesh.
+    planned model leaves out; they are reported only.
     """
     task, dae = program.task, program.task.dae
     model = dae if dae.replay is None else dae.replay.model
     replay = simulate_plan(model, start, found, step=step, options=_precise(program))
     parts = np.minimum(replay.t / found.duration, 1.0)
-    gaps = np.abs(local_rows(model, "x", replay) - found.states(parts)).max(axis=1)
+    gaps = local_rows(model, "x", replay) - found.states(parts)
     labels = list(leaves(dae.labels.x))
-    placed = [gap for label, gap in zip(labels, gaps, strict=True) if label.unit in POSITION_UNITS]
+    placed = gaps[[label.unit in POSITION_UNITS for label in labels]]
     violation = dict[str, float]()
     for limit in task.limits:
         excess = _replay_excess(task, limit, replay)
@@ -157,12 +155,28 @@ def _verify_on_replay(
                 missed[f"{limit_name(limit)} at the {role_of(condition.fraction)}"] = excess
     return Verification(
         replay,
-        dict(zip((label.full for label in labels), gaps.tolist(), strict=True)),
+        dict(zip((label.full for label in labels), np.abs(gaps).max(axis=1).tolist(), strict=True)),
         violation | missed,
         _units(task),
-        np.zeros(program.mesh.ends.size - 1, dtype=bool),
-        bool(max(placed) <= accuracy) and replay.stop is None,
+        _error_sources(placed, _intervals(program, parts), accuracy, program.mesh.ends.size - 1),
+        bool(np.abs(placed).max() <= accuracy) and replay.stop is None,
     )
+
+
+def position_error(verification: Verification) -> float:
+    """Return the largest difference of a position or an angle between plan and simulation."""
+    return max(
+        size
+        for name, size in verification.difference.items()
+        if verification.units[name] in POSITION_UNITS
+    )
+
+
+def _intervals(program: Program, parts: Array) -> Index:
+    """Return the index of the mesh interval of each sample, at fractions of the duration."""
+    ends = program.mesh.ends
+    where = np.searchsorted(ends, parts - FRACTION_TOLERANCE) - 1
+    return np.asarray(np.clip(where, 0, ends.size - 2))
 
 
 def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +77,7 @@ STIFFER = 10.0  # factor of stiffness of another simulation of pressed wheels
 SLIDING = 0.95  # utilisation above which a wheel counts as sliding
 FORCE_LIMITS = {"drive_torque", "utilisation", "friction_needed", "force_normal"}
 OFFER = (
-    "no slow motion was found within these limits; set model = \"dynamics\" to plan with momentum: "
+    'no slow motion was found within these limits; set model = "dynamics" to plan with momentum: '
     "inertia then carries the vehicle where its drives alone do not"
 )
 FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail to settle below it
@@ -120,7 +120,7 @@ class PlanVerb(DriveVerb):
         if spec.plan.robust is not None and found.accurate:
             tested = make_robust(problem, setup, found, spec.plan.robust, progress, watch.line)
             found = tested.plan
-        run, stop = found.replay, tested.stop or _with_offer(setup, found)
+        run, stop = found.replay, tested.stop or _with_offer(setup, found, guesses)
         if stop is not None and (tested.stop or not found.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         attributes = {
@@ -359,13 +359,30 @@ def _by_stiffness(
     return {"by_stiffness": f"ends {apart:.3g} m from the plan"}
 
 
-def _with_offer(setup: Planning, found: Plan) -> Stop | None:
-    """Return the stop of a plan; a plan that cannot be driven slowly offers one with momentum."""
+def _with_offer(setup: Planning, found: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
+    """Return the stop of a plan; if there is no slow plan, it offers a plan with momentum."""
     stop, spec = found.run.stop, setup.spec
     slow = spec.model == "quasi-static" or FORCE_LIMITS & {*spec.limits}
     if stop is None or not slow or stop.outcome not in (Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE):
         return stop
-    return stop._replace(words=f"{stop.words}\n{OFFER}")
+    needs = [words for words in (_torque_need(setup, guess) for guess in guesses[:1]) if words]
+    return stop._replace(words="\n".join([stop.words, *needs, OFFER]))
+
+
+def _torque_need(setup: Planning, guess: Trajectory) -> str:
+    """Return the torques that an initial guess needs if they exceed their limit, otherwise ""."""
+    bounds = setup.spec.limits.get("drive_torque")
+    if bounds is None or "drive_torque" not in guess:
+        return ""
+    needed = guess["drive_torque"].sum(axis=1)
+    k, most = int(needed.argmax()), bounds[1] * sum(wheel.driven for wheel in setup.vehicle.wheels)
+    if needed[k] <= most:
+        return ""
+    return (
+        f"slow driving along the initial guess needs torques of {needed[k]:.3g} N m in all (at x = "
+        f"{guess['x'][k]:.3g} m, y = {guess['y'][k]:.3g} m), limits.drive_torque allows {most:.3g} "
+        "N m"
+    )
 
 
 def _momentum(setup: Planning, found: Plan) -> dict[str, str]:
@@ -379,7 +396,9 @@ def _momentum(setup: Planning, found: Plan) -> dict[str, str]:
     run, replay = found.run, found.replay
     away = max(found.difference[name] for name in "xyz")
     loads = [(each["force_normal"].min(axis=0), each.wheels) for each in (run, replay)]
-    planned, simulated = (f"{least.min():.3g} N ({names[least.argmin()]})" for least, names in loads)
+    planned, simulated = (
+        f"{least.min():.3g} N ({names[least.argmin()]})" for least, names in loads
+    )
     words = (
         f"on compliant contacts the platform stays within {1e3 * away:.2g} mm of the plan; least "
         f"normal force of a wheel {planned} in the plan, {simulated} in the simulation"
@@ -393,7 +412,9 @@ def _slowly(setup: Planning, found: Plan) -> str:
     try:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
         start = settled_start(model, setup)
-        wheels = [name for name, w in zip(run.wheels, setup.vehicle.wheels, strict=True) if w.driven]
+        wheels = [
+            name for name, w in zip(run.wheels, setup.vehicle.wheels, strict=True) if w.driven
+        ]
         rates = {f"{name}_rate": run["wheel_rate", name] for name in wheels}
         for c in setup.vehicle.of("commanded"):
             rates[f"{c.name}_rate"] = run[f"{c.name}_speed"]

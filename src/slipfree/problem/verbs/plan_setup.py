@@ -117,8 +117,11 @@ def build_planning(problem: Problem[Plan]) -> Planning:
         vehicle = build_vehicle(spec.vehicle, problem.folder)
     terrain = build_terrain(problem, ground)
     is_dynamic = spec.model == "dynamics"
-    dae: Dae = (momentum_models(problem, vehicle, terrain)[-1] if is_dynamic
-        else build_model(problem, spec, vehicle, terrain))
+    dae: Dae = (
+        momentum_models(problem, vehicle, terrain)[-1]
+        if is_dynamic
+        else build_model(problem, spec, vehicle, terrain)
+    )
     guide: Dae = direct_kinematics(vehicle, terrain) if is_dynamic else dae
     check_names(problem, dae, spec.inputs, guide)
     keep_out, between = regions(problem, spec), way_points_of(problem, spec)
