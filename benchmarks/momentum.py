@@ -45,7 +45,9 @@ def slope(y: ca.SX) -> ca.SX:
     return SLOPE * 0.15 * ca.log(1 + ca.exp((y - 1.2) / 0.15))
 
 
-RIDGE = Analytic(lambda x, y: slope(y) + 0.13 * ca.exp(-(((y - 3.2) / 0.35) ** 2)), mu=FRICTION)
+RIDGE = Analytic(
+    lambda x, y: 0 * x + slope(y) + 0.13 * ca.exp(-(((y - 3.2) / 0.35) ** 2)), mu=FRICTION
+)
 BUMP = Analytic(
     lambda x, y: slope(y) + 0.12 * ca.exp(-(((y - 3.0) / 0.35) ** 2) - ((x - 0.2) / 0.8) ** 2),
     mu=FRICTION,

@@ -1,4 +1,4 @@
-"""Plans with inertia: the rigid model, its initial guess, and the simulation that verifies plans."""
+"""Plans with inertia: rigid model, initial guess, and the simulation that verifies plans."""
 
 from dataclasses import replace
 
@@ -50,6 +50,14 @@ def straight_guess(model, vehicle, ground, speed, duration):
     return dynamic_guess(model, vehicle, start, run), start
 
 
+@pytest.fixture(scope="module")
+def crossing():
+    """Return ground, vehicle, model, initial guess and start of a drive over a ridge."""
+    ground, vehicle = ridge(0.12), car()
+    model = rigid_dynamics(vehicle, ground)
+    return ground, vehicle, model, *straight_guess(model, vehicle, ground, 0.9, 1.7)
+
+
 def test_states_and_accelerations_at_rest_are_those_of_compliant_dynamics():
     ground = Analytic(lambda x, y: 0.2 * y + 0.1 * x, mu=0.8)
     rigid, compliant = rigid_dynamics(car(), ground), dynamics(car(), ground)
@@ -63,7 +71,7 @@ def test_states_and_accelerations_at_rest_are_those_of_compliant_dynamics():
 def test_acceleration_on_level_ground():
     """Torques T on all wheels: (m + 4 I / R^2) a = 4 T / R."""
     vehicle = car()
-    model = rigid_dynamics(vehicle, Analytic(lambda x, y: 0 * x, mu=0.8), law=LinearCreep(1e-5))
+    model = rigid_dynamics(vehicle, Analytic(lambda x, y: 0 * x * y, mu=0.8), law=LinearCreep(1e-5))
     inputs = model.inputs(**{label.full: 3.0 for label in model.labels.u.wheels})
     run = simulate(model, settle(model), inputs, np.linspace(0, 0.5, 6))
     axial = sum(wheel.mass * RADIUS**2 / 2 for wheel in vehicle.wheels)
@@ -87,39 +95,36 @@ def test_linear_creep_is_coulomb_friction_at_small_slip():
 
 
 def test_model_refuses_wheels_that_cannot_stay_on_the_ground():
-    ground = Analytic(lambda x, y: 0 * x, mu=0.8)
+    ground = Analytic(lambda x, y: 0 * x * y, mu=0.8)
     with pytest.raises(ModelError, match="suspension coordinate for each wheel beyond three"):
         rigid_dynamics(catalog.rigid_skid_steer(), ground)
     with pytest.raises(ModelError, match="linear creep: expected a ground with a coefficient"):
-        LinearCreep().check(car(), Analytic(lambda x, y: 0 * x))
+        LinearCreep().check(car(), Analytic(lambda x, y: 0 * x * y))
     with pytest.raises(ModelError, match="expected a ground with a coefficient of friction"):
-        rigid_dynamics(car(), Analytic(lambda x, y: 0 * x))
+        rigid_dynamics(car(), Analytic(lambda x, y: 0 * x * y))
 
 
-def test_guess_follows_the_kinematic_motion():
-    ground, vehicle = ridge(0.05), car()
-    model = rigid_dynamics(vehicle, ground)
-    guess, start = straight_guess(model, vehicle, ground, 0.6, 2.0)
+def test_guess_follows_the_kinematic_motion(crossing):
+    *_, guess, start = crossing
     assert abs(guess["y"][0] - start["y"][0]) < 1e-9
-    assert abs(guess["y"][-1] - 1.2) < 0.02
+    assert abs(guess["y"][-1] - 1.53) < 0.06  # the path is longer over the ridge
     attitude = np.stack([guess[f"attitude_{axis}"] for axis in "wxyz"])
     np.testing.assert_allclose(np.linalg.norm(attitude, axis=0), 1.0, atol=1e-12)
     speeds = np.gradient(guess["y"], guess.t)
     np.testing.assert_allclose(guess["velocity_y"], speeds, atol=1e-9)
     pitch = 2 * np.arcsin(guess["attitude_x"])
-    np.testing.assert_allclose(guess["omega_x"][1:-1], np.gradient(pitch, guess.t)[1:-1], atol=0.02)
+    np.testing.assert_allclose(guess["omega_x"][1:-1], np.gradient(pitch, guess.t)[1:-1], atol=0.05)
 
 
-def test_plan_with_momentum_agrees_with_compliant_contact():
-    """The torques are too small for slow driving over the ridge; a plan crosses it with momentum."""
-    ground, vehicle, most = ridge(0.12), car(), 3.0
+def test_plan_with_momentum_agrees_with_compliant_contact(crossing):
+    """Torques too small for slow driving over the ridge carry the car over it with momentum."""
+    ground, vehicle, model, guess, start = crossing
+    most = 3.0
     slow = quasi_statics(vehicle, ground)
     rates = {label.full: 0.6 / RADIUS for label in slow.labels.u.wheels}
     options = SolverOptions(tolerance=1e-5)
     run = simulate(slow, settle(slow), slow.inputs(**rates), np.linspace(0, 2, 81), options=options)
     assert run["drive_torque"].sum(axis=1).max() > 4 * most
-    model = rigid_dynamics(vehicle, ground)
-    guess, start = straight_guess(model, vehicle, ground, 0.9, 1.7)
     found = plan(
         model,
         start,
@@ -134,12 +139,14 @@ def test_plan_with_momentum_agrees_with_compliant_contact():
         intervals=12,
         accuracy=5e-3,
     )
-    assert found.success and found.accurate
+    assert found.success
+    assert found.accurate
     assert max(found.difference[axis] for axis in "xyz") < 5e-3
     assert found.run["force_normal"].min() > 5 - 1e-6
     used = np.hypot(found.run["friction_used_along"], found.run["friction_used_across"])
     assert used.max() < 1 + 1e-6
-    assert "kinetic_energy" in found.replay and found.replay.stop is None
+    assert "kinetic_energy" in found.replay
+    assert found.replay.stop is None
 
 
 def test_dynamic_plan_refuses_options_by_name(tmp_path):
@@ -166,5 +173,5 @@ time = { duration = 2.0, step = 0.1 }
         with pytest.raises(ProblemError, match=words):
             load_problem(file, (setting,))
     settings = ("model=quasi-static", "plan.sliding=true")
-    with pytest.raises(ProblemError, match="plan.sliding: expected model = 'dynamics'"):
+    with pytest.raises(ProblemError, match=r"plan\.sliding: expected model = 'dynamics'"):
         load_problem(file, settings)

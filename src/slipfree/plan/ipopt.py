@@ -207,7 +207,7 @@ def solve_program(
         "max_iter": iterations,
         "theta_max_fact": growth,
     }
-    if warm is not None:  # of the monotone barrier; the adaptive one chooses it
+    if warm is not None and program.task.dae.replay:  # of the monotone barrier
         ipopt["mu_init"] = WARM_MONOTONE_BARRIER
     with InterruptGuard() as guard:
         watch = _IterateWatcher(program, on_iterate or (lambda _: True), guard)

@@ -86,7 +86,8 @@ def find_plan(
     """Return the plan of a problem.
 
     For wheels that press into the ground, plans with smoother load laws are computed first, for
-    wheels that slide, plans with larger creep speeds; each search starts from the previous plan. If a search fails, the previous plan is returned.
+    wheels that slide, plans with larger creep speeds; each search starts from the previous plan.
+    If a search fails, the previous plan is returned.
 
     Parameters
     ----------
