@@ -78,8 +78,13 @@ def planned(
     law: GroundLaw,
     bounds: tuple[float, float, int],
     before: Plan | None = None,
+    *,
+    last: bool = True,
 ) -> Plan:
-    """Return a plan; ``bounds`` are the torque of a wheel [N m], the goal's y [m] and intervals."""
+    """Return a plan; ``bounds`` are the torque of a wheel [N m], the goal's y [m] and intervals.
+
+    Only the last of several plans has to agree with its simulation.
+    """
     torque, goal, intervals = bounds
     model = rigid_dynamics(vehicle, ground, law=law)
     start = settle(model)
@@ -99,19 +104,20 @@ def planned(
         continuous=False,
         inputs={label.full: (-torque, torque) for label in model.labels.u.wheels},
         intervals=intervals,
-        accuracy=0.01,
+        accuracy=0.01 if last else np.inf,
         resume=None if before is None else before.saved,
     )
 
 
 def report(name: str, found: Plan, seconds: float) -> None:
     """Print a row about a plan and its simulation."""
-    stage = found.stages[-1]
+    iterations = " + ".join(str(stage.iterations) for stage in found.stages)
+    search = sum(stage.seconds["total"] for stage in found.stages)
     away = max(found.difference[axis] for axis in "xyz")
     used = np.hypot(found.run["friction_used_along"], found.run["friction_used_across"])
     least = [run["force_normal"].min() for run in (found.run, found.replay)]
     print(
-        f"{name}: {stage.status}, {stage.iterations} iterations, {stage.seconds['total']:.1f} s of "
+        f"{name}: {found.stages[-1].status}, {iterations} iterations, {search:.1f} s of "
         f"search, {seconds:.1f} s CPU in all; {found.motion.duration:.4f} s, least N {least[0]:.1f}"
         f" N, simulated {least[1]:.1f} N, friction used {used.max():.3f}; simulation "
         f"{1e3 * away:.2f} mm apart, end y {found.replay['y'][-1]:.4f} m",
@@ -121,7 +127,7 @@ def report(name: str, found: Plan, seconds: float) -> None:
 
 def main() -> None:
     """Print all rows."""
-    print(heading())
+    heading()
     run = slow(CAR, RIDGE)
     needed = run["drive_torque"].sum(axis=1)
     k = int(needed.argmax())
@@ -142,7 +148,7 @@ def main() -> None:
     before = None
     for creep in (0.3, 0.1, 0.03):
         clock = time.process_time()
-        before = planned(CART, BUMP, Coulomb(creep), (5.3, 4.4, 40), before)
+        before = planned(CART, BUMP, Coulomb(creep), (5.3, 4.4, 40), before, last=creep == 0.03)
         report(f"cart, sliding, creep {creep} m/s", before, time.process_time() - clock)
 
 

@@ -120,7 +120,7 @@ class PlanVerb(DriveVerb):
         if spec.plan.robust is not None and found.accurate:
             tested = make_robust(problem, setup, found, spec.plan.robust, progress, watch.line)
             found = tested.plan
-        run, stop = found.replay, tested.stop or _with_offer(setup, found, guesses)
+        run, stop = found.replay, tested.stop or with_offer(setup, found, guesses)
         if stop is not None and (tested.stop or not found.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         attributes = {
@@ -359,7 +359,7 @@ def _by_stiffness(
     return {"by_stiffness": f"ends {apart:.3g} m from the plan"}
 
 
-def _with_offer(setup: Planning, found: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
+def with_offer(setup: Planning, found: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
     """Return the stop of a plan; if there is no slow plan, it offers a plan with momentum."""
     stop, spec = found.run.stop, setup.spec
     slow = spec.model == "quasi-static" or FORCE_LIMITS & {*spec.limits}

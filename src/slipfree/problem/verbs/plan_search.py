@@ -19,6 +19,7 @@ from slipfree.plan.plan import Plan as FoundPlan
 from slipfree.plan.plan import plan
 from slipfree.plan.robust import Tightening, tightened_arguments
 from slipfree.plan.warm_start import SavedPlan
+from slipfree.problem.build_common import solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
@@ -117,13 +118,16 @@ def find_plan(
         start = setup.start if is_same else settled_start(dae, setup)
         model = (dae, setup.vehicle, setup.terrain)
         arguments = plan_arguments(problem, spec, setup.keep_out, model, setup.between)
+        search = search_arguments(spec) | {"options": solver_options(problem)}
+        if dae.replay and dae is not setup.dae:  # only the last creep speed has to be accurate
+            search["accuracy"] = np.inf
         with at(problem, ("plan",)):
             now = plan(
                 dae,
                 start,
                 [] if saved else guesses,
                 **tightened_arguments(dae, arguments, tightening),
-                **search_arguments(spec),
+                **search,
                 duration=spec.plan.duration or (length, length),
                 resume=saved,
                 progress=progress,
