@@ -18,15 +18,16 @@ compliant model (``Dae.replay``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import contact_frame
 from slipfree.contact.touch import Touch
-from slipfree.dae import Dae, Labels, Replay
+from slipfree.dae import Dae, Labels, Limit, Replay
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.laws.compliant import Compliant, GroundForce
@@ -51,7 +52,7 @@ from slipfree.models.dynamics import (
     standing_start,
     with_depths,
 )
-from slipfree.models.limits import lift_off, limits_of
+from slipfree.models.limits import limits_of
 from slipfree.models.multibody import Multibody, mass_matrix
 from slipfree.models.records import ContactPoint
 from slipfree.outcome import Outcome
@@ -144,7 +145,7 @@ def rigid_dynamics(
     units = [label.unit for label in leaves(labels.z)]
     scale[[unit == "N" for unit in units]] = vehicle.weight / len(vehicle.wheels)
     own = (
-        *lift_off(q),
+        *_lift_off(vehicle, reaction.normal),
         *(each for each in reaction.limits if each.outcome is not Outcome.NO_EQUILIBRIUM),
     )
     return Dae(
@@ -271,6 +272,13 @@ def _sliding(
     )
     friction = tuple(each.friction for each in touches)
     return SlidingContacts(vehicle, along, across, constraints, friction, driven, lambda _x, _z: "")
+
+
+def _lift_off(vehicle: Vehicle, normal: Sequence[ca.SX]) -> Iterator[Limit]:
+    """Yield the lower limit, zero, of each wheel's normal force."""
+    for wheel, force in zip(vehicle.wheels, normal, strict=True):
+        words = f"wheel {wheel.name} lifts off: the ground would have to pull it (normal force)"
+        yield Limit(Label("lift_off", "N", words, wheel.name), force, 0.0, np.inf)
 
 
 def _guess(vehicle: Vehicle, body: Multibody, labels: Labels) -> ca.SX:

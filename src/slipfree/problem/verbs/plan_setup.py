@@ -173,10 +173,10 @@ def momentum_models(problem: Problem[Plan], vehicle: Vehicle, terrain: Bicubic) 
     For wheels that slide, searches with larger creep speeds come first.
     """
     spec, contact = problem.spec, model_law(problem, problem.spec)
-    laws: list[GroundLaw] = [LinearCreep(contact.creep)]
-    if spec.plan.sliding:
-        laws = [Coulomb(creep) for creep in SLIDING_CREEPS]
     with at(problem, ("model",)):
+        laws: list[GroundLaw] = [LinearCreep(contact.creep)]
+        if spec.plan.sliding:
+            laws = [Coulomb(creep) for creep in SLIDING_CREEPS]
         return [rigid_dynamics(vehicle, terrain, law=law, contact=contact) for law in laws]
 
 
