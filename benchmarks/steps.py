@@ -27,10 +27,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 from reference import heading as print_heading
+from slipfree.climb.vehicle import seven_wheels as climber
 
 from slipfree import Analytic, ModelError, SolverError, SolverOptions, catalog, dynamics, settle
 from slipfree.climb.friction_demand import least_friction
-from slipfree.climb.vehicle import seven_wheels as climber
 from slipfree.dae import Dae
 from slipfree.models.obstacle_ending import TOP_SHARE
 from slipfree.solve.simulate import simulate

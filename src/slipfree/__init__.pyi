@@ -9,12 +9,14 @@ from .geometry.path import Path
 from .laws.compliant import Compliant
 from .laws.coulomb import Coulomb
 from .laws.least_slip import LeastSlip
+from .laws.linear_creep import LinearCreep
 from .laws.rolling import Rolling
 from .models.dynamics import dynamics
 from .models.inverse import inverse_kinematics
 from .models.kinematics import direct_kinematics
 from .models.montana import cross_check, montana_kinematics
 from .models.quasi_statics import quasi_statics
+from .models.rigid_dynamics import rigid_dynamics
 from .outcome import Outcome
 from .plan.mpc import replan
 from .plan.plan import plan
@@ -51,6 +53,7 @@ __all__ = [
     "Grid",
     "Joint",
     "LeastSlip",
+    "LinearCreep",
     "ModelError",
     "Motor",
     "Outcome",
@@ -83,6 +86,7 @@ __all__ = [
     "read_map",
     "read_vehicle",
     "replan",
+    "rigid_dynamics",
     "run_problem",
     "settle",
     "simulate",

@@ -132,6 +132,22 @@ class Standing(NamedTuple):
     x: ca.SX
 
 
+class Replay(NamedTuple):
+    """Model whose simulation verifies plans on another model.
+
+    Attributes
+    ----------
+    model : Dae
+        Model with the states and inputs of the planned model.
+    limits : tuple of Limit
+        Limits of the planned model within which it agrees with ``model``. Plans contain them from
+        the beginning.
+    """
+
+    model: Dae
+    limits: tuple[Limit, ...]
+
+
 class Labels(NamedTuple):
     """Labels of the variables and equations of a `Dae`.
 
@@ -218,6 +234,8 @@ class Dae:
     lookups : tuple of Lookup
         Coefficients of the ground that the expressions contain as symbols; `function` evaluates
         them.
+    replay : Replay or None
+        Model whose simulation verifies plans on this model, if it is not this model.
 
     Raises
     ------
@@ -268,6 +286,7 @@ class Dae:
     rest: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
     standing: Standing | None = None
     lookups: tuple[Lookup, ...] = ()
+    replay: Replay | None = None
 
     def __post_init__(self) -> None:
         blocks: Any = self.z

@@ -159,11 +159,6 @@ def test_a_check_gives_the_start_at_equilibrium():
             "driver.period: expected a period only with model = 'dynamics', found model = 'quasi-",
         ),
         (str(PROBLEMS / "plan_real_dem.toml"), ["driver.period=0.01"], "unknown key 'period'"),
-        (
-            str(PROBLEMS / "plan_real_dem.toml"),
-            ["model=dynamics"],
-            "model: expected 'kinematics' or 'quasi-static' in a plan, found 'dynamics'",
-        ),
     ],
 )
 def test_mistakes_are_reported(problem, settings, words, tmp_path):

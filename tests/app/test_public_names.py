@@ -19,8 +19,8 @@ NAMES = {
     *("Grid", "Bicubic", "Analytic", "Solids", "read_map"),
     *("Vehicle", "Coordinate", "Joint", "Body", "Wheel", "catalog", "read_vehicle"),
     *("direct_kinematics", "inverse_kinematics", "montana_kinematics", "quasi_statics"),
-    *("dynamics", "planar", "Compliant", "Rate", "Torque", "Motor"),
-    *("LeastSlip", "Rolling", "Coulomb"),
+    *("dynamics", "rigid_dynamics", "planar", "Compliant", "Rate", "Torque", "Motor"),
+    *("LeastSlip", "Rolling", "Coulomb", "LinearCreep"),
     *("follow", "straight", "Path"),
     *("settle", "simulate", "plan", "replan", "cross_check"),
     *("Cost", "Region", "Route"),
@@ -31,7 +31,16 @@ NAMES = {
 }
 DOCUMENTED = (
     *("direct_kinematics", "inverse_kinematics", "quasi_statics", "montana_kinematics"),
-    *("dynamics", "settle", "simulate", "follow", "plan", "replan", "cross_check"),
+    *(
+        "dynamics",
+        "rigid_dynamics",
+        "settle",
+        "simulate",
+        "follow",
+        "plan",
+        "replan",
+        "cross_check",
+    ),
     *("Cost", "Region", "Path", "Grid", "Bicubic", "Analytic", "Trajectory", "Dae"),
 )
 

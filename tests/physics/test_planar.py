@@ -16,6 +16,7 @@ from slipfree import (
     dynamics,
     planar,
     quasi_statics,
+    rigid_dynamics,
     settle,
     simulate,
 )
@@ -72,7 +73,7 @@ def test_the_tip_over_margin_of_a_planar_vehicle_is_that_of_its_ends():
     assert_allclose(start["tip_over_margin"][0], expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("model", [direct_kinematics, quasi_statics])
+@pytest.mark.parametrize("model", [direct_kinematics, quasi_statics, rigid_dynamics])
 def test_other_models_refuse_planar_vehicles(model):
     for vehicle in (catalog.three_wheeler(), catalog.rigid_skid_steer()):
         with pytest.raises(ModelError, match="locked to a plane; use dynamics"):

@@ -85,24 +85,11 @@ class Coulomb:
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""
-        if not terrain.has_friction:
-            raise ModelError(
-                "Coulomb friction: expected a ground with a coefficient of friction, found none; "
-                "set 'mu' of the ground, or 'terrain.friction' in a problem file"
-            )
+        check_friction("Coulomb friction", terrain)
 
     def unknowns(self, vehicle: Vehicle) -> FrictionUnknowns:
         """Return the labels of the normal forces and of the used friction."""
-        used = [
-            wheel_labels(
-                vehicle,
-                f"friction_used_{axis}",
-                "1",
-                f"used fraction of the friction {axis} the wheel",
-            )
-            for axis in ("along", "across")
-        ]
-        return FrictionUnknowns(wheel_labels(vehicle, *NORMAL), *used)
+        return friction_unknowns(vehicle)
 
     def reaction(self, contacts: SlidingContacts, unknowns: FrictionUnknowns) -> Reaction:
         """Return the contact forces and the equations of contact and friction."""
@@ -126,7 +113,7 @@ class Coulomb:
             along,
             across,
             normal,
-            Equations(_equation_labels(contacts.vehicle), ca.vertcat(*contacts.normal, *friction)),
+            Equations(equation_labels(contacts.vehicle), ca.vertcat(*contacts.normal, *friction)),
             () if self.reserve else (no_equilibrium(contacts),),
             continuation,
         )
@@ -139,7 +126,28 @@ class Coulomb:
         return Continuation(ca.SX.sym("creep"), tuple(values))
 
 
-def _equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
+def check_friction(law: str, terrain: Terrain) -> None:
+    """Raise ModelError if a ground has no friction coefficient; ``law`` begins the message."""
+    if not terrain.has_friction:
+        raise ModelError(
+            f"{law}: expected a ground with a coefficient of friction, found none; set 'mu' of the "
+            "ground, or 'terrain.friction' in a problem file"
+        )
+
+
+def friction_unknowns(vehicle: Vehicle) -> FrictionUnknowns:
+    """Return the labels of the normal forces and of the used fractions of the friction."""
+    used = [
+        wheel_labels(
+            vehicle, f"friction_used_{axis}", "1", f"used fraction of the friction {axis} the wheel"
+        )
+        for axis in ("along", "across")
+    ]
+    return FrictionUnknowns(wheel_labels(vehicle, *NORMAL), *used)
+
+
+def equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
+    """Return the labels of the equations of contact and friction, one of each kind per wheel."""
     words = "normal velocity of the contact point"
     return (
         *wheel_labels(vehicle, "touching", "m s-1", words),

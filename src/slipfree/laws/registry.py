@@ -9,6 +9,7 @@ with one line in this file.
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.least_slip import LeastSlip
+from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundLaw, SlipLaw
 from slipfree.laws.rolling import Rolling
 
@@ -18,6 +19,7 @@ SLIP_LAWS: dict[str, type[SlipLaw]] = {
 }
 GROUND_LAWS: dict[str, type[GroundLaw]] = {
     "coulomb": Coulomb,
+    "linear_creep": LinearCreep,
 }
 CONTACT_LAWS: dict[str, type[Compliant]] = {
     "compliant": Compliant,

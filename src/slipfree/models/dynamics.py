@@ -126,15 +126,15 @@ def dynamics(
     None
     """
     terrain, prisms = (ground.base, ground.prisms) if isinstance(ground, Solids) else (ground, ())
-    _check(vehicle, terrain)
-    vehicle = _with_depths(vehicle)
+    check_dynamic(vehicle, terrain)
+    vehicle = with_depths(vehicle)
     labels = dynamic_labels(vehicle, len(prisms))
     x, u, lookups = symbols(labels.x), symbols(labels.u), LookupTable()
-    body = _multibody(vehicle, x)
+    body = moving_bodies(vehicle, x)
     contacts = _contacts(vehicle, terrain, prisms, law, body, lookups)
     matrix = mass_matrix(body)
-    _check_inertia(vehicle, labels, x, matrix)
-    ode, effort = _motion(vehicle, x, u, body, matrix, contacts)
+    check_inertia(vehicle, labels, x, matrix)
+    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, contacts)
     shown = [deepest(each) for each in contacts]
     q = quantities(vehicle, terrain, _in_space(vehicle, x), u, body, shown, lookups)
     forces = dynamic_forces(q, contacts, x, effort)
@@ -168,12 +168,14 @@ def dynamics(
         scale=scale,
         shift=shift,
         size=size,
-        standing=None if support_fault(vehicle) else _standing(vehicle, terrain, prisms, labels),
+        standing=None
+        if support_fault(vehicle)
+        else standing_start(vehicle, terrain, prisms, labels),
         lookups=lookups.lookups,
     )
 
 
-def _check(vehicle: Vehicle, terrain: Terrain) -> None:
+def check_dynamic(vehicle: Vehicle, terrain: Terrain) -> None:
     """Raise ModelError if a vehicle or a ground does not suit dynamics."""
     if not vehicle.mass:
         raise ModelError(
@@ -193,7 +195,7 @@ def _check(vehicle: Vehicle, terrain: Terrain) -> None:
             )
 
 
-def _check_inertia(vehicle: Vehicle, labels: Labels, x: DynamicState, matrix: ca.SX) -> None:
+def check_inertia(vehicle: Vehicle, labels: Labels, x: DynamicState, matrix: ca.SX) -> None:
     """Raise ModelError for a coordinate without inertia, with all coordinates at zero."""
     still = [float(label.name == "attitude_w") for label in leaves(labels.x)]
     values = np.diag(np.array(ca.Function("mass", [pack(x)], [matrix])(still)))[6:]
@@ -205,7 +207,7 @@ def _check_inertia(vehicle: Vehicle, labels: Labels, x: DynamicState, matrix: ca
             )
 
 
-def _with_depths(vehicle: Vehicle) -> Vehicle:
+def with_depths(vehicle: Vehicle) -> Vehicle:
     """Return a vehicle whose wheels have static depths."""
     exact = has_exact_closure(replace(vehicle, planar=False))
     wheels = (
@@ -217,7 +219,7 @@ def _with_depths(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, wheels=tuple(wheels))
 
 
-def _multibody(vehicle: Vehicle, x: DynamicState) -> Multibody:
+def moving_bodies(vehicle: Vehicle, x: DynamicState) -> Multibody:
     """Return the vehicle as a system of rigid bodies in given states."""
     in_space = _in_space(vehicle, x)
     attitude = ca.vertcat(*x.attitude)
@@ -258,7 +260,7 @@ def _contacts(
             touch(terrain, wheel, pose, searches[wheel.section], lookups),
             *(solid_touch(prism, terrain, wheel, pose, lookups) for prism in prisms),
         ]
-        slips = [_slip(each, at) for at in touches]
+        slips = [slip_velocity(each, at) for at in touches]
         found.append(
             tuple(
                 Contact(at, slip, law.force(at, slip, share, wheel.depth))
@@ -268,7 +270,7 @@ def _contacts(
     return found
 
 
-def _slip(wheel: WheelMotion, at: Touch) -> ca.SX:
+def slip_velocity(wheel: WheelMotion, at: Touch) -> ca.SX:
     """Return the velocity of the wheel's material point at its contact, shape (3, 1) [m/s]."""
     omega = wheel.motion.omega - wheel.rate * wheel.axle
     slip = wheel.motion.velocity + ca.cross(omega, at.frame.point - wheel.motion.pose.origin)
@@ -300,7 +302,7 @@ class _Wheel(NamedTuple):
     load: Load
 
 
-def _motion(
+def equations_of_motion(
     vehicle: Vehicle,
     x: DynamicState,
     u: Inputs,
@@ -401,7 +403,7 @@ def _attitude_rate(x: DynamicState) -> ca.SX:
     return found
 
 
-def _standing(
+def standing_start(
     vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], labels: Labels
 ) -> Standing:
     """Return the model of the vehicle at rest, and the states of the dynamic model there.

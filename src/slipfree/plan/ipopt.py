@@ -21,6 +21,7 @@ OTHER_VIOLATION_GROWTH = 100.0  # for the repetition of a search without progres
 STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
 IPOPT_TOLERANCE = 1e-8
 WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
+WARM_MONOTONE_BARRIER = 1e-3  # the same for the monotone barrier, whose problems change more
 WARM_PUSH = 1e-9  # smallest distance from the bounds in a warm start [scaled unknowns]
 WARM_OPTIONS: dict[str, Any] = {
     "warm_start_init_point": "yes",
@@ -206,6 +207,8 @@ def solve_program(
         "max_iter": iterations,
         "theta_max_fact": growth,
     }
+    if warm is not None and program.task.dae.replay:  # of the monotone barrier
+        ipopt["mu_init"] = WARM_MONOTONE_BARRIER
     with InterruptGuard() as guard:
         watch = _IterateWatcher(program, on_iterate or (lambda _: True), guard)
         solver = _ipopt_solver(program, ipopt, {"iteration_callback": watch})
@@ -239,7 +242,8 @@ def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, An
         "print_level": 0,
         "sb": "yes",
         "tol": IPOPT_TOLERANCE,
-        "mu_strategy": "adaptive",
+        # Contact forces as unknowns need the monotone barrier (docs/decisions.md).
+        "mu_strategy": "monotone" if program.task.dae.replay else "adaptive",
         "honor_original_bounds": "yes",
         "mumps_permuting_scaling": 0,
         "mumps_pivot_order": QUASI_DENSE_ORDERING,

@@ -55,7 +55,13 @@ from slipfree.plan.starts import (
     further_guesses,
 )
 from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
-from slipfree.plan.verification import Verification, inputs_along, refine_mesh, verify_plan
+from slipfree.plan.verification import (
+    Verification,
+    inputs_along,
+    position_error,
+    refine_mesh,
+    verify_plan,
+)
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
 from slipfree.records import Array, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
@@ -65,6 +71,7 @@ SLIP_STAGES = (0.0, 1.0)  # consecutive factors on the weight of the slip
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
 MAX_LIMIT_ROUNDS = 4  # largest number of times that violated limits are added
 MAX_REFINEMENTS = 6  # largest number of refinements of the mesh
+MIN_IMPROVEMENT = 0.8  # ratio of errors on a finer and a coarser mesh for a further refinement
 LIMIT_CLEARANCE = 1e-5  # distance of plans from the model's limits, which end a simulation
 SAMPLE_STEP = 0.25  # largest time between samples of the simulation [s]
 PlanProgress = Callable[[str, Iterate], bool]
@@ -647,8 +654,18 @@ def _refine(
         )
         if not finer.found.success:
             return search._replace(stages=finer.stages), verification
-        search, verification = finer, verify(finer)
+        before, (search, verification) = verification, (finer, verify(finer))
+        if search.program.task.dae.replay and not _has_improved(before, verification):
+            break
     return search, verification
+
+
+def _has_improved(before: Verification, after: Verification) -> bool:
+    """Return whether a finer mesh has reduced the error; that of the model does not depend on it.
+
+    The condition is for plans that are simulated with another model.
+    """
+    return position_error(after) < MIN_IMPROVEMENT * position_error(before)
 
 
 def _to_plan(search: _SearchState, verification: Verification) -> Plan:

@@ -92,7 +92,9 @@ def _cost_term(dae: Dae, name: str) -> Cost:
     if name == "time":
         return Cost(name, ca.SX(1), "s", "duration")
     if name == "effort":
-        return Cost(name, ca.sumsqr(ca.vertcat(*leaves(dae.u))), "rad2 s-1", "squared inputs")
+        units = {label.unit for label in leaves(dae.labels.u)}
+        unit = "N2 m2 s" if units & {"N m", "N"} else "rad2 s-1"
+        return Cost(name, ca.sumsqr(ca.vertcat(*leaves(dae.u))), unit, "squared inputs")
     if name == "slip":
         parts = [*dae.named("slip_along"), *dae.named("slip_across")]
         slip = ca.sumsqr(ca.vertcat(*parts))
@@ -304,7 +306,7 @@ def task_of(
         duration_of(duration),
         terms,
         tuple(timed_conditions(dae, goal, way_points or {})),
-        limits_of(dae, limits),
+        (*limits_of(dae, limits), *(dae.replay.limits if dae.replay else ())),
         bounds_of(dae, inputs or {}),
         bounds_of(dae, accelerations or {}),
         smooth,

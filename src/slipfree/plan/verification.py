@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae, Limit, PiecewiseLinear
-from slipfree.plan.constraints import role_of
+from slipfree.plan.constraints import quantity_label, role_of, shift_of
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
 from slipfree.records import Array, Mask, leaves
@@ -21,6 +21,7 @@ from slipfree.trajectory import SolverError, Trajectory
 LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit [range of its bounds]
 REFINED_FRACTION = 0.25  # smallest violation on intervals refined with a violated one [tolerance]
 VERIFICATION_TOLERANCE = 0.01  # tolerance of the simulation [accuracy of the plan]
+POSITION_UNITS = ("m", "rad", "1")  # of states that a simulation by another model must reproduce
 MIN_INTERVAL_SAMPLES = 8  # samples per interval, denser near its ends
 
 
@@ -82,10 +83,10 @@ def verify_plan(
         If the simulation fails before its first sample.
     """
     found = motion_of(program, unknowns)
+    if program.task.dae.replay is not None:
+        return _verify_on_replay(program, found, start, accuracy=accuracy, step=step)
     dae, limits = program.task.dae, program.task.limits
-    tolerance = max(program.options.tolerance * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
-    options = replace(program.options, tolerance=tolerance)
-    replay = simulate_plan(dae, start, found, step=step, options=options)
+    replay = simulate_plan(dae, start, found, step=step, options=_precise(program))
     parts = np.minimum(replay.t / found.duration, 1.0)
     x, z, u = (local_rows(dae, record, replay) for record in "xzu")
     samples = replay.t, x, z, u
@@ -94,12 +95,11 @@ def verify_plan(
         _limit_excess(dae, limits, samples),
         tolerated_excess(limits, accuracy)[:, None],
     )
-    ends = program.mesh.ends
-    where = np.clip(np.searchsorted(ends, parts - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
-    worse = np.zeros(ends.size - 1, dtype=bool)
+    where, count = _intervals(program, parts), program.mesh.ends.size - 1
+    worse = np.zeros(count, dtype=bool)
     if (over > allowed).any():  # refinement moves violations to neighbours
         worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
-    worse |= _error_sources(gaps, where, accuracy, ends.size - 1)
+    worse |= _error_sources(gaps, where, accuracy, count)
     if replay.stop is not None:
         # A finer mesh helps only if the simulation ended at a limit that the program contains.
         worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
@@ -115,6 +115,86 @@ def verify_plan(
         worse,
         met and replay.stop is None and not worse.any(),
     )
+
+
+def _precise(program: Program) -> SolverOptions:
+    """Return the options of the simulation that verifies a plan."""
+    tolerance = max(program.options.tolerance * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
+    return replace(program.options, tolerance=tolerance)
+
+
+def _verify_on_replay(
+    program: Program, found: PolynomialMotion, start: Trajectory, *, accuracy: float, step: float
+) -> Verification:
+    """Compare a plan with the simulation of its inputs by another model, ``dae.replay``.
+
+    Positions and angles must agree within the accuracy. Speeds differ by the vibrations that the
+    planned model leaves out; they are reported only.
+    """
+    task, dae = program.task, program.task.dae
+    model = dae if dae.replay is None else dae.replay.model
+    replay = simulate_plan(model, start, found, step=step, options=_precise(program))
+    parts = np.minimum(replay.t / found.duration, 1.0)
+    gaps = local_rows(model, "x", replay) - found.states(parts)
+    labels = list(leaves(dae.labels.x))
+    placed = gaps[[label.unit in POSITION_UNITS for label in labels]]
+    violation = dict[str, float]()
+    for limit in task.limits:
+        excess = _replay_excess(task, limit, replay)
+        if excess > 0:
+            name = limit_name(limit)
+            violation[name] = max(violation.get(name, 0.0), excess)
+    missed = dict[str, float]()
+    for condition in task.conditions:
+        k = int(np.abs(parts - condition.fraction).argmin())
+        if abs(parts[k] - condition.fraction) > 1e-6:  # the simulation ended before
+            continue
+        for limit in condition.limits:
+            excess = _replay_excess(task, limit, replay.part(slice(k, k + 1)))
+            if excess > 0:
+                missed[f"{limit_name(limit)} at the {role_of(condition.fraction)}"] = excess
+    return Verification(
+        replay,
+        dict(zip((label.full for label in labels), np.abs(gaps).max(axis=1).tolist(), strict=True)),
+        violation | missed,
+        _units(task),
+        _error_sources(placed, _intervals(program, parts), accuracy, program.mesh.ends.size - 1),
+        bool(np.abs(placed).max() <= accuracy) and replay.stop is None,
+    )
+
+
+def position_error(verification: Verification) -> float:
+    """Return the largest difference of a position or an angle between plan and simulation."""
+    return max(
+        size
+        for name, size in verification.difference.items()
+        if verification.units[name] in POSITION_UNITS
+    )
+
+
+def _intervals(program: Program, parts: Array) -> Index:
+    """Return the index of the mesh interval of each sample, at fractions of the duration."""
+    ends = program.mesh.ends
+    where = np.searchsorted(ends, parts - FRACTION_TOLERANCE) - 1
+    return np.asarray(np.clip(where, 0, ends.size - 2))
+
+
+def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory) -> float:
+    """Return the largest violation of a limit in a simulation by another model.
+
+    A limit on unknowns of the planned model applies to the quantity of the same name of the other
+    model; it is left out if there is none.
+    """
+    dae, label = task.dae, quantity_label(limit.label)
+    if not ca.depends_on(limit.expression, dae.columns()[1]):
+        x, u = (local_rows(dae, record, run) for record in "xu")
+        unknowns = np.zeros((dae.scale.size, run.t.size))
+        values = limit_values(dae, [limit], (run.t, x, unknowns, u))[0]
+    elif label.name in run.columns:
+        values = run.of(label) - shift_of(task, limit.expression)
+    else:
+        return 0.0
+    return float(np.maximum(np.maximum(limit.lower - values, values - limit.upper), 0.0).max())
 
 
 def _units(task: PlanTask) -> dict[str, str]:

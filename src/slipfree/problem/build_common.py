@@ -209,17 +209,20 @@ def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> Sampled
     return SampledTimes(np.asarray(period * np.arange(count)), every)
 
 
-def check_names(problem: Problem[S], dae: Dae, inputs: Iterable[str] | None) -> None:
+def check_names(
+    problem: Problem[S], dae: Dae, inputs: Iterable[str] | None, driven: Dae | None = None
+) -> None:
     """Raise ProblemError for unknown states, unknown or missing inputs, and wrong units.
 
-    Inputs are not checked if ``inputs``, the names of the given inputs, is None.
+    Inputs are not checked if ``inputs``, the names of the given inputs, is None. They are inputs of
+    ``driven``, by default of ``dae``.
     """
     places = _names(dae.labels.x)
     if dae.standing is not None:
         places = [*_names(dae.standing.model.labels.x), SPEED]
     faults = [*name_errors(("start",), problem.spec.start, places)]
     if inputs is not None:
-        known = _names(dae.labels.u)
+        known = _names((driven or dae).labels.u)
         faults += name_errors(("inputs",), inputs, known)
         faults += [
             Fault(("inputs", name), "a rate", "none") for name in known if name not in inputs

@@ -43,6 +43,18 @@ class Ramp(Feature):
         return synthetic.ramp(grid, **dict(self))
 
 
+class Ridge(Feature):
+    """A ridge across y, of the form of a Gaussian bell."""
+
+    middle: float = Field(description="y of the crest [m]")
+    height: float = Field(description="height of the crest; negative for a trench [m]")
+    width: Positive = Field(description="distance from the crest at which 1/e of it remains [m]")
+
+    def added(self, grid: Grid) -> Grid:
+        """Return a ground with the feature added."""
+        return synthetic.ridge(grid, **dict(self))
+
+
 class PowerLaw(Feature):
     """Self-affine roughness, whose spectrum is a power of the wave number."""
 
@@ -90,6 +102,7 @@ class Rocks(Feature):
 
 FEATURES: dict[str, type[Feature]] = {  # in the order in which they are added
     "ramp": Ramp,
+    "ridge": Ridge,
     "power_law": PowerLaw,
     "craters": Craters,
     "rocks": Rocks,

@@ -77,7 +77,8 @@ def settle(
         speed = start.pop(SPEED, 0.0)
         first = _exact_pose(dae.standing, start, options) | dict(guess or {})
         run = settle(dae.standing.model, guess=first, options=options, **start)
-        return _one_sample(dae, _moving_states(dae.standing, run, speed), np.zeros(0), options)
+        x = _moving_states(dae.standing, run, speed)
+        return _one_sample(dae, x, first_guess(dae, x, {}), options)
     x, guess = dae.start(**start), dict(guess or {})
     if not dae.rest.numel():
         return _one_sample(dae, x, first_guess(dae, x, guess), options)

@@ -285,6 +285,31 @@ def ramp(
     return Grid(grid.x, grid.y, grid.z + rise * profile)
 
 
+def ridge(grid: Grid, *, middle: float, height: float, width: float) -> Grid:
+    """Return the grid with a ridge across y added, of the form of a Gaussian bell.
+
+    Parameters
+    ----------
+    grid : Grid
+        The ground below.
+    middle : float
+        Value of y at the crest. [m]
+    height : float
+        Height of the crest; negative for a trench. [m]
+    width : float
+        Distance from the crest at which the height has fallen to 1/e. [m]
+
+    Raises
+    ------
+    ModelError
+        If the width is not positive.
+    """
+    if not width > 0:
+        raise ModelError(f"ridge: expected a positive width, found {width:g} m; increase it")
+    profile = np.exp(-(((grid.y - middle) / width) ** 2))
+    return Grid(grid.x, grid.y, grid.z + height * profile)
+
+
 def _bend(y: Array, length: float) -> Array:
     """Return heights whose slope rises from zero to one within a given length around y = 0."""
     if not length:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -52,12 +52,15 @@ from slipfree.problem.verbs.plan_windows import (
     windows_words,
 )
 from slipfree.records import Array, leaves
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import settle
+from slipfree.solve.simulate import simulate
 from slipfree.solver_codes import ipopt_words
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import (
     PLAN_ACCURACY,
     Column,
+    SolverError,
     Stop,
     Trajectory,
     outcome_words,
@@ -72,6 +75,11 @@ MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
 ROUNDING = 1e-6  # largest violation that counts as rounding, in the unit of the limit
 STIFFER = 10.0  # factor of stiffness of another simulation of pressed wheels
 SLIDING = 0.95  # utilisation above which a wheel counts as sliding
+FORCE_LIMITS = {"drive_torque", "utilisation", "friction_needed", "force_normal"}
+OFFER = (
+    'no slow motion was found within these limits; set model = "dynamics" to plan with momentum: '
+    "inertia then carries the vehicle where its drives alone do not"
+)
 FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail to settle below it
 LineCallback = Callable[[str, str], None]
 
@@ -112,13 +120,14 @@ class PlanVerb(DriveVerb):
         if spec.plan.robust is not None and found.accurate:
             tested = make_robust(problem, setup, found, spec.plan.robust, progress, watch.line)
             found = tested.plan
-        run, stop = found.replay, tested.stop or found.run.stop
+        run, stop = found.replay, tested.stop or with_offer(setup, found, guesses)
         if stop is not None and (tested.stop or not found.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         attributes = {
             **({"plan_robust": tested.words} if tested.words else {}),
             **_optimality(found),
             **_by_stiffness(problem, setup, found),
+            **_momentum(setup, found),
             **({"plan_starts": table} if table else {}),
         }
         prices = {
@@ -288,11 +297,11 @@ def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], b
 def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
     """Return the description of the quasi-static motion under the plan's inputs, as an attribute.
 
-    The result is empty without mass, friction or exact contact, for quasi-static plans, and for
+    The result is empty without mass, friction or exact contact, for plans with forces, and for
     plans that are not solved.
     """
     able = has_exact_closure(setup.vehicle) and setup.vehicle.mass and setup.terrain.has_friction
-    if not (found.success and able and setup.spec.model != "quasi-static"):
+    if not (found.success and able and setup.spec.model == "kinematics"):
         return {}
     model: Dae = quasi_statics(setup.vehicle, setup.terrain)
     options = setup.spec.solver.options
@@ -331,9 +340,9 @@ def _by_stiffness(
     """Return the description of the motion with stiffer wheels under the plan's inputs.
 
     The description is an attribute: the distance between the ends of plan and motion. The result is
-    empty for a vehicle with exact contact, and for a plan that is not solved.
+    empty for a vehicle with exact contact, a plan with inertia, and a plan that is not solved.
     """
-    if has_exact_closure(setup.vehicle) or not found.success:
+    if has_exact_closure(setup.vehicle) or not found.success or setup.spec.model == "dynamics":
         return {}
     wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
     stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(problem, problem.spec)
@@ -350,6 +359,84 @@ def _by_stiffness(
     return {"by_stiffness": f"ends {apart:.3g} m from the plan"}
 
 
+def with_offer(setup: Planning, found: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
+    """Return the stop of a plan; if there is no slow plan, it offers a plan with momentum."""
+    stop, spec = found.run.stop, setup.spec
+    slow = spec.model == "quasi-static" or FORCE_LIMITS & {*spec.limits}
+    if stop is None or not slow or stop.outcome not in (Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE):
+        return stop
+    needs = [words for words in (_torque_need(setup, guess) for guess in guesses[:1]) if words]
+    return stop._replace(words="\n".join([stop.words, *needs, OFFER]))
+
+
+def _torque_need(setup: Planning, guess: Trajectory) -> str:
+    """Return the torques that an initial guess needs if they exceed their limit, otherwise ""."""
+    bounds = setup.spec.limits.get("drive_torque")
+    if bounds is None or "drive_torque" not in guess:
+        return ""
+    needed = guess["drive_torque"].sum(axis=1)
+    k, most = int(needed.argmax()), bounds[1] * sum(wheel.driven for wheel in setup.vehicle.wheels)
+    if needed[k] <= most:
+        return ""
+    return (
+        f"slow driving along the initial guess needs torques of {needed[k]:.3g} N m in all (at x = "
+        f"{guess['x'][k]:.3g} m, y = {guess['y'][k]:.3g} m), limits.drive_torque allows {most:.3g} "
+        "N m"
+    )
+
+
+def _momentum(setup: Planning, found: Plan) -> dict[str, str]:
+    """Return the descriptions of the simulation of a plan with inertia, as attributes.
+
+    They are the distance from the plan, the loads of the wheels, and the torques that the same path
+    needs without inertia. The result is empty for other plans.
+    """
+    if setup.spec.model != "dynamics":
+        return {}
+    run, replay = found.run, found.replay
+    away = max(found.difference[name] for name in "xyz")
+    loads = [(each["force_normal"].min(axis=0), each.wheels) for each in (run, replay)]
+    planned, simulated = (
+        f"{least.min():.3g} N ({names[least.argmin()]})" for least, names in loads
+    )
+    words = (
+        f"on compliant contacts the platform stays within {1e3 * away:.2g} mm of the plan; least "
+        f"normal force of a wheel {planned} in the plan, {simulated} in the simulation"
+    )
+    return {"plan_replay": words, **({"plan_slow": _slowly(setup, found)} if found.success else {})}
+
+
+def _slowly(setup: Planning, found: Plan) -> str:
+    """Return the description of quasi-statics at the wheel rates of a plan with inertia."""
+    run = found.run
+    try:
+        model: Dae = quasi_statics(setup.vehicle, setup.terrain)
+        start = settled_start(model, setup)
+        wheels = [
+            name for name, w in zip(run.wheels, setup.vehicle.wheels, strict=True) if w.driven
+        ]
+        rates = {f"{name}_rate": run["wheel_rate", name] for name in wheels}
+        for c in setup.vehicle.of("commanded"):
+            rates[f"{c.name}_rate"] = run[f"{c.name}_speed"]
+        middles = {name: (rate[1:] + rate[:-1]) / 2 for name, rate in rates.items()}
+        options = SolverOptions(tolerance=FRICTION_TOLERANCE)
+        slow = simulate(model, start, model.inputs(**middles), run.t, options=options)
+    except SolverError as error:
+        if error.trajectory is None:
+            return f"not simulated: {error}"
+        slow = error.trajectory
+    except (SlipfreeError, np.linalg.LinAlgError) as error:  # the plan is valid without it
+        return f"not simulated: {error}"
+    needed, used = (np.abs(each["drive_torque"].sum(axis=1)) for each in (slow, run))
+    k = int(needed.argmax())
+    words = (
+        f"without inertia the same path needs torques of {needed[k]:.3g} N m in all (at x = "
+        f"{slow['x'][k]:.3g} m, y = {slow['y'][k]:.3g} m); the plan needs at most "
+        f"{used.max():.3g} N m"
+    )
+    return words if slow.stop is None else f"{words}; {outcome_words(slow)}"
+
+
 def _stopped(_words: str, _iterate: Iterate) -> bool:
     return False
 
@@ -362,7 +449,7 @@ def _statistics(found: Plan | LongPlan) -> dict[str, float]:
         "plan_seconds": sum(each["total"] for each in times),
         "plan_seconds_functions": sum(each["functions"] for each in times),
         **{f"plan_cost_{name}": value for name, value in found.costs.items()},
-        **{f"plan_difference_{name}": value for name, value in found.difference.items()},
+        **{f"plan_difference_{name}": value for name, value in _by_quantity(found).items()},
         **{
             f"plan_violation_{re.sub('[^a-zA-Z0-9.]+', '_', name).strip('_')}": size
             for name, size in found.violation.items()
@@ -372,15 +459,26 @@ def _statistics(found: Plan | LongPlan) -> dict[str, float]:
     }
 
 
+def _by_quantity(found: Plan | LongPlan) -> dict[str, float]:
+    """Return the largest difference of each quantity, over the wheels for quantities of wheels."""
+    sizes = dict[str, float]()
+    for name, size in found.difference.items():
+        quantity = name.partition("[")[0]
+        sizes[quantity] = max(size, sizes.get(quantity, 0.0))
+    return sizes
+
+
 def poses_of_plan(
     run: Trajectory, arrays: Mapping[str, Array], terrain: Bicubic
 ) -> Trajectory | None:
     """Return the poses of the plan that a motion simulates; None if no plan is stored.
 
+    The result is also None for a plan with inertia, which has other unknowns than its simulation.
+
     The first quantities of the simulation, up to the contacts, are states and algebraic unknowns of
     the plan in the same order. The wheel angles are those of the simulation.
     """
-    if f"{ARRAY_PREFIX}unknowns" not in arrays:
+    if f"{ARRAY_PREFIX}unknowns" not in arrays or "kinetic_energy" in run:
         return None
     saved = from_arrays(arrays, "result")
     course = saved.motion

@@ -9,10 +9,13 @@ import numpy as np
 from slipfree.trajectory import PLAN, Trajectory, path_length
 
 ROBUST = "robust plan"
+MOMENTUM, SLOWLY = "simulated with compliant contacts", "driven slowly"
 CHECKS = (
     "simulated",
     "optimality",
     ROBUST,
+    MOMENTUM,
+    SLOWLY,
     "simulated with friction",
     "with wheels ten times stiffer",
 )  # facts about accuracy and validity
@@ -69,6 +72,10 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         f"rms {np.sqrt(squares.mean() / duration):.3g} m/s per wheel, "
         f"{1e3 * total.mean() / length:.3g} mm per wheel and metre",
     )
+    if "plan_replay" in run.attributes:
+        yield MOMENTUM, run.attributes["plan_replay"]
+    if "plan_slow" in run.attributes:
+        yield SLOWLY, run.attributes["plan_slow"]
     if "by_friction" in run.attributes:
         yield "simulated with friction", run.attributes["by_friction"]
     if "by_stiffness" in run.attributes:

@@ -126,6 +126,11 @@ class Search(Record):
     robust: Robust | None = Field(
         default=None, description="drawn worlds on which the plan must keep its limits"
     )
+    sliding: bool = Field(
+        default=False,
+        description="with model = 'dynamics': whether wheels may slide, as in a turn of a "
+        "skid-steered vehicle; otherwise they roll within the limits of friction",
+    )
     accuracy: Positive = Field(
         default=1e-3,
         description="largest deviation of the simulation from the plan and its limits [m, rad]",
@@ -163,7 +168,8 @@ class Plan(Modelled):
         description="ranges as in the goal, each at a fraction 'at' of the duration [m, rad]",
     )
     inputs: dict[str, PiecewiseConstant] | None = Field(
-        default=None, description=f"inputs of the initial guess: {INPUTS}"
+        default=None,
+        description=f"inputs of the initial guess, rates with any model: {INPUTS}",
     )
     driver: Guide | None = Field(
         default=None, description="driving law of the initial guess, instead of inputs"
@@ -175,8 +181,19 @@ class Plan(Modelled):
     }
 
     def faults(self) -> Iterator[Fault]:
-        """Yield the errors of common keys, and of a model that plans cannot use."""
+        """Yield the errors of common keys, and of options that do not suit the model."""
         yield from super().faults()
-        if self.model == "dynamics":
-            found = "'dynamics'; plan without inertia and simulate the rates by a direct problem"
-            yield Fault(("model",), "'kinematics' or 'quasi-static' in a plan", found)
+        search = self.plan
+        if self.model != "dynamics":
+            if search.sliding:
+                found = f"model = {self.model!r}; set model = 'dynamics', or remove the key"
+                yield Fault(("plan", "sliding"), "model = 'dynamics', where wheels slide", found)
+            return
+        given = {
+            "window": search.window is not None,
+            "robust": search.robust is not None,
+            "starts": search.starts > 1,
+        }
+        for name in (name for name, is_given in given.items() if is_given):
+            expected = f"no {name!r} with model = 'dynamics'"
+            yield Fault(("plan", name), expected, "it; remove it, or plan without inertia")

@@ -11,6 +11,7 @@ import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.dae import Dae
+from slipfree.models.dynamic_guess import dynamic_guess
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.outcome import Outcome
 from slipfree.plan.ipopt import Iterate
@@ -18,11 +19,17 @@ from slipfree.plan.plan import Plan as FoundPlan
 from slipfree.plan.plan import plan
 from slipfree.plan.robust import Tightening, tightened_arguments
 from slipfree.plan.warm_start import SavedPlan
+from slipfree.problem.build_common import solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import Plan
-from slipfree.problem.verbs.plan_setup import Planning, plan_arguments, settled_start
+from slipfree.problem.verbs.plan_setup import (
+    Planning,
+    momentum_models,
+    plan_arguments,
+    settled_start,
+)
 from slipfree.problem.verbs.plan_windows import search_arguments
 from slipfree.records import Array
 from slipfree.solve.simulate import simulate
@@ -54,16 +61,18 @@ def guess_motion(setup: Planning, start: tuple[Any, Array]) -> Trajectory:
     law, t = start
     try:
         rough = replace(setup.spec.solver.options, tolerance=ROUGH)
-        run = simulate(setup.dae, setup.start, law, t, options=rough)
+        run = simulate(setup.guide, setup.guide_start, law, t, options=rough)
     except SolverError as error:
         if error.trajectory is None:
             raise
         run = error.trajectory
-    if not setup.paths or setup.places[-1][0] != "goal":
+    if setup.paths and setup.places[-1][0] == "goal":
+        _, x, y = setup.places[-1]
+        away = np.hypot(run["x"] - x, run["y"] - y)
+        run = run.part(slice(max(int(away.argmin()), 1) + 1))
+    if setup.guide is setup.dae:
         return run
-    _, x, y = setup.places[-1]
-    away = np.hypot(run["x"] - x, run["y"] - y)
-    return run.part(slice(max(int(away.argmin()), 1) + 1))
+    return dynamic_guess(setup.dae, setup.vehicle, setup.start, run)
 
 
 def find_plan(
@@ -77,8 +86,9 @@ def find_plan(
 ) -> FoundPlan:
     """Return the plan of a problem.
 
-    For wheels that press into the ground, plans with smoother load laws are computed first, and
-    each search starts from the previous plan. If a search fails, the previous plan is returned.
+    For wheels that press into the ground, plans with smoother load laws are computed first, for
+    wheels that slide, plans with larger creep speeds; each search starts from the previous plan.
+    If a search fails, the previous plan is returned.
 
     Parameters
     ----------
@@ -104,16 +114,20 @@ def find_plan(
     """
     spec, found, saved = problem.spec, None, resume
     for dae in (*([] if resume else _smoothed_models(problem, setup)), setup.dae):
-        start = setup.start if dae is setup.dae else settled_start(dae, setup)
+        is_same = dae is setup.dae or dae.replay is not None  # creep does not change the start
+        start = setup.start if is_same else settled_start(dae, setup)
         model = (dae, setup.vehicle, setup.terrain)
         arguments = plan_arguments(problem, spec, setup.keep_out, model, setup.between)
+        search = search_arguments(spec) | {"options": solver_options(problem)}
+        if dae.replay and dae is not setup.dae:  # only the last creep speed has to be accurate
+            search["accuracy"] = np.inf
         with at(problem, ("plan",)):
             now = plan(
                 dae,
                 start,
                 [] if saved else guesses,
                 **tightened_arguments(dae, arguments, tightening),
-                **search_arguments(spec),
+                **search,
                 duration=spec.plan.duration or (length, length),
                 resume=saved,
                 progress=progress,
@@ -129,10 +143,13 @@ def find_plan(
 
 
 def _smoothed_models(problem: Problem[Plan], setup: Planning) -> list[Dae]:
-    """Return models with smoothed load laws of wheels that press into the ground, smoothest first.
+    """Return models for searches before that of the plan, the smoothest first.
 
-    The list is empty for a vehicle with exact contact.
+    They have smoothed load laws of wheels that press into the ground, or, with inertia, larger
+    creep speeds of wheels that slide. The list is empty for other vehicles.
     """
+    if problem.spec.model == "dynamics":
+        return momentum_models(problem, setup.vehicle, setup.terrain)[:-1]
     if has_exact_closure(setup.vehicle):
         return []
     slip = model_law(problem, problem.spec)

@@ -16,6 +16,11 @@ from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
+from slipfree.laws.coulomb import Coulomb
+from slipfree.laws.linear_creep import LinearCreep
+from slipfree.laws.protocols import GroundLaw
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.rigid_dynamics import rigid_dynamics
 from slipfree.plan.problem import limits_of, task_of
 from slipfree.problem.build_common import (
     Setup,
@@ -27,7 +32,7 @@ from slipfree.problem.build_common import (
 )
 from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.build_model import build_model
+from slipfree.problem.build_model import build_model, model_law
 from slipfree.problem.geographic_places import convert_places
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.validation import validated_problem
@@ -55,6 +60,7 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
+SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]
 HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
 HOLE_CLEARANCE = 2.0  # additional distance of plans from holes [plan.accuracy]
 RUNS = count()
@@ -80,6 +86,9 @@ class Planning(Setup):
         Record of the problem file.
     between : mapping of float to mapping
         Ranges of quantities at the way-points, by fraction of the duration.
+    guide, guide_start : Dae, Trajectory
+        Model that moves along the initial guesses, and its start: a kinematic model for plans with
+        inertia, otherwise the planned model.
     """
 
     layers: Traversability
@@ -89,6 +98,8 @@ class Planning(Setup):
     starts: tuple[tuple[Any, Array], ...]
     spec: Plan
     between: Mapping[float, Ranges]
+    guide: Dae
+    guide_start: Trajectory
 
 
 def build_planning(problem: Problem[Plan]) -> Planning:
@@ -105,8 +116,14 @@ def build_planning(problem: Problem[Plan]) -> Planning:
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem.folder)
     terrain = build_terrain(problem, ground)
-    dae: Dae = build_model(problem, spec, vehicle, terrain)
-    check_names(problem, dae, spec.inputs)
+    is_dynamic = spec.model == "dynamics"
+    dae: Dae = (
+        momentum_models(problem, vehicle, terrain)[-1]
+        if is_dynamic
+        else build_model(problem, spec, vehicle, terrain)
+    )
+    guide: Dae = direct_kinematics(vehicle, terrain) if is_dynamic else dae
+    check_names(problem, dae, spec.inputs, guide)
     keep_out, between = regions(problem, spec), way_points_of(problem, spec)
     places, exact = places_of(problem, spec, between, terrain.domain)
     layers = traversability(terrain, vehicle, keep_out=keep_out)
@@ -115,10 +132,11 @@ def build_planning(problem: Problem[Plan]) -> Planning:
         where = problem.source.where((key_of(wrong[0].name),))
         raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
     start = build_start(problem, dae)
+    guide_start = _same_start(guide, start, spec) if is_dynamic else start
     paths = initial_paths(problem, spec, layers, places)
     check_windows(problem, spec, vehicle, paths)
     check_robust(problem, spec, terrain.has_friction)
-    starts = _starts(problem, dae, vehicle, start, paths, places)
+    starts = _starts(problem, guide, vehicle, guide_start, paths, places)
     _check_quantities(problem, dae)
     with at(problem, ("plan",)):
         task_of(
@@ -144,7 +162,22 @@ def build_planning(problem: Problem[Plan]) -> Planning:
         starts,
         spec,
         between,
+        guide,
+        guide_start,
     )
+
+
+def momentum_models(problem: Problem[Plan], vehicle: Vehicle, terrain: Bicubic) -> list[Dae]:
+    """Return the models of plans with inertia, one for each search; the last one is the plan's.
+
+    For wheels that slide, searches with larger creep speeds come first.
+    """
+    spec, contact = problem.spec, model_law(problem, problem.spec)
+    with at(problem, ("model",)):
+        laws: list[GroundLaw] = [LinearCreep(contact.creep)]
+        if spec.plan.sliding:
+            laws = [Coulomb(creep) for creep in SLIDING_CREEPS]
+        return [rigid_dynamics(vehicle, terrain, law=law, contact=contact) for law in laws]
 
 
 def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None:
@@ -335,10 +368,15 @@ def settled_start(dae: Dae, setup: Planning) -> Trajectory:
     ModelError
         If the vehicle cannot stand there.
     """
+    return _same_start(dae, setup.start, setup.spec)
+
+
+def _same_start(dae: Dae, start: Trajectory, spec: Plan) -> Trajectory:
+    """Return a start, settled for another model ``dae`` of the vehicle."""
     values: dict[str, Any] = {
-        label.full: float(setup.start.of(label)[-1]) for label in leaves(dae.labels.x)
+        label.full: float(start.of(label)[-1]) for label in leaves(dae.labels.x)
     }
-    return settle(dae, options=setup.spec.solver.options, **values)
+    return settle(dae, options=spec.solver.options, **values)
 
 
 class PlanSource(NamedTuple):

@@ -125,6 +125,11 @@ def follow_plan(
             f"{file}: expected the result of a plan, found one with verb = {planned.spec.verb!r}; "
             "give the result of a planning problem"
         )
+    if planned.spec.model == "dynamics":
+        raise DataError(
+            f"{file}: expected a plan without inertia, found model = 'dynamics', whose controllers "
+            "are not built; give the result of a plan with model = 'kinematics' or 'quasi-static'"
+        )
     setup = PlanVerb().build(planned)
     duration = saved.motion.duration
     found = find_plan(planned, setup, [], saved, lambda *_: True, duration)

@@ -1,0 +1,93 @@
+"""Linear creep: friction of wheels that roll, up to the friction limit.
+
+The slip of a wheel is proportional to the used fraction of the friction. This is the law of
+`slipfree.laws.coulomb` at small slip; wheels that slide are outside its validity. The equations are
+linear in slip and used friction, and determine the friction also where the wheels share it in
+several ways, as the side forces of a rigid axle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import casadi as ca
+import numpy as np
+from annotated_types import Gt, Le, Unit, doc
+
+from slipfree.dae import Limit
+from slipfree.laws.coulomb import (
+    MAX_CREEP,
+    FrictionUnknowns,
+    check_friction,
+    equation_labels,
+    friction_unknowns,
+)
+from slipfree.laws.protocols import Equations, Reaction, SlidingContacts, check_bounds
+from slipfree.records import Label
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import Vehicle
+
+
+@dataclass(frozen=True)
+class LinearCreep:
+    """Linear creep up to the friction limit.
+
+    The tangential force on a wheel is ``mu N p`` with ``eps p + s = 0``, where ``s`` is its slip
+    velocity, ``N`` its normal force and ``p`` the used fraction of the friction. The law is valid
+    for ``|p| <= 1``: the friction cone.
+
+    Attributes
+    ----------
+    creep : float
+        Slip velocity ``eps`` at the friction limit. [m/s]
+
+    Raises
+    ------
+    ModelError
+        If ``creep`` is outside its bounds.
+    """
+
+    creep: Annotated[
+        float, Gt(0), Le(MAX_CREEP), Unit("m/s"), doc("slip velocity at the friction limit")
+    ] = 1e-3
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
+        """Raise ModelError if the ground has no friction coefficient."""
+        check_friction("linear creep", terrain)
+
+    def unknowns(self, vehicle: Vehicle) -> FrictionUnknowns:
+        """Return the labels of the normal forces and of the used friction."""
+        return friction_unknowns(vehicle)
+
+    def reaction(self, contacts: SlidingContacts, unknowns: FrictionUnknowns) -> Reaction:
+        """Return the contact forces, the equations of contact and friction, and the cone."""
+        normal, *used = unknowns
+        slips = contacts.along, contacts.across
+        along, across = (
+            tuple(n * mu * p for n, mu, p in zip(normal, contacts.friction, parts, strict=True))
+            for parts in used
+        )
+        creep = [
+            self.creep * p + s
+            for parts, slip in zip(used, slips, strict=True)
+            for p, s in zip(parts, slip, strict=True)
+        ]
+        labels = equation_labels(contacts.vehicle)
+        limits = tuple(
+            Limit(_cone_label(wheel.name), a**2 + c**2, -np.inf, 1.0)
+            for wheel, a, c in zip(contacts.vehicle.wheels, *used, strict=True)
+        )
+        rows = ca.vertcat(*contacts.normal, *creep)
+        return Reaction(along, across, normal, Equations(labels, rows), limits)
+
+
+def _cone_label(name: str) -> Label:
+    words = (
+        f"wheel {name} would slide: it needs more friction than the ground offers (square of the "
+        "used fraction)"
+    )
+    return Label("friction_cone", "1", words, name)

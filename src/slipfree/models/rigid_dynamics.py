@@ -1,0 +1,292 @@
+"""Rigid dynamics: motion with inertia of a vehicle whose wheels stay on the ground, for plans.
+
+The equations of motion are those of `slipfree.models.dynamics`. The normal forces are multipliers
+of the contact constraints instead of functions of the depths, so that a plan need not resolve the
+fast vibrations of a compliant contact. With the depth ``d`` of a wheel and its normal force ``N``,
+the constraint is
+
+    ``d + d' / RELAXATION_RATE = d_0 N / (W / n)``,
+
+where ``d_0`` is the static depth of the wheel and ``W / n`` its share of the vehicle's weight. At
+rest a wheel therefore is as deep as on a compliant contact; for ``d_0 = 0`` it touches a rigid
+ground, with the stabilisation of Baumgarte. Contact points are unknowns too: their equations have
+exact derivatives of every order, unlike the searches of `slipfree.contact.touch`.
+
+A plan is valid while no wheel lifts off, ``N >= 0``. It is verified by the simulation of the
+compliant model (``Dae.replay``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.certify import SecondContact
+from slipfree.contact.closure import contact_frame
+from slipfree.contact.touch import Touch
+from slipfree.dae import Dae, Labels, Limit, Replay
+from slipfree.errors import ModelError
+from slipfree.forks import computing
+from slipfree.laws.compliant import Compliant, GroundForce
+from slipfree.laws.linear_creep import LinearCreep
+from slipfree.laws.protocols import GroundLaw, SlidingContacts, check_law
+from slipfree.lookups import LookupTable
+from slipfree.models.base import at_rest, extent, raised_poses, sizes, touch_function
+from slipfree.models.dynamic_outputs import (
+    Contact,
+    dynamic_forces,
+    dynamic_outputs,
+    quantities,
+)
+from slipfree.models.dynamic_records import DynamicOutputs, dynamic_labels
+from slipfree.models.dynamics import (
+    check_dynamic,
+    check_inertia,
+    dynamics,
+    equations_of_motion,
+    moving_bodies,
+    slip_velocity,
+    standing_start,
+    with_depths,
+)
+from slipfree.models.limits import limits_of
+from slipfree.models.multibody import Multibody, mass_matrix
+from slipfree.models.records import ContactPoint
+from slipfree.outcome import Outcome
+from slipfree.records import Label, leaves, symbols
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import Vehicle
+
+RELAXATION_RATE = 10.0  # at which depths follow the loads [1/s]
+
+
+class RigidUnknowns(NamedTuple):
+    """Unknowns of rigid dynamics: contact points [m], and normal forces and friction of the law."""
+
+    contacts: tuple[ContactPoint, ...]
+    law: Any
+
+
+@computing
+def rigid_dynamics(
+    vehicle: Vehicle,
+    terrain: Terrain,
+    *,
+    law: GroundLaw = LinearCreep(),  # noqa: B008 - a frozen record
+    contact: Compliant = Compliant(),  # noqa: B008 - a frozen record
+) -> Dae:
+    """Return the dynamic model of a vehicle whose wheels stay on the ground, for plans.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle, with mass. For each wheel beyond three it has a suspension coordinate, so that
+        all wheels can touch the ground.
+    terrain : Terrain
+        The ground, with friction.
+    law : GroundLaw
+        Friction: `LinearCreep` for wheels that roll, `Coulomb` with a creep speed of 0.03 m/s or
+        more for wheels that slide, as in a turn of a skid-steered vehicle.
+    contact : Compliant
+        Wheel-ground law of the simulation that verifies a plan.
+
+    Returns
+    -------
+    Dae
+        Model with the states and inputs of `dynamics`, which is its ``replay``. Plans on this model
+        contain its limits on normal forces (``lift_off``) and of the law from the beginning.
+
+    Raises
+    ------
+    ModelError
+        If not all wheels can touch a rigid ground, or the vehicle, the ground or the law does not
+        suit dynamics.
+
+    Examples
+    --------
+    >>> from slipfree import Analytic, catalog, rigid_dynamics, settle
+    >>> model = rigid_dynamics(catalog.skid_steer(), Analytic(lambda x, y: 0 * x, mu=0.8))
+    >>> start = settle(model)
+    >>> print(f"{start['load_share'].sum():.2f}")
+    4.00
+    """
+    check_law(law, GroundLaw, "law: expected a wheel-ground law such as LinearCreep()")
+    check_dynamic(vehicle, terrain)
+    law.check(vehicle, terrain)
+    _check_suspension(vehicle)
+    vehicle = with_depths(vehicle)
+    labels = _labels(vehicle, law)
+    x, z, u, lookups = symbols(labels.x), symbols(labels.z), symbols(labels.u), LookupTable()
+    body = moving_bodies(vehicle, x)
+    matrix = mass_matrix(body)
+    check_inertia(vehicle, labels, x, matrix)
+    touches = _touches(terrain, body, z.contacts, lookups)
+    slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
+    sliding = _sliding(vehicle, touches, slips, z.law.normal, u.wheels)
+    reaction = law.reaction(sliding, z.law)
+    contacts = [
+        Contact(at, slip, GroundForce(n, a * at.frame.along + c * at.frame.across, ca.SX(0)))
+        for at, slip, n, a, c in zip(
+            touches, slips, reaction.normal, reaction.along, reaction.across, strict=True
+        )
+    ]
+    alone = [(each,) for each in contacts]
+    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, alone)
+    q = quantities(vehicle, terrain, x, u, body, contacts, lookups)
+    forces = dynamic_forces(q, alone, x, effort)
+    y = dynamic_outputs(q, body, contacts, alone, forces)
+    frames = tuple(each.frame for each in touches)
+    raised = raised_poses(q.poses, frames, tuple(-each.gap for each in touches))
+    size = extent(vehicle)
+    scale, shift = sizes(vehicle, terrain, labels)
+    units = [label.unit for label in leaves(labels.z)]
+    scale[[unit == "N" for unit in units]] = vehicle.weight / len(vehicle.wheels)
+    own = (
+        *_lift_off(vehicle, reaction.normal),
+        *(each for each in reaction.limits if each.outcome is not Outcome.NO_EQUILIBRIUM),
+    )
+    return Dae(
+        ca.SX.sym("t"),
+        x,
+        z,
+        symbols(labels.q),
+        u,
+        ode=ode,
+        alg=(_nearest(terrain, z.contacts, touches, lookups), reaction.equations.rows),
+        quad=ca.vertcat(*q.spins, forces.power, forces.dissipation),
+        y=_without_unknowns(y),
+        labels=labels._replace(alg=(_nearest_labels(vehicle), reaction.equations.labels)),
+        limits=(*limits_of(q, static=False), *own),
+        checks=tuple(
+            SecondContact(terrain, wheel, pose, size)
+            for wheel, pose in zip(
+                vehicle.wheels, touch_function(x, z, raised, frames, lookups), strict=True
+            )
+        ),
+        guess=_guess(vehicle, body, labels),
+        scale=scale,
+        shift=shift,
+        size=size,
+        suppress_algebraic=True,
+        continuation=reaction.continuation,
+        standing=standing_start(vehicle, terrain, (), labels),
+        lookups=lookups.lookups,
+        replay=Replay(dynamics(vehicle, terrain, law=contact), own),
+    )
+
+
+def _check_suspension(vehicle: Vehicle) -> None:
+    """Raise ModelError if not all wheels of a vehicle can stay on an uneven rigid ground."""
+    if vehicle.planar:
+        raise ModelError(
+            f"rigid_dynamics: {vehicle.name!r}: expected a vehicle that moves in space, found one "
+            "locked to a plane; use dynamics"
+        )
+    needed, given = len(vehicle.wheels) - 3, len(vehicle.of("suspension"))
+    if needed < 0 or given < needed:
+        expected = (
+            "at least 3 wheels"
+            if needed < 0
+            else f"a suspension coordinate for each wheel beyond three ({needed})"
+        )
+        found = f"{len(vehicle.wheels)} wheels" if needed < 0 else str(given)
+        raise ModelError(
+            f"rigid_dynamics: {vehicle.name!r}: expected {expected}, so that all wheels can stay "
+            f"on the ground, found {found}; add {'wheels' if needed < 0 else 'suspension'}, or "
+            "plan without inertia"
+        )
+
+
+def _labels(vehicle: Vehicle, law: GroundLaw) -> Labels:
+    """Return the labels of dynamics, with contact points and the law's unknowns as unknowns."""
+    labels = dynamic_labels(vehicle)
+    pairs = zip(labels.y.contact_x, labels.y.contact_y, strict=True)
+    contacts = tuple(ContactPoint(*pair) for pair in pairs)
+    unknowns = RigidUnknowns(contacts, law.unknowns(vehicle))
+    return labels._replace(z=unknowns, y=_without_unknowns(labels.y))
+
+
+def _without_unknowns(y: DynamicOutputs) -> DynamicOutputs:
+    """Return the outputs of dynamics without those that are unknowns of rigid dynamics."""
+    common = y.common._replace(force_normal=())
+    return y._replace(contact_x=(), contact_y=(), common=common)
+
+
+def _touches(
+    terrain: Terrain, body: Multibody, points: Sequence[ContactPoint], lookups: LookupTable
+) -> list[Touch]:
+    """Return the contacts of the wheels at given ground points; their points are the wheels'."""
+    found = list[Touch]()
+    for each, at in zip(body.wheels, points, strict=True):
+        wheel, pose = each.wheel, each.motion.pose
+        frame = contact_frame(terrain, at.x, at.y, each.axle, lookups)
+        point = pose.origin + wheel.section.support(-frame.normal, each.axle)
+        gap = ca.dot(frame.normal, point - frame.point)
+        friction = wheel.grip * terrain.friction(at.x, at.y, lookups)
+        found.append(Touch(gap, frame._replace(point=point), friction))
+    return found
+
+
+def _nearest(
+    terrain: Terrain, points: Sequence[ContactPoint], touches: Sequence[Touch], lookups: LookupTable
+) -> ca.SX:
+    """Return the residuals of the contact points, along and across each wheel [m].
+
+    The line from the contact point of the ground to that of the wheel is normal to the ground.
+    """
+    rows = list[ca.SX]()
+    for at, each in zip(points, touches, strict=True):
+        ground = ca.vertcat(at.x, at.y, terrain.height(at.x, at.y, lookups))
+        away = each.frame.point - ground
+        rows += [ca.dot(each.frame.along, away), ca.dot(each.frame.across, away)]
+    return ca.vertcat(*rows)
+
+
+def _nearest_labels(vehicle: Vehicle) -> tuple[Label, ...]:
+    """Return the labels of the residuals of the contact points."""
+    words = "distance of the wheel from its contact point on the ground, {} the wheel"
+    return tuple(
+        Label(f"nearest_{axis}", "m", words.format(axis), wheel.name)
+        for wheel in vehicle.wheels
+        for axis in ("along", "across")
+    )
+
+
+def _sliding(
+    vehicle: Vehicle,
+    touches: Sequence[Touch],
+    slips: Sequence[ca.SX],
+    normal: Sequence[ca.SX],
+    driven: tuple[ca.SX, ...],
+) -> SlidingContacts:
+    """Return the contacts for the law, with the contact constraints as normal velocities."""
+    share = vehicle.weight / len(vehicle.wheels)
+    constraints = tuple(
+        ca.dot(each.frame.normal, slip) + RELAXATION_RATE * (wheel.depth * n / share + each.gap)
+        for wheel, each, slip, n in zip(vehicle.wheels, touches, slips, normal, strict=True)
+    )
+    along, across = (
+        tuple(ca.dot(axis, slip) for axis, slip in zip(axes, slips, strict=True))
+        for axes in (
+            [each.frame.along for each in touches],
+            [each.frame.across for each in touches],
+        )
+    )
+    friction = tuple(each.friction for each in touches)
+    return SlidingContacts(vehicle, along, across, constraints, friction, driven, lambda _x, _z: "")
+
+
+def _lift_off(vehicle: Vehicle, normal: Sequence[ca.SX]) -> Iterator[Limit]:
+    """Yield the lower limit, zero, of each wheel's normal force."""
+    for wheel, force in zip(vehicle.wheels, normal, strict=True):
+        words = f"wheel {wheel.name} lifts off: the ground would have to pull it (normal force)"
+        yield Limit(Label("lift_off", "N", words, wheel.name), force, 0.0, np.inf)
+
+
+def _guess(vehicle: Vehicle, body: Multibody, labels: Labels) -> ca.SX:
+    """Return the initial guess: contacts below the wheels' centres, equal normal forces."""
+    places = [each.motion.pose.origin[:2] for each in body.wheels]
+    return ca.densify(ca.vertcat(*places, at_rest(vehicle, labels.z.law)))
