@@ -1,7 +1,7 @@
 """30 random climbs: each completes, ends at a named limit, or is refused.
 
-Energy balances within 100 x tolerance. Climb 30, of Rocky 7 over stairs, does not: by 4.4 times this
-bound; later climbs are not tried yet.
+Energy balances within 100 x tolerance. Climb 30, of Rocky 7 over stairs, does not: it errs by 4.4
+times this bound. Later climbs are not tried yet.
 """
 
 from __future__ import annotations
