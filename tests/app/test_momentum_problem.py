@@ -36,7 +36,7 @@ def test_an_infeasible_slow_plan_offers_momentum():
     )
     found = SimpleNamespace(run=SimpleNamespace(stop=stop))
     words = with_offer(setup, found, [guess]).words
-    assert "needs torques of 30 N m in all (at x = 0 m, y = 2.5 m)" in words
+    assert "needs torques of 30 N m in all (at x = 0.00 m, y = 2.50 m)" in words
     assert "limits.drive_torque allows 26 N m" in words
     assert 'set model = "dynamics" to plan with momentum' in words
     setup.spec.limits = {"drive_torque": (-8.0, 8.0)}

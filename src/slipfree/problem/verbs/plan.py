@@ -380,7 +380,7 @@ def _torque_need(setup: Planning, guess: Trajectory) -> str:
         return ""
     return (
         f"slow driving along the initial guess needs torques of {needed[k]:.3g} N m in all (at x = "
-        f"{guess['x'][k]:.3g} m, y = {guess['y'][k]:.3g} m), limits.drive_torque allows {most:.3g} "
+        f"{guess['x'][k]:.2f} m, y = {guess['y'][k]:.2f} m), limits.drive_torque allows {most:.3g} "
         "N m"
     )
 
@@ -431,7 +431,7 @@ def _slowly(setup: Planning, found: Plan) -> str:
     k = int(needed.argmax())
     words = (
         f"without inertia the same path needs torques of {needed[k]:.3g} N m in all (at x = "
-        f"{slow['x'][k]:.3g} m, y = {slow['y'][k]:.3g} m); the plan needs at most "
+        f"{slow['x'][k]:.2f} m, y = {slow['y'][k]:.2f} m); the plan needs at most "
         f"{used.max():.3g} N m"
     )
     return words if slow.stop is None else f"{words}; {outcome_words(slow)}"
