@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 from reference import heading as print_heading
-from slipfree.climb.vehicle import seven_wheels as climber
+from slipfree.catalog.step_climber import step_climber as climber
 
 from slipfree import Analytic, ModelError, SolverError, SolverOptions, catalog, dynamics, settle
 from slipfree.climb.friction_demand import least_friction
