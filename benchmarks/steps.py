@@ -27,9 +27,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 from reference import heading as print_heading
-from slipfree.catalog.step_climber import step_climber as climber
 
 from slipfree import Analytic, ModelError, SolverError, SolverOptions, catalog, dynamics, settle
+from slipfree.catalog.step_climber import step_climber as climber
 from slipfree.climb.friction_demand import least_friction
 from slipfree.dae import Dae
 from slipfree.models.obstacle_ending import TOP_SHARE
