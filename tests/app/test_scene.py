@@ -178,8 +178,8 @@ def test_arrows_are_slip_and_forces(drive: Driven) -> None:
     weight = np.broadcast_to([0, 0, drive.vehicle.weight], (drive.run.t.size, 3))
     assert_allclose(force.vectors.sum(axis=1), weight, atol=2e-3)
     longest = np.linalg.norm(force.vectors, axis=-1).max() * scene.scales["force"]
-    assert 0.5 * scene.reach < longest < 1.3 * scene.reach
-    assert scale_words(scene, "force") == "an arrow of length 1 m means 100 N"
+    assert 0.4 * scene.reach < longest < 0.65 * scene.reach
+    assert scale_words(scene, "force") == "an arrow of length 1 m means 150 N"
 
 
 def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:

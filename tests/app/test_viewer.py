@@ -377,7 +377,7 @@ def test_what_follows_keeps_the_vehicle_where_it_is_seen(files: list[Path], serv
     from slipfree.show import viewer
 
     scene = scene_of(files)
-    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title")
+    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title", "height")
     world = server.scene.get_handle_by_name("/world")
     origins = scene.actors[0].bodies[0].origins
     panel.stage.show(4.0)
@@ -437,7 +437,7 @@ def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) 
     from slipfree.show import viewer
 
     scene = scene_of(files[:1])
-    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title")
+    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title", "height")
     panel.advance(0.5)
     assert panel.time.value == 0
     panel.playing.value = True

@@ -16,6 +16,7 @@ from slipfree.routing.regions import Region
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
+from slipfree.show.map_lines import map_lines
 from slipfree.show.mesh_refinement import Refined, refined
 from slipfree.show.meshes import clipped, extruded, joined, rod, spokes
 from slipfree.show.scene import (
@@ -125,7 +126,9 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
             )
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
     solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
-    ground = _with_solids(Ground(fine.mesh(origin), tuple(layers)), solids)
+    shade = fine.interpolated(ground_drawing.brightness(drawn)).ravel()
+    lines = map_lines(drawn, first.terrain, window, origin, reach)
+    ground = _with_solids(Ground(fine.mesh(origin), tuple(layers), shade, lines), solids)
     backdrop = _backdrop(first.terrain, window, origin, reach, solids)
     return framed(ground, actors, origin, reach, backdrop, notes, warnings)
 
@@ -159,7 +162,9 @@ def _with_solids(ground: Ground, solids: Sequence[Mesh]) -> Ground:
     count = sum(len(each.vertices) for each in solids)
     gray = np.tile(np.array(BLOCKED, np.uint8), (count, 1))
     layers = (each._replace(colors=np.concatenate([each.colors, gray])) for each in ground.layers)
-    return Ground(joined(ground.mesh, *solids), tuple(layers))
+    shade = None if ground.shade is None else np.append(ground.shade, np.ones(count))
+    mesh = joined(ground.mesh, *solids)
+    return ground._replace(mesh=mesh, layers=tuple(layers), shade=shade)
 
 
 def _backdrop(
