@@ -8,8 +8,6 @@ from __future__ import annotations
 import io
 import itertools
 import json
-import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -22,6 +20,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import binary_erosion
+from helpers.chromium import headless_chromium
 from typer.testing import CliRunner
 
 from slipfree.cli import app
@@ -85,34 +84,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Return a headless Chromium that reaches no host but this one."""
-    webdriver = pytest.importorskip("selenium.webdriver")
-    places = [shutil.which(name) for name in ("chromium", "chromedriver")]
-    if None in places:
-        words = "needs chromium and chromedriver (Debian: apt install chromium chromium-driver)"
-        if os.environ.get("CI"):
-            pytest.fail(words)
-        pytest.skip(words)
-    options = webdriver.ChromeOptions()
-    options.binary_location = places[0]
-    for word in (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-dev-shm-usage",
-        "--window-size={},{}".format(*SIZE),
-        "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader",
-        "--ignore-gpu-blocklist",
-        "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
-    ):
-        options.add_argument(word)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    service = webdriver.ChromeService(places[1])
-    driver = webdriver.Chrome(options, service)
-    driver.set_page_load_timeout(PATIENCE)
-    driver.set_script_timeout(PATIENCE)
-    yield driver
-    driver.quit()
+    with headless_chromium(SIZE, PATIENCE) as driver:
+        yield driver
 
 
 def patiently(ask: Callable[[], Any]) -> Any:

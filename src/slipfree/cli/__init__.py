@@ -32,6 +32,7 @@ from slipfree.cli.messages import (
     visible,
     with_output_options,
 )
+from slipfree.cli.edit import edit
 from slipfree.cli.migrate import migrate
 from slipfree.cli.new import new
 from slipfree.cli.pareto import pareto
@@ -94,6 +95,7 @@ COMMANDS = (
     compare,
     info,
     show,
+    edit,
     report,
     export,
     sweep,

@@ -70,7 +70,7 @@ def show(
         if html is None and animation is None:
             from slipfree.show.viewer import serve
 
-            serve(scene, _title(found), color, port, warn, lambda url: _open_page(url, browser))
+            serve(scene, _title(found), color, port, warn, lambda url: open_page(url, browser))
 
 
 def _check_outputs(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
@@ -137,9 +137,9 @@ def _film(scene: Scene, title: str, file: Path) -> None:
     print_line(f"wrote {file}, {animate(scene, file, title)}")
 
 
-def _open_page(url: str, browser: bool) -> None:
+def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
     """Print the address of the page, and open it if ``browser`` is set and a display exists."""
-    print_line(f"{url} shows the motions; Ctrl-C ends the server", err=True)
+    print_line(f"{url} {does}; Ctrl-C ends the server", err=True)
     seen = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )
