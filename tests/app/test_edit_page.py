@@ -1,4 +1,4 @@
-"""Planning by hand in a browser: handles are dragged, a plan is found, and a search is cancelled."""
+"""Planning by hand in a browser: handles are dragged, a plan found, and a search cancelled."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+
 from helpers.chromium import headless_chromium
 
 PATIENCE = 60.0  # for one step, where many tests share few processors [s]
@@ -65,11 +67,10 @@ def browser() -> Iterator[Any]:
         yield driver
 
 
-@pytest.fixture
-def page(browser: Any, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
-    """Return the browser with the page of a problem, whose file is ``page.file``."""
-    file = tmp_path / "short.toml"
-    file.write_text(PROBLEM.replace(*getattr(request, "param", ("", ""))), encoding="utf-8")
+@contextmanager
+def served(browser: Any, file: Path, text: str) -> Iterator[Any]:
+    """Yield the browser with the page of a problem, whose file is ``browser.file``."""
+    file.write_text(text, encoding="utf-8")
     command = [sys.executable, "-m", "slipfree", "edit", str(file), "--no-browser"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -82,6 +83,12 @@ def page(browser: Any, tmp_path: Path, request: pytest.FixtureRequest) -> Iterat
             assert process.wait(PATIENCE) == 0
         finally:
             process.kill()
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with served(browser, tmp_path_factory.mktemp("edit") / "short.toml", PROBLEM) as driver:
+        yield driver
 
 
 def until(ask: Callable[[], Any]) -> Any:
@@ -113,6 +120,23 @@ def line(driver: Any) -> str:
     return str(driver.find_element("id", "line").text)
 
 
+def test_a_plan_is_drawn_and_compared_with_the_last_one(page: Any) -> None:
+    paths = []
+    for _ in range(2):
+        page.find_element("id", "plan").click()
+        until(lambda: page.find_element("id", "cancel").is_enabled())
+        until(lambda: line(page) == "found a plan")
+        paths.append(page.find_element("id", "path-plan").get_attribute("points"))
+        drag(page, "goal", 30, 0)
+    page.get(page.current_url)  # with the places of the file
+    until(lambda: page.find_elements("id", "handle-goal"))
+    assert paths[0] != paths[1]
+    assert page.find_elements("id", "path-last")
+    rows = page.find_element("id", "facts").text
+    assert rows.count("complete") == 2
+    assert "path length" in rows
+
+
 def test_dragged_handles_change_values_and_the_saved_file(page: Any) -> None:
     metre = pixels_per_metre(page)
     tolerance = 1.5 / metre  # of the pointer, which moves by whole pixels
@@ -139,29 +163,19 @@ def test_dragged_handles_change_values_and_the_saved_file(page: Any) -> None:
     low, high = data["goal"]["y"]
     assert (low + high) / 2 == pytest.approx(before["goal-y"], abs=1e-3)
     assert high - low == pytest.approx(0.2)
-    assert [each["radius"] for each in data["keep_out"]][0] == 0.5
+    assert data["keep_out"][0]["radius"] == 0.5
     assert len(data["keep_out"]) == 2
     severe = [each for each in page.get_log("browser") if each["level"] == "SEVERE"]
     assert severe == []
 
 
-def test_a_plan_is_drawn_and_compared_with_the_last_one(page: Any) -> None:
-    paths = []
-    for _ in range(2):
-        page.find_element("id", "plan").click()
-        until(lambda: page.find_element("id", "cancel").is_enabled())
-        until(lambda: line(page) == "found a plan")
-        paths.append(page.find_element("id", "path-plan").get_attribute("points"))
-        drag(page, "goal", 30, 0)
-    assert paths[0] != paths[1]
-    assert page.find_elements("id", "path-last")
-    rows = page.find_element("id", "facts").text
-    assert rows.count("complete") == 2
-    assert "path length" in rows
+def test_a_cancelled_search_ends_at_once_and_the_page_goes_on(browser: Any, tmp_path: Path) -> None:
+    text = PROBLEM.replace("intervals = 6", "intervals = 400")
+    with served(browser, tmp_path / "long.toml", text) as page:
+        cancel_search(page)
 
 
-@pytest.mark.parametrize("page", [("intervals = 6", "intervals = 400")], indirect=True)
-def test_a_cancelled_search_ends_at_once_and_the_page_goes_on(page: Any) -> None:
+def cancel_search(page: Any) -> None:
     page.find_element("id", "plan").click()
     until(lambda: page.find_elements("id", "iterate-0"))
     metre = pixels_per_metre(page)

@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import binary_erosion
-from helpers.chromium import headless_chromium
 from typer.testing import CliRunner
 
+from helpers.chromium import headless_chromium
 from slipfree.cli import app
 
 if TYPE_CHECKING:

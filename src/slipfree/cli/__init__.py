@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 import slipfree
+from slipfree.cli.edit import edit
 from slipfree.cli.examples import examples
 from slipfree.cli.inspect import check, compare, export, info, vehicle
 from slipfree.cli.messages import (
@@ -32,7 +33,6 @@ from slipfree.cli.messages import (
     visible,
     with_output_options,
 )
-from slipfree.cli.edit import edit
 from slipfree.cli.migrate import migrate
 from slipfree.cli.new import new
 from slipfree.cli.pareto import pareto

@@ -49,6 +49,7 @@ def _serve(problem: Problem[Any], port: int, *, browser: bool) -> None:
     from slipfree.problem.build_ground import at, build_ground
     from slipfree.problem.plan_edit import places_in
     from slipfree.problem.plan_session import Desk, open_session, state_of
+    from slipfree.show.guard import HOST
     from slipfree.show.local_server import json_content, start_server
     from slipfree.show.plan_page import PlanMap, map_image, page_content
 
@@ -69,7 +70,7 @@ def _serve(problem: Problem[Any], port: int, *, browser: bool) -> None:
     thread = threading.Thread(target=server.serve_forever, args=(STEP,), daemon=True)
     thread.start()
     try:
-        open_page(f"http://{server.server_address[0]}:{server.server_port}", browser, "edits the plan")
+        open_page(f"http://{HOST}:{server.server_port}", browser, "edits the plan")
         with suppress(KeyboardInterrupt):
             while True:
                 desk.step(STEP)

@@ -27,7 +27,7 @@ class Region(NamedTuple):
 
     Attributes
     ----------
-    index : int or None
+    row : int or None
         Index of the region in the problem file; None for a new region.
     points : tuple of (x, y)
         Corners of the polygon, or the centre of the disc. [m]
@@ -35,7 +35,7 @@ class Region(NamedTuple):
         Radius of the disc. [m]
     """
 
-    index: int | None
+    row: int | None
     points: tuple[Point, ...]
     radius: float | None = None
 
@@ -105,15 +105,15 @@ def places_from(data: object) -> Places:
 
 
 def _region(data: Mapping[str, Any]) -> Region:
-    index, points = data["index"], tuple(map(_point, data["points"]))
+    row, points = data["row"], tuple(map(_point, data["points"]))
     radius = None if data["radius"] is None else _number(data["radius"])
-    if not (index is None or (type(index) is int and index >= 0)):
+    if not (row is None or (type(row) is int and row >= 0)):
         raise ValueError
     if radius is None and not 3 <= len(points) <= MAX_CORNERS:
         raise ValueError
     if radius is not None and (len(points) != 1 or radius <= 0):
         raise ValueError
-    return Region(index, points, radius)
+    return Region(row, points, radius)
 
 
 def _point(data: Sequence[Any]) -> Point:
@@ -170,12 +170,12 @@ def _move(table: Any, name: str, before: float, after: float) -> None:
 
 def _edit_regions(document: Any, old: Sequence[Region], new: Sequence[Region]) -> None:
     """Change, remove and add tables of keep-out regions."""
-    kept = {each.index: each for each in new if each.index is not None}
+    kept = {each.row: each for each in new if each.row is not None}
     if not new:
         document.pop("keep_out", None)
         return
     tables = document.setdefault("keep_out", tomlkit.aot())
-    former = {each.index: each for each in old}
+    former = {each.row: each for each in old}
     for index in reversed(range(len(tables))):
         if index not in former:
             continue
@@ -184,7 +184,7 @@ def _edit_regions(document: Any, old: Sequence[Region], new: Sequence[Region]) -
         elif kept[index] != former[index]:
             _edit_region(tables[index], former[index], kept[index])
     is_inline = not isinstance(tables, tomlkit.items.AoT)
-    for each in (each for each in new if each.index is None):
+    for each in (each for each in new if each.row is None):
         table: Any = tomlkit.inline_table() if is_inline else tomlkit.table()
         table.update(dict(_values(each)))
         tables.append(table)

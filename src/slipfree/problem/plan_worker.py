@@ -175,7 +175,9 @@ def _solve(request: PlanRequest, connection: Connection[Any, Any]) -> Message:
     except SlipfreeError as error:
         return FoundError(str(error))
     except MemoryError:
-        return FoundError("expected enough memory for the plan, found none left; use fewer intervals")
+        return FoundError(
+            "expected enough memory for the plan, found none left; use fewer intervals"
+        )
     return _plan_of(result, time.monotonic() - begin)
 
 

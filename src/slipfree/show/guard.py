@@ -148,8 +148,8 @@ def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> b
     """
     own = {f"{name}:{port}" for name in NAMES} | ({*NAMES} if port == DEFAULT_PORT else set())
     lower = [each.lower() for each in hosts]
-    allowed = ([], [f"http://{each}" for each in lower])
-    return len(lower) == 1 and lower[0] in own and [each.lower() for each in origins] in allowed
+    is_same = [each.lower() for each in origins] == [f"http://{each}" for each in lower]
+    return len(lower) == 1 and lower[0] in own and (is_same or not origins)
 
 
 def refusal_words(hosts: Sequence[str], origins: Sequence[str], port: int) -> tuple[str, str]:

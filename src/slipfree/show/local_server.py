@@ -57,13 +57,13 @@ def start_server(
 
         timeout = TIMEOUT
 
-        def do_GET(self) -> None:  # noqa: N802
+        def do_GET(self) -> None:
             if self._is_refused():
                 return
             found = get.get(self.path)
             self._send(200, found()) if found else self._send(404, _text("not found"))
 
-        def do_POST(self) -> None:  # noqa: N802
+        def do_POST(self) -> None:
             if self._is_refused():
                 return
             act = post.get(self.path)
@@ -79,17 +79,17 @@ def start_server(
         def _answer(self, act: Post, body: bytes) -> None:
             try:
                 self._send(200, json_content(act(json.loads(body))))
-            except (ValueError, RecursionError):
-                self._send(400, _text("expected JSON, found another text; reload the page"))
             except SlipfreeError as error:
                 self._send(400, _text(str(error)))
+            except (ValueError, RecursionError):
+                self._send(400, _text("expected JSON, found another text; reload the page"))
 
         def _is_refused(self) -> bool:
             hosts, origins = (self.headers.get_all(each) or [] for each in ("Host", "Origin"))
-            here = self.server.server_address[1]
-            if is_own_request(hosts, origins, int(here)):
+            here = int(self.connection.getsockname()[1])
+            if is_own_request(hosts, origins, here):
                 return False
-            words, more = refusal_words(hosts, origins, int(here))
+            words, more = refusal_words(hosts, origins, here)
             warn(f"refused a request: {words}, {more}")
             self._send(403, _text(f"refused: {words}; open that address in the browser"))
             return True

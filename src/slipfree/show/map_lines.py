@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from contourpy import contour_generator
@@ -58,7 +59,7 @@ def contours(drawn: Grid) -> Lines:
     if high - low < FLAT:
         return Lines("contours", "", BROWN, np.zeros((0, 2, 3)))
     mask = False if drawn.holes is None else drawn.holes.T
-    generator = contour_generator(drawn.x, drawn.y, np.ma.array(drawn.z.T, mask=mask))
+    generator: Any = contour_generator(drawn.x, drawn.y, np.ma.array(drawn.z.T, mask=mask))
     levels = step * np.arange(np.ceil(low / step), np.floor(high / step) + 1)
     segments = [
         _segments(np.column_stack([line, np.full(len(line), level)]))
@@ -98,7 +99,9 @@ def _grid_and_north(drawn: Grid, terrain: Terrain, window: Window) -> Iterable[L
     yield Lines("grid", f"every {step:g} m", GRAY, segments, shown)
     size = ARROW * long
     tip, head = np.array([east - 0.5 * size, north - 0.3 * size]), 0.3 * size
-    corners = tip + np.array([[0, -size], [0, 0], [-0.4 * head, -head], [0, 0], [0.4 * head, -head]])
+    corners = tip + np.array(
+        [[0, -size], [0, 0], [-0.4 * head, -head], [0, 0], [0.4 * head, -head]]
+    )
     arrow = draped(corners[:, 0], corners[:, 1])
     arrow[:, 2] = np.nanmax(arrow[:, 2]) if np.isfinite(arrow[:, 2]).any() else drawn.values.max()
     yield Lines("north", "to +y of the map", RED, _segments(arrow), (("N", arrow[1]),))

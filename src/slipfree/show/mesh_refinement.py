@@ -82,7 +82,8 @@ class Refined(NamedTuple):
             (whole[i + p, j + q], (a if p else 1 - a) * (b if q else 1 - b))
             for p, q in product((0, 1), repeat=2)
         ]
-        mixed = sum(value[:, None, None, :] * share[None, :, :, None] for value, share in corners)
+        parts = [value[:, None, None, :] * share[None, :, :, None] for value, share in corners]
+        mixed = np.sum(parts, axis=0)
         return np.concatenate([values, mixed.reshape(-1, whole.shape[-1])])
 
     def height(self, x: Array, y: Array) -> Array:

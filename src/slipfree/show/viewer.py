@@ -418,7 +418,7 @@ class _Panel:
         step = max(1e-3, (last - first) / 5000)
         self.time: Any = gui.add_slider("time [s]", first, max(last, first + step), step, first)
         self.time.on_update(lambda _: stage.show(self.time.value))
-        self.playing = gui.add_checkbox("play", False)
+        self.playing: Any = gui.add_checkbox("play", False)
         self.speed: Any = gui.add_dropdown("speed", SPEEDS, initial_value="1x")
         self._add_buttons(gui)
         self._add_keys(gui)
