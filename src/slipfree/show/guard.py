@@ -34,10 +34,13 @@ class Guard:
     ----------
     report : callable
         Function called with each new warning, from any thread.
+    script : str
+        JavaScript to add to the page.
     """
 
-    def __init__(self, report: Callable[[str], None]) -> None:
+    def __init__(self, report: Callable[[str], None], script: str = "") -> None:
         self._show, self._shown, self._is_used = report, set[str](), False
+        self._script = f"<script>{script}</script>".encode()
 
     def start(self, port: int) -> viser.ViserServer:
         """Return a server on this machine; port zero selects a free port.
@@ -60,7 +63,9 @@ class Guard:
             answer = options["process_request"]
 
             def check(connection: Any, request: Any) -> Any:
-                return self._refusal(connection, request) or answer(connection, request)
+                refusal = self._refusal(connection, request)
+                del request.headers["Accept-Encoding"]  # the page is changed, not its compression
+                return refusal or _with_script(answer(connection, request), self._script)
 
             options |= {"process_request": check, "logger": self._logger()}
             return serve(*words, **options)
@@ -134,6 +139,16 @@ class Guard:
         if isinstance(error, InvalidStatus):
             return  # a response was sent, which websockets before version 14 reports
         self.warn(f"closed a connection: {record.getMessage()}: {_short(error)}")
+
+
+def _with_script(response: Any, script: bytes) -> Any:
+    """Return a response with a script at the end of the page, unchanged if it has no page."""
+    before, end, after = response.body.rpartition(b"</body>") if response else (b"", b"", b"")
+    if end:
+        response.body = before + script + end + after
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+    return response
 
 
 def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from slipfree.errors import DataError, missing_package
 from slipfree.records import Array
 from slipfree.show.guard import HOST, Guard, stop
-from slipfree.show.html_page import legend, swatch, warned, with_legend
+from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
 from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Lines, Scene, scale_words
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def page(scene: Scene, title: str, color: str) -> str:
 def _server(port: int, warn: Callable[[str], None] = lambda _: None) -> viser.ViserServer:
     """Return a guarded viser server on a port; raise DataError if that is impossible."""
     try:
-        server = Guard(warn).start(port)
+        server = Guard(warn, page_script("viewer_keys.js")).start(port)
     except ImportError as error:
         raise DataError(f"show: {missing_package('viser', 'view')}") from error
     if port and server.get_port() != port:
