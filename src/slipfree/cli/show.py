@@ -104,10 +104,14 @@ def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]
     from slipfree.show.thinning import SCENE_SAMPLES
 
     viewers: dict[str, Viewer] = {}
-    found = []
-    for file, name in zip(files, _names(files), strict=True):
+    results, found = [], []
+    for file in files:
         with about(file):
-            result = open_result(file, folder, samples=SCENE_SAMPLES)
+            results.append(open_result(file, folder, samples=SCENE_SAMPLES))
+    models = [str(each.trajectory.attributes.get("model", "")) for each in results]
+    names = _named_by_model(_names(files), models)
+    for file, name, result in zip(files, names, results, strict=True):
+        with about(file):
             verb = verb_of(result.problem)
             found.append(verb.shown(result, name))
             viewers.setdefault(verb.viewer().noun, verb.viewer())
@@ -124,6 +128,15 @@ def _names(files: Sequence[Path]) -> list[str]:
     names = [file.stem for file in files]
     names = names if len({*names}) == len(names) else [str(file) for file in files]
     return [escape_name(name) for name in names]
+
+
+def _named_by_model(names: Sequence[str], models: Sequence[str]) -> list[str]:
+    """Return names with the models of the motions if these differ."""
+    if len({*models}) == 1:
+        return [*names]
+    return [
+        f"{name} ({model})" if model else name for name, model in zip(names, models, strict=True)
+    ]
 
 
 def _title(found: Sequence[Any]) -> str:

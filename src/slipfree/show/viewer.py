@@ -27,6 +27,7 @@ SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x", "50x")
 LONGEST = 60.0  # duration of a saved page; longer motions are accelerated [s]
 MOST = 400  # largest number of points of a track
 LIFT = 0.006  # height of the first track above the ground; others are higher [reach]
+SPREAD = 1.8  # distance of motions side by side [reach]
 STEP = 0.02  # step of the arrow keys [duration]
 KEYS = "space: play or pause; left, right: step; up, down: speed; home, end: first and last time"
 SIZES = {"contact": 0.05, "shaft": 0.014, "head": 0.035, "tip": 0.08}  # [reach of the vehicle]
@@ -168,6 +169,22 @@ class Stage:
         _set_camera(server, scene)
         self.show(scene.span[0])
         self.follow(scene.is_far)
+
+    def spread(self, enabled: bool) -> None:
+        """Move the motions sideways, so that vehicles at one place are visible, or back.
+
+        A plan stays with the motion that simulates it.
+        """
+        first = self.scene.actors[0].bodies[0].origins
+        along = (first[-1] - first[0])[:2]
+        size = float(np.linalg.norm(along))
+        side = np.array([along[1], -along[0], 0.0]) / size if size > 0 else np.array([1.0, 0, 0])
+        gap = SPREAD * self.scene.reach if enabled else 0.0
+        count = -1
+        with self._lock, self.server.atomic():
+            for drawn in self.actors:
+                count += not drawn.actor.ghost
+                drawn.root.position = count * gap * side
 
     def show(self, t: float) -> None:
         """Move all nodes to a time [s]."""
@@ -431,6 +448,9 @@ class _Panel:
         with gui.add_folder("runs"):
             for k, actor in enumerate(scene.actors):
                 self._choose_run(gui, k, actor)
+            if sum(not actor.ghost for actor in scene.actors) > 1:
+                spread = gui.add_checkbox("side by side (off the ground)", False)
+                spread.on_update(lambda _: stage.spread(spread.value))
         with gui.add_folder("notes", expand_by_default=False):
             notes = (*scene.notes, f"Keys: {KEYS}.")
             gui.add_html("".join(f"<p>{escape(note)}</p>" for note in notes))
