@@ -31,7 +31,9 @@ from slipfree.show import motion_figures
 from slipfree.show.climb_scene import climb_scene
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import Film, film_writer
+from slipfree.show.ground_drawing import brightness
 from slipfree.show.html_page import with_legend
+from slipfree.show.map_lines import CONTOURS, LIFT, round_step
 from slipfree.show.mesh_refinement import MOST, refined
 from slipfree.show.meshes import clipped, extruded, plate, rod, spokes
 from slipfree.show.scene import ARROWS, BLOCKED, TYRE, framed, rgb, scale_words
@@ -652,3 +654,50 @@ def test_holes_are_drawn_empty(drive: Driven) -> None:
     figure = Figure()
     assert motion_figures.ground(terrain.grid, figure.add_subplot()).has_data()
     FigureCanvasAgg(figure).draw()
+
+
+def test_lines_on_the_ground(drive: Driven) -> None:
+    scene = drive_scene([drive])
+    lines = {each.name: each for each in scene.ground.lines}
+    assert [*lines] == ["contours", "grid", "north"]
+    lift = LIFT * scene.reach
+    contours = lines["contours"].segments + scene.origin
+    levels = np.unique(np.round(contours[..., 2] - lift, 9))
+    step = round_step(float(np.ptp(scene.ground.mesh.vertices[:, 2])) / CONTOURS)
+    assert_allclose(levels / step, np.round(levels / step), atol=1e-6)
+    assert 3 < levels.size <= CONTOURS + 1
+    assert lines["contours"].legend == f"every {step:g} m of height"
+    grid = lines["grid"].segments + scene.origin
+    height = drive.terrain.elevation(grid[..., 0], grid[..., 1])
+    assert_allclose(grid[..., 2], height + lift, atol=1e-9)
+    assert "x 0 m" in {words for words, _ in lines["grid"].labels}
+    (_, tip), (_, shaft) = lines["north"].labels[0], ("", lines["north"].segments[0])
+    assert_allclose(shaft[1], tip)
+    assert shaft[1][1] > shaft[0][1]
+    assert shaft[1][0] == shaft[0][0]
+
+
+def test_steps_are_round() -> None:
+    assert [round_step(least) for least in (0.011, 0.02, 0.3, 7.0, 1.0)] == [0.02, 0.02, 0.5, 10, 1]
+    assert round_step(0.0) == pytest.approx(1e-4)
+
+
+def test_hillshade_darkens_slopes_away_from_the_north_west(drive: Driven) -> None:
+    x = np.linspace(0.0, 10.0, 21)
+    hill = np.exp(-((x[:, None] - 5) ** 2 + (x - 5) ** 2) / 8)
+    factors = brightness(Grid(x, x, hill)).reshape(hill.shape)
+    assert factors[7, 13] > factors[0, 0] > factors[13, 7]
+    ground = drive_scene([drive]).ground
+    plain, shaded = (ground.colors("height", shaded=each) for each in (False, True))
+    assert (plain == ground.layers[0].colors).all()
+    assert (shaded <= plain).all()
+    assert (shaded < plain).any()
+    assert len(shaded) == len(ground.mesh.vertices)
+
+
+def test_small_slip_has_short_arrows(drive: Driven) -> None:
+    (slip, force), bodies = drive_scene([drive]).actors[0].arrows, drive_scene([drive])
+    actor = bodies.actors[0]._replace(arrows=(slip._replace(vectors=1e-3 * slip.vectors), force))
+    scene = framed(bodies.ground, [actor], bodies.origin, bodies.reach, bodies.backdrop, [])
+    longest = np.nanmax(np.linalg.norm(1e-3 * slip.vectors, axis=-1)) * scene.scales["slip"]
+    assert longest < 0.05 * scene.reach

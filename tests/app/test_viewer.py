@@ -429,3 +429,62 @@ def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) 
     moved = server.scene.get_handle_by_name("/world/run 1/body 1")
     middle = scene.actors[0].t.size // 2
     assert np.allclose(moved.position, scene.actors[0].bodies[0].origins[middle])
+
+
+def test_keys_step_through_the_time_and_change_the_speed(files: list[Path], server: Any) -> None:
+    from slipfree.show import viewer
+
+    scene = scene_of(files[:1])
+    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title", "height")
+    by_key = {each.key: each.act for each in panel._actions()}
+    by_key["arrowright"]()
+    assert panel.time.value == pytest.approx(0.08)
+    by_key["end"]()
+    assert panel.time.value == pytest.approx(4.0)
+    by_key["arrowleft"]()
+    assert panel.time.value == pytest.approx(3.92)
+    by_key["home"]()
+    assert panel.time.value == 0
+    by_key["space"]()
+    assert panel.playing.value
+    by_key["arrowright"]()
+    assert not panel.playing.value
+    by_key["arrowup"]()
+    assert panel.speed.value == "2x"
+    for _ in range(9):
+        by_key["arrowdown"]()
+    assert panel.speed.value == "0.1x"
+
+
+def test_motions_side_by_side(files: list[Path], server: Any) -> None:
+    from slipfree.show.viewer import SPREAD, Stage
+
+    scene = scene_of(files)
+    stage = Stage(server, scene, "height")
+    stage.spread(True)
+    first, second = (drawn.root.position for drawn in stage.actors)
+    assert np.allclose(first, 0)
+    assert np.linalg.norm(second) == pytest.approx(SPREAD * scene.reach)
+    stage.spread(False)
+    assert np.allclose(stage.actors[1].root.position, 0)
+
+
+def test_layers_and_hillshade_are_chosen(files: list[Path], server: Any) -> None:
+    from slipfree.show.viewer import Stage
+
+    stage = Stage(server, scene_of(files[:1]), "height")
+    stage.paint("slope", shaded=False)
+    visible = [name for name, node in stage.grounds.items() if node.visible]
+    assert visible == ["slope without hillshade"]
+    stage.paint("height", shaded=True)
+    assert stage.grounds["height"].visible
+
+
+def test_names_of_different_models_say_the_model() -> None:
+    from slipfree.cli.show import _named_by_model
+
+    assert _named_by_model(["a", "b"], ["kinematics", "kinematics"]) == ["a", "b"]
+    assert _named_by_model(["a", "b"], ["kinematics", "dynamics"]) == [
+        "a (kinematics)",
+        "b (dynamics)",
+    ]
