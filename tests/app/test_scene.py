@@ -701,3 +701,36 @@ def test_small_slip_has_short_arrows(drive: Driven) -> None:
     scene = framed(bodies.ground, [actor], bodies.origin, bodies.reach, bodies.backdrop, [])
     longest = np.nanmax(np.linalg.norm(1e-3 * slip.vectors, axis=-1)) * scene.scales["slip"]
     assert longest < 0.05 * scene.reach
+
+
+def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    text = (Path(__file__).parents[1] / "data" / "cart.urdf").read_text(encoding="utf-8")
+    body = '<link name="base_link">\n    <visual><origin xyz="0.1 0 0.2"/><geometry>'
+    body += '<mesh filename="body.stl" scale="0.5 0.5 0.5"/></geometry></visual>'
+    wheel = '<link name="left_wheel">\n    <visual><geometry><mesh filename="wheel.stl"/>'
+    wheel += "</geometry></visual>"
+    text = text.replace('<link name="base_link">', body)
+    text = text.replace('<link name="left_wheel">', wheel)
+    (tmp_path / "cart.urdf").write_text(text, encoding="utf-8")
+    trimesh.creation.box((1.0, 0.6, 0.2)).export(tmp_path / "body.stl")
+    trimesh.creation.icosphere(radius=0.15).export(tmp_path / "wheel.stl")  # lidar.stl is missing
+    problem = NAMED.replace('"trike.toml"', '"cart.urdf"').replace('"hills.npz"', '"flat.npz"')
+    x = np.linspace(-3, 3, 13)
+    np.savez(tmp_path / "flat.npz", x=x, y=x, z=np.zeros((13, 13)))
+    found = shown(solved(tmp_path, "cart", problem), "cart")
+    assert isinstance(found, Driven)
+    actor = drive_scene([found]).actors[0]
+    bodies = {each.name: each for each in actor.bodies}
+    assert actor.bodies[0].name == "platform"
+    assert {*bodies} == {"platform", "base_link", "left_wheel", "right_drive", "caster_axle"}
+    ((mesh, color),) = bodies["base_link"].meshes
+    assert color == actor.color
+    assert_allclose(np.ptp(mesh.vertices, axis=0), (0.5, 0.3, 0.1), atol=1e-6)
+    assert_allclose(mesh.vertices.mean(axis=0), (0.1, 0.0, 0.2), atol=1e-6)
+    origin = drive_scene([found]).origin
+    wheels, names = wheel_poses(found.vehicle, found.run), [w.name for w in found.vehicle.wheels]
+    left = wheels.origins[:, names.index("left_drive")]
+    assert_allclose(bodies["left_wheel"].origins, left - origin, atol=1e-9)
+    forward = bodies["base_link"].rotations[:, :, 0]
+    assert_allclose(forward, bodies["platform"].rotations[:, :, 1], atol=1e-9)

@@ -64,7 +64,8 @@ class Guard:
 
             def check(connection: Any, request: Any) -> Any:
                 refusal = self._refusal(connection, request)
-                del request.headers["Accept-Encoding"]  # the page is changed, not its compression
+                if "Accept-Encoding" in request.headers:  # the page is changed before compression
+                    del request.headers["Accept-Encoding"]
                 return refusal or _with_script(answer(connection, request), self._script)
 
             options |= {"process_request": check, "logger": self._logger()}
