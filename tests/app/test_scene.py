@@ -734,3 +734,11 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     assert_allclose(bodies["left_wheel"].origins, left - origin, atol=1e-9)
     forward = bodies["base_link"].rotations[:, :, 0]
     assert_allclose(forward, bodies["platform"].rotations[:, :, 1], atol=1e-9)
+
+
+def test_a_saved_page_switches_layers_lines_arrows_and_runs(drive: Driven) -> None:
+    page = with_legend("<body></body>", drive_scene([drive]), "title", "slope", [])
+    for node in ("contours", "grid", "north", "run 1", "run 1/here/slip", "run 1/here/force"):
+        assert f'data-node="/world/{node}"' in page
+    assert '<option value="layer-slope" data-ground="/world/ground slope" selected>' in page
+    assert '<div id="layer-height" hidden>' in page
