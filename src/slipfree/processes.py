@@ -193,7 +193,7 @@ class _Process:
     def __init__(self) -> None:
         context = _SpawnOne()
         self.executor = ProcessPoolExecutor(1, context, prepare_process)
-        with _for_children():
+        with for_children():
             self.started = self.executor.submit(os.getpid)
         self.process = context.made
 
@@ -212,7 +212,7 @@ def _exit_words(code: int | None) -> str:
 
 
 @contextmanager
-def _for_children() -> Iterator[None]:
+def for_children() -> Iterator[None]:
     """Set up this process so that new child processes use one thread and ignore Ctrl-C."""
     before = {name: os.environ.get(name) for name in NAMES}
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -8,8 +8,6 @@ from __future__ import annotations
 import io
 import itertools
 import json
-import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -24,6 +22,7 @@ from PIL import Image
 from scipy.ndimage import binary_erosion
 from typer.testing import CliRunner
 
+from helpers.chromium import headless_chromium
 from slipfree.cli import app
 
 if TYPE_CHECKING:
@@ -85,34 +84,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Return a headless Chromium that reaches no host but this one."""
-    webdriver = pytest.importorskip("selenium.webdriver")
-    places = [shutil.which(name) for name in ("chromium", "chromedriver")]
-    if None in places:
-        words = "needs chromium and chromedriver (Debian: apt install chromium chromium-driver)"
-        if os.environ.get("CI"):
-            pytest.fail(words)
-        pytest.skip(words)
-    options = webdriver.ChromeOptions()
-    options.binary_location = places[0]
-    for word in (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-dev-shm-usage",
-        "--window-size={},{}".format(*SIZE),
-        "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader",
-        "--ignore-gpu-blocklist",
-        "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
-    ):
-        options.add_argument(word)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    service = webdriver.ChromeService(places[1])
-    driver = webdriver.Chrome(options, service)
-    driver.set_page_load_timeout(PATIENCE)
-    driver.set_script_timeout(PATIENCE)
-    yield driver
-    driver.quit()
+    with headless_chromium(SIZE, PATIENCE) as driver:
+        yield driver
 
 
 def patiently(ask: Callable[[], Any]) -> Any:
@@ -377,7 +350,7 @@ def test_what_follows_keeps_the_vehicle_where_it_is_seen(files: list[Path], serv
     from slipfree.show import viewer
 
     scene = scene_of(files)
-    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title")
+    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title", "height")
     world = server.scene.get_handle_by_name("/world")
     origins = scene.actors[0].bodies[0].origins
     panel.stage.show(4.0)
@@ -437,7 +410,7 @@ def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) 
     from slipfree.show import viewer
 
     scene = scene_of(files[:1])
-    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title")
+    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title", "height")
     panel.advance(0.5)
     assert panel.time.value == 0
     panel.playing.value = True
@@ -456,3 +429,62 @@ def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) 
     moved = server.scene.get_handle_by_name("/world/run 1/body 1")
     middle = scene.actors[0].t.size // 2
     assert np.allclose(moved.position, scene.actors[0].bodies[0].origins[middle])
+
+
+def test_keys_step_through_the_time_and_change_the_speed(files: list[Path], server: Any) -> None:
+    from slipfree.show import viewer
+
+    scene = scene_of(files[:1])
+    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title", "height")
+    by_key = {each.key: each.act for each in panel._actions()}
+    by_key["arrowright"]()
+    assert panel.time.value == pytest.approx(0.08)
+    by_key["end"]()
+    assert panel.time.value == pytest.approx(4.0)
+    by_key["arrowleft"]()
+    assert panel.time.value == pytest.approx(3.92)
+    by_key["home"]()
+    assert panel.time.value == 0
+    by_key["space"]()
+    assert panel.playing.value
+    by_key["arrowright"]()
+    assert not panel.playing.value
+    by_key["arrowup"]()
+    assert panel.speed.value == "2x"
+    for _ in range(9):
+        by_key["arrowdown"]()
+    assert panel.speed.value == "0.1x"
+
+
+def test_motions_side_by_side(files: list[Path], server: Any) -> None:
+    from slipfree.show.viewer import SPREAD, Stage
+
+    scene = scene_of(files)
+    stage = Stage(server, scene, "height")
+    stage.spread(True)
+    first, second = (drawn.root.position for drawn in stage.actors)
+    assert np.allclose(first, 0)
+    assert np.linalg.norm(second) == pytest.approx(SPREAD * scene.reach)
+    stage.spread(False)
+    assert np.allclose(stage.actors[1].root.position, 0)
+
+
+def test_layers_and_hillshade_are_chosen(files: list[Path], server: Any) -> None:
+    from slipfree.show.viewer import Stage
+
+    stage = Stage(server, scene_of(files[:1]), "height")
+    stage.paint("slope", shaded=False)
+    visible = [name for name, node in stage.grounds.items() if node.visible]
+    assert visible == ["slope without hillshade"]
+    stage.paint("height", shaded=True)
+    assert stage.grounds["height"].visible
+
+
+def test_names_of_different_models_say_the_model() -> None:
+    from slipfree.cli.show import _named_by_model
+
+    assert _named_by_model(["a", "b"], ["kinematics", "kinematics"]) == ["a", "b"]
+    assert _named_by_model(["a", "b"], ["kinematics", "dynamics"]) == [
+        "a (kinematics)",
+        "b (dynamics)",
+    ]

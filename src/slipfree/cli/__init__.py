@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 import slipfree
+from slipfree.cli.edit import edit
 from slipfree.cli.examples import examples
 from slipfree.cli.inspect import check, compare, export, info, vehicle
 from slipfree.cli.messages import (
@@ -94,6 +95,7 @@ COMMANDS = (
     compare,
     info,
     show,
+    edit,
     report,
     export,
     sweep,

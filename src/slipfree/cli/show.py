@@ -70,7 +70,7 @@ def show(
         if html is None and animation is None:
             from slipfree.show.viewer import serve
 
-            serve(scene, _title(found), color, port, warn, lambda url: _open_page(url, browser))
+            serve(scene, _title(found), color, port, warn, lambda url: open_page(url, browser))
 
 
 def _check_outputs(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
@@ -104,10 +104,14 @@ def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]
     from slipfree.show.thinning import SCENE_SAMPLES
 
     viewers: dict[str, Viewer] = {}
-    found = []
-    for file, name in zip(files, _names(files), strict=True):
+    results, found = [], []
+    for file in files:
         with about(file):
-            result = open_result(file, folder, samples=SCENE_SAMPLES)
+            results.append(open_result(file, folder, samples=SCENE_SAMPLES))
+    models = [str(each.trajectory.attributes.get("model", "")) for each in results]
+    names = _named_by_model(_names(files), models)
+    for file, name, result in zip(files, names, results, strict=True):
+        with about(file):
             verb = verb_of(result.problem)
             found.append(verb.shown(result, name))
             viewers.setdefault(verb.viewer().noun, verb.viewer())
@@ -126,6 +130,15 @@ def _names(files: Sequence[Path]) -> list[str]:
     return [escape_name(name) for name in names]
 
 
+def _named_by_model(names: Sequence[str], models: Sequence[str]) -> list[str]:
+    """Return names with the models of the motions if these differ."""
+    if len({*models}) == 1:
+        return [*names]
+    return [
+        f"{name} ({model})" if model else name for name, model in zip(names, models, strict=True)
+    ]
+
+
 def _title(found: Sequence[Any]) -> str:
     title: str = found[0].run.attributes.get("title", found[0].name)
     return title
@@ -137,9 +150,9 @@ def _film(scene: Scene, title: str, file: Path) -> None:
     print_line(f"wrote {file}, {animate(scene, file, title)}")
 
 
-def _open_page(url: str, browser: bool) -> None:
+def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
     """Print the address of the page, and open it if ``browser`` is set and a display exists."""
-    print_line(f"{url} shows the motions; Ctrl-C ends the server", err=True)
+    print_line(f"{url} {does}; Ctrl-C ends the server", err=True)
     seen = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )

@@ -6,15 +6,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slipfree.atomic_files import replace_file
 from slipfree.files.ros_messages import definition, ros_package
-from slipfree.files.urdf.links import LinkPoses, Robot, joint_values, link_poses
-from slipfree.models.poses import FramePoses, part_poses, wheel_poses
-from slipfree.records import Array
+from slipfree.files.urdf.link_motion import joint_motion, platform_poses, to_rep103
+from slipfree.files.urdf.links import LinkPoses, Robot, link_poses
+from slipfree.models.poses import wheel_poses
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
@@ -89,31 +88,13 @@ def _stamped(content: dict[str, Any], time: int) -> dict[str, Any]:
     return {**content, "header": _header(time, content["frame_id"])}
 
 
-def _rep103(poses: FramePoses) -> tuple[Array, Rotation]:
-    """Return origins [m] and rotations of frames with axes x forward, y left.
-
-    The rotations of all samples and frames are in one dimension.
-    """
-    right, forward, up = np.moveaxis(poses.rotations, -1, 0)
-    turned = np.stack([forward, -right, up], axis=-1)
-    return poses.origins, Rotation.from_matrix(turned.reshape(-1, 3, 3))
-
-
-def _platform(run: Trajectory, vehicle: Vehicle) -> tuple[Array, Rotation]:
-    """Return origins, shape (n, 3) [m], and rotations of the platform."""
-    poses = part_poses(vehicle, run)
-    first = FramePoses(poses.origins[:, :1], poses.rotations[:, :1])
-    origins, rotation = _rep103(first)
-    return origins[:, 0], rotation
-
-
 def _vector(values: Sequence[float], names: str = "xyz") -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
 def _path(run: Trajectory, vehicle: Vehicle, times: Sequence[int]) -> Message:
     """Return the whole path of the platform."""
-    origins, rotation = _platform(run, vehicle)
+    origins, rotation = platform_poses(run, vehicle)
     poses = [
         {
             "header": _header(time, MAP),
@@ -128,12 +109,12 @@ def _path(run: Trajectory, vehicle: Vehicle, times: Sequence[int]) -> Message:
 
 def _transforms(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Iterator[Message]:
     """Yield the poses of the platform, and of wheels or links, at each sample."""
-    base, turn = _platform(run, vehicle)
+    base, turn = platform_poses(run, vehicle)
     if robot is None:
         frames = [LinkPoses(MAP, BASE, base, turn), *_wheel_frames(run, vehicle)]
     else:
         root = LinkPoses(MAP, robot.tree.root, base, turn * robot.root_turn)
-        values = {name: placed for name, (placed, _) in _joints(run, vehicle, robot).items()}
+        values = {name: placed for name, (placed, _) in joint_motion(run, vehicle, robot).items()}
         frames = [root, *link_poses(robot, values)]
     places = np.stack([frame.origins for frame in frames], axis=1).tolist()
     quaternions = np.stack([frame.rotation.as_quat() for frame in frames], axis=1).tolist()
@@ -151,40 +132,17 @@ def _transforms(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Itera
 
 def _wheel_frames(run: Trajectory, vehicle: Vehicle) -> Iterator[LinkPoses]:
     """Yield the poses of the wheels in the platform's frame."""
-    base, turn = _platform(run, vehicle)
-    origins, rotations = _rep103(wheel_poses(vehicle, run))
+    base, turn = platform_poses(run, vehicle)
+    origins, rotations = to_rep103(wheel_poses(vehicle, run))
     turns = rotations.as_quat().reshape(*origins.shape[:2], 4)
     for k, name in enumerate(run.wheels):
         local = turn.inv().apply(origins[:, k] - base)
         yield LinkPoses(BASE, name, local, turn.inv() * Rotation.from_quat(turns[:, k]))
 
 
-def _joints(
-    run: Trajectory, vehicle: Vehicle, robot: Robot | None
-) -> dict[str, tuple[Array, Array | None]]:
-    """Return values [rad, m] of moving joints and wheels, and their rates, None if unknown."""
-    names, wheels = [c.name for c in vehicle.coordinates], [w.name for w in vehicle.wheels]
-    size = len(names) + len(wheels)
-    q, rates = ca.SX.sym("q", size), ca.SX.sym("rates", size)
-    values = dict(zip(names, ca.vertsplit(q)[: len(names)], strict=True))
-    angles = dict(zip(wheels, ca.vertsplit(q)[len(names) :], strict=True))
-    found = joint_values(vehicle, robot, values, angles)
-    placed = ca.vertcat(*found.values())
-    function = ca.Function("joints", [q, rates], [placed, ca.jtimes(placed, q, rates)])
-    known = all(f"{name}_rate" in run.columns for name in names)
-    columns = [*(run[name] for name in names), *run["wheel_angle"].T]
-    speeds = [*(run[f"{name}_rate"] for name in names if known), *run["wheel_rate"].T]
-    given = np.array(speeds) if known else np.zeros((size, run.t.size))
-    placed_at, moved = (np.array(out) for out in function.map(run.t.size)(np.array(columns), given))
-    return {
-        name: (place, rate if known else None)
-        for name, place, rate in zip(found, placed_at, moved, strict=True)
-    }
-
-
 def _joint_states(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Iterator[Message]:
     """Yield values [rad, m] of moving joints and wheels, and their rates."""
-    joints, frame = _joints(run, vehicle, robot), robot.tree.root if robot else BASE
+    joints, frame = joint_motion(run, vehicle, robot), robot.tree.root if robot else BASE
     positions = np.column_stack([place for place, _ in joints.values()]).tolist()
     known = [rate for _, rate in joints.values() if rate is not None]
     rates = np.column_stack(known).tolist() if known else [[]] * run.t.size

@@ -48,12 +48,15 @@ class Iterate(NamedTuple):
         Largest violation of the bounds of a row (constraint function), in the unit of the row.
     unknowns : ndarray, shape (n_w,)
         Unknowns, not scaled.
+    program : Program
+        The nonlinear program.
     """
 
     number: int
     cost: float
     violation: float
     unknowns: Array
+    program: Program
 
 
 class Solution(NamedTuple):
@@ -147,7 +150,7 @@ class _IterateWatcher(ca.Callback):
         rows = np.array(values["g"]).ravel()
         unknowns = np.array(values["x"]).ravel() * self.program.scale
         over = largest_violation(self.program, rows)
-        iterate = Iterate(self.count, float(values["f"]), over, unknowns)
+        iterate = Iterate(self.count, float(values["f"]), over, unknowns, self.program)
         if self.best is None or over < self.best[0].violation:
             self.best = iterate, rows
         self.count += 1

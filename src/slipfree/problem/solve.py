@@ -20,6 +20,7 @@ from slipfree.problem.verbs.base import (
     Watch,
 )
 from slipfree.problem.verbs.registry import check_option, verb_of
+from slipfree.records import Array
 from slipfree.regular_files import escape_name
 
 
@@ -42,6 +43,7 @@ def run_problem(
     progress: Callable[[float], None] | None = None,
     tell: Callable[[str, str], None] | None = None,
     resume: SavedPlan | None = None,
+    path: Callable[[Array], None] | None = None,
 ) -> Result:
     """Solve a problem and return its motion.
 
@@ -55,6 +57,8 @@ def run_problem(
         Called for every iterate of a plan with the phase of the search and a line of text.
     resume : SavedPlan, optional
         Plan for a warm start; only for planning problems.
+    path : callable, optional
+        Called for every iterate of a plan with the path of the platform, shape (n, 2). [m]
 
     Returns
     -------
@@ -73,7 +77,7 @@ def run_problem(
     verb = verb_of(problem)
     setup = build(problem)
     with at(problem, ("start",)):
-        found = verb.solve(problem, setup, Watch(progress, tell), resume)
+        found = verb.solve(problem, setup, Watch(progress, tell, path), resume)
     attributes = {**found.trajectory.attributes, **_attributes(problem, verb, found.setup)}
     run = replace(found.trajectory, attributes=attributes)
     return Result(

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.errors import ModelError
+from slipfree.files.urdf.link_motion import poses_on_map
+from slipfree.files.urdf.links import Robot, wheel_name
+from slipfree.files.urdf.tree import UrdfJoint
 from slipfree.geometry.mesh import Mesh
 from slipfree.models.poses import FramePoses, part_poses, wheel_poses
 from slipfree.records import Array
@@ -16,6 +19,7 @@ from slipfree.routing.regions import Region
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
+from slipfree.show.map_lines import map_lines
 from slipfree.show.mesh_refinement import Refined, refined
 from slipfree.show.meshes import clipped, extruded, joined, rod, spokes
 from slipfree.show.scene import (
@@ -74,6 +78,10 @@ class Driven(NamedTuple):
         The plan that the motion simulates, with poses and contact points; None without a plan.
     prisms : tuple of Prism
         Solids on the ground.
+    robot : Robot or None
+        URDF of the vehicle; None without one.
+    visuals : mapping of str to Mesh
+        Meshes of links of the URDF, in the frames of the links, by name; empty if unavailable.
     """
 
     name: str
@@ -83,6 +91,8 @@ class Driven(NamedTuple):
     keep_out: tuple[Region, ...] = ()
     plan: Trajectory | None = None
     prisms: tuple[Prism, ...] = ()
+    robot: Robot | None = None
+    visuals: Mapping[str, Mesh] = {}
 
 
 def drive_scene(drives: Sequence[Driven]) -> Scene:
@@ -125,7 +135,9 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
             )
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
     solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
-    ground = _with_solids(Ground(fine.mesh(origin), tuple(layers)), solids)
+    shade = fine.interpolated(ground_drawing.brightness(drawn)).ravel()
+    lines = map_lines(drawn, first.terrain, window, origin, reach)
+    ground = _with_solids(Ground(fine.mesh(origin), tuple(layers), shade, lines), solids)
     backdrop = _backdrop(first, window, origin, reach, solids)
     return framed(ground, actors, origin, reach, backdrop, notes, warnings)
 
@@ -159,7 +171,9 @@ def _with_solids(ground: Ground, solids: Sequence[Mesh]) -> Ground:
     count = sum(len(each.vertices) for each in solids)
     gray = np.tile(np.array(BLOCKED, np.uint8), (count, 1))
     layers = (each._replace(colors=np.concatenate([each.colors, gray])) for each in ground.layers)
-    return Ground(joined(ground.mesh, *solids), tuple(layers))
+    shade = None if ground.shade is None else np.append(ground.shade, np.ones(count))
+    mesh = joined(ground.mesh, *solids)
+    return ground._replace(mesh=mesh, layers=tuple(layers), shade=shade)
 
 
 def _backdrop(
@@ -258,6 +272,8 @@ def _actor(
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
     bodies = [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
+    if drive.robot is not None and drive.visuals and not ghost:
+        bodies = [*_hidden(bodies, drive), *_link_bodies(drive, drive.robot, color)]
     axles = wheels.rotations[..., 0]
     arrows = [] if ghost else _arrows(run, drive, contacts, axles)
     return Actor(
@@ -303,6 +319,27 @@ def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body
     for k, wheel in enumerate(vehicle.wheels):
         looks = ((wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color))
         yield Body(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
+
+
+def _hidden(bodies: Iterable[Body], drive: Driven) -> Iterable[Body]:
+    """Yield the simple bodies that no mesh of a link replaces; the platform is without meshes."""
+    shown = {wheel_name(joint.name) for joint in _joints_with_visuals(drive)}
+    names = {wheel.name for wheel in drive.vehicle.wheels} - shown
+    for body in bodies:
+        if body.name == "platform" or body.name in names:
+            yield body._replace(meshes=body.meshes if body.name in names else ())
+
+
+def _joints_with_visuals(drive: Driven) -> Iterable[UrdfJoint]:
+    joints = drive.robot.tree.joints.values() if drive.robot else ()
+    return (joint for joint in joints if joint.child in drive.visuals)
+
+
+def _link_bodies(drive: Driven, robot: Robot, color: Color) -> Iterable[Body]:
+    """Yield the links of a URDF that have meshes."""
+    for link in poses_on_map(drive.run, drive.vehicle, robot):
+        if mesh := drive.visuals.get(link.child):
+            yield Body(link.child, ((mesh, color),), link.origins, link.rotation.as_matrix())
 
 
 def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> list[Arrows]:

@@ -24,6 +24,8 @@ from slipfree.trajectory import Trajectory
 
 HEATMAP = 600  # samples of a drawn map along an axis
 DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
+STEEP_SHADE, MAX_EXAGGERATION = 0.7, 20.0  # exaggerated slope of steep parts, largest factor
+LEVEL, DARKEST = 0.9, 0.45  # brightness of level ground and of the darkest slopes
 INSIDE = 0.44  # largest distance of text on a map from its middle [width of the map]
 
 SOLID: dict[str, Any] = {"fc": (0.55, 0.55, 0.55, 0.45), "ec": "black", "lw": 0.8, "zorder": 2}
@@ -52,6 +54,20 @@ def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
     style.position_axis(ax.xaxis, "x", x[0])
     style.position_axis(ax.yaxis, "y", y[0])
     return ax
+
+
+def brightness(drawn: Grid) -> Array:
+    """Return the factors of brightness of the nodes of a ground in a hillshade, shape (n, 1).
+
+    Light comes from the north-west. Heights are exaggerated so that gentle relief is visible: the
+    steep parts appear at about 35 degrees. Flat ground has the factor `LEVEL`.
+    """
+    slopes = np.gradient(drawn.z, *drawn.spacing)
+    steep = float(np.percentile(np.hypot(*slopes), 95))
+    factor = np.clip(STEEP_SHADE / max(steep, 1e-9), 1.0, MAX_EXAGGERATION)
+    dz_dx, dz_dy = (factor * slope for slope in slopes)
+    facing = (1.0 + (dz_dx - dz_dy) / np.sqrt(2)) / np.sqrt(2 + 2 * (dz_dx**2 + dz_dy**2))
+    return np.asarray(np.clip(LEVEL + facing - np.sqrt(0.5), DARKEST, 1.0).reshape(-1, 1))
 
 
 def muted(grid: Grid, ax: Axes, window: Window) -> Axes:

@@ -11,7 +11,7 @@ import asyncio
 import io
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from typing import TYPE_CHECKING, Any
 
@@ -34,10 +34,13 @@ class Guard:
     ----------
     report : callable
         Function called with each new warning, from any thread.
+    script : str
+        JavaScript to add to the page.
     """
 
-    def __init__(self, report: Callable[[str], None]) -> None:
+    def __init__(self, report: Callable[[str], None], script: str = "") -> None:
         self._show, self._shown, self._is_used = report, set[str](), False
+        self._script = f"<script>{script}</script>".encode()
 
     def start(self, port: int) -> viser.ViserServer:
         """Return a server on this machine; port zero selects a free port.
@@ -60,7 +63,10 @@ class Guard:
             answer = options["process_request"]
 
             def check(connection: Any, request: Any) -> Any:
-                return self._refusal(connection, request) or answer(connection, request)
+                refusal = self._refusal(connection, request)
+                if "Accept-Encoding" in request.headers:  # the page is changed before compression
+                    del request.headers["Accept-Encoding"]
+                return refusal or _with_script(answer(connection, request), self._script)
 
             options |= {"process_request": check, "logger": self._logger()}
             return serve(*words, **options)
@@ -90,17 +96,11 @@ class Guard:
     def _refusal(self, connection: Any, request: Any) -> Any:
         """Return the response to a request for another host or from a foreign page, else None."""
         port = connection.local_address[1]
-        hosts = [each.lower() for each in request.headers.get_all("Host")]
-        origins = [each.lower() for each in request.headers.get_all("Origin")]
-        own = {f"{name}:{port}" for name in NAMES}
-        own |= {*NAMES} if port == DEFAULT_PORT else set()
-        if len(hosts) == 1 and hosts[0] in own and origins in ([], [f"http://{hosts[0]}"]):
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if is_own_request(hosts, origins, port):
             return None
-        expected = f"expected a request for http://{HOST}:{port} from the page itself"
-        self.warn(
-            f"refused a request: {expected}, found host {_short(', '.join(hosts))}, origin "
-            f"{_short(', '.join(origins))}"
-        )
+        expected, found = refusal_words(hosts, origins, port)
+        self.warn(f"refused a request: {expected}, {found}")
         return connection.respond(403, f"refused: {expected}; open that address in the browser\n")
 
     def _check_values(self, server: viser.ViserServer) -> None:
@@ -140,6 +140,41 @@ class Guard:
         if isinstance(error, InvalidStatus):
             return  # a response was sent, which websockets before version 14 reports
         self.warn(f"closed a connection: {record.getMessage()}: {_short(error)}")
+
+
+def _with_script(response: Any, script: bytes) -> Any:
+    """Return a response with a script at the end of the page, unchanged if it has no page."""
+    before, end, after = response.body.rpartition(b"</body>") if response else (b"", b"", b"")
+    if end:
+        response.body = before + script + end + after
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+    return response
+
+
+def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> bool:
+    """Return whether a request is for a name of this machine, and from no foreign page.
+
+    Parameters
+    ----------
+    hosts, origins : sequence of str
+        Values of the headers ``Host`` and ``Origin``.
+    port : int
+        Port of the server.
+    """
+    own = {f"{name}:{port}" for name in NAMES} | ({*NAMES} if port == DEFAULT_PORT else set())
+    lower = [each.lower() for each in hosts]
+    is_same = [each.lower() for each in origins] == [f"http://{each}" for each in lower]
+    return len(lower) == 1 and lower[0] in own and (is_same or not origins)
+
+
+def refusal_words(hosts: Sequence[str], origins: Sequence[str], port: int) -> tuple[str, str]:
+    """Return what was expected of a refused request, and what was found."""
+    found = ", ".join(hosts).lower(), ", ".join(origins).lower()
+    return (
+        f"expected a request for http://{HOST}:{port} from the page itself",
+        f"found host {_short(found[0])}, origin {_short(found[1])}",
+    )
 
 
 def stop(server: viser.ViserServer) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from html import escape
+from importlib.resources import files
 
 from slipfree.show.scene import ARROWS, Color, Layer, Scene, scale_words
 
@@ -14,6 +15,8 @@ BOX = (
 HOLLOW = "background:none;border:2px dotted"
 SQUARE = "display:inline-block;width:12px;height:12px;margin-right:6px"
 WARNING = "color:#a00"
+CHECK = "margin:0 6px 0 0"
+SAVED_KEYS = "Keys: space: play or pause; left, right: step; home, end: first and last time."
 
 
 def legend(layer: Layer) -> str:
@@ -52,25 +55,62 @@ def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable
     words : iterable of str
         Further notes.
     """
-    layer = next(each for each in scene.ground.layers if each.name == color)
     runs = "".join(
-        swatch(actor.color, actor.name, ghost=actor.ghost)
-        + (f'<div style="{WARNING}">{escape(actor.stop)}</div>' if actor.stop else "")
-        for actor in scene.actors
+        _switch(
+            swatch(actor.color, actor.name, ghost=actor.ghost)
+            + (f'<div style="{WARNING}">{escape(actor.stop)}</div>' if actor.stop else ""),
+            [f"/world/run {k}"],
+        )
+        for k, actor in enumerate(scene.actors, 1)
     )
     arrows = "".join(
-        swatch(ARROWS[name], f"{name}: {each}")
+        _switch(
+            swatch(ARROWS[name], f"{name}: {each}"),
+            [f"/world/run {k}/here/{name}" for k, _ in enumerate(scene.actors, 1)],
+        )
         for name in scene.scales
         if (each := scale_words(scene, name))
     )
-    notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, *words))
+    lines = "".join(
+        _switch(swatch(each.color, f"{each.name}: {each.legend}"), [f"/world/{each.name}"])
+        for each in scene.ground.lines
+    )
+    notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, *words, SAVED_KEYS))
     box = (
-        f'<div id="slipfree" style="{BOX}"><b>{escape(title)}</b>{legend(layer)}{runs}{arrows}'
-        f"{warned(scene)}<details><summary>notes</summary>{notes}</details></div>"
+        f'<div id="slipfree" style="{BOX}"><b>{escape(title)}</b>{_layers(scene, color)}{lines}'
+        f"{runs}{arrows}{warned(scene)}<details><summary>notes</summary>{notes}</details></div>"
+        f"<script>{page_script('viewer_keys.js')}{page_script('viewer_saved.js')}</script>"
     )
     html = html.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
     end = html.rindex("</body>")
     return html[:end] + box + html[end:]
+
+
+def page_script(name: str) -> str:
+    """Return the text of a script of this package."""
+    return files("slipfree.show").joinpath(name).read_text("utf-8")
+
+
+def _layers(scene: Scene, color: str) -> str:
+    """Return HTML to choose a layer of the ground, with the legends of all layers."""
+    options = "".join(
+        f'<option value="layer-{layer.name}" data-ground="/world/ground {layer.name}"'
+        f"{' selected' if layer.name == color else ''}>{escape(layer.name)}</option>"
+        for layer in scene.ground.layers
+    )
+    legends = "".join(
+        f'<div id="layer-{layer.name}"{"" if layer.name == color else " hidden"}>'
+        f"{legend(layer)}</div>"
+        for layer in scene.ground.layers
+    )
+    return f'<div>ground <select data-layer="">{options}</select></div>{legends}'
+
+
+def _switch(words: str, nodes: Sequence[str]) -> str:
+    """Return HTML of a checkbox that shows or hides nodes of the scene."""
+    names = escape("|".join(nodes))
+    box = f'<input type="checkbox" checked data-node="{names}" style="{CHECK}">'
+    return f'<label style="display:flex;align-items:baseline">{box}<span>{words}</span></label>'
 
 
 def _css(color: Color) -> str:

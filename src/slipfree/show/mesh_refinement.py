@@ -68,16 +68,23 @@ class Refined(NamedTuple):
         ndarray of uint8, shape (n, 3)
             Colours of the nodes of the grid, followed by those of divided cells.
         """
-        whole = colors.reshape(*self.grid.z.shape, 3).astype(float)
+        return np.asarray(np.rint(self.interpolated(colors.astype(float))), dtype=np.uint8)
+
+    def interpolated(self, values: Array) -> Array:
+        """Return values at all nodes of the mesh, interpolated from those at nodes of the grid.
+
+        ``values`` have the shape (n_x n_y, k); the result is float, shape (n, k).
+        """
+        whole = values.reshape(*self.grid.z.shape, -1)
         i, j = np.nonzero(self.near)
         a, b = self._shares()
         corners = [
             (whole[i + p, j + q], (a if p else 1 - a) * (b if q else 1 - b))
             for p, q in product((0, 1), repeat=2)
         ]
-        mixed = sum(color[:, None, None, :] * share[None, :, :, None] for color, share in corners)
-        fine = np.rint(mixed).astype(np.uint8).reshape(-1, 3)
-        return np.concatenate([colors, fine])
+        parts = [value[:, None, None, :] * share[None, :, :, None] for value, share in corners]
+        mixed = np.sum(parts, axis=0)
+        return np.concatenate([values, mixed.reshape(-1, whole.shape[-1])])
 
     def height(self, x: Array, y: Array) -> Array:
         """Return the height of the drawn surface, bilinear between its nodes [m]."""

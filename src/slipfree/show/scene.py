@@ -26,7 +26,9 @@ ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radi
 NARROW = 0.55  # width of the platform [width of the vehicle]
 TYRE = (90, 90, 90)
 BLOCKED = (120, 120, 120)  # colour of blocked nodes
-LONGEST = 1.2  # length of the longest arrows [reach of the vehicle]
+LONGEST = 0.6  # length of the longest arrows [reach of the vehicle]
+ROUND = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)  # round scales of arrows, times a power of ten
+NOTABLE = 0.01  # slip that the longest arrows stand for at least [largest speed of a vehicle]
 LEAST = {"slip": 1e-6, "force": 1e-3}  # arrows of smaller vectors are omitted [m/s, N]
 UNITS = {"slip": "m/s", "force": "N"}
 MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
@@ -58,11 +60,56 @@ class Layer(NamedTuple):
     colors: Colors
 
 
+class Lines(NamedTuple):
+    """Lines on the ground of a scene.
+
+    Attributes
+    ----------
+    name : str
+        Displayed name, such as ``"contours"``.
+    legend : str
+        Description of the lines, such as their distance.
+    color : tuple of 3 ints
+        Red, green and blue, from 0 to 255.
+    segments : ndarray, shape (n, 2, 3)
+        Starts and ends of straight pieces, in scene coordinates. [m]
+    labels : tuple of (str, ndarray)
+        Texts and their positions, shape (3,). [m]
+    """
+
+    name: str
+    legend: str
+    color: Color
+    segments: Array
+    labels: tuple[tuple[str, Array], ...] = ()
+
+
 class Ground(NamedTuple):
-    """Ground of a scene: its surface, and the colourings to choose from."""
+    """Ground of a scene.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The surface.
+    layers : tuple of Layer
+        Colourings to choose from.
+    shade : ndarray, shape (n,), or None
+        Factor of the brightness of each vertex in a hillshade; None without a hillshade.
+    lines : tuple of Lines
+        Lines on the surface: contours, grid, arrow to the north.
+    """
 
     mesh: Mesh
     layers: tuple[Layer, ...]
+    shade: Array | None = None
+    lines: tuple[Lines, ...] = ()
+
+    def colors(self, name: str, *, shaded: bool) -> Colors:
+        """Return the colours of the vertices in a layer, with or without hillshade."""
+        found = next(each.colors for each in self.layers if each.name == name)
+        if self.shade is None or not shaded:
+            return found
+        return np.asarray(np.rint(found * self.shade[:, None]), dtype=np.uint8)
 
 
 class Body(NamedTuple):
@@ -230,7 +277,8 @@ def framed(
 ) -> Scene:
     """Return a scene of the given contents with the scales of its arrows; see `Scene`."""
     actors = tuple(actors)
-    scales = {name: _scale(name, actors, LONGEST * reach) for name in LEAST}
+    least = {**LEAST, "slip": max(LEAST["slip"], NOTABLE * max(map(_top_speed, actors)))}
+    scales = {name: _scale(name, actors, LONGEST * reach, least[name]) for name in LEAST}
     place = ", ".join(f"{value + 0.0:.10g}" for value in origin)  # no minus zero
     found = [*notes, f"The origin of the scene is ({place}) m in map coordinates."]
     for name, scale in scales.items():
@@ -302,14 +350,24 @@ def _vector_lengths(name: str, actors: Iterable[Actor]) -> Array:
     return np.asarray(sizes[np.isfinite(sizes)])
 
 
-def _scale(name: str, actors: Iterable[Actor], longest: float) -> float:
-    """Return a round scale that keeps nearly all arrows below a length; zero without arrows."""
+def _top_speed(actor: Actor) -> float:
+    """Return the largest speed of the platform between two samples [m/s]."""
+    steps = np.linalg.norm(np.diff(actor.bodies[0].origins, axis=0), axis=1)
+    times = np.diff(actor.t)
+    return float((steps[times > 0] / times[times > 0]).max(initial=0.0))
+
+
+def _scale(name: str, actors: Iterable[Actor], longest: float, least: float) -> float:
+    """Return a round scale that keeps nearly all arrows below a length; zero without arrows.
+
+    Vectors of the size ``least`` have at most that length, even if all vectors are smaller.
+    """
     sizes = _vector_lengths(name, actors)
     if not sizes.size or sizes.max() < LEAST[name]:
         return 0.0
-    wanted = longest / max(float(np.percentile(sizes, 99)), LEAST[name])
+    wanted = max(float(np.percentile(sizes, 99)), least) / longest  # per metre of arrow
     power = 10.0 ** np.floor(np.log10(wanted))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= wanted * 1.001))
+    return float(1 / (power * min(step for step in ROUND if step * power >= wanted * 0.999)))
 
 
 def _reason_without_arrows(name: str, actors: Iterable[Actor]) -> str:

@@ -9,15 +9,15 @@ import threading
 import time
 from collections.abc import Callable
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from slipfree.errors import DataError, missing_package
 from slipfree.records import Array
 from slipfree.show.guard import HOST, Guard, stop
-from slipfree.show.html_page import legend, swatch, warned, with_legend
-from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Layer, Scene, scale_words
+from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
+from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Lines, Scene, scale_words
 
 if TYPE_CHECKING:
     import viser
@@ -26,11 +26,16 @@ RATE = 25.0  # frames per second
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x", "50x")
 LONGEST = 60.0  # duration of a saved page; longer motions are accelerated [s]
 MOST = 400  # largest number of points of a track
+LIFT = 0.006  # height of the first track above the ground; others are higher [reach]
+SPREAD = 1.8  # distance of motions side by side [reach]
+STEP = 0.02  # step of the arrow keys [duration]
+KEYS = "space: play or pause; left, right: step; up, down: speed; home, end: first and last time"
 SIZES = {"contact": 0.05, "shaft": 0.014, "head": 0.035, "tip": 0.08}  # [reach of the vehicle]
 CONTACT = (255, 255, 255)
 SKY = 0.5  # ambient light, in addition to viser's two lamps
 FAR = 1000.0  # far plane of the camera, unless the ground is larger [m]
 CLOSE, NEAREST = 3.5, 0.05  # distance of the following camera, and near plane [reach]
+LINES = {"north": 4.0}  # thickness of lines on the ground, by default 1 [pixels]
 WORLD = "/world"  # node with the scene; it moves when the camera follows a vehicle
 
 
@@ -67,7 +72,7 @@ def serve(
     server = _server(port, warn)
     try:
         stage = Stage(server, scene, color)
-        panel = _Panel(server, stage, scene, title)
+        panel = _Panel(server, stage, scene, title, color)
         ready(f"http://{HOST}:{server.get_port()}")
         while True:
             time.sleep(1 / RATE)
@@ -97,7 +102,7 @@ def page(scene: Scene, title: str, color: str) -> str:
     """
     server = _server(0)
     try:
-        stage = Stage(server, scene, color, others=False)
+        stage = Stage(server, scene, color, others=True)
         first, last = scene.span
         speed = max(1.0, (last - first) / LONGEST)
         times = np.arange(first, last + speed / RATE, speed / RATE)
@@ -116,7 +121,7 @@ def page(scene: Scene, title: str, color: str) -> str:
 def _server(port: int, warn: Callable[[str], None] = lambda _: None) -> viser.ViserServer:
     """Return a guarded viser server on a port; raise DataError if that is impossible."""
     try:
-        server = Guard(warn).start(port)
+        server = Guard(warn, page_script("viewer_keys.js")).start(port)
     except ImportError as error:
         raise DataError(f"show: {missing_package('viser', 'view')}") from error
     if port and server.get_port() != port:
@@ -139,29 +144,47 @@ class Stage:
     color : str
         Name of the initial layer of the ground.
     others : bool
-        Whether to load the other layers as well.
+        Whether to add the other layers as hidden nodes, for a saved page.
     """
 
     def __init__(
-        self, server: viser.ViserServer, scene: Scene, color: str, *, others: bool = True
+        self, server: viser.ViserServer, scene: Scene, color: str, *, others: bool = False
     ) -> None:
-        self.server, self.color, self._lock = server, color, threading.Lock()
+        self.server, self.scene, self._lock = server, scene, threading.Lock()
         server.scene.set_up_direction("+z")
         # with an environment map a saved page would fade in again at each repetition
         server.scene.configure_environment_map(None)
         server.scene.configure_default_lights(cast_shadow=False)  # slow where there is no GPU
         server.scene.add_light_hemisphere("/sky", intensity=SKY)
         self.world = server.scene.add_frame(WORLD, show_axes=False)
-        self.grounds = {
-            layer.name: _add_ground(server, scene.ground, layer, layer.name == color)
-            for layer in scene.ground.layers
-            if others or layer.name == color
-        }
+        self.grounds: dict[str, Any] = {}
+        self.lines = {each.name: _add_lines(server, each) for each in scene.ground.lines}
+        self.paint(color, shaded=True)
+        for layer in scene.ground.layers if others else ():
+            if layer.name != color:
+                colors = scene.ground.colors(layer.name, shaded=True)
+                _add_ground(server, scene.ground, layer.name, colors, visible=False)
         self.actors = [_Drawn(server, scene, k) for k in range(len(scene.actors))]
         self.anchor: Array | None = None
         _set_camera(server, scene)
         self.show(scene.span[0])
         self.follow(scene.is_far)
+
+    def spread(self, enabled: bool) -> None:
+        """Move the motions sideways, so that vehicles at one place are visible, or back.
+
+        A plan stays with the motion that simulates it.
+        """
+        first = self.scene.actors[0].bodies[0].origins
+        along = (first[-1] - first[0])[:2]
+        size = float(np.linalg.norm(along))
+        side = np.array([along[1], -along[0], 0.0]) / size if size > 0 else np.array([1.0, 0, 0])
+        gap = SPREAD * self.scene.reach if enabled else 0.0
+        count = -1
+        with self._lock, self.server.atomic():
+            for drawn in self.actors:
+                count += not drawn.actor.ghost
+                drawn.root.position = count * gap * side
 
     def show(self, t: float) -> None:
         """Move all nodes to a time [s]."""
@@ -181,10 +204,15 @@ class Stage:
         anchor = self.anchor
         self.world.position = np.zeros(3) if anchor is None else anchor - self.actors[0].position
 
-    def paint(self, color: str) -> None:
-        """Show the layer of the ground with the given name."""
-        for name, node in self.grounds.items():
-            node.visible = name == color
+    def paint(self, color: str, *, shaded: bool) -> None:
+        """Show the layer of the ground with the given name, with or without hillshade."""
+        name = color if shaded else f"{color} without hillshade"
+        with self.server.atomic():
+            if name not in self.grounds:
+                colors = self.scene.ground.colors(color, shaded=shaded)
+                self.grounds[name] = _add_ground(self.server, self.scene.ground, name, colors)
+            for each, node in self.grounds.items():
+                node.visible = each == name
 
 
 class _Drawn:
@@ -241,7 +269,7 @@ class _Drawn:
             if scene.scales[each.name]
         ]
         self.shown = {each.name: True for each in actor.arrows}
-        _add_tracks(server, root, actor)
+        _add_tracks(server, root, actor, LIFT * (1 + k) * scene.reach)
 
     @property
     def position(self) -> Array:
@@ -289,16 +317,35 @@ def _lines(arrows: Arrows, k: int, scale: float, origin: Array) -> Array:
     return np.asarray(np.stack([starts, starts + vectors], axis=1)[kept], dtype=np.float32)
 
 
-def _add_ground(server: viser.ViserServer, ground: Ground, layer: Layer, visible: bool) -> Any:
+def _add_ground(
+    server: viser.ViserServer, ground: Ground, name: str, colors: Colors, *, visible: bool = True
+) -> Any:
     import trimesh
 
     # glTF expects colours in linear light, not in sRGB
-    light = linear(layer.colors)
     mesh = trimesh.Trimesh(
-        ground.mesh.vertices, ground.mesh.faces, vertex_colors=light, process=False
+        ground.mesh.vertices, ground.mesh.faces, vertex_colors=linear(colors), process=False
     )
     data: Any = mesh.export(file_type="glb", tree_postprocessor=_matt)
-    return server.scene.add_glb(f"{WORLD}/ground {layer.name}", data, visible=visible)
+    return server.scene.add_glb(f"{WORLD}/ground {name}", data, visible=visible)
+
+
+def _add_lines(server: viser.ViserServer, lines: Lines) -> Any:
+    """Add lines on the ground with their labels; return the node that shows or hides them."""
+    root = f"{WORLD}/{lines.name}"
+    node = server.scene.add_frame(root, show_axes=False)
+    server.scene.add_line_segments(
+        f"{root}/lines",
+        lines.segments.astype(np.float32),
+        np.array(lines.color),
+        thickness=LINES.get(lines.name, 1.0),
+        thickness_units="screen",
+    )
+    for k, (words, place) in enumerate(lines.labels):
+        server.scene.add_label(
+            f"{root}/{k + 1}", words, position=place, anchor="center-center", font_screen_scale=0.8
+        )
+    return node
 
 
 def _matt(tree: dict[str, Any]) -> None:
@@ -329,11 +376,16 @@ def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arro
     )
 
 
-def _add_tracks(server: viser.ViserServer, root: str, actor: Actor) -> None:
-    """Add the tracks of all contact points of a motion."""
+def _add_tracks(server: viser.ViserServer, root: str, actor: Actor, lift: float) -> None:
+    """Add the tracks of all contact points of a motion, at a height above the ground [m].
+
+    Tracks at the height of the ground or of other tracks would flicker. Those of plans are dashed,
+    since they lie above the tracks of their simulations.
+    """
     every = max(1, actor.t.size // MOST)
-    points = actor.contacts[::every]
-    lines = np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
+    points = actor.contacts[::every] + np.array([0.0, 0.0, lift])
+    lines = np.stack([points[:-1], points[1:]], axis=2)[:: 2 if actor.ghost else 1]
+    lines = lines.reshape(-1, 2, 3)
     lines = lines[np.isfinite(lines).all(axis=(1, 2))]
     if len(lines):
         server.scene.add_line_segments(
@@ -358,22 +410,35 @@ def _set_camera(server: viser.ViserServer, scene: Scene) -> None:
     camera.near, camera.far = NEAREST * scene.reach, max(FAR, 10 * size)
 
 
+class _Action(NamedTuple):
+    """Command of the page: label, key, button (empty: none), and the function that it calls."""
+
+    label: str
+    key: Any
+    button: str
+    act: Callable[[], None]
+
+
 class _Panel:
     """Controls of the page: time, speed, ground, arrows and runs."""
 
-    def __init__(self, server: viser.ViserServer, stage: Stage, scene: Scene, title: str) -> None:
+    def __init__(
+        self, server: viser.ViserServer, stage: Stage, scene: Scene, title: str, color: str
+    ) -> None:
         gui, (first, last) = server.gui, scene.span
         gui.configure_theme(
             show_logo=False, show_share_button=False
         )  # it would contact another host
         gui.main_panel.dock_right()
         gui.set_panel_label(title)
-        self.stage, self.ends = stage, (first, last)
+        self.stage, self.color, self.ends = stage, color, (first, last)
         step = max(1e-3, (last - first) / 5000)
         self.time: Any = gui.add_slider("time [s]", first, max(last, first + step), step, first)
-        self.playing = gui.add_checkbox("play", False)
-        self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x")
         self.time.on_update(lambda _: stage.show(self.time.value))
+        self.playing: Any = gui.add_checkbox("play", False)
+        self.speed: Any = gui.add_dropdown("speed", SPEEDS, initial_value="1x")
+        self._add_buttons(gui)
+        self._add_keys(gui)
         self.following = gui.add_checkbox(f"follow {scene.actors[0].name}", scene.is_far)
         self.following.on_update(lambda _: stage.follow(self.following.value))
         if scene.warnings:
@@ -383,8 +448,12 @@ class _Panel:
         with gui.add_folder("runs"):
             for k, actor in enumerate(scene.actors):
                 self._choose_run(gui, k, actor)
+            if sum(not actor.ghost for actor in scene.actors) > 1:
+                spread = gui.add_checkbox("side by side (off the ground)", False)
+                spread.on_update(lambda _: stage.spread(spread.value))
         with gui.add_folder("notes", expand_by_default=False):
-            gui.add_html("".join(f"<p>{escape(note)}</p>" for note in scene.notes))
+            notes = (*scene.notes, f"Keys: {KEYS}.")
+            gui.add_html("".join(f"<p>{escape(note)}</p>" for note in notes))
 
     def advance(self, seconds: float) -> None:
         """Advance the time by real seconds if playing; continue at the start after the end."""
@@ -394,16 +463,62 @@ class _Panel:
             t += seconds * float(self.speed.value.removesuffix("x"))
             self.time.value = first if t > last else t
 
+    def jump(self, share: float) -> None:
+        """Move the time by a share of the duration, and pause; infinite shares reach the ends."""
+        first, last = self.ends
+        self.playing.value = False
+        move = share if np.isinf(share) else share * (last - first)
+        self.time.value = float(np.clip(self.time.value + move, first, last))
+
+    def hurry(self, steps: int) -> None:
+        """Select a speed that many places further in the list of speeds."""
+        k = SPEEDS.index(self.speed.value) + steps
+        self.speed.value = SPEEDS[min(max(k, 0), len(SPEEDS) - 1)]
+
+    def toggle(self) -> None:
+        """Play or pause."""
+        self.playing.value = not self.playing.value
+
+    def _add_buttons(self, gui: Any) -> None:
+        actions = self._actions()
+        buttons = gui.add_button_group("", tuple(each.button for each in actions if each.button))
+        by_button = {each.button: each.act for each in actions}
+        buttons.on_click(lambda _: by_button[buttons.value]())
+
+    def _add_keys(self, gui: Any) -> None:
+        """Add the keyboard shortcuts, which the page also lists in its command palette."""
+        for each in self._actions():
+            command = gui.add_command(each.label, hotkey=each.key)
+            command.on_trigger(lambda _, act=each.act: act())
+
+    def _actions(self) -> tuple[_Action, ...]:
+        return (
+            _Action("first time", "home", "|<", lambda: self.jump(-np.inf)),
+            _Action("step back", "arrowleft", "<", lambda: self.jump(-STEP)),
+            _Action("play or pause", "space", "", self.toggle),
+            _Action("step forward", "arrowright", ">", lambda: self.jump(STEP)),
+            _Action("last time", "end", ">|", lambda: self.jump(np.inf)),
+            _Action("faster", "arrowup", "", lambda: self.hurry(1)),
+            _Action("slower", "arrowdown", "", lambda: self.hurry(-1)),
+        )
+
     def _choose_ground(self, gui: Any, scene: Scene) -> None:
         layers = {layer.name: layer for layer in scene.ground.layers}
         with gui.add_folder("ground"):
-            chosen = gui.add_dropdown("color", tuple(layers), initial_value=self.stage.color)
+            chosen = gui.add_dropdown("color", tuple(layers), initial_value=self.color)
             words = gui.add_html(legend(layers[chosen.value]))
+            shading = gui.add_checkbox("hillshade", True, visible=scene.ground.shade is not None)
 
-            @chosen.on_update  # type: ignore[untyped-decorator]
-            def _(_: Any) -> None:
-                self.stage.paint(chosen.value)
+            def paint(_: Any) -> None:
+                self.stage.paint(chosen.value, shaded=shading.value)
                 words.content = legend(layers[chosen.value])
+
+            chosen.on_update(paint)
+            shading.on_update(paint)
+            for lines in scene.ground.lines:
+                box = gui.add_checkbox(f"{lines.name}: {lines.legend}", True)
+                node = self.stage.lines[lines.name]
+                box.on_update(lambda _, box=box, node=node: setattr(node, "visible", box.value))
 
     def _choose_arrows(self, gui: Any, scene: Scene) -> None:
         with gui.add_folder("arrows"):

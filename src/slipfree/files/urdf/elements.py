@@ -166,7 +166,9 @@ def _link(element: Element, faults: Faults) -> Link:
     shapes = _of_geometry(element, _shape, faults, name)
     meshes = _of_geometry(element, _mesh, faults, name)
     boxes = _of_geometry(element, _box, faults, name)
-    return Link(name, mass, center, shapes, meshes, boxes, inertia)
+    seen = (_mesh(each, faults, name) for each in element.all("visual"))
+    visuals = tuple(each for each in seen if each is not None)
+    return Link(name, mass, center, shapes, meshes, boxes, inertia, visuals)
 
 
 def _of_geometry(

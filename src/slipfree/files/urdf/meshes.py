@@ -14,6 +14,7 @@ from slipfree.errors import DataError, missing_package
 from slipfree.files.urdf.packages import package_folders
 from slipfree.files.urdf.tree import Mesh, Shape
 from slipfree.files.vehicle_draft import MAX_LENGTH, rotation_of
+from slipfree.geometry.mesh import Mesh as Triangles
 from slipfree.records import Array
 from slipfree.regular_files import read_bytes
 
@@ -47,7 +48,7 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | Non
         If a mesh cannot be read, if the package ``trimesh`` is not installed, or if the radius is
         zero or too large.
     """
-    points = np.vstack([_points(mesh, folder) for mesh in meshes])
+    points = np.vstack([load_mesh(mesh, folder).vertices for mesh in meshes])
     along = points @ axis
     across = points - along[:, None] * axis
     distance = np.linalg.norm(across, axis=1)
@@ -70,8 +71,21 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | Non
     return Shape("mesh", radius, (x, y, z), _angles_to(axis), tube)
 
 
-def _points(mesh: Mesh, folder: Path) -> Array:
-    """Return the vertices of a mesh in the frame of its link, shape (n, 3) [m]."""
+def load_mesh(mesh: Mesh, folder: Path) -> Triangles:
+    """Return the triangles of a mesh in the frame of its link.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Mesh of a link.
+    folder : Path
+        Folder of the URDF.
+
+    Raises
+    ------
+    DataError
+        If the mesh cannot be read, or if the package ``trimesh`` is not installed.
+    """
     path = _file_of(mesh.name, folder)
     try:
         import trimesh
@@ -84,7 +98,9 @@ def _points(mesh: Mesh, folder: Path) -> Array:
     try:
         scene: Any = trimesh.load_scene(data, file_type=suffix[1:], skip_materials=True)
         unit = trimesh.units.unit_conversion(scene.units, "meters") if scene.units else 1.0
-        vertices = unit * np.asarray(scene.to_mesh().vertices, float).reshape(-1, 3)
+        merged = scene.to_mesh()
+        vertices = unit * np.asarray(merged.vertices, float).reshape(-1, 3)
+        faces = np.asarray(merged.faces, np.uint32).reshape(-1, 3)
     except ModuleNotFoundError as error:  # the reader of .dae
         raise DataError(missing_package(str(error.name), "urdf")) from error
     except Exception as error:  # trimesh raises errors of many kinds for a damaged file
@@ -96,8 +112,8 @@ def _points(mesh: Mesh, folder: Path) -> Array:
             f"expected a mesh of points with finite coordinates, found none in {mesh.name!r}; "
             "correct it"
         )
-    found: Array = vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
-    return found
+    placed: Array = vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
+    return Triangles(placed, faces)
 
 
 def _file_of(name: str, folder: Path) -> Path:

@@ -90,6 +90,8 @@ class Link(NamedTuple):
     inertia : tuple of 6 floats or None
         ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre of mass, in the axes of the link; None if
         they are missing, or impossible for a body. [kg m^2]
+    visuals : tuple of Mesh
+        Meshes among the visual shapes.
     """
 
     name: str
@@ -99,6 +101,7 @@ class Link(NamedTuple):
     meshes: tuple[Mesh, ...] = ()
     boxes: tuple[Box, ...] = ()
     inertia: Elements | None = None
+    visuals: tuple[Mesh, ...] = ()
 
 
 class Mimic(NamedTuple):

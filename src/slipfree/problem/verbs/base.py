@@ -64,10 +64,14 @@ class Watch(NamedTuple):
         Called with the time reached. [s]
     line : callable or None
         Called for every iterate of a plan with the phase of the search and a line of text.
+    path : callable or None
+        Called for every iterate of a plan with the path of the platform in map coordinates, an
+        ndarray of shape (n, 2). [m]
     """
 
     time: Callable[[float], None] | None = None
     line: Callable[[str, str], None] | None = None
+    path: Callable[[Array], None] | None = None
 
 
 class Solution(NamedTuple):

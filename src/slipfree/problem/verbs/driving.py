@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -13,7 +15,10 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.errors import DataError
 from slipfree.files.map_coordinates import MAP_TRANSFORM, encode_map_coordinates
+from slipfree.files.urdf.links import Robot
+from slipfree.files.urdf.meshes import load_mesh
 from slipfree.frames import STORED, WANTED, to_problem_frame
+from slipfree.geometry.mesh import Mesh
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.models.poses import wheel_poses
@@ -23,6 +28,7 @@ from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
 from slipfree.problem.build_ground import Ground, at, build_ground, filled_words
 from slipfree.problem.build_model import law_name
 from slipfree.problem.build_solids import build_solids
+from slipfree.problem.build_vehicle import read_robot
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, Motion
 from slipfree.problem.summary import Facts, integrator_fact
@@ -194,7 +200,10 @@ class DriveVerb(MotionVerb):
         terrain, vehicle = build_terrain(problem, ground_of(result)), vehicle_of(result)
         prisms = build_solids(problem, terrain)
         _check_ground(run, terrain, prisms, vehicle, problem)
-        return Driven(name, run, terrain, vehicle, prisms=prisms)
+        robot = read_robot(problem.spec.vehicle, problem.folder)
+        return Driven(
+            name, run, terrain, vehicle, prisms=prisms, robot=robot, visuals=_visuals(robot)
+        )
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return attributes of the result: input names, frames, coordinates of the map file."""
@@ -205,6 +214,21 @@ class DriveVerb(MotionVerb):
             WANTED: problem.spec.frame,
             **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
         }
+
+
+def _visuals(robot: Robot | None) -> dict[str, Mesh]:
+    """Return the meshes of the links of a URDF by name; unreadable meshes are omitted."""
+    from slipfree.show.meshes import joined
+
+    found: dict[str, Mesh] = {}
+    if robot is None:
+        return found
+    folder = Path(robot.tree.file).parent
+    for link in robot.tree.links.values():
+        with suppress(DataError):  # the vehicle is then drawn by simple bodies
+            if link.visuals:
+                found[link.name] = joined(*(load_mesh(mesh, folder) for mesh in link.visuals))
+    return found
 
 
 def _stable_poses(problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, ...]:

@@ -19,6 +19,7 @@ from slipfree.plan.constraints import COST
 from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
 from slipfree.plan.messages import DURATION, missed_words
 from slipfree.plan.plan import Plan, PlanProgress
+from slipfree.plan.polynomial_motion import motion_of
 from slipfree.plan.prices import prices_words
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from slipfree.show.plots import Plot
 
 MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
+PATH_SAMPLES = 121  # samples of the path of an iterate
 ROUNDING = 1e-6  # largest violation that counts as rounding, in the unit of the limit
 STIFFER = 10.0  # factor of stiffness of another simulation of pressed wheels
 SLIDING = 0.95  # utilisation above which a wheel counts as sliding
@@ -81,7 +83,6 @@ OFFER = (
     "inertia then carries the vehicle where its drives alone do not"
 )
 FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail to settle below it
-LineCallback = Callable[[str, str], None]
 
 
 class PlanVerb(DriveVerb):
@@ -106,7 +107,7 @@ class PlanVerb(DriveVerb):
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the simulated motion of a plan, and the plan as arrays for a warm start."""
         spec = problem.spec
-        progress, table = _iterate_reporter(watch.line), ""
+        progress, table = _iterate_reporter(watch, setup), ""
         if spec.plan.window is not None:
             return self._drive_windows(problem, setup, progress, resume)
         if resume is None and spec.plan.starts > 1:
@@ -267,7 +268,7 @@ def _inaccurate(spec: plan_schema.Plan, found: Plan | LongPlan) -> Stop:
     return Stop(PLAN_ACCURACY, float(found.replay.t[-1]), words, outcome)
 
 
-def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], bool]:
+def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate], bool]:
     """Return a callback that reports each iterate and stops the search after Ctrl-C.
 
     It returns False to stop. Ctrl-C before the first iterate raises KeyboardInterrupt, since there
@@ -282,8 +283,10 @@ def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], b
             f"{iterate.violation:.1e}"
         )
         try:
-            if report is not None:
-                report(words, line)
+            if watch.line is not None:
+                watch.line(words, line)
+            if watch.path is not None:
+                watch.path(_path_of(iterate, setup))
         except KeyboardInterrupt:
             if not begun:
                 raise
@@ -292,6 +295,14 @@ def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], b
         return True
 
     return progress
+
+
+def _path_of(iterate: Iterate, setup: Planning) -> Array:
+    """Return the path of the platform in an iterate, in map coordinates, shape (n, 2) [m]."""
+    names = [label.full for label in leaves(setup.dae.labels.x)]
+    states = motion_of(iterate.program, iterate.unknowns).states(np.linspace(0, 1, PATH_SAMPLES))
+    local = np.stack([states[names.index("x")], states[names.index("y")]], axis=1)
+    return np.asarray(local + setup.terrain.origin[:2])
 
 
 def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
