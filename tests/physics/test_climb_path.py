@@ -327,7 +327,7 @@ def test_whole_climbs(profile):
         sample(CLIMBER, profile, leg, np.array([s])).q[0, 0]
         for leg, s in ((found[0], 0.0), (found[-1], found[-1].length))
     )
-    assert_allclose(whole["x"][[0, -1]], [first, last], atol=1e-3)
+    assert_allclose(whole["y"][[0, -1]], [first, last], atol=1e-3)
 
 
 @pytest.mark.parametrize(
