@@ -9,11 +9,13 @@ from typing import Any, NamedTuple, Protocol, get_type_hints, runtime_checkable
 import casadi as ca
 
 from slipfree.contact.closure import ContactFrame
+from slipfree.contact.touch import Touch
 from slipfree.dae import Continuation, Limit
 from slipfree.errors import ModelError
 from slipfree.records import Array, Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import Wheel
 
 ALONG = "force_along", "N", "force of the ground on the wheel along it, forward positive"
 ACROSS = "force_across", "N", "force of the ground on the wheel across it, to the right positive"
@@ -161,6 +163,72 @@ class GroundLaw(Protocol):
 
     def reaction(self, contacts: SlidingContacts, unknowns: Any) -> Reaction:
         """Return the forces of the ground and the equations of the law's unknowns."""
+
+
+class WheelContact(NamedTuple):
+    """Contact and motion of a wheel of a dynamic model.
+
+    Attributes
+    ----------
+    wheel : Wheel
+        The wheel, with a static depth.
+    touch : Touch
+        Contact with the ground.
+    slip : SX, shape (3, 1)
+        Velocity of the wheel's material point at the contact, in fixed axes. [m/s]
+    spin : SX, shape (1, 1)
+        Angular velocity about the axle relative to fixed axes, forward positive. [rad/s]
+    center : SX, shape (3, 1)
+        Centre of the wheel. [m]
+    share : float
+        Share of the vehicle's weight. [N]
+    """
+
+    wheel: Wheel
+    touch: Touch
+    slip: ca.SX
+    spin: ca.SX
+    center: ca.SX
+    share: float
+
+
+class GroundForce(NamedTuple):
+    """Force of the ground on a wheel at its contact point, and its moment about the axle.
+
+    Attributes
+    ----------
+    normal : SX, shape (1, 1)
+        Component along the ground's normal. [N]
+    tangential : SX, shape (3, 1)
+        Friction force, in fixed axes. [N]
+    elastic : SX, shape (1, 1)
+        Elastic part of the normal force, without damping. [N]
+    moment : SX, shape (1, 1)
+        Moment about the axle in addition to that of the force, positive against forward rolling.
+        [N m]
+    """
+
+    normal: ca.SX
+    tangential: ca.SX
+    elastic: ca.SX
+    moment: ca.SX
+
+
+@runtime_checkable
+class ContactLaw(Protocol):
+    """Forces of the ground on the wheels of a dynamic model, as functions of depth and motion."""
+
+    def check(self, vehicle: Vehicle, terrain: Terrain) -> None:
+        """Raise ModelError if the law cannot be used with the vehicle or the ground."""
+
+    def static_depth(self, wheel: Wheel, load: float) -> float:
+        """Return the depth of a wheel at rest under a load [m]; the wheel has a static depth."""
+
+    def max_depth(self, wheel: Wheel) -> float:
+        """Return the depth up to which the law is valid; infinity without limit [m]."""
+
+    def force(self, contact: WheelContact) -> GroundForce:
+        """Return force and moment of the ground on a wheel."""
 
 
 def wheel_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:

@@ -10,8 +10,9 @@ from slipfree.laws.compliant import Compliant
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.linear_creep import LinearCreep
-from slipfree.laws.protocols import GroundLaw, SlipLaw
+from slipfree.laws.protocols import ContactLaw, GroundLaw, SlipLaw
 from slipfree.laws.rolling import Rolling
+from slipfree.laws.soil import Soil
 
 SLIP_LAWS: dict[str, type[SlipLaw]] = {
     "least": LeastSlip,
@@ -21,6 +22,7 @@ GROUND_LAWS: dict[str, type[GroundLaw]] = {
     "coulomb": Coulomb,
     "linear_creep": LinearCreep,
 }
-CONTACT_LAWS: dict[str, type[Compliant]] = {
+CONTACT_LAWS: dict[str, type[ContactLaw]] = {
     "compliant": Compliant,
+    "soil": Soil,
 }

@@ -30,9 +30,9 @@ from slipfree.contact.touch import Touch
 from slipfree.dae import Dae, Labels, Limit, Replay
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.laws.compliant import Compliant, GroundForce
+from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
-from slipfree.laws.protocols import GroundLaw, SlidingContacts, check_law
+from slipfree.laws.protocols import GroundForce, GroundLaw, SlidingContacts, check_law
 from slipfree.lookups import LookupTable
 from slipfree.models.base import at_rest, extent, raised_poses, sizes, touch_function
 from slipfree.models.dynamic_outputs import (
@@ -114,7 +114,8 @@ def rigid_dynamics(
     4.00
     """
     check_law(law, GroundLaw, "law: expected a wheel-ground law such as LinearCreep()")
-    check_dynamic(vehicle, terrain)
+    check_dynamic(vehicle)
+    contact.check(vehicle, terrain)
     law.check(vehicle, terrain)
     _check_suspension(vehicle)
     vehicle = with_depths(vehicle)
@@ -127,11 +128,15 @@ def rigid_dynamics(
     slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
     sliding = _sliding(vehicle, touches, slips, z.law.normal, u.wheels)
     reaction = law.reaction(sliding, z.law)
-    contacts = [
-        Contact(at, slip, GroundForce(n, a * at.frame.along + c * at.frame.across, ca.SX(0)))
-        for at, slip, n, a, c in zip(
-            touches, slips, reaction.normal, reaction.along, reaction.across, strict=True
+    forces_on = (
+        GroundForce(n, a * at.frame.along + c * at.frame.across, ca.SX(0), ca.SX(0))
+        for at, n, a, c in zip(
+            touches, reaction.normal, reaction.along, reaction.across, strict=True
         )
+    )
+    spins = (wheel.spin for wheel in body.wheels)
+    contacts = [
+        Contact(*each) for each in zip(touches, slips, spins, forces_on, strict=True)
     ]
     alone = [(each,) for each in contacts]
     ode, effort = equations_of_motion(vehicle, x, u, body, matrix, alone)
