@@ -34,6 +34,7 @@ smoothly; near standstill, shear paths are those of a rim speed ``creep``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import inf, pi, radians, sqrt, tan
 from typing import Annotated, Any, NamedTuple
 
@@ -204,7 +205,7 @@ class Soil:
         ModelError
             If the wheel sinks to its axle.
         """
-        return sinkage(self, wheel_size(wheel), load)
+        return static_sinkage(self, wheel_size(wheel), load)
 
     def max_depth(self, wheel: Wheel) -> float:
         """Return the depth up to which the law is valid: the wheel's radius [m]."""
@@ -309,10 +310,9 @@ def forces_at_speeds(
     return SoilForces(*totals)
 
 
-def sinkage(
-    soil: Soil, size: WheelSize, load: float, slip: float | None = None, angle: float = 0.0
-) -> float:
-    """Return the depth at which the soil bears a load [m].
+@lru_cache(maxsize=64)
+def static_sinkage(soil: Soil, size: WheelSize, load: float) -> float:
+    """Return the depth at which the soil bears a wheel at rest [m].
 
     Parameters
     ----------
@@ -322,10 +322,6 @@ def sinkage(
         Radius and width of the wheel.
     load : float
         Normal force. [N]
-    slip : float or None
-        Slip ratio; None for a wheel at rest. [1]
-    angle : float
-        Slip angle. [rad]
 
     Raises
     ------
@@ -333,22 +329,8 @@ def sinkage(
         If the wheel sinks to its axle.
     """
     depth = ca.SX.sym("depth")
-    found = (
-        forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP)
-        if slip is None
-        else forces_at_slip(soil, size, depth, slip, angle)
-    )
-    return depth_under(ca.Function("normal", [depth], [found.normal]), size, load)
-
-
-def depth_under(normal: ca.Function, size: WheelSize, load: float) -> float:
-    """Return the depth at which a normal force, a function of the depth, equals a load [m].
-
-    Raises
-    ------
-    ModelError
-        If the wheel sinks to its axle.
-    """
+    found = forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP).normal
+    normal = ca.Function("normal", [depth], [found])
     low, high = 0.0, size.radius
     if float(normal(high)) < load:
         raise ModelError(
