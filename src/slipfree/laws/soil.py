@@ -271,9 +271,7 @@ def forces_at_slip(soil: Soil, size: WheelSize, depth: Any, slip: Any, angle: An
         Slip angle, less than pi/2: the wheel also moves to the right with ``v_x tan(angle)``. [rad]
     """
     forward, rim = 1 - ca.fmax(slip, 0), 1 + ca.fmin(slip, 0)
-    return forces_at_speeds(
-        soil, size, depth, rim, forward, forward * ca.tan(angle), STEADY_CREEP
-    )
+    return forces_at_speeds(soil, size, depth, rim, forward, forward * ca.tan(angle), STEADY_CREEP)
 
 
 def forces_at_speeds(
@@ -298,7 +296,7 @@ def forces_at_speeds(
         Rim speed below which shear paths are reduced, positive. [m/s]
     """
     contact = _contact(soil, size, depth, rim, forward, creep)
-    motion = _shear_motion(soil, size, rim, forward, sideways, creep)
+    motion = _shear_motion(soil, rim, forward, sideways, creep)
     totals = [0, 0, 0, 0]
     for point, weight in zip((POINTS + 1) / 2, WEIGHTS / 2, strict=True):
         stress = _normal_stress(soil, size, contact, point)
@@ -412,9 +410,7 @@ def _contact(
     )
 
 
-def _shear_motion(
-    soil: Soil, size: WheelSize, rim: Any, forward: Any, sideways: Any, creep: float
-) -> _ShearMotion:
+def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: float) -> _ShearMotion:
     """Return the motion of a rim relative to the soil (6)."""
     speed = ca.sqrt(rim**2 + creep**2)
     angle = ca.atan(sideways / ca.sqrt(forward**2 + creep**2))

@@ -82,7 +82,7 @@ def known_soil(name: str) -> Soil:
     """
     if name not in SOILS:
         raise ModelError(
-            f"soil: expected one of {', '.join(SOILS)}, found {name!r}; choose one of them, or give "
-            "the constants of Soil(...)"
+            f"soil: expected one of {', '.join(SOILS)}, found {name!r}; choose one of them, or "
+            "give the constants of Soil(...)"
         )
     return SOILS[name].soil

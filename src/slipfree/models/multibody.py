@@ -131,11 +131,6 @@ class WheelMotion(NamedTuple):
 
     @property
     def spin(self) -> ca.SX:
-        """Angular velocity about the axle relative to fixed axes, forward positive [rad/s]."""
-        return self.speed - self.turning if self.prescribed else self.speed
-
-    @property
-    def spin(self) -> ca.SX:
         """Rate of the wheel relative to fixed axes, forward positive [rad/s]."""
         return self.rate - self.turning
 

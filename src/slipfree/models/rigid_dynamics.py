@@ -135,9 +135,7 @@ def rigid_dynamics(
         )
     )
     spins = (wheel.spin for wheel in body.wheels)
-    contacts = [
-        Contact(*each) for each in zip(touches, slips, spins, forces_on, strict=True)
-    ]
+    contacts = [Contact(*each) for each in zip(touches, slips, spins, forces_on, strict=True)]
     alone = [(each,) for each in contacts]
     ode, effort = equations_of_motion(vehicle, x, u, body, matrix, alone)
     q = quantities(vehicle, terrain, x, u, body, contacts, lookups)

@@ -65,7 +65,7 @@ class TestTable(Record):
 @cache
 def wheel_file() -> type[Record]:
     """Return the schema of a wheel file; the table ``[soil]`` has the constants of `Soil`."""
-    names = {
+    names: dict[str, Any] = {
         "name": (
             str,
             Field(default=next(iter(SOILS)), description=f"one of {', '.join(SOILS)}"),
@@ -158,7 +158,7 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     return WheelTest(title, soil, size, spec.wheel.load, curves, measured, errors)
 
 
-def _read(path: Path, settings: Sequence[str]) -> Record:
+def _read(path: Path, settings: Sequence[str]) -> Any:
     """Return the validated values of a wheel file."""
     text = read_text(path, "a wheel file")
     data = parse_toml(path, text)
@@ -168,9 +168,7 @@ def _read(path: Path, settings: Sequence[str]) -> Record:
     try:
         spec: Any = schema.model_validate(data)
     except ValidationError as error:
-        faults = [
-            validation_fault(schema, dict(each)) for each in error.errors(include_url=False)
-        ]
+        faults = [validation_fault(schema, dict(each)) for each in error.errors(include_url=False)]
         raise problem_error(source, faults) from error
     faults = [*value_errors(data), *_faults(spec)]
     if faults:
@@ -203,7 +201,10 @@ def _read_measured(path: Path) -> dict[str, Measured]:
             f"{', '.join(QUANTITIES)}, found {', '.join(names)}; add the names of the columns"
         )
     rows = np.array(read_columns(path, ["slip", "slip_angle", *found], "measured points")).T
-    return {name: Measured(rows[0], rows[1], values) for name, values in zip(found, rows[2:], strict=True)}
+    return {
+        name: Measured(rows[0], rows[1], values)
+        for name, values in zip(found, rows[2:], strict=True)
+    }
 
 
 def _error(
@@ -248,7 +249,9 @@ def wheel_facts(test: WheelTest) -> Facts:
     for name, (rms, mean) in test.errors.items():
         unit = COLUMNS[name]
         count = test.measured[name].slip.size
-        words = f"{count} points, computed minus measured rms {rms:.3g} {unit}, mean {mean:.3g} {unit}"
+        words = (
+            f"{count} points, computed minus measured rms {rms:.3g} {unit}, mean {mean:.3g} {unit}"
+        )
         facts.append((f"measured {name}", words))
     return facts
 

@@ -73,4 +73,6 @@ def _draw(test: DrawnWheel, name: str, factor: float, ax: Axes) -> None:
             slip, angles, values = test.measured[name]
             near = np.abs(angles - angle) < SAME_ANGLE
             color = style.look(k)["color"]
-            ax.plot(slip[near], factor * values[near], "o", ms=2.5, mfc="none", mew=0.6, color=color)
+            ax.plot(
+                slip[near], factor * values[near], "o", ms=2.5, mfc="none", mew=0.6, color=color
+            )
