@@ -109,6 +109,9 @@ class SlidingContacts(NamedTuple):
         Coefficient of friction at each wheel. [1]
     driven : tuple of SX
         Rates of the driven wheels. [rad/s]
+    spins : tuple of SX
+        Angular velocities of all wheels about their axles relative to fixed axes, forward positive.
+        [rad/s]
     diagnose : callable
         ``diagnose(x, z)`` returns the reason why a state has no equilibrium, as text; empty if
         friction is not the reason.
@@ -120,6 +123,7 @@ class SlidingContacts(NamedTuple):
     normal: tuple[ca.SX, ...]
     friction: tuple[ca.SX, ...]
     driven: tuple[ca.SX, ...]
+    spins: tuple[ca.SX, ...]
     diagnose: Callable[[Array, Array], str]
 
 
@@ -137,6 +141,9 @@ class Reaction(NamedTuple):
         Limits of the law's validity.
     continuation : Continuation or None
         Continuation from a simpler law to this law, for the initial conditions.
+    torques : tuple of SX
+        Moments of the ground about the axles, positive against forward rolling; empty if these are
+        the moments of the forces at the contact points. [N m]
     """
 
     along: tuple[ca.SX, ...]
@@ -145,6 +152,7 @@ class Reaction(NamedTuple):
     equations: Equations
     limits: tuple[Limit, ...] = ()
     continuation: Continuation | None = None
+    torques: tuple[ca.SX, ...] = ()
 
 
 @runtime_checkable

@@ -21,6 +21,7 @@ SLIP_LAWS: dict[str, type[SlipLaw]] = {
 GROUND_LAWS: dict[str, type[GroundLaw]] = {
     "coulomb": Coulomb,
     "linear_creep": LinearCreep,
+    "soil": Soil,
 }
 CONTACT_LAWS: dict[str, type[ContactLaw]] = {
     "compliant": Compliant,

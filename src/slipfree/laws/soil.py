@@ -33,6 +33,7 @@ smoothly; near standstill, shear paths are those of a rim speed ``creep``.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf, pi, radians, sqrt, tan
@@ -42,8 +43,20 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
+from slipfree.dae import Limit
 from slipfree.errors import ModelError
-from slipfree.laws.protocols import GroundForce, WheelContact, check_bounds
+from slipfree.laws.coulomb import creep_continuation, no_equilibrium
+from slipfree.laws.protocols import (
+    NORMAL,
+    Equations,
+    GroundForce,
+    Reaction,
+    SlidingContacts,
+    WheelContact,
+    check_bounds,
+    wheel_labels,
+)
+from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -54,6 +67,13 @@ STEADY_CREEP = 1e-6  # regularisation of steady motion [speeds of the wheel]
 ANGLE_SMOOTHING = 0.01  # slip angle at which its absolute value is 76 % of the angle [rad]
 SIDE_SMOOTHING = 0.01  # sideways speed at 76 % of bulldozing [forward and rim speed together]
 STATIC_STEPS = 60  # of bisection for the static sinkage
+
+
+class SoilUnknowns(NamedTuple):
+    """Normal forces [N] and depths of the wheels in soil [m]."""
+
+    normal: tuple[Any, ...]
+    sinkage: tuple[Any, ...]
 
 
 class WheelSize(NamedTuple):
@@ -86,7 +106,7 @@ class SoilForces(NamedTuple):
 
 @dataclass(frozen=True)
 class Soil:
-    """Loose soil under rigid wheels, for dynamics.
+    """Loose soil under rigid wheels, for dynamics and quasi-statics.
 
     The defaults are the dry sand of Ishigami et al. (2007); `slipfree.laws.soils` has other soils.
     The width of a wheel is that of its section, ``2 r1`` of a torus. Equation numbers are those of
@@ -190,6 +210,41 @@ class Soil:
         for wheel in vehicle.wheels:
             wheel_size(wheel)
 
+    def unknowns(self, vehicle: Vehicle) -> SoilUnknowns:
+        """Return the labels of the normal forces and of the sinkage of a quasi-static model."""
+        words = "depth of the wheel in the soil"
+        sunk = wheel_labels(vehicle, "sinkage", "m", words)
+        return SoilUnknowns(wheel_labels(vehicle, *NORMAL), sunk)
+
+    def reaction(self, contacts: SlidingContacts, unknowns: SoilUnknowns) -> Reaction:
+        """Return the forces of the soil in a quasi-static model, and the equations of sinkage."""
+        continuation, found = creep_continuation(self.creep), list[SoilForces]()
+        states = zip(
+            contacts.vehicle.wheels,
+            unknowns.sinkage,
+            contacts.spins,
+            contacts.along,
+            contacts.across,
+            strict=True,
+        )
+        for wheel, depth, spin, along, across in states:
+            size = wheel_size(wheel)
+            rim, forward = (size.radius + self.grouser_height) * spin, along + size.radius * spin
+            found.append(
+                forces_at_speeds(self, size, depth, rim, forward, across, continuation.symbol)
+            )
+        pairs = zip(found, unknowns.normal, strict=True)
+        bearing = ((each.normal - load) / contacts.vehicle.weight for each, load in pairs)
+        return Reaction(
+            tuple(each.pull for each in found),
+            tuple(each.side for each in found),
+            unknowns.normal,
+            Equations(_equation_labels(contacts.vehicle), ca.vertcat(*contacts.normal, *bearing)),
+            (_no_equilibrium(contacts), *_sunk(contacts.vehicle, unknowns.sinkage)),
+            continuation,
+            tuple(each.torque for each in found),
+        )
+
     def static_depth(self, wheel: Wheel, load: float) -> float:
         """Return the sinkage of a wheel at rest under a load [m].
 
@@ -233,6 +288,28 @@ class Soil:
         arm = frame.point - contact.center
         lever = ca.dot(frame.axle, ca.cross(arm, normal * frame.normal + tangential))
         return GroundForce(normal, tangential, ca.SX(0), torque - lever)
+
+
+def _equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
+    """Return the labels of the equations of contact and sinkage, one of each kind per wheel."""
+    words = "normal force of the soil minus that of the equilibrium, over the weight"
+    return (
+        *wheel_labels(vehicle, "touching", "m s-1", "normal velocity of the contact point"),
+        *wheel_labels(vehicle, "bearing", "1", words),
+    )
+
+
+def _no_equilibrium(contacts: SlidingContacts) -> Limit:
+    """Return the limit of the slip velocity, beyond which the soil cannot hold the vehicle."""
+    words = "no quasi-static equilibrium: the soil does not hold the vehicle"
+    return no_equilibrium(contacts._replace(diagnose=lambda _x, _z: words))
+
+
+def _sunk(vehicle: Vehicle, sinkage: tuple[ca.SX, ...]) -> Iterator[Limit]:
+    """Yield the limit of the sinkage of each wheel: its radius."""
+    for wheel, depth in zip(vehicle.wheels, sinkage, strict=True):
+        words = f"wheel {wheel.name} is in the soil to its axle (sinkage)"
+        yield Limit(Label("sunk", "m", words, wheel.name), depth, -inf, wheel.radius)
 
 
 def wheel_size(wheel: Wheel) -> WheelSize:
