@@ -63,9 +63,8 @@ from slipfree.vehicle.wheel import Wheel
 
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # on -1 to 1, for each side of the peak
 SMALLEST_DEPTH = 1e-9  # of a wheel in soil; angles have no derivative at depth zero [radii]
-STEADY_CREEP = 1e-6  # regularisation of steady motion [speeds of the wheel]
-ANGLE_SMOOTHING = 0.01  # slip angle at which its absolute value is 76 % of the angle [rad]
-SIDE_SMOOTHING = 0.01  # sideways speed at 76 % of bulldozing [forward and rim speed together]
+STEADY_CREEP = 1e-8  # regularisation of steady motion [speeds of the wheel]
+ANGLE_SMOOTHING = 0.01  # slip angle at which its sign, for (6) and (7), is 0.76 [rad]
 STATIC_STEPS = 60  # of bisection for the static sinkage
 
 
@@ -491,15 +490,15 @@ def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: floa
     """Return the motion of a rim relative to the soil (6)."""
     speed = ca.sqrt(rim**2 + creep**2)
     angle = ca.atan(sideways / ca.sqrt(forward**2 + creep**2))
-    steep = angle * ca.tanh(angle / ANGLE_SMOOTHING)
-    total = ca.sqrt(rim**2 + forward**2 + creep**2)
+    side = ca.tanh(angle / ANGLE_SMOOTHING)
+    steep = angle * side
     return _ShearMotion(
         rim / speed,
         forward / speed,
         sideways / speed,
         soil.shear_along + soil.shear_along_rate * steep,
         soil.shear_across + soil.shear_across_rate * steep,
-        ca.tanh(sideways / (SIDE_SMOOTHING * total)),
+        side,
     )
 
 
