@@ -7,6 +7,7 @@ density.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import radians
 from typing import NamedTuple
 
@@ -27,9 +28,10 @@ ISHIGAMI = (
     "quoted by codes that cite it; cohesion, friction angle and sinkage also in G. Ishigami, "
     "K. Mizuuchi, K. Yoshida, JSME ROBOMEC 2005, 1A1-S-055, table 1"
 )
-DING = (
-    "L. Ding et al., Planetary rovers' wheel-soil interaction mechanics, 2015, as tabulated in the "
-    "configuration of gz-terramechanics"
+DING_2015 = "L. Ding et al., 2015, as tabulated in the configuration of gz-terramechanics"
+DING_2011 = (
+    "L. Ding et al., J. Terramechanics 48(1), 2011, pp. 27-45, table 2, as tabulated by "
+    "roverdevkit; the shear modulus is 9.7 to 13.1 mm"
 )
 
 
@@ -66,9 +68,11 @@ def isotropic(
 
 SOILS: dict[str, KnownSoil] = {
     "regolith_simulant": KnownSoil(Soil(), ISHIGAMI),
-    "dry_sand": KnownSoil(isotropic(1040.0, 28.0, (0.99e3, 1528e3), 1.1, 0.010), DING),
-    "lunar": KnownSoil(isotropic(170.0, 35.0, (1.4e3, 820e3), 1.0, 0.018), DING),
-    "hit_lss1": KnownSoil(isotropic(250.0, 31.9, (15.6e3, 2407e3), 1.1, 0.010), DING),
+    "dry_sand": KnownSoil(isotropic(1040.0, 28.0, (0.99e3, 1528e3), 1.1, 0.010), DING_2015),
+    "lunar": KnownSoil(isotropic(170.0, 35.0, (1.4e3, 820e3), 1.0, 0.018), DING_2015),
+    "planetary_simulant": KnownSoil(
+        replace(isotropic(250.0, 31.9, (15.6e3, 2407.4e3), 1.1, 0.011), density=1605.0), DING_2011
+    ),
 }
 
 
