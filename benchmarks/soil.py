@@ -137,7 +137,8 @@ def cost() -> Iterator[str]:
         took = time.process_time() - built
         yield (
             f"cart on 8 degrees, 20 s, {type(contact).__name__}: model and start "
-            f"{built - began:.2f} s, motion {took:.2f} s, slip ratio {run['slip_ratio'][-1].mean():.4f}"
+            f"{built - began:.2f} s, motion {took:.2f} s, slip ratio "
+            f"{run['slip_ratio'][-1].mean():.4f}"
         )
 
 
