@@ -196,8 +196,9 @@ def test_parameters_of_new_laws_are_checked_as_those_of_others() -> None:
     assert "law.viscous.drag: expected a number greater than 0, found 0" in told(
         "law.viscous.drag=0"
     )
-    assert "expected one of weighted, coulomb, viscous, compliant, found the" in told(
-        "law.viscos.drag=1"
+    assert (
+        "expected one of weighted, coulomb, linear_creep, soil, viscous, compliant, found the"
+        in told("law.viscos.drag=1")
     )
     both = told("law.coulomb.creep=1e-3")
     assert "expected one law with model = 'quasi-static', of coulomb, viscous" in both

@@ -351,7 +351,7 @@ def forces_at_slip(soil: Soil, size: WheelSize, depth: Any, slip: Any, angle: An
 
 
 def forces_at_speeds(
-    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, sideways: Any, creep: float
+    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, sideways: Any, creep: Any
 ) -> SoilForces:
     """Return the forces on a wheel by depth and speeds (8).
 
@@ -368,7 +368,7 @@ def forces_at_speeds(
         [m/s]
     forward, sideways : SX or float
         Speed of the wheel's centre along the wheel, and across it to the right. [m/s]
-    creep : float
+    creep : SX or float
         Rim speed below which shear paths are reduced, positive. [m/s]
     """
     contact = _contact(soil, size, depth, rim, forward, creep)
@@ -464,7 +464,7 @@ class _ShearMotion(NamedTuple):
 
 
 def _contact(
-    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, creep: float
+    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, creep: Any
 ) -> _ContactArc:
     """Return the arc of a wheel in the soil (1, 2)."""
     relative = ca.fmin(ca.fmax(depth / size.radius, SMALLEST_DEPTH), 1)
@@ -486,7 +486,7 @@ def _contact(
     )
 
 
-def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: float) -> _ShearMotion:
+def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: Any) -> _ShearMotion:
     """Return the motion of a rim relative to the soil (6)."""
     speed = ca.sqrt(rim**2 + creep**2)
     angle = ca.atan(sideways / ca.sqrt(forward**2 + creep**2))
