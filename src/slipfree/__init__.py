@@ -11,8 +11,9 @@ Vehicle
 Model, a `Dae`
     `direct_kinematics`, the motion at given wheel rates, with a slip law: `LeastSlip`, `Rolling`.
     `inverse_kinematics`, the wheel rates of a given motion. `quasi_statics`, the motion by gravity
-    and friction, with a wheel-ground law: `Coulomb`. `dynamics`, the motion with inertia on
-    `Compliant` contacts. `rigid_dynamics`, the same for plans, with `LinearCreep` or `Coulomb`.
+    and friction, with a wheel-ground law: `Coulomb`, `Soil`. `dynamics`, the motion with inertia on
+    `Compliant` contacts or `Soil`. `rigid_dynamics`, the same for plans, with `LinearCreep` or
+    `Coulomb`.
     `montana_kinematics`, a second formulation of the direct kinematics.
 Start
     `settle`, the vehicle at rest on the ground.

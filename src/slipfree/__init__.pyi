@@ -11,6 +11,7 @@ from .laws.coulomb import Coulomb
 from .laws.least_slip import LeastSlip
 from .laws.linear_creep import LinearCreep
 from .laws.rolling import Rolling
+from .laws.soil import Soil
 from .models.dynamics import dynamics
 from .models.inverse import inverse_kinematics
 from .models.kinematics import direct_kinematics
@@ -63,6 +64,7 @@ __all__ = [
     "Rolling",
     "Route",
     "SlipfreeError",
+    "Soil",
     "Solids",
     "SolverError",
     "SolverOptions",

@@ -198,7 +198,7 @@ def test_parameters_of_new_laws_are_checked_as_those_of_others() -> None:
     )
     assert "viscous, compliant, found the unknown key" in told("law.viscos.drag=1")
     both = told("law.coulomb.creep=1e-3")
-    assert "expected one law with model = 'quasi-static', of coulomb, viscous" in both
+    assert "expected one law with model = 'quasi-static', of coulomb" in both
     slips = ("law=", "model=kinematics", "slip=weighted")
     assert "law.weighted.across: expected a value, found none" in told(*slips, "law.weighted={}")
     assert "expected one of least, rolling, weighted, found 'most'" in told("slip=most")

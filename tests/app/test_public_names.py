@@ -20,7 +20,7 @@ NAMES = {
     *("Vehicle", "Coordinate", "Joint", "Body", "Wheel", "catalog", "read_vehicle"),
     *("direct_kinematics", "inverse_kinematics", "montana_kinematics", "quasi_statics"),
     *("dynamics", "rigid_dynamics", "planar", "Compliant", "Rate", "Torque", "Motor"),
-    *("LeastSlip", "Rolling", "Coulomb", "LinearCreep"),
+    *("LeastSlip", "Rolling", "Coulomb", "LinearCreep", "Soil"),
     *("follow", "straight", "Path"),
     *("settle", "simulate", "plan", "replan", "cross_check"),
     *("Cost", "Region", "Route"),

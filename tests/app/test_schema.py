@@ -13,7 +13,7 @@ from slipfree.problem.schema_law import law_tables
 from slipfree.problem.verbs.registry import VERBS
 
 SCHEMAS = [verb.schema for verb in VERBS]
-UNIT = re.compile(r" \[(?:1|(?:[mNs]|kg|rad|deg|Hz)[\w/ ]*|1/s)(?:, (?:1|[\w/ ]+))*\]$")
+UNIT = re.compile(r" \[(?:1|(?:[mNs]|Pa|kg|rad|deg|Hz)[\w/ ^()+]*|1/s)(?:, (?:1|[\w/ ]+))*\]$")
 
 
 def records(found: Any, seen: set[type[schema.Record]]) -> Iterator[type[schema.Record]]:

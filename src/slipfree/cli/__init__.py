@@ -41,6 +41,7 @@ from slipfree.cli.run import run
 from slipfree.cli.show import show
 from slipfree.cli.sweep import sweep
 from slipfree.cli.track import track
+from slipfree.cli.wheel import wheel
 
 UsageError: Any = typer.BadParameter.__bases__[
     0
@@ -101,6 +102,7 @@ COMMANDS = (
     sweep,
     pareto,
     track,
+    wheel,
 )
 for command in COMMANDS:
     app.command()(with_output_options(command))

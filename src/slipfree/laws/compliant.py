@@ -9,35 +9,19 @@ therefore creeps.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
-from typing import Annotated, NamedTuple
+from math import inf, sqrt
+from typing import Annotated
 
 import casadi as ca
 from annotated_types import Ge, Gt, Le, Unit, doc
 
-from slipfree.contact.touch import Touch
-from slipfree.laws.protocols import check_bounds
-from slipfree.vehicle.tree import GRAVITY
+from slipfree.errors import ModelError
+from slipfree.laws.protocols import GroundForce, WheelContact, check_bounds
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import GRAVITY, Vehicle
+from slipfree.vehicle.wheel import Wheel
 
 SMALLEST_SPEED = 1e-12  # added to speeds under a root, whose derivative is then finite [m/s]
-
-
-class GroundForce(NamedTuple):
-    """Force of the ground on a wheel.
-
-    Attributes
-    ----------
-    normal : SX, shape (1, 1)
-        Component along the ground's normal. [N]
-    tangential : SX, shape (3, 1)
-        Friction force, in fixed axes. [N]
-    elastic : SX, shape (1, 1)
-        Elastic part of the normal force, without damping. [N]
-    """
-
-    normal: ca.SX
-    tangential: ca.SX
-    elastic: ca.SX
 
 
 @dataclass(frozen=True)
@@ -81,26 +65,32 @@ class Compliant:
     def __post_init__(self) -> None:
         check_bounds(self)
 
-    def force(self, touch: Touch, slip: ca.SX, share: float, depth: float) -> GroundForce:
+    def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
+        """Raise ModelError if the ground has no friction coefficient."""
+        if not terrain.has_friction:
+            raise ModelError(
+                "dynamics: expected a ground with a coefficient of friction, found none; set 'mu' "
+                "of the ground, or 'terrain.friction' in a problem file"
+            )
+
+    def static_depth(self, wheel: Wheel, load: float) -> float:  # noqa: ARG002 - of the protocol
+        """Return the static depth of a wheel, which determines the stiffness [m]."""
+        return wheel.depth
+
+    def max_depth(self, wheel: Wheel) -> float:  # noqa: ARG002 - of the protocol
+        """Return the depth up to which the law is valid: infinity [m]."""
+        return inf
+
+    def force(self, contact: WheelContact) -> GroundForce:
         """Return the force of the ground on a wheel.
 
         Parameters
         ----------
-        touch : Touch
-            Contact of the wheel.
-        slip : SX, shape (3, 1)
-            Velocity of the wheel's material point at the contact, in fixed axes. [m/s]
-        share : float
-            Share of the vehicle's weight. [N]
-        depth : float
-            Static depth of the wheel under this share. [m]
-
-        Returns
-        -------
-        GroundForce
-            Normal force and friction force.
+        contact : WheelContact
+            Contact and motion of the wheel.
         """
-        stiffness, damping = share / depth, 2 * self.damping_ratio / sqrt(GRAVITY * depth)
+        touch, slip, depth = contact.touch, contact.slip, contact.wheel.depth
+        stiffness, damping = contact.share / depth, 2 * self.damping_ratio / sqrt(GRAVITY * depth)
         normal = touch.frame.normal
         away = ca.dot(normal, slip)
         elastic = stiffness * ca.fmax(-touch.gap, 0)
@@ -113,4 +103,4 @@ class Compliant:
             slow = ca.exp(-((speed / self.stribeck_speed) ** 2))
             friction *= self.sliding + (1 - self.sliding) * slow
         pull = -friction * load / ca.sqrt(square + self.creep**2) * tangential
-        return GroundForce(load, pull, elastic)
+        return GroundForce(load, pull, elastic, ca.SX(0))

@@ -102,7 +102,7 @@ class Coulomb:
             )
             for parts, slip in zip(used, slips, strict=True)
         )
-        continuation = self._continuation()
+        continuation = creep_continuation(self.creep)
         sizes = [ca.sqrt(a**2 + c**2 + continuation.symbol**2) for a, c in zip(*slips, strict=True)]
         friction = [
             p * size + s
@@ -118,12 +118,13 @@ class Coulomb:
             continuation,
         )
 
-    def _continuation(self) -> Continuation:
-        """Return the continuation from nearly viscous friction to ``creep``, by creep speeds."""
-        values = [MAX_CREEP]
-        while values[-1] > self.creep:
-            values.append(max(values[-1] * CREEP_RATIO, self.creep))
-        return Continuation(ca.SX.sym("creep"), tuple(values))
+
+def creep_continuation(creep: float) -> Continuation:
+    """Return the continuation from nearly viscous friction to a creep speed, by creep speeds."""
+    values = [MAX_CREEP]
+    while values[-1] > creep:
+        values.append(max(values[-1] * CREEP_RATIO, creep))
+    return Continuation(ca.SX.sym("creep"), tuple(values))
 
 
 def check_friction(law: str, terrain: Terrain) -> None:

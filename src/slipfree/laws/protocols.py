@@ -9,11 +9,13 @@ from typing import Any, NamedTuple, Protocol, get_type_hints, runtime_checkable
 import casadi as ca
 
 from slipfree.contact.closure import ContactFrame
+from slipfree.contact.touch import Touch
 from slipfree.dae import Continuation, Limit
 from slipfree.errors import ModelError
 from slipfree.records import Array, Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import Wheel
 
 ALONG = "force_along", "N", "force of the ground on the wheel along it, forward positive"
 ACROSS = "force_across", "N", "force of the ground on the wheel across it, to the right positive"
@@ -107,6 +109,9 @@ class SlidingContacts(NamedTuple):
         Coefficient of friction at each wheel. [1]
     driven : tuple of SX
         Rates of the driven wheels. [rad/s]
+    spins : tuple of SX
+        Angular velocities of all wheels about their axles relative to fixed axes, forward positive.
+        [rad/s]
     diagnose : callable
         ``diagnose(x, z)`` returns the reason why a state has no equilibrium, as text; empty if
         friction is not the reason.
@@ -118,6 +123,7 @@ class SlidingContacts(NamedTuple):
     normal: tuple[ca.SX, ...]
     friction: tuple[ca.SX, ...]
     driven: tuple[ca.SX, ...]
+    spins: tuple[ca.SX, ...]
     diagnose: Callable[[Array, Array], str]
 
 
@@ -135,6 +141,9 @@ class Reaction(NamedTuple):
         Limits of the law's validity.
     continuation : Continuation or None
         Continuation from a simpler law to this law, for the initial conditions.
+    torques : tuple of SX
+        Moments of the ground about the axles, positive against forward rolling; empty if these are
+        the moments of the forces at the contact points. [N m]
     """
 
     along: tuple[ca.SX, ...]
@@ -143,6 +152,7 @@ class Reaction(NamedTuple):
     equations: Equations
     limits: tuple[Limit, ...] = ()
     continuation: Continuation | None = None
+    torques: tuple[ca.SX, ...] = ()
 
 
 @runtime_checkable
@@ -161,6 +171,72 @@ class GroundLaw(Protocol):
 
     def reaction(self, contacts: SlidingContacts, unknowns: Any) -> Reaction:
         """Return the forces of the ground and the equations of the law's unknowns."""
+
+
+class WheelContact(NamedTuple):
+    """Contact and motion of a wheel of a dynamic model.
+
+    Attributes
+    ----------
+    wheel : Wheel
+        The wheel, with a static depth.
+    touch : Touch
+        Contact with the ground.
+    slip : SX, shape (3, 1)
+        Velocity of the wheel's material point at the contact, in fixed axes. [m/s]
+    spin : SX, shape (1, 1)
+        Angular velocity about the axle relative to fixed axes, forward positive. [rad/s]
+    center : SX, shape (3, 1)
+        Centre of the wheel. [m]
+    share : float
+        Share of the vehicle's weight. [N]
+    """
+
+    wheel: Wheel
+    touch: Touch
+    slip: ca.SX
+    spin: ca.SX
+    center: ca.SX
+    share: float
+
+
+class GroundForce(NamedTuple):
+    """Force of the ground on a wheel at its contact point, and its moment about the axle.
+
+    Attributes
+    ----------
+    normal : SX, shape (1, 1)
+        Component along the ground's normal. [N]
+    tangential : SX, shape (3, 1)
+        Friction force, in fixed axes. [N]
+    elastic : SX, shape (1, 1)
+        Elastic part of the normal force, without damping. [N]
+    moment : SX, shape (1, 1)
+        Moment about the axle in addition to that of the force, positive against forward rolling.
+        [N m]
+    """
+
+    normal: ca.SX
+    tangential: ca.SX
+    elastic: ca.SX
+    moment: ca.SX
+
+
+@runtime_checkable
+class ContactLaw(Protocol):
+    """Forces of the ground on the wheels of a dynamic model, as functions of depth and motion."""
+
+    def check(self, vehicle: Vehicle, terrain: Terrain) -> None:
+        """Raise ModelError if the law cannot be used with the vehicle or the ground."""
+
+    def static_depth(self, wheel: Wheel, load: float) -> float:
+        """Return the depth of a wheel at rest under a load [m]; the wheel has a static depth."""
+
+    def max_depth(self, wheel: Wheel) -> float:
+        """Return the depth up to which the law is valid; infinity without limit [m]."""
+
+    def force(self, contact: WheelContact) -> GroundForce:
+        """Return force and moment of the ground on a wheel."""
 
 
 def wheel_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:

@@ -10,8 +10,9 @@ from slipfree.laws.compliant import Compliant
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.linear_creep import LinearCreep
-from slipfree.laws.protocols import GroundLaw, SlipLaw
+from slipfree.laws.protocols import ContactLaw, GroundLaw, SlipLaw
 from slipfree.laws.rolling import Rolling
+from slipfree.laws.soil import Soil
 
 SLIP_LAWS: dict[str, type[SlipLaw]] = {
     "least": LeastSlip,
@@ -20,7 +21,9 @@ SLIP_LAWS: dict[str, type[SlipLaw]] = {
 GROUND_LAWS: dict[str, type[GroundLaw]] = {
     "coulomb": Coulomb,
     "linear_creep": LinearCreep,
+    "soil": Soil,
 }
-CONTACT_LAWS: dict[str, type[Compliant]] = {
+CONTACT_LAWS: dict[str, type[ContactLaw]] = {
     "compliant": Compliant,
+    "soil": Soil,
 }

@@ -167,6 +167,11 @@ def extent(vehicle: Vehicle) -> float:
 
 
 def at_rest(vehicle: Vehicle, labels: Any) -> ca.SX:
-    """Return the initial guess of rates and forces: equal normal forces, zero otherwise."""
+    """Return the initial guess of rates, forces and sinkage.
+
+    Normal forces are equal, wheels in soil have their static depth; other values are zero.
+    """
     share = vehicle.weight / len(vehicle.wheels)
-    return ca.SX([share if each.name == "force_normal" else 0.0 for each in leaves(labels)])
+    depths = {wheel.name: wheel.depth for wheel in vehicle.wheels}
+    guess = {"force_normal": dict.fromkeys(depths, share), "sinkage": depths}
+    return ca.SX([guess.get(each.name, {}).get(each.wheel, 0.0) for each in leaves(labels)])

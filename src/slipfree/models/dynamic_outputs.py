@@ -12,7 +12,7 @@ from slipfree.contact.closure import ContactFrame
 from slipfree.contact.solid_touch import tube_radii
 from slipfree.contact.touch import Touch
 from slipfree.dae import Limit
-from slipfree.laws.compliant import GroundForce
+from slipfree.laws.protocols import ContactLaw, GroundForce
 from slipfree.lookups import LookupTable
 from slipfree.models.base import outputs
 from slipfree.models.dynamic_records import (
@@ -40,10 +40,23 @@ LEAST_SPEED = 1e-6  # of a wheel or its rim, below which a slip ratio is reduced
 
 
 class Contact(NamedTuple):
-    """Contact of a wheel, its slip velocity (3, 1) [m/s], and the force of the ground on it."""
+    """Contact of a wheel, and the force of the ground on it.
+
+    Attributes
+    ----------
+    touch : Touch
+        Contact with the ground.
+    slip : SX, shape (3, 1)
+        Velocity of the wheel's material point at the contact. [m/s]
+    spin : SX, shape (1, 1)
+        Angular velocity about the axle relative to fixed axes, forward positive. [rad/s]
+    force : GroundForce
+        Force and moment of the ground on the wheel.
+    """
 
     touch: Touch
     slip: ca.SX
+    spin: ca.SX
     force: GroundForce
 
     @property
@@ -52,8 +65,9 @@ class Contact(NamedTuple):
         return self.force.normal * self.touch.frame.normal + self.force.tangential
 
     def moment(self, center: ca.SX) -> ca.SX:
-        """Return the moment of the force about a point, shape (3, 1) [N m]."""
-        return ca.cross(self.touch.frame.point - center, self.total)
+        """Return the moment of the ground on the wheel about a point, shape (3, 1) [N m]."""
+        arm = self.touch.frame.point - center
+        return ca.cross(arm, self.total) + self.force.moment * self.touch.frame.axle
 
     @property
     def energy(self) -> ca.SX:
@@ -64,7 +78,8 @@ class Contact(NamedTuple):
     def dissipation(self) -> ca.SX:
         """Power that the contact dissipates [W]."""
         away = ca.dot(self.touch.frame.normal, self.slip)
-        return self.force.elastic * away - ca.dot(self.total, self.slip)
+        braking = self.force.moment * self.spin
+        return self.force.elastic * away - ca.dot(self.total, self.slip) + braking
 
 
 def deepest(contacts: Sequence[Contact]) -> Contact:
@@ -240,6 +255,18 @@ def solid_limits(vehicle: Vehicle, contacts: Sequence[tuple[Contact, ...]]) -> I
             gap = ca.mmin(ca.vertcat(*(each.touch.gap for each in on_solids)))
             label = Label("solid_gap", "m", words, wheel.name)
             yield Limit(label, gap, -tube_radii(wheel)[0], np.inf)
+
+
+def depth_limits(
+    vehicle: Vehicle, law: ContactLaw, contacts: Sequence[tuple[Contact, ...]]
+) -> Iterator[Limit]:
+    """Yield the limit of the depth of each wheel up to which a law is valid, if there is one."""
+    for wheel, touching in zip(vehicle.wheels, contacts, strict=True):
+        most = law.max_depth(wheel)
+        if most < np.inf:
+            words = f"wheel {wheel.name} is in the ground to its axle (depth)"
+            depth = -ca.mmin(ca.vertcat(*(each.touch.gap for each in touching)))
+            yield Limit(Label("sunk", "m", words, wheel.name), depth, -np.inf, most)
 
 
 def dynamic_forces(

@@ -30,12 +30,14 @@ from slipfree.forks import computing
 from slipfree.geometry.frame import Pose, platform, quaternion, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.least_slip import LeastSlip
+from slipfree.laws.protocols import ContactLaw, WheelContact, check_law
 from slipfree.lookups import LookupTable
 from slipfree.models.base import extent, raised_poses, sizes, touch_function
 from slipfree.models.dynamic_outputs import (
     Contact,
     Effort,
     deepest,
+    depth_limits,
     dynamic_forces,
     dynamic_outputs,
     limit_quantities,
@@ -76,7 +78,7 @@ def dynamics(
     vehicle: Vehicle,
     ground: Terrain | Solids,
     *,
-    law: Compliant = Compliant(),  # noqa: B008 - a frozen record
+    law: ContactLaw = Compliant(),  # noqa: B008 - a frozen record
 ) -> Dae:
     """Return the dynamic model of a vehicle on a ground.
 
@@ -86,8 +88,8 @@ def dynamics(
         The vehicle, with mass. Wheels may leave the ground.
     ground : Terrain or Solids
         The ground, with friction. A motion ends where a contact leaves its domain.
-    law : Compliant
-        Wheel-ground law.
+    law : ContactLaw
+        Wheel-ground law: `Compliant`, or `Soil`, which needs no friction of the ground.
 
     Returns
     -------
@@ -99,8 +101,9 @@ def dynamics(
     ------
     ModelError
         If the vehicle has no mass, if a wheel whose rate is not prescribed has neither mass nor
-        inertia, if a coordinate whose rate is not prescribed moves no mass, if the ground has no
-        coefficient of friction, or if a wheel on solids is not a torus, a disc or a sphere.
+        inertia, if a coordinate whose rate is not prescribed moves no mass, if the law cannot be
+        used with the vehicle or the ground, or if a wheel on solids is not a torus, a disc or a
+        sphere.
 
     Notes
     -----
@@ -126,8 +129,10 @@ def dynamics(
     None
     """
     terrain, prisms = (ground.base, ground.prisms) if isinstance(ground, Solids) else (ground, ())
-    check_dynamic(vehicle, terrain)
-    vehicle = with_depths(vehicle)
+    check_law(law, ContactLaw, "law: expected a law of dynamics such as Compliant() or Soil()")
+    check_dynamic(vehicle)
+    law.check(vehicle, terrain)
+    vehicle = _with_depths_of(law, with_depths(vehicle))
     labels = dynamic_labels(vehicle, len(prisms))
     x, u, lookups = symbols(labels.x), symbols(labels.u), LookupTable()
     body = moving_bodies(vehicle, x)
@@ -162,6 +167,7 @@ def dynamics(
         limits=(
             *limits_of(limit_quantities(q, on_base), static=False),
             *solid_limits(vehicle, contacts),
+            *depth_limits(vehicle, law, contacts),
         ),
         checks=checks,
         guess=ca.SX(0, 1),
@@ -175,17 +181,12 @@ def dynamics(
     )
 
 
-def check_dynamic(vehicle: Vehicle, terrain: Terrain) -> None:
-    """Raise ModelError if a vehicle or a ground does not suit dynamics."""
+def check_dynamic(vehicle: Vehicle) -> None:
+    """Raise ModelError if a vehicle does not suit dynamics."""
     if not vehicle.mass:
         raise ModelError(
             f"dynamics: expected a vehicle with mass, found none in {vehicle.name!r}; give its "
             "platform and its wheels a mass"
-        )
-    if not terrain.has_friction:
-        raise ModelError(
-            "dynamics: expected a ground with a coefficient of friction, found none; set 'mu' of "
-            "the ground, or 'terrain.friction' in a problem file"
         )
     for wheel in vehicle.wheels:
         if not (wheel.mass or wheel.inertia or wheel.acting_drive.prescribed):
@@ -219,6 +220,15 @@ def with_depths(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, wheels=tuple(wheels))
 
 
+def _with_depths_of(law: ContactLaw, vehicle: Vehicle) -> Vehicle:
+    """Return a vehicle whose wheels have the static depths of a law, under equal shares."""
+    share = vehicle.weight / len(vehicle.wheels)
+    wheels = (
+        replace(wheel, static_depth=law.static_depth(wheel, share)) for wheel in vehicle.wheels
+    )
+    return replace(vehicle, wheels=tuple(wheels))
+
+
 def moving_bodies(vehicle: Vehicle, x: DynamicState) -> Multibody:
     """Return the vehicle as a system of rigid bodies in given states."""
     in_space = _in_space(vehicle, x)
@@ -243,7 +253,7 @@ def _contacts(
     vehicle: Vehicle,
     terrain: Terrain,
     prisms: Sequence[Prism],
-    law: Compliant,
+    law: ContactLaw,
     body: Multibody,
     lookups: LookupTable,
 ) -> list[tuple[Contact, ...]]:
@@ -260,13 +270,12 @@ def _contacts(
             touch(terrain, wheel, pose, searches[wheel.section], lookups),
             *(solid_touch(prism, terrain, wheel, pose, lookups) for prism in prisms),
         ]
-        slips = [slip_velocity(each, at) for at in touches]
-        found.append(
-            tuple(
-                Contact(at, slip, law.force(at, slip, share, wheel.depth))
-                for at, slip in zip(touches, slips, strict=True)
-            )
-        )
+        on_wheel = list[Contact]()
+        for at in touches:
+            slip = slip_velocity(each, at)
+            state = WheelContact(wheel, at, slip, each.spin, pose.origin, share)
+            on_wheel.append(Contact(at, slip, each.spin, law.force(state)))
+        found.append(tuple(on_wheel))
     return found
 
 

@@ -17,8 +17,9 @@ from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, check
 from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import diagnosis
 from slipfree.models.labels import equilibrium_labels, labels_of
-from slipfree.models.quantities import Quantities
+from slipfree.models.quantities import Mechanics, Quantities
 from slipfree.models.records import Algebraic, Forces
+from slipfree.models.slip import absolute_spins
 from slipfree.models.statics import equilibrium
 from slipfree.records import pack
 from slipfree.terrain.base import Terrain
@@ -41,7 +42,8 @@ def quasi_statics(
     terrain : Terrain
         The ground, with friction. A motion ends where a contact leaves its domain.
     law : GroundLaw
-        Wheel-ground law, such as `Coulomb`.
+        Wheel-ground law, such as `Coulomb` or `Soil`. Wheels in soil have a sinkage, but the pose
+        of the vehicle is that on rigid ground.
 
     Returns
     -------
@@ -77,8 +79,11 @@ def quasi_statics(
     law.check(vehicle, terrain)
     labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
     z, q = closure_quantities(vehicle, terrain, labels)
-    reaction = law.reaction(_sliding(z, q), q.rates.law)
+    turning = absolute_spins(vehicle, q.x, q.position, q.rates, q.u)
+    reaction = law.reaction(_sliding(z, q, turning), q.rates.law)
     q = q._replace(forces=Forces(reaction.along, reaction.across, reaction.normal))
+    if reaction.torques:
+        q = q._replace(mechanics=_with_torques(q, reaction.torques, turning))
     balance = Equations(
         (*equilibrium_labels(labels.z.rates), *reaction.equations.labels),
         ca.vertcat(equilibrium(q.mechanics, q.forces.column), reaction.equations.rows),
@@ -95,7 +100,30 @@ def quasi_statics(
     )
 
 
-def _sliding(z: Algebraic, q: Quantities) -> SlidingContacts:
+def _with_torques(
+    q: Quantities, torques: tuple[ca.SX, ...], turning: tuple[ca.SX, ...]
+) -> Mechanics:
+    """Return the terms of the equilibrium with moments of the ground about the axles.
+
+    The difference between such a moment and that of the forces at the contact point acts on the
+    rates in proportion to the wheel's angular velocity ``turning`` about its axle.
+    """
+    more = list[ca.SX]()
+    forces = zip(q.forces.along, q.forces.across, q.forces.normal, strict=True)
+    for pose, at, torque, force in zip(q.poses, q.contacts, torques, forces, strict=True):
+        along, across, normal = force
+        total = along * at.along + across * at.across + normal * at.normal
+        lever = ca.cross(at.point - pose.origin, total)
+        more.append(torque - ca.dot(pose.rotation[:, 0], lever))
+    moments, speeds, parts = ca.vertcat(*more), ca.vertcat(*turning), q.mechanics
+    return parts._replace(
+        load=parts.load - ca.jacobian(speeds, pack(q.rates.motion)).T @ moments,
+        held=parts.held - ca.jacobian(speeds, pack(q.u)).T @ moments,
+        damped=parts.damped + ca.dot(moments, speeds),
+    )
+
+
+def _sliding(z: Algebraic, q: Quantities, turning: tuple[ca.SX, ...]) -> SlidingContacts:
     """Return the sliding contacts, whose slip is a linear function of rates and inputs."""
     parts = q.mechanics
     slip = ca.vertsplit(parts.free @ pack(q.rates.motion) + parts.driven @ pack(q.u))
@@ -106,5 +134,6 @@ def _sliding(z: Algebraic, q: Quantities) -> SlidingContacts:
         tuple(slip[2::3]),
         parts.friction,
         q.u.wheels,
+        turning,
         diagnosis(z, q),
     )

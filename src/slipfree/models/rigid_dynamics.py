@@ -30,9 +30,9 @@ from slipfree.contact.touch import Touch
 from slipfree.dae import Dae, Labels, Limit, Replay
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.laws.compliant import Compliant, GroundForce
+from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
-from slipfree.laws.protocols import GroundLaw, SlidingContacts, check_law
+from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts, check_law
 from slipfree.lookups import LookupTable
 from slipfree.models.base import at_rest, extent, raised_poses, sizes, touch_function
 from slipfree.models.dynamic_outputs import (
@@ -114,7 +114,8 @@ def rigid_dynamics(
     4.00
     """
     check_law(law, GroundLaw, "law: expected a wheel-ground law such as LinearCreep()")
-    check_dynamic(vehicle, terrain)
+    check_dynamic(vehicle)
+    contact.check(vehicle, terrain)
     law.check(vehicle, terrain)
     _check_suspension(vehicle)
     vehicle = with_depths(vehicle)
@@ -125,14 +126,17 @@ def rigid_dynamics(
     check_inertia(vehicle, labels, x, matrix)
     touches = _touches(terrain, body, z.contacts, lookups)
     slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
-    sliding = _sliding(vehicle, touches, slips, z.law.normal, u.wheels)
+    spins = tuple(wheel.spin for wheel in body.wheels)
+    sliding = _sliding(vehicle, touches, slips, z.law.normal, u.wheels, spins)
     reaction = law.reaction(sliding, z.law)
-    contacts = [
-        Contact(at, slip, GroundForce(n, a * at.frame.along + c * at.frame.across, ca.SX(0)))
-        for at, slip, n, a, c in zip(
-            touches, slips, reaction.normal, reaction.along, reaction.across, strict=True
+    _check_torques(law, reaction)
+    forces_on = (
+        GroundForce(n, a * at.frame.along + c * at.frame.across, ca.SX(0), ca.SX(0))
+        for at, n, a, c in zip(
+            touches, reaction.normal, reaction.along, reaction.across, strict=True
         )
-    ]
+    )
+    contacts = [Contact(*each) for each in zip(touches, slips, spins, forces_on, strict=True)]
     alone = [(each,) for each in contacts]
     ode, effort = equations_of_motion(vehicle, x, u, body, matrix, alone)
     q = quantities(vehicle, terrain, x, u, body, contacts, lookups)
@@ -261,6 +265,7 @@ def _sliding(
     slips: Sequence[ca.SX],
     normal: Sequence[ca.SX],
     driven: tuple[ca.SX, ...],
+    spins: tuple[ca.SX, ...],
 ) -> SlidingContacts:
     """Return the contacts for the law, with the contact constraints as normal velocities."""
     share = vehicle.weight / len(vehicle.wheels)
@@ -276,7 +281,18 @@ def _sliding(
         )
     )
     friction = tuple(each.friction for each in touches)
-    return SlidingContacts(vehicle, along, across, constraints, friction, driven, lambda _x, _z: "")
+    return SlidingContacts(
+        vehicle, along, across, constraints, friction, driven, spins, lambda _x, _z: ""
+    )
+
+
+def _check_torques(law: GroundLaw, reaction: Reaction) -> None:
+    """Raise ModelError for a law whose torques are not those of its forces."""
+    if reaction.torques:
+        raise ModelError(
+            "rigid_dynamics: expected a law whose forces act at the contact points, such as "
+            f"LinearCreep(), found {type(law).__name__}; use quasi_statics or dynamics for it"
+        )
 
 
 def _lift_off(vehicle: Vehicle, normal: Sequence[ca.SX]) -> Iterator[Limit]:

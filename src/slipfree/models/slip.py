@@ -74,15 +74,37 @@ def slip_velocities(
     tuple of SX, shape (3, 1)
         Slip velocities in fixed axes, one for each wheel. [m/s]
     """
-    q = pack((*x, *position[:4]))
-    joints = joint_rates(vehicle, rates, u)
-    inclination = rates.z, rates.roll, rates.pitch
-    q_dot = pack((rates.x, rates.y, rates.heading, joints, *inclination, rates.suspension))
+    q, q_dot = _coordinates(vehicle, x, position, rates, u)
     poses, turning = carriers(vehicle, x, position), spins(vehicle, rates, u)
     return tuple(
         slip_velocity(wheel, pose, contact, q, q_dot, spin)
         for wheel, pose, contact, spin in zip(vehicle.wheels, poses, contacts, turning, strict=True)
     )
+
+
+def absolute_spins(
+    vehicle: Vehicle, x: Configuration, position: Dependent, rates: Rates, u: Inputs
+) -> tuple[ca.SX, ...]:
+    """Return the angular velocities of the wheels about their axles, relative to fixed axes.
+
+    They are positive for forward motion. Parameters are those of `slip_velocities`. [rad/s]
+    """
+    q, q_dot = _coordinates(vehicle, x, position, rates, u)
+    poses, turning = carriers(vehicle, x, position), spins(vehicle, rates, u)
+    return tuple(
+        rate - ca.dot(pose.rotation[:, 0], pose.twist(q, q_dot).omega)
+        for pose, rate in zip(poses, turning, strict=True)
+    )
+
+
+def _coordinates(
+    vehicle: Vehicle, x: Configuration, position: Dependent, rates: Rates, u: Inputs
+) -> tuple[ca.SX, ca.SX]:
+    """Return the coordinates of a vehicle and their rates, as columns of equal order."""
+    joints = joint_rates(vehicle, rates, u)
+    inclination = rates.z, rates.roll, rates.pitch
+    q_dot = pack((rates.x, rates.y, rates.heading, joints, *inclination, rates.suspension))
+    return pack((*x, *position[:4])), q_dot
 
 
 def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:

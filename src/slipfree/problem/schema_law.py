@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import MISSING, fields
 from functools import cache
-from typing import Any, cast, get_type_hints
+from typing import Annotated, Any, cast, get_type_hints
 
 from annotated_types import DocInfo, Unit
 from pydantic import (
@@ -16,6 +16,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from slipfree.files.toml.angles import IN_RADIANS
 from slipfree.files.toml.types import Record
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.problem.catalog_table import reworded
@@ -40,7 +41,7 @@ def law_record(law: type) -> type[Record]:
     hints = get_type_hints(law, include_extras=True)
     keys: dict[str, Any] = {
         each.name: (
-            hints[each.name],
+            _with_unit(hints[each.name]),
             Field(
                 default=... if each.default is MISSING else each.default,
                 description=_description(hints[each.name]),
@@ -50,6 +51,12 @@ def law_record(law: type) -> type[Record]:
     }
     words = (law.__doc__ or "").partition("\n")[0]
     return create_model(law.__name__, __base__=Record, __doc__=words, **keys)
+
+
+def _with_unit(hint: Any) -> Any:
+    """Return the annotation of a parameter; angles also accept text such as "30 deg"."""
+    units = [each.unit for each in getattr(hint, "__metadata__", ()) if isinstance(each, Unit)]
+    return Annotated[hint, IN_RADIANS] if units == ["rad"] else hint
 
 
 def _description(hint: Any) -> str:

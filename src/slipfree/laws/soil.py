@@ -1,0 +1,555 @@
+"""Soil: forces on a rigid wheel in loose soil, by Bekker, Wong and Reece.
+
+The wheel presses and shears the soil along its rim. With the depth ``h`` of the wheel, its radius
+``r`` and width ``b``, and the angle ``theta`` from its lowest point forward, the normal stress
+follows from the pressure-sinkage relation of Bekker and Reece, with its peak at ``theta_m`` (Wong
+and Reece); the shear stress follows from the path that the rim has made in the soil (Janosi and
+Hanamoto). Shear deformation moduli grow with the slip angle (Ishigami):
+
+- Entry and exit: ``theta_f = acos(1 - h / r)`` and ``theta_r = -acos(1 - lambda h / r)`` (1).
+- Peak: ``theta_m = (a_0 + a_1 s) theta_f`` (2), for the slip ratio ``s``.
+- Normal stress: ``sigma = (k_c / b + k_phi) (r (cos theta_e - cos theta_f))^n`` (3), where
+  ``theta_e`` is ``theta`` ahead of the peak; behind the peak it runs from ``theta_m`` to
+  ``theta_f`` as ``theta`` runs from ``theta_m`` to ``theta_r``.
+- Shear path: ``j_x = r_s (theta_f - theta - (1 - s) (sin theta_f - sin theta))`` and
+  ``j_y = r_s (1 - s) (theta_f - theta) tan beta`` (4), for the slip angle ``beta`` and the shear
+  radius ``r_s = r + h_g`` with the effective height ``h_g`` of grousers.
+- Shear stress: ``tau_x = (c + sigma tan phi) (1 - exp(-j_x / k_x))``, and ``tau_y`` alike (5), with
+  ``k_x = k_x0 + k_x1 abs(beta)`` and ``k_y = k_y0 + k_y1 abs(beta)`` (6).
+- Bulldozing at the side of the wheel: ``R_b = D_1 (c h' + D_2 w h'^2 / 2)`` (7), with
+  ``h' = r (cos theta - cos theta_f)``, the weight ``w`` of the soil per volume,
+  ``D_1 = cot X + tan(X + phi)``, ``D_2 = cot X + cot^2 X tan phi`` and ``X = pi/4 - phi/2``.
+- Normal force ``r b int(sigma cos + tau_x sin)``, drawbar pull ``r b int(tau_x cos - sigma sin)``,
+  side force ``int(r b tau_y + R_b (r - h' cos))`` and resistance torque ``r r_s b int(tau_x)`` (8).
+
+Each integral is the sum over eight Gauss points ahead of the peak and eight behind it.
+
+The formulas apply to a wheel that is driven forward. Here they are written in the rim speed
+``u = r_s sigma`` and the speeds ``v_x``, ``v_y`` of the wheel's centre, where ``1 - s = v_x / u``
+and ``(1 - s) tan beta = v_y / u``. They then hold for braked and locked wheels, wheels that spin in
+place, sideways and backward motion. A wheel that changes its direction exchanges entry and exit
+smoothly; near standstill, shear paths are those of a rim speed ``creep``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from math import inf, pi, radians, sqrt, tan
+from typing import Annotated, Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt, Unit, doc
+
+from slipfree.dae import Limit
+from slipfree.errors import ModelError
+from slipfree.laws.coulomb import creep_continuation, no_equilibrium
+from slipfree.laws.protocols import (
+    NORMAL,
+    Equations,
+    GroundForce,
+    Reaction,
+    SlidingContacts,
+    WheelContact,
+    check_bounds,
+    wheel_labels,
+)
+from slipfree.records import Label
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import GRAVITY, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # on -1 to 1, for each side of the peak
+SMALLEST_DEPTH = 1e-9  # of a wheel in soil; angles have no derivative at depth zero [radii]
+STEADY_CREEP = 1e-8  # regularisation of steady motion [speeds of the wheel]
+ANGLE_SMOOTHING = 0.01  # slip angle at which its sign, for (6) and (7), is 0.76 [rad]
+STATIC_STEPS = 60  # of bisection for the static sinkage
+
+
+class SoilUnknowns(NamedTuple):
+    """Normal forces [N] and depths of the wheels in soil [m]."""
+
+    normal: tuple[Any, ...]
+    sinkage: tuple[Any, ...]
+
+
+class WheelSize(NamedTuple):
+    """Radius [m] and width [m] of a wheel in soil."""
+
+    radius: float
+    width: float
+
+
+class SoilForces(NamedTuple):
+    """Forces of the soil on a wheel, of the type of the arguments they were computed from.
+
+    Attributes
+    ----------
+    normal : SX or float
+        Force along the normal of the ground. [N]
+    pull : SX or float
+        Drawbar pull: force along the wheel, forward positive. [N]
+    side : SX or float
+        Force across the wheel, to the right positive; against the sideways motion. [N]
+    torque : SX or float
+        Resistance torque about the axle: the drive torque that keeps the rate constant. [N m]
+    """
+
+    normal: Any
+    pull: Any
+    side: Any
+    torque: Any
+
+
+@dataclass(frozen=True)
+class Soil:
+    """Loose soil under rigid wheels, for dynamics and quasi-statics.
+
+    The defaults are the dry sand of Ishigami et al. (2007); `slipfree.laws.soils` has other soils.
+    The width of a wheel is that of its section, ``2 r1`` of a torus. Equation numbers are those of
+    `slipfree.laws.soil`.
+
+    Attributes
+    ----------
+    cohesion : float
+        Cohesion ``c``. [Pa]
+    friction_angle : float
+        Angle ``phi`` of internal friction. [rad]
+    cohesive_modulus : float
+        Modulus ``k_c`` of the pressure-sinkage relation (3). [N/m^(n+1)]
+    frictional_modulus : float
+        Modulus ``k_phi`` of the pressure-sinkage relation (3). [N/m^(n+2)]
+    exponent : float
+        Sinkage exponent ``n``. [1]
+    shear_along, shear_along_rate : float
+        Shear deformation modulus along the wheel, ``k_x0`` [m], and its increase per slip angle,
+        ``k_x1`` [m/rad].
+    shear_across, shear_across_rate : float
+        Shear deformation modulus across the wheel, ``k_y0`` [m], and its increase per slip angle,
+        ``k_y1`` [m/rad].
+    peak, peak_rate : float
+        Angle of the largest stress over the entry angle at slip zero, ``a_0``, and its increase per
+        slip ratio, ``a_1``. [1]
+    exit_depth : float
+        Depth at which the soil leaves the wheel, over its depth: ``lambda``. [1]
+    density : float
+        Density, for bulldozing. [kg/m^3]
+    grouser_height : float
+        Effective height of grousers, added to the radius at which soil is sheared. [m]
+    damping_ratio : float
+        Damping ratio of the wheel's vertical oscillation about its static sinkage. [1]
+    creep : float
+        Rim speed below which the shear stress of a rolling wheel is reduced. [m/s]
+
+    Raises
+    ------
+    ModelError
+        If a number is outside its bounds, or the largest stress is not ahead of the lowest point
+        at all slip ratios: ``peak_rate < peak`` and ``peak + peak_rate < 1``.
+    """
+
+    cohesion: Annotated[float, Ge(0), Lt(inf), Unit("Pa"), doc("cohesion")] = 800.0
+    friction_angle: Annotated[
+        float, Gt(0), Lt(pi / 2), Unit("rad"), doc("angle of internal friction")
+    ] = radians(37.2)
+    cohesive_modulus: Annotated[
+        float, Ge(0), Lt(inf), Unit("N/m^(n+1)"), doc("cohesive modulus of sinkage")
+    ] = 1.37e3
+    frictional_modulus: Annotated[
+        float, Gt(0), Lt(inf), Unit("N/m^(n+2)"), doc("frictional modulus of sinkage")
+    ] = 8.14e5
+    exponent: Annotated[float, Gt(0), Le(3), Unit("1"), doc("sinkage exponent")] = 1.0
+    shear_along: Annotated[
+        float, Gt(0), Lt(inf), Unit("m"), doc("shear deformation modulus along the wheel")
+    ] = 0.036
+    shear_along_rate: Annotated[
+        float, Ge(0), Lt(inf), Unit("m/rad"), doc("its increase with the slip angle")
+    ] = 0.043
+    shear_across: Annotated[
+        float, Gt(0), Lt(inf), Unit("m"), doc("shear deformation modulus across the wheel")
+    ] = 0.013
+    shear_across_rate: Annotated[
+        float, Ge(0), Lt(inf), Unit("m/rad"), doc("its increase with the slip angle")
+    ] = 0.020
+    peak: Annotated[
+        float, Gt(0), Lt(1), Unit("1"), doc("angle of the largest stress over the entry angle")
+    ] = 0.4
+    peak_rate: Annotated[
+        float, Ge(0), Lt(1), Unit("1"), doc("increase of 'peak' with the slip ratio")
+    ] = 0.15
+    exit_depth: Annotated[
+        float, Ge(0), Le(1.5), Unit("1"), doc("depth at which soil leaves the wheel over its depth")
+    ] = 0.9
+    density: Annotated[
+        float, Ge(0), Lt(inf), Unit("kg/m^3"), doc("density of the soil, for bulldozing")
+    ] = 1600.0
+    grouser_height: Annotated[
+        float, Ge(0), Lt(inf), Unit("m"), doc("effective height of grousers")
+    ] = 0.0
+    damping_ratio: Annotated[
+        float, Ge(0), Le(10), Unit("1"), doc("damping ratio about the static sinkage")
+    ] = 0.5
+    creep: Annotated[
+        float, Gt(0), Le(1), Unit("m/s"), doc("rim speed below which shear stress is reduced")
+    ] = 1e-3
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if not (self.peak_rate < self.peak and self.peak + self.peak_rate < 1):
+            raise ModelError(
+                "Soil: expected 'peak_rate' < 'peak' and 'peak' + 'peak_rate' < 1, so that the "
+                "largest stress is between the lowest point and the entry at every slip ratio, "
+                f"found peak = {self.peak:g}, peak_rate = {self.peak_rate:g}; reduce 'peak_rate'"
+            )
+
+    def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
+        """Raise ModelError if a wheel has no width."""
+        for wheel in vehicle.wheels:
+            wheel_size(wheel)
+
+    def unknowns(self, vehicle: Vehicle) -> SoilUnknowns:
+        """Return the labels of the normal forces and of the sinkage of a quasi-static model."""
+        words = "depth of the wheel in the soil"
+        sunk = wheel_labels(vehicle, "sinkage", "m", words)
+        return SoilUnknowns(wheel_labels(vehicle, *NORMAL), sunk)
+
+    def reaction(self, contacts: SlidingContacts, unknowns: SoilUnknowns) -> Reaction:
+        """Return the forces of the soil in a quasi-static model, and the equations of sinkage."""
+        continuation, found = creep_continuation(self.creep), list[SoilForces]()
+        states = zip(
+            contacts.vehicle.wheels,
+            unknowns.sinkage,
+            contacts.spins,
+            contacts.along,
+            contacts.across,
+            strict=True,
+        )
+        for wheel, depth, spin, along, across in states:
+            size = wheel_size(wheel)
+            rim, forward = (size.radius + self.grouser_height) * spin, along + size.radius * spin
+            found.append(
+                forces_at_speeds(self, size, depth, rim, forward, across, continuation.symbol)
+            )
+        pairs = zip(found, unknowns.normal, strict=True)
+        bearing = ((each.normal - load) / contacts.vehicle.weight for each, load in pairs)
+        return Reaction(
+            tuple(each.pull for each in found),
+            tuple(each.side for each in found),
+            unknowns.normal,
+            Equations(_equation_labels(contacts.vehicle), ca.vertcat(*contacts.normal, *bearing)),
+            (_no_equilibrium(contacts), *_sunk(contacts.vehicle, unknowns.sinkage)),
+            continuation,
+            tuple(each.torque for each in found),
+        )
+
+    def static_depth(self, wheel: Wheel, load: float) -> float:
+        """Return the sinkage of a wheel at rest under a load [m].
+
+        Parameters
+        ----------
+        wheel : Wheel
+            The wheel; its own ``static_depth`` is not used.
+        load : float
+            Normal force. [N]
+
+        Raises
+        ------
+        ModelError
+            If the wheel sinks to its axle.
+        """
+        return static_sinkage(self, wheel_size(wheel), load)
+
+    def max_depth(self, wheel: Wheel) -> float:
+        """Return the depth up to which the law is valid: the wheel's radius [m]."""
+        return wheel.radius
+
+    def force(self, contact: WheelContact) -> GroundForce:
+        """Return the force and the moment of the soil on a wheel.
+
+        Parameters
+        ----------
+        contact : WheelContact
+            Contact and motion of the wheel.
+        """
+        touch, wheel = contact.touch, contact.wheel
+        frame, size = touch.frame, wheel_size(wheel)
+        away = ca.dot(frame.normal, contact.slip)
+        forward = ca.dot(frame.along, contact.slip) + size.radius * contact.spin
+        sideways = ca.dot(frame.across, contact.slip)
+        rim = (size.radius + self.grouser_height) * contact.spin
+        found = forces_at_speeds(self, size, -touch.gap, rim, forward, sideways, self.creep)
+        damping = 2 * self.damping_ratio / sqrt(GRAVITY * wheel.depth)
+        pressing = ca.if_else(touch.gap < 0, ca.fmax(0, 1 - damping * away), 0)
+        normal, pull, side, torque = (pressing * each for each in found)
+        tangential = pull * frame.along + side * frame.across
+        arm = frame.point - contact.center
+        lever = ca.dot(frame.axle, ca.cross(arm, normal * frame.normal + tangential))
+        return GroundForce(normal, tangential, ca.SX(0), torque - lever)
+
+
+def _equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
+    """Return the labels of the equations of contact and sinkage, one of each kind per wheel."""
+    words = "normal force of the soil minus that of the equilibrium, over the weight"
+    return (
+        *wheel_labels(vehicle, "touching", "m s-1", "normal velocity of the contact point"),
+        *wheel_labels(vehicle, "bearing", "1", words),
+    )
+
+
+def _no_equilibrium(contacts: SlidingContacts) -> Limit:
+    """Return the limit of the slip velocity, beyond which the soil cannot hold the vehicle."""
+    words = "no quasi-static equilibrium: the soil does not hold the vehicle"
+    return no_equilibrium(contacts._replace(diagnose=lambda _x, _z: words))
+
+
+def _sunk(vehicle: Vehicle, sinkage: tuple[ca.SX, ...]) -> Iterator[Limit]:
+    """Yield the limit of the sinkage of each wheel: its radius."""
+    for wheel, depth in zip(vehicle.wheels, sinkage, strict=True):
+        words = f"wheel {wheel.name} is in the soil to its axle (sinkage)"
+        yield Limit(Label("sunk", "m", words, wheel.name), depth, -inf, wheel.radius)
+
+
+def wheel_size(wheel: Wheel) -> WheelSize:
+    """Return radius and width of a wheel in soil.
+
+    Raises
+    ------
+    ModelError
+        If the section of the wheel is not a torus with a width.
+    """
+    tube, circle = wheel.section.torus_radii or (0.0, 0.0)
+    if not (tube and circle):
+        raise ModelError(
+            f"wheel {wheel.name!r}: expected a torus, whose tube is as wide as the wheel, since "
+            f"soil bears a wheel by its width; found {wheel.section}; set the section to "
+            "Torus(r1, r2) with r1 half the width and r1 + r2 the radius"
+        )
+    return WheelSize(wheel.radius, 2 * tube)
+
+
+def forces_at_slip(soil: Soil, size: WheelSize, depth: Any, slip: Any, angle: Any) -> SoilForces:
+    """Return the forces on a wheel in steady motion, by depth, slip ratio and slip angle.
+
+    Parameters
+    ----------
+    soil : Soil
+        The soil.
+    size : WheelSize
+        Radius and width of the wheel.
+    depth : SX or float
+        Depth of the lowest point. [m]
+    slip : SX or float
+        Slip ratio, -1 to 1: rim speed ``u`` minus forward speed ``v_x``, divided by the larger of
+        the two. [1]
+    angle : SX or float
+        Slip angle, less than pi/2: the wheel also moves to the right with ``v_x tan(angle)``. [rad]
+    """
+    forward, rim = 1 - ca.fmax(slip, 0), 1 + ca.fmin(slip, 0)
+    return forces_at_speeds(soil, size, depth, rim, forward, forward * ca.tan(angle), STEADY_CREEP)
+
+
+def forces_at_speeds(
+    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, sideways: Any, creep: Any
+) -> SoilForces:
+    """Return the forces on a wheel by depth and speeds (8).
+
+    Parameters
+    ----------
+    soil : Soil
+        The soil.
+    size : WheelSize
+        Radius and width of the wheel.
+    depth : SX or float
+        Depth of the lowest point; the forces are those at the radius for a greater depth. [m]
+    rim : SX or float
+        Speed of the rim at the shear radius, relative to the wheel's centre; forward positive.
+        [m/s]
+    forward, sideways : SX or float
+        Speed of the wheel's centre along the wheel, and across it to the right. [m/s]
+    creep : SX or float
+        Rim speed below which shear paths are reduced, positive. [m/s]
+    """
+    contact = _contact(soil, size, depth, rim, forward, creep)
+    motion = _shear_motion(soil, rim, forward, sideways, creep)
+    totals = [0, 0, 0, 0]
+    for point, weight in zip((POINTS + 1) / 2, WEIGHTS / 2, strict=True):
+        stress = _normal_stress(soil, size, contact, point)
+        for edge in (contact.front, contact.rear):
+            theta = edge + point * (contact.peak - edge)
+            parts = _integrand(soil, size, contact, motion, theta, stress)
+            share = weight * ca.fabs(contact.peak - edge)
+            totals = [total + share * part for total, part in zip(totals, parts, strict=True)]
+    return SoilForces(*totals)
+
+
+@lru_cache(maxsize=64)
+def static_sinkage(soil: Soil, size: WheelSize, load: float) -> float:
+    """Return the depth at which the soil bears a wheel at rest [m].
+
+    Parameters
+    ----------
+    soil : Soil
+        The soil.
+    size : WheelSize
+        Radius and width of the wheel.
+    load : float
+        Normal force. [N]
+
+    Raises
+    ------
+    ModelError
+        If the wheel sinks to its axle.
+    """
+    depth = ca.SX.sym("depth")
+    found = forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP).normal
+    normal = ca.Function("normal", [depth], [found])
+    low, high = 0.0, size.radius
+    if float(normal(high)) < load:
+        raise ModelError(
+            f"soil: expected that the wheel sinks less than its radius, {size.radius:g} m, found "
+            f"{float(normal(high)):.4g} N of {load:.4g} N at that depth; reduce the load, or "
+            "increase the wheel's width or radius"
+        )
+    for _ in range(STATIC_STEPS):
+        middle = (low + high) / 2
+        low, high = (low, middle) if float(normal(middle)) > load else (middle, high)
+    return (low + high) / 2
+
+
+class _ContactArc(NamedTuple):
+    """Arc of a wheel in the soil.
+
+    Attributes
+    ----------
+    entry : SX or float
+        Entry angle ``theta_f``, positive. [rad]
+    front, rear, peak : SX or float
+        Angles of the edges, and of the largest stress, from the lowest point forward. [rad]
+    share : SX or float
+        Angle of the largest stress over the entry angle. [1]
+    ahead, behind : SX or float
+        Weights of the front and of the rear edge as the entry; their sum is one. [1]
+    """
+
+    entry: Any
+    front: Any
+    rear: Any
+    peak: Any
+    share: Any
+    ahead: Any
+    behind: Any
+
+
+class _ShearMotion(NamedTuple):
+    """Motion of a rim relative to the soil.
+
+    Attributes
+    ----------
+    rolling, forward, sideways : SX or float
+        Rim speed, and speeds of the wheel's centre, over the size of the rim speed. [1]
+    along, across : SX or float
+        Shear deformation moduli. [m]
+    side : SX or float
+        Direction of the sideways motion, -1 to 1. [1]
+    """
+
+    rolling: Any
+    forward: Any
+    sideways: Any
+    along: Any
+    across: Any
+    side: Any
+
+
+def _contact(
+    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, creep: Any
+) -> _ContactArc:
+    """Return the arc of a wheel in the soil (1, 2)."""
+    relative = ca.fmin(ca.fmax(depth / size.radius, SMALLEST_DEPTH), 1)
+    entry, leaving = (2 * ca.asin(ca.sqrt(k * relative / 2)) for k in (1, soil.exit_depth))
+    both = rim + forward
+    direction = both / ca.sqrt(both**2 + creep**2)
+    ahead, behind = (1 + direction) / 2, (1 - direction) / 2
+    fastest = ca.fmax(ca.fabs(rim), ca.fabs(forward))
+    slip = direction * (rim - forward) / ca.sqrt(fastest**2 + creep**2)
+    share = soil.peak + soil.peak_rate * ca.fmax(-1, ca.fmin(slip, 1))
+    return _ContactArc(
+        entry,
+        ahead * entry + behind * leaving,
+        -(behind * entry + ahead * leaving),
+        direction * share * entry,
+        share,
+        ahead,
+        behind,
+    )
+
+
+def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: Any) -> _ShearMotion:
+    """Return the motion of a rim relative to the soil (6)."""
+    speed = ca.sqrt(rim**2 + creep**2)
+    angle = ca.atan(sideways / ca.sqrt(forward**2 + creep**2))
+    side = ca.tanh(angle / ANGLE_SMOOTHING)
+    steep = angle * side
+    return _ShearMotion(
+        rim / speed,
+        forward / speed,
+        sideways / speed,
+        soil.shear_along + soil.shear_along_rate * steep,
+        soil.shear_across + soil.shear_across_rate * steep,
+        side,
+    )
+
+
+def _normal_stress(soil: Soil, size: WheelSize, contact: _ContactArc, point: float) -> Any:
+    """Return the normal stress at a point, from 0 at an edge to 1 at the peak (3) [Pa]."""
+    drop = point * (1 - contact.share) * contact.entry  # entry angle minus theta_e
+    height = 2 * size.radius * ca.sin(contact.entry - drop / 2) * ca.sin(drop / 2)
+    return (soil.cohesive_modulus / size.width + soil.frictional_modulus) * height**soil.exponent
+
+
+def _integrand(
+    soil: Soil,
+    size: WheelSize,
+    contact: _ContactArc,
+    motion: _ShearMotion,
+    theta: Any,
+    stress: Any,
+) -> tuple[Any, Any, Any, Any]:
+    """Return normal force, pull, side force and torque per angle (4, 5, 7, 8) [N/rad, N m/rad]."""
+    radius, width = size
+    shear_radius = radius + soil.grouser_height
+    sine, cosine = ca.sin(theta), ca.cos(theta)
+    arc = contact.ahead * (contact.front - theta) + contact.behind * (theta - contact.rear)
+    chord = contact.ahead * (ca.sin(contact.front) - sine)
+    chord += contact.behind * (sine - ca.sin(contact.rear))
+    path_along = shear_radius * (arc * motion.rolling - chord * motion.forward)
+    path_across = shear_radius * arc * motion.sideways
+    strength = soil.cohesion + stress * tan(soil.friction_angle)
+    along = strength * _mobilised(path_along / motion.along)
+    across = strength * _mobilised(path_across / motion.across)
+    area = radius * width
+    height = ca.fmax(radius * (cosine - ca.cos(contact.entry)), 0)
+    pushed = _bulldozing(soil, height) * (radius - height * cosine)
+    return (
+        area * (stress * cosine + along * sine),
+        area * (along * cosine - stress * sine),
+        -area * across - motion.side * pushed,
+        area * shear_radius * along,
+    )
+
+
+def _mobilised(path: Any) -> Any:
+    """Return ``1 - exp(-path)``, odd and continuously differentiable in the path [1]."""
+    return ca.expm1(ca.fmin(path, 0)) - ca.expm1(-ca.fmax(path, 0))
+
+
+def _bulldozing(soil: Soil, height: Any) -> Any:
+    """Return the force per length of soil pushed aside at a given height (7) [N/m]."""
+    phi = soil.friction_angle
+    failure = pi / 4 - phi / 2
+    cot = 1 / tan(failure)
+    weight = soil.density * GRAVITY
+    width, surcharge = cot + tan(failure + phi), cot + cot**2 * tan(phi)
+    return width * (soil.cohesion * height + surcharge * weight * height**2 / 2)

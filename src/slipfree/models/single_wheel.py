@@ -1,0 +1,129 @@
+"""Single-wheel test bed: one wheel under a constant load, at imposed slip ratio and slip angle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
+from slipfree.records import Array
+
+STEPS = 60  # of bisection for the sinkage; the interval is the radius / 2^60
+
+
+class WheelCurves(NamedTuple):
+    """Steady forces on a wheel at n_angles slip angles and n_slips slip ratios.
+
+    Arrays have the shape (n_angles, n_slips), unless stated otherwise.
+
+    Attributes
+    ----------
+    angle : ndarray, shape (n_angles,)
+        Slip angles. [rad]
+    slip : ndarray, shape (n_slips,)
+        Slip ratios. [1]
+    sinkage : ndarray
+        Depth of the lowest point. [m]
+    pull : ndarray
+        Drawbar pull. [N]
+    side : ndarray
+        Side force against the sideways motion, positive. [N]
+    torque : ndarray
+        Resistance torque. [N m]
+    """
+
+    angle: Array
+    slip: Array
+    sinkage: Array
+    pull: Array
+    side: Array
+    torque: Array
+
+
+def single_wheel(
+    soil: Soil,
+    size: WheelSize,
+    load: float,
+    slips: Sequence[float] | Array,
+    angles: Sequence[float] | Array = (0.0,),
+) -> WheelCurves:
+    """Return sinkage, drawbar pull, side force and torque of a wheel in steady motion.
+
+    Parameters
+    ----------
+    soil : Soil
+        The soil.
+    size : WheelSize
+        Radius and width of the wheel.
+    load : float
+        Vertical load, positive. [N]
+    slips : sequence of float
+        Slip ratios, -1 to 1. [1]
+    angles : sequence of float
+        Slip angles, each less than pi/2 in size. [rad]
+
+    Raises
+    ------
+    ModelError
+        If the load, a slip ratio or a slip angle is outside these bounds, or if the wheel sinks to
+        its axle.
+
+    Examples
+    --------
+    Compute the drawbar pull of a wheel in a soil of the catalogue at a slip of 20 %:
+
+    >>> from slipfree.laws.soil import Soil, WheelSize
+    >>> from slipfree.models.single_wheel import single_wheel
+    >>> curves = single_wheel(Soil(), WheelSize(radius=0.092, width=0.107), 64.7, [0.2])
+    >>> print(f"{curves.pull[0, 0]:.1f} N, {1e3 * curves.sinkage[0, 0]:.1f} mm")
+    10.2 N, 15.7 mm
+    """
+    slip, angle = np.asarray(slips, dtype=float), np.asarray(angles, dtype=float)
+    _check(load, slip, angle)
+    s, beta = (each.ravel()[None] for each in np.meshgrid(slip, angle))
+    forces = _forces(soil, size)
+    low, high = np.zeros_like(s), np.full_like(s, size.radius)
+    borne = forces(high, s, beta)[0].full()
+    if borne.min() < load:
+        k = borne.argmin()
+        raise ModelError(
+            f"single_wheel: expected that the wheel sinks less than its radius, {size.radius:g} m, "
+            f"found {borne.min():.4g} N of {load:.4g} N at that depth, at slip {s[0, k]:g} and "
+            f"slip angle {beta[0, k]:g} rad; reduce the load, or use a larger wheel"
+        )
+    for _ in range(STEPS):
+        middle = (low + high) / 2
+        deep = forces(middle, s, beta)[0].full() > load
+        low, high = np.where(deep, low, middle), np.where(deep, middle, high)
+    depth = (low + high) / 2
+    _, pull, side, torque = (each.full() for each in forces(depth, s, beta))
+    columns = (depth, pull, -np.sign(beta) * side, torque)
+    return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in columns))
+
+
+def _check(load: float, slip: Array, angle: Array) -> None:
+    """Raise ModelError if an argument of `single_wheel` is outside its bounds."""
+    if not 0 < load < np.inf:
+        raise ModelError(
+            f"single_wheel: load: expected a finite positive force in N, found {load}; increase it"
+        )
+    if not (slip.size and np.all(np.abs(slip) <= 1)):
+        raise ModelError(
+            f"single_wheel: slips: expected slip ratios from -1 to 1, found {slip.tolist()}; leave "
+            "out the others"
+        )
+    if not (angle.size and np.all(np.abs(angle) < np.pi / 2)):
+        raise ModelError(
+            "single_wheel: angles: expected slip angles of less than pi/2 in size, in radians, "
+            f"found {angle.tolist()}; leave out the others"
+        )
+
+
+def _forces(soil: Soil, size: WheelSize) -> ca.Function:
+    """Return the forces on a wheel as a function of depth, slip ratio and slip angle."""
+    arguments = [ca.SX.sym(name) for name in ("depth", "slip", "angle")]
+    return ca.Function("forces", arguments, [*forces_at_slip(soil, size, *arguments)])

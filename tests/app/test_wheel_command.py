@@ -1,0 +1,144 @@
+"""``slipfree wheel``: table, figure, measured points, and errors; soil in problem files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from math import radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.laws.soil import Soil, WheelSize
+from slipfree.laws.soils import known_soil
+from slipfree.models.single_wheel import single_wheel
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import build
+
+WHEEL = """
+[wheel]
+radius = 0.09
+width = 0.11
+load = 64.68
+[soil]
+name = "lunar"
+friction_angle = "34 deg"
+[test]
+slip = [-0.2, 0.6]
+points = 5
+slip_angles = ["0 deg", "16 deg"]
+"""
+SAND = """
+verb = "direct"
+model = "dynamics"
+[terrain.synthetic]
+x = [-3.0, 3.0]
+y = [-3.0, 3.0]
+spacing = 0.2
+[vehicle]
+catalog = "skid_steer"
+[start]
+x = 0.0
+y = 0.0
+heading = 0.0
+[inputs]
+front_right_rate = 1.0
+front_left_rate = 1.0
+rear_right_rate = 1.0
+rear_left_rate = 1.0
+[law.soil]
+friction_angle = "30 deg"
+cohesion = 500.0
+[time]
+duration = 0.2
+step = 0.1
+"""
+
+
+def run(*words):
+    return CliRunner().invoke(app, ["wheel", *map(str, words)])
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "wheel.toml"
+    path.write_text(WHEEL)
+    return path
+
+
+def columns(path: Path) -> dict[str, np.ndarray]:
+    with path.open() as stream:
+        rows = list(csv.DictReader(stream))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def test_table_and_figure(file, tmp_path):
+    out = tmp_path / "curves.csv"
+    done = run(file, "-o", out)
+    assert done.exit_code == 0, done.output
+    assert "slip angle 16 deg  drawbar pull" in done.output
+    assert (tmp_path / "curves.png").is_file()
+    found = columns(out)
+    values = {name: getattr(known_soil("lunar"), name) for name in Soil.__dataclass_fields__}
+    soil = Soil(**(values | {"friction_angle": radians(34)}))
+    slips, angles = np.linspace(-0.2, 0.6, 5), [0.0, radians(16)]
+    curves = single_wheel(soil, WheelSize(0.09, 0.11), 64.68, slips, angles)
+    assert found["slip"] == pytest.approx(np.tile(slips, 2))
+    for name in ("pull", "side", "torque", "sinkage"):
+        assert found[name] == pytest.approx(getattr(curves, name).ravel(), rel=1e-9, abs=1e-12)
+
+
+def test_measured_points_are_compared(file, tmp_path):
+    out = tmp_path / "curves.csv"
+    assert run(file, "-o", out, "--no-draw").exit_code == 0
+    assert not (tmp_path / "curves.png").exists()
+    found = columns(out)
+    lines = [
+        f"{s},{b},{p + 2}"
+        for s, b, p in zip(*(found[k] for k in ("slip", "slip_angle", "pull")), strict=True)
+    ]
+    (tmp_path / "points.csv").write_text("\n".join(["slip,slip_angle,pull", *lines]))
+    done = run(file, "-o", out, "--set", "test.measured=points.csv", "--json")
+    assert done.exit_code == 0, done.output
+    facts = json.dumps(json.loads(done.output))
+    assert "10 points, computed minus measured rms 2 N, mean -2 N" in facts
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["wheel.radius=-1"], "wheel.radius: expected a number greater than 0, found -1"),
+        (["soil.name=mud"], "soil.name: expected one of regolith_simulant"),
+        (["soil.phi=0.5"], "soil.phi: "),
+        (["test.slip=[0.5, 0.1]"], "test.slip: expected two slip ratios in ascending order"),
+        (["test.points=90000"], "test.points: expected"),
+        (["test.measured=none.csv"], "none.csv"),
+        (["wheel.load=1e5"], "expected that the wheel sinks less than its radius, 0.09 m"),
+    ],
+)
+def test_errors_name_the_value(file, tmp_path, settings, words):
+    options = [word for each in settings for word in ("--set", each)]
+    done = run(file, "-o", tmp_path / "x.csv", *options)
+    assert done.exit_code == 2
+    assert words in done.output
+    assert not (tmp_path / "x.csv").exists()
+
+
+def test_measured_points_need_their_columns(file, tmp_path):
+    (tmp_path / "points.csv").write_text("slip,force\n0.1,2\n")
+    done = run(file, "-o", tmp_path / "x.csv", "--set", "test.measured=points.csv")
+    assert done.exit_code == 2
+    assert "expected a first line with 'slip', 'slip_angle' and one of pull" in done.output
+
+
+@pytest.mark.parametrize("model", ["dynamics", "quasi-static"])
+def test_problems_take_soil(tmp_path, model):
+    path = tmp_path / "sand.toml"
+    path.write_text(SAND.replace('"dynamics"', f'"{model}"'))
+    problem = load_problem(path)
+    assert problem.spec.law.parameters("soil")["friction_angle"] == pytest.approx(radians(30))
+    labels = build(problem).dae.labels
+    assert ("sinkage" in str(labels.z)) == (model == "quasi-static")

@@ -1,0 +1,314 @@
+"""Wheels in soil: closed forms, quadrature, symmetry, derivatives, motion on slopes, test bed."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from math import acos, cos, exp, pi, radians, sin, tan
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from slipfree import Analytic, ModelError, SolverOptions, catalog, quasi_statics, settle, simulate
+from slipfree.laws import soil as law
+from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, forces_at_speeds, static_sinkage
+from slipfree.laws.soils import SOILS, known_soil
+from slipfree.models.dynamics import dynamics
+from slipfree.models.rigid_dynamics import rigid_dynamics
+from slipfree.models.single_wheel import single_wheel
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.tree import GRAVITY
+
+SAND, SIZE, LOAD = Soil(), WheelSize(0.092, 0.107), 64.7
+SMALL = 1e-9  # peak of the stress at the lowest point, almost
+SHEARLESS = Soil(shear_along=1e9, shear_across=1e9, peak=SMALL, peak_rate=0.0)
+STATES = [  # depth, rim speed, forward and sideways speed: driven, braked, locked, sideways, ...
+    (0.012, 0.2, 0.15, 0.03),
+    (0.015, 0.1, 0.2, -0.05),
+    (0.02, 1e-5, 0.2, 0.1),
+    (0.01, 0.0, 0.0, 0.2),
+    (0.03, 0.3, 0.001, 0.002),
+    (0.012, -0.2, -0.15, 0.03),
+    (0.012, 5e-4, 2e-4, -3e-4),
+]
+
+
+def stiffness(soil, size=SIZE):
+    """Return the modulus of the pressure-sinkage relation [N/m^(n+2)]."""
+    return soil.cohesive_modulus / size.width + soil.frictional_modulus
+
+
+def numbers(forces):
+    """Return forces as an array of four numbers."""
+    return np.array([float(each) for each in forces])
+
+
+def by_quadrature(soil, size, depth, s, beta):
+    """Return the forces by adaptive quadrature of the published integrands, for 0 <= s <= 1."""
+    r, b = size
+    entry, leaving = acos(1 - depth / r), -acos(1 - soil.exit_depth * depth / r)
+    peak = (soil.peak + soil.peak_rate * s) * entry
+    k_x = soil.shear_along + soil.shear_along_rate * abs(beta)
+    k_y = soil.shear_across + soil.shear_across_rate * abs(beta)
+    phi, r_s = soil.friction_angle, r + soil.grouser_height
+    x_c = pi / 4 - phi / 2
+    d_1, d_2 = 1 / tan(x_c) + tan(x_c + phi), 1 / tan(x_c) + tan(phi) / tan(x_c) ** 2
+
+    def stresses(theta):
+        ahead = theta >= peak
+        ref = theta if ahead else entry - (theta - leaving) / (peak - leaving) * (entry - peak)
+        sigma = stiffness(soil, size) * max(r * (cos(ref) - cos(entry)), 0) ** soil.exponent
+        strength = soil.cohesion + sigma * tan(phi)
+        j_x = r_s * (entry - theta - (1 - s) * (sin(entry) - sin(theta)))
+        j_y = r_s * (1 - s) * (entry - theta) * tan(beta)
+        size_x, size_y = (1 - exp(-abs(j) / k) for j, k in ((j_x, k_x), (j_y, k_y)))
+        along, across = strength * np.copysign(size_x, j_x), strength * np.copysign(size_y, j_y)
+        height = r * (cos(theta) - cos(entry))
+        weight = soil.density * GRAVITY
+        pushed = d_1 * (soil.cohesion * height + d_2 * weight * height**2 / 2)
+        return sigma, along, across, pushed * (r - height * cos(theta)) * np.sign(beta)
+
+    def integral(part):
+        options = {"epsabs": 1e-11, "epsrel": 1e-12, "limit": 200}
+        breaks = sorted({leaving, peak, entry, *_sign_changes(r_s, entry, s, leaving)})
+        pairs = pairwise(breaks)
+        return sum(quad(lambda t: part(t, *stresses(t)), *pair, **options)[0] for pair in pairs)
+
+    return np.array(
+        [
+            integral(lambda t, sg, tx, _y, _p: r * b * (sg * cos(t) + tx * sin(t))),
+            integral(lambda t, sg, tx, _y, _p: r * b * (tx * cos(t) - sg * sin(t))),
+            integral(lambda _t, _s, _x, ty, p: -r * b * ty - p),
+            integral(lambda _t, _s, tx, _y, _p: r * r_s * b * tx),
+        ]
+    )
+
+
+def _sign_changes(r_s, entry, s, leaving):
+    """Return the angles at which the shear path along the wheel changes its sign."""
+    theta = np.linspace(leaving, entry, 4001)[:-1]
+    path = r_s * (entry - theta - (1 - s) * (np.sin(entry) - np.sin(theta)))
+    return theta[:-1][np.diff(np.sign(path)) != 0].tolist()
+
+
+def test_a_wheel_at_rest_sinks_as_in_the_closed_form():
+    soil, depth = replace(SHEARLESS, exit_depth=1.0), 0.02
+    entry = acos(1 - depth / SIZE.radius)
+    segment = SIZE.radius**2 * (entry - sin(entry) * cos(entry))
+    load = SIZE.width * stiffness(soil) * segment  # pressure times depth over a circular segment
+    assert static_sinkage(soil, SIZE, load) == pytest.approx(depth, rel=1e-7)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0, 0.8])
+def test_a_towed_wheel_meets_the_compaction_resistance_of_bekker(exponent):
+    soil, depth = replace(SHEARLESS, exit_depth=0.0, exponent=exponent), 0.02
+    work = SIZE.width * stiffness(soil) * depth ** (exponent + 1) / (exponent + 1)
+    pull = float(forces_at_slip(soil, SIZE, depth, 0.0, 0.0).pull)
+    exact = exponent == int(exponent)  # otherwise the stress has a branch point at the edges
+    assert pull == pytest.approx(-work, rel=1e-7 if exact else 1e-3)
+
+
+@pytest.mark.parametrize("slip", [0.1, 0.5, 1.0])
+def test_hard_soil_is_coulomb_friction(slip):
+    soil = replace(SAND, cohesion=0.0, frictional_modulus=1e15, shear_along=1e-12)
+    curves = single_wheel(soil, SIZE, LOAD, [slip])
+    grip = LOAD * tan(soil.friction_angle)
+    assert curves.sinkage[0, 0] < 1e-7
+    assert curves.pull[0, 0] == pytest.approx(grip, rel=1e-3)
+    assert curves.torque[0, 0] == pytest.approx(SIZE.radius * grip, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", SOILS)
+@pytest.mark.parametrize("slip", [0.0, 0.1, 0.3, 0.6, 0.95])
+def test_the_forces_are_those_of_the_published_integrals(name, slip, monkeypatch):
+    soil = replace(known_soil(name), grouser_height=0.005)
+    with_eight, converged = [], []
+    for depth, beta in ((0.004, 0.0), (0.015, radians(10)), (0.03, radians(30))):
+        expected = by_quadrature(soil, SIZE, depth, slip, beta)
+        scale = np.array([1, 1, 1, SIZE.radius]) * expected[0]
+        found = numbers(forces_at_slip(soil, SIZE, depth, slip, beta))
+        with_eight.append(np.abs(found - expected) / scale)
+        with monkeypatch.context() as patch:
+            points, weights = np.polynomial.legendre.leggauss(40)
+            patch.setattr(law, "POINTS", points)
+            patch.setattr(law, "WEIGHTS", weights)
+            found = numbers(forces_at_slip(soil, SIZE, depth, slip, beta))
+        converged.append(np.abs(found - expected) / scale)
+    # a stress with an exponent that is not an integer has a branch point at both edges, a shear
+    # path that changes its direction has a kink
+    smooth = soil.exponent == 1
+    assert np.max(with_eight) < (1e-10 if smooth else 1e-5)
+    if smooth and slip >= 0.3:
+        assert np.max(converged) < 1e-12
+
+
+def test_forces_are_symmetric():
+    for depth, rim, forward, sideways in STATES:
+        there = numbers(forces_at_speeds(SAND, SIZE, depth, rim, forward, sideways, 1e-3))
+        back = numbers(forces_at_speeds(SAND, SIZE, depth, -rim, -forward, sideways, 1e-3))
+        other = numbers(forces_at_speeds(SAND, SIZE, depth, rim, forward, -sideways, 1e-3))
+        assert back == pytest.approx(there * [1, -1, 1, -1], rel=1e-12, abs=1e-12)
+        assert other == pytest.approx(there * [1, 1, -1, 1], rel=1e-12, abs=1e-12)
+
+
+def test_slip_ratio_and_slip_angle_are_speeds():
+    for slip, rim, forward in ((0.3, 0.2, 0.14), (-0.3, 0.14, 0.2)):
+        angle = radians(12)
+        sideways = forward * tan(angle)
+        expected = numbers(forces_at_slip(SAND, SIZE, 0.015, slip, angle))
+        found = numbers(forces_at_speeds(SAND, SIZE, 0.015, rim, forward, sideways, 1e-8))
+        assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_ground_resists_every_motion():
+    """A braked, locked, spinning or sideways wheel loses power to the soil."""
+    for depth, rim, forward, sideways in STATES:
+        _, pull, side, torque = numbers(
+            forces_at_speeds(SAND, SIZE, depth, rim, forward, sideways, 1e-3)
+        )
+        assert torque * rim / SIZE.radius - pull * forward - side * sideways > 0
+    locked = numbers(forces_at_slip(SAND, SIZE, 0.015, -1.0, 0.0))
+    spinning = numbers(forces_at_slip(SAND, SIZE, 0.015, 1.0, 0.0))
+    assert locked[1] < 0 < spinning[1]
+    assert locked[3] < 0 < spinning[3]
+
+
+def test_derivatives_are_those_of_differences():
+    names = "depth", "rim", "forward", "sideways"
+    x = [ca.SX.sym(name) for name in names]
+    forces = ca.vertcat(*forces_at_speeds(SAND, SIZE, *x, 1e-3))
+    f = ca.Function("f", x, [forces])
+    slope = ca.Function("slope", x, [ca.jacobian(forces, ca.vertcat(*x))])
+    for state in STATES:
+        exact, step = np.array(slope(*state)), 1e-7
+        for k in range(4):
+            low, high = ([v + d * (i == k) for i, v in enumerate(state)] for d in (-step, step))
+            differences = (np.array(f(*high)) - np.array(f(*low))).ravel() / (2 * step)
+            size = np.abs(exact[:, k]).max()
+            assert exact[:, k] == pytest.approx(differences, rel=1e-4, abs=1e-5 * size + 1e-9)
+
+
+def test_values_and_derivatives_are_finite_at_standstill_and_in_the_air():
+    x = [ca.SX.sym(f"x{k}") for k in range(4)]
+    forces = ca.vertcat(*forces_at_speeds(SAND, SIZE, *x, 1e-3))
+    both = ca.Function("both", x, [forces, ca.jacobian(forces, ca.vertcat(*x))])
+    for depth in (-0.1, 0.0, 1e-12, 0.01, 0.2):
+        for each in both(depth, 0, 0, 0):
+            assert np.isfinite(np.array(each)).all()
+    assert np.array(both(-0.1, 0.2, 0.1, 0.05)[0]) == pytest.approx(np.zeros((4, 1)), abs=1e-7)
+
+
+def cart():
+    """Return a skid-steered cart of 24 kg with wheels of 107 mm width."""
+    return catalog.skid_steer(
+        mass=20.0, wheel_mass=1.0, center_of_mass=(0, 0, 0.05), r1=0.0535, r2=0.0965
+    )
+
+
+@cache
+def up_the_slope(model_of, duration):
+    """Return a motion of the cart up a slope of 8 degrees at rim speeds of 0.2 m/s."""
+    ground = Analytic(lambda x, y: tan(radians(8)) * y + 0 * x)
+    model = model_of(cart(), ground, law=SAND)
+    inputs = model.inputs(**{label.full: 0.2 / 0.15 for label in model.labels.u.wheels})
+    times = np.linspace(0, duration, 6)
+    run = simulate(model, settle(model), inputs, times, options=SolverOptions(1e-7))
+    assert run.stop is None
+    return run
+
+
+def test_a_cart_climbs_sand_with_the_slip_of_its_balance():
+    """An independent balance of forces on the level cart has slip 0.1393 on 8 degrees."""
+    run = up_the_slope(dynamics, 6.0)
+    assert run["slip_ratio"][-1] == pytest.approx(0.1393, abs=5e-5)
+    energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
+    balance = energy - energy[0] - run["work"] + run["lost_energy"]
+    assert np.abs(balance).max() < 1e-5 * run["work"][-1]
+
+
+def test_quasi_statics_in_soil_is_slow_dynamics():
+    run = up_the_slope(dynamics, 6.0)
+    slow = up_the_slope(quasi_statics, 1.0)
+    speed = np.hypot(*(np.gradient(slow[name], slow.t) for name in ("y", "z")))
+    assert 1 - speed[2] / 0.2 == pytest.approx(0.1393, abs=5e-5)
+    rise = np.gradient(slow["potential_energy"], slow.t)
+    assert slow["power"] - slow["dissipation"] == pytest.approx(rise, rel=1e-6)
+    assert slow["sinkage"][-1] == pytest.approx(run["depth"][-1], rel=0.01)
+    assert slow["drive_torque"][-1] == pytest.approx(run["drive_torque"][-1], rel=0.01)
+
+
+def test_a_single_wheel_carries_its_load():
+    slips, angles = np.linspace(-0.9, 0.9, 7), [0.0, radians(15), -radians(15)]
+    curves = single_wheel(SAND, SIZE, LOAD, slips, angles)
+    for k, angle in enumerate(angles):
+        for i, slip in enumerate(slips):
+            found = numbers(forces_at_slip(SAND, SIZE, curves.sinkage[k, i], slip, angle))
+            values = curves.pull[k, i], -np.sign(angle) * curves.side[k, i], curves.torque[k, i]
+            assert found == pytest.approx([LOAD, *values], rel=1e-9, abs=1e-9)
+    assert np.all(np.diff(curves.pull[0]) > 0)
+    assert curves.side[1] == pytest.approx(curves.side[2])
+    assert np.all(curves.side[1:] > 0)
+
+
+def test_grousers_shear_at_a_larger_radius():
+    smooth, lugs = (
+        single_wheel(replace(SAND, grouser_height=height), SIZE, LOAD, [0.2])
+        for height in (0.0, 0.01)
+    )
+    assert lugs.torque[0, 0] > smooth.torque[0, 0]
+    assert lugs.pull[0, 0] > smooth.pull[0, 0]
+
+
+def test_a_catalogued_soil_has_a_source():
+    for name, (soil, source) in SOILS.items():
+        assert known_soil(name) == soil
+        assert "20" in source  # the year
+    with pytest.raises(ModelError, match=r"expected one of regolith_simulant.*found 'mud'"):
+        known_soil("mud")
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"friction_angle": 37.2}, "'friction_angle': expected a number < 1.5708, found 37.2"),
+        ({"exponent": 0.0}, "'exponent': expected a number > 0"),
+        ({"peak_rate": 0.4}, "expected 'peak_rate' < 'peak'"),
+        ({"peak": 0.9}, r"'peak' \+ 'peak_rate' < 1"),
+    ],
+)
+def test_constants_are_checked(values, words):
+    with pytest.raises(ModelError, match=words):
+        Soil(**values)
+
+
+def test_wheels_have_a_width_and_do_not_sink_to_the_axle():
+    ground = Analytic(lambda x, y: 0 * x + 0 * y)
+    vehicle = cart()
+    thin = replace(
+        vehicle, wheels=tuple(replace(wheel, section=Disc(0.15)) for wheel in vehicle.wheels)
+    )
+    for model in (dynamics, quasi_statics):
+        with pytest.raises(ModelError, match=r"'front_right': expected a torus.*Torus\(r1, r2\)"):
+            model(thin, ground, law=SAND)
+    soft = replace(SAND, cohesion=0.0, frictional_modulus=10.0, cohesive_modulus=1.0)
+    with pytest.raises(ModelError, match=r"expected that the wheel sinks less than its radius"):
+        dynamics(vehicle, ground, law=soft)
+    with pytest.raises(ModelError, match=r"at slip 0.1 and slip angle 0 rad; reduce the load"):
+        single_wheel(soft, SIZE, LOAD, [0.1])
+    for bad, words in (
+        ((0.0, [0.1], [0.0]), "load: expected a finite positive force"),
+        ((LOAD, [1.1], [0.0]), "slips: expected slip ratios from -1 to 1"),
+        ((LOAD, [0.1], [1.6]), "angles: expected slip angles of less than pi/2"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            single_wheel(SAND, SIZE, *bad)
+    with pytest.raises(ModelError, match=r"found Soil; use quasi_statics or dynamics"):
+        rigid_dynamics(vehicle, level_ground(0.5), law=SAND)
+    with pytest.raises(ModelError, match=r"law: expected a law of dynamics such as Compliant"):
+        dynamics(vehicle, ground, law=Soil)
+
+
+def level_ground(mu):
+    """Return level ground with a coefficient of friction."""
+    return Analytic(lambda x, y: 0 * x + 0 * y, mu=mu)
