@@ -83,7 +83,9 @@ def poses(rng):
 
 def contact_function(prism, section, terrain=FLAT):
     center, axle = ca.SX.sym("center", 3), ca.SX.sym("axle", 3)
-    pose = Pose(ca.horzcat(axle, ca.SX.zeros(3, 2)), center)
+    forward = ca.cross(axle, ca.SX([0, 0, 1]))
+    forward /= ca.norm_2(forward)
+    pose = Pose(ca.horzcat(axle, forward, ca.cross(axle, forward)), center)
     wheel = Wheel("w", "platform", (0, 0, 0), section, True)
     at = solid_touch(prism, terrain, wheel, pose, LookupTable())
     found = [at.gap, at.frame.normal, at.frame.point, ca.gradient(at.gap, center)]

@@ -24,8 +24,11 @@ from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism
 from slipfree.vehicle.wheel import Wheel
 
-ROUNDS = 6  # of two projections and an extrapolation
-MAX_RATE = 0.99  # largest rate of convergence that is extrapolated
+ROUNDS = 8  # of Newton's method for the nearest point
+MULTIPLIER_STEPS = 3
+SLACK = 1e-12
+LARGE = 1e9
+LEAST_MULTIPLIER = 1e-9
 EDGE_RADIUS = 0.1  # radius of the edge of discs [radii]
 ROOT_OFFSET = 1e-18  # keeps the derivatives of square roots finite [m2 or 1]
 
@@ -92,20 +95,48 @@ def solid_touch(
 
 def _nearest_on_disc(prism: Prism, origin: ca.DM, carrier: Pose, circle: float) -> ca.SX:
     """Return the point of a disc about the axle that is nearest to a solid, shape (3, 1) [m]."""
-    center, axle = carrier.origin, carrier.rotation[:, 0]
+    center, plane = carrier.origin, carrier.rotation[:, 1:]
+    if not circle:
+        return center
+    best, trial, step = ca.SX.zeros(2), ca.SX.zeros(2), ca.SX.zeros(2)
+    least, multiplier, slack = ca.SX(LARGE), ca.SX(0), ca.SX(SLACK)
+    for _ in range(ROUNDS):
+        distance, normal, hessian = prism.expansion(center + plane @ trial + origin, plane)
+        linear = hessian @ trial - distance * (plane.T @ normal)
+        newton, own = _minimum(hessian, linear, circle, multiplier)
+        is_better = distance < least + slack
+        is_first = ca.logic_and(ca.logic_not(is_better), slack > 0)  # rejected for the first time
+        best, least = ca.if_else(is_better, trial, best), ca.if_else(is_better, distance, least)
+        step = ca.if_else(is_better, newton - trial, ca.if_else(is_first, step, step / 2))
+        multiplier = ca.if_else(is_better, own, multiplier)
+        trial = ca.if_else(is_first, newton, best + step)
+        slack = ca.if_else(is_first, -SLACK, SLACK)
+    return center + plane @ trial
 
-    def project(spot: ca.SX) -> ca.SX:
-        distance, normal = prism.gap(spot + origin)
-        away = spot - distance * normal - center  # Q from the centre
-        away -= ca.dot(away, axle) * axle
-        return center + away * ca.fmin(1, circle / ca.sqrt(ca.sumsqr(away) + ROOT_OFFSET))
 
-    spot = center  # P
-    for _ in range(ROUNDS if circle else 0):
-        first = project(spot)
-        second = project(first)
-        step, last = first - spot, second - first
-        rate = ca.dot(step, last) / (ca.sumsqr(step) + ROOT_OFFSET)
-        rate = ca.fmax(0, ca.fmin(MAX_RATE, rate))
-        spot = second + rate / (1 - rate) * last
-    return project(spot) if circle else spot
+def _minimum(
+    hessian: ca.SX, linear: ca.SX, radius: float, multiplier: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """Return the minimum of ``p' hessian p / 2 - linear' p`` in a disc, shape (2, 1).
+
+    The multiplier of the radius is found by Newton's method.
+    """
+    a, b, c = hessian[0, 0], hessian[0, 1], hessian[1, 1]
+    largest = (a + c + ca.sqrt((a - c) ** 2 + 4 * b**2 + ROOT_OFFSET)) / 2
+    size = ca.sqrt(ca.sumsqr(linear) + ROOT_OFFSET)
+    bound = ca.fmax(LEAST_MULTIPLIER, size / radius - largest)
+    multiplier = ca.fmax(multiplier, bound)
+    for _ in range(MULTIPLIER_STEPS):
+        first, last = a + multiplier, c + multiplier
+        det = first * last - b**2
+        x, z = last * linear[0] - b * linear[1], first * linear[1] - b * linear[0]  # times det
+        square = x**2 + z**2 + ROOT_OFFSET**2
+        slope = (last * x**2 - 2 * b * x * z + first * z**2) + ROOT_OFFSET**2
+        multiplier = ca.fmax(
+            bound, multiplier + square / slope * (ca.sqrt(square) / radius - det) 
+        )
+    first, last = a + multiplier, c + multiplier
+    det = first * last - b**2
+    x, z = last * linear[0] - b * linear[1], first * linear[1] - b * linear[0]
+    point = ca.vertcat(x, z)
+    return point / ca.fmax(det, ca.sqrt(ca.sumsqr(point) + ROOT_OFFSET**2) / radius), multiplier
