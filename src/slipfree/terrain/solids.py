@@ -106,7 +106,22 @@ class Solid:
         return distance, normal
 
     def nearest(self, x: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the results of `gap`, and whether the nearest feature is a corner."""
+        """Return the results of `gap`, and whether the nearest feature is a corner.
+
+        Parameters
+        ----------
+        x, z : SX
+            The point. [m]
+
+        Returns
+        -------
+        distance : SX, shape (1, 1)
+            Distance, negative inside. [m]
+        normal : SX, shape (2, 1)
+            Outward unit vector.
+        is_corner : SX, shape (1, 1)
+            One if the nearest feature is a corner, zero if it is a face.
+        """
         place = ca.vertcat(x, z)
         distance, normal, is_corner = ca.SX(-np.inf), ca.SX.zeros(2), ca.SX(0)
         for point, outward in zip(self.points, self.normals, strict=True):
@@ -273,7 +288,7 @@ class Prism:
         return distance, normal
 
     def expansion(self, place: ca.SX, plane: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the results of `gap`, and a Hessian of half the squared distance.
+        """Return the results of `gap`, and the Hessian of half the squared distance in a plane.
 
         Outside the prism, half the squared distance is a convex, piecewise quadratic function.
 
@@ -282,7 +297,7 @@ class Prism:
         place : SX, shape (3, 1)
             The point, in map coordinates. [m]
         plane : SX, shape (3, 2)
-            Directions of the derivatives.
+            Perpendicular unit vectors in the plane.
 
         Returns
         -------
@@ -291,7 +306,7 @@ class Prism:
         normal : SX, shape (3, 1)
             Outward unit vector.
         hessian : SX, shape (2, 2)
-            Second derivatives of half the squared distance along the directions. [1]
+            Second derivatives of half the squared distance along these vectors. [1]
         """
         axes = ca.DM(self.axes)
         along, right, up = ca.vertsplit(axes.T @ (place - ca.DM([self.x, self.y, self.z])))
