@@ -181,29 +181,20 @@ def test_the_gap_of_a_wheel_along_an_edge(degrees):
         assert float(contact(center, axle)[0]) == pytest.approx(expected, abs=1e-4)
 
 
-@pytest.mark.parametrize("half_width", [np.inf, 0.075])
 @pytest.mark.parametrize("degrees", [1, 3, 10])
-def test_the_normal_is_the_gradient_where_a_wheel_is_nearly_parallel_to_a_face(degrees, half_width):
+def test_the_normal_is_the_gradient_where_a_wheel_is_nearly_parallel_to_a_face(degrees):
     """Otherwise its spin does work: the normal must be perpendicular to the rim of the disc."""
-    rng, (r1, r2) = np.random.default_rng(4), (0.02, 0.045)
-    prism = Prism(step(0.09).solids[1], half_width=half_width)
-    tilt = np.tan(np.deg2rad(degrees)) * rng.uniform(-1, 1, (2, 4 * COUNT))
-    face = np.ones(4 * COUNT)
-    axle = np.array([tilt[0], face, tilt[1]] if half_width == np.inf else [face, *tilt])
+    count, rng, (r1, r2) = 600, np.random.default_rng(4), (0.02, 0.045)
+    tilt = np.tan(np.deg2rad(degrees)) * rng.uniform(-1, 1, (2, count))
+    axle = np.array([tilt[0], np.ones(count), tilt[1]])
     axle /= np.linalg.norm(axle, axis=0)
-    aside, along = r1 + rng.uniform(0, 2e-3, 4 * COUNT), rng.uniform(0.0, 0.09, 4 * COUNT)
-    x, y = (np.zeros_like(aside), -aside) if half_width == np.inf else (-half_width - aside, along)
-    center = np.array([x, y, rng.uniform(0.05, 0.13, 4 * COUNT)])
-    gap, normal, point, gradient = (
-        np.array(each)
-        for each in contact_function(prism, Torus(r1, r2)).map(4 * COUNT)(center, axle)
-    )
-    rim = np.cross(axle.T, (point + r1 * normal - center).T)
-    work = np.abs((rim * normal.T).sum(axis=1)) / r2
-    print(np.quantile(work, [0.5, 0.9, 0.99, 1]), (gap[0] > -r1 / 2).mean())
-    print(np.quantile(np.abs(normal - gradient).max(axis=0), [0.5, 0.9, 0.99, 1]))
-    pressed = gap[0] > -r1 / 2
-    assert np.quantile(work[pressed], 0.99) < 1e-6
+    y, z = -r1 - rng.uniform(0, 2e-3, count), rng.uniform(0.05, 0.13, count)
+    center = np.array([np.zeros(count), y, z])
+    contact = contact_function(placed(step(0.09))[0], Torus(r1, r2))
+    _, normal, point, gradient = (np.array(each) for each in contact.map(count)(center, axle))
+    rim = np.cross(axle.T, (point + r1 * normal - center).T) / r2
+    assert np.abs((rim * normal.T).sum(axis=1)).max() < 1e-7
+    assert_allclose(normal, gradient, atol=1e-6)
 
 
 def test_a_disc_keeps_its_radius_in_its_plane():
