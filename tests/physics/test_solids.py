@@ -83,7 +83,9 @@ def poses(rng):
 
 def contact_function(prism, section, terrain=FLAT):
     center, axle = ca.SX.sym("center", 3), ca.SX.sym("axle", 3)
-    pose = Pose(ca.horzcat(axle, ca.SX.zeros(3, 2)), center)
+    forward = ca.cross(axle, ca.SX([0, 0, 1]))
+    forward /= ca.norm_2(forward)
+    pose = Pose(ca.horzcat(axle, forward, ca.cross(axle, forward)), center)
     wheel = Wheel("w", "platform", (0, 0, 0), section, True)
     at = solid_touch(prism, terrain, wheel, pose, LookupTable())
     found = [at.gap, at.frame.normal, at.frame.point, ca.gradient(at.gap, center)]
@@ -177,6 +179,22 @@ def test_the_gap_of_a_wheel_along_an_edge(degrees):
         disc = np.concatenate([center + share * rim for share in (1.0, 0.9, 0.8, 0.7, 0.5)])
         expected = prism.distance(disc)[0].min() - r1
         assert float(contact(center, axle)[0]) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("degrees", [1, 3, 10])
+def test_the_normal_is_the_gradient_where_a_wheel_is_nearly_parallel_to_a_face(degrees):
+    """Otherwise its spin does work: the normal must be perpendicular to the rim of the disc."""
+    count, rng, (r1, r2) = 600, np.random.default_rng(4), (0.02, 0.045)
+    tilt = np.tan(np.deg2rad(degrees)) * rng.uniform(-1, 1, (2, count))
+    axle = np.array([tilt[0], np.ones(count), tilt[1]])
+    axle /= np.linalg.norm(axle, axis=0)
+    y, z = -r1 - rng.uniform(0, 2e-3, count), rng.uniform(0.05, 0.13, count)
+    center = np.array([np.zeros(count), y, z])
+    contact = contact_function(placed(step(0.09))[0], Torus(r1, r2))
+    _, normal, point, gradient = (np.array(each) for each in contact.map(count)(center, axle))
+    rim = np.cross(axle.T, (point + r1 * normal - center).T) / r2
+    assert np.abs((rim * normal.T).sum(axis=1)).max() < 1e-7
+    assert_allclose(normal, gradient, atol=1e-6)
 
 
 def test_a_disc_keeps_its_radius_in_its_plane():

@@ -102,8 +102,28 @@ class Solid:
         normal : SX, shape (2, 1)
             Outward unit vector.
         """
+        distance, normal, _ = self.nearest(x, z)
+        return distance, normal
+
+    def nearest(self, x: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return the results of `gap`, and whether the nearest feature is a corner.
+
+        Parameters
+        ----------
+        x, z : SX
+            The point. [m]
+
+        Returns
+        -------
+        distance : SX, shape (1, 1)
+            Distance, negative inside. [m]
+        normal : SX, shape (2, 1)
+            Outward unit vector.
+        is_corner : SX, shape (1, 1)
+            One if the nearest feature is a corner, zero if it is a face.
+        """
         place = ca.vertcat(x, z)
-        distance, normal = ca.SX(-np.inf), ca.SX.zeros(2)
+        distance, normal, is_corner = ca.SX(-np.inf), ca.SX.zeros(2), ca.SX(0)
         for point, outward in zip(self.points, self.normals, strict=True):
             face = ca.dot(place - ca.DM(point), ca.DM(outward))
             normal = ca.if_else(face > distance, ca.DM(outward), normal)
@@ -116,7 +136,8 @@ class Solid:
             in_cone = ca.logic_and(past, before)
             distance = ca.if_else(in_cone, away, distance)
             normal = ca.if_else(in_cone, from_corner / away, normal)
-        return distance, normal
+            is_corner = ca.logic_or(is_corner, in_cone)
+        return distance, normal, is_corner
 
     def distance(self, x: npt.ArrayLike, z: npt.ArrayLike) -> tuple[Array, Array]:
         """Return the distances and normals of `gap` for arrays of points.
@@ -263,21 +284,52 @@ class Prism:
         normal : SX, shape (3, 1)
             Outward unit vector.
         """
+        distance, normal, _ = self.expansion(place, ca.SX.zeros(3, 2))
+        return distance, normal
+
+    def expansion(self, place: ca.SX, plane: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return the results of `gap`, and the Hessian of half the squared distance in a plane.
+
+        Outside the prism, half the squared distance is a convex, piecewise quadratic function.
+
+        Parameters
+        ----------
+        place : SX, shape (3, 1)
+            The point, in map coordinates. [m]
+        plane : SX, shape (3, 2)
+            Perpendicular unit vectors in the plane.
+
+        Returns
+        -------
+        distance : SX, shape (1, 1)
+            Distance. [m]
+        normal : SX, shape (3, 1)
+            Outward unit vector.
+        hessian : SX, shape (2, 2)
+            Second derivatives of half the squared distance along these vectors. [1]
+        """
         axes = ca.DM(self.axes)
         along, right, up = ca.vertsplit(axes.T @ (place - ca.DM([self.x, self.y, self.z])))
-        distance, normal = self.section.gap(along, up)
+        distance, normal, is_corner = self.section.nearest(along, up)
+        rows = axes.T @ plane
+        within, sideways = rows[[0, 2], :], rows[1, :]
+        slope = normal.T @ within
+        hessian = ca.if_else(is_corner, within.T @ within, slope.T @ slope)
         outward = ca.vertcat(normal[0], 0, normal[1])
         if not math.isfinite(self.half_width):
-            return distance, axes @ outward
+            return distance, axes @ outward, hessian
         beyond = ca.fabs(right) - self.half_width
         aside = ca.vertcat(0, ca.if_else(right < 0, -1, 1), 0)
         edge = ca.sqrt(distance**2 + beyond**2 + ROOT_OFFSET)
         at_edge = ca.logic_and(distance > 0, beyond > 0)
+        at_side = beyond > distance
         slanted = (distance * outward + beyond * aside) / edge
-        nearest = ca.if_else(beyond > distance, aside, outward)
+        of_side = ca.logic_or(at_edge, at_side) * (sideways.T @ sideways)
+        of_section = ca.if_else(ca.logic_or(at_edge, ca.logic_not(at_side)), hessian, 0)
         return (
             ca.if_else(at_edge, edge, ca.fmax(distance, beyond)),
-            axes @ ca.if_else(at_edge, slanted, nearest),
+            axes @ ca.if_else(at_edge, slanted, ca.if_else(at_side, aside, outward)),
+            of_section + of_side,
         )
 
     def distance(self, points: Array) -> tuple[Array, Array]:
