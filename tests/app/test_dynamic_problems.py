@@ -135,7 +135,7 @@ def test_a_sampled_driver_stops_at_a_limit(tmp_path):
 def test_a_check_gives_the_start_at_equilibrium():
     done = invoke("check", ROCKS)
     assert done.exit_code == 0, done.output
-    assert "lightest wheel" in done.output
+    assert "least loaded wheel" in done.output
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ def test_a_diagnostic_that_fails_loses_no_motion(monkeypatch, error):
 def test_without_friction_the_coefficient_needed_is_told():
     told = facts("run", "model=kinematics", "terrain.friction=")
     assert told["friction"].strip().startswith("coefficient needed 0.")
-    assert told["friction"].endswith("the ground's is not given")
+    assert told["friction"].endswith("the ground has no given coefficient")
     assert told["least slip"].strip().startswith("the least that kinematics allows")
 
 

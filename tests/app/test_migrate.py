@@ -146,7 +146,7 @@ def test_no_file_is_replaced(file: Path) -> None:
     Path("p.toml.bak").write_text("mine")
     assert "p.toml.bak: expected a new file, found an existing one; " in _called("p.toml", code=2)
     assert "p.toml.bak: expected a new file" in _called("p.toml", "-o", "p.toml.bak", code=2)
-    assert "expected another file than FILE" in _called("p.toml", "-o", "./p.toml", code=2)
+    assert "expected a file other than FILE" in _called("p.toml", "-o", "./p.toml", code=2)
     assert "no/n.toml: expected a folder no to write to" in _called(
         "p.toml", "-o", "no/n.toml", code=2
     )

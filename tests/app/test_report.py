@@ -163,7 +163,7 @@ def test_an_early_end_comes_first(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("undrawn")
 def test_running_again_replaces_nothing(tmp_path: Path) -> None:
-    again = report(_result("direct", tmp_path)).texts["To run it again"]
+    again = report(_result("direct", tmp_path)).texts["To repeat the run"]
     name = re.search(r"--problem > (\S+)", again)
     assert name
     assert name[1] == "direct_again.toml"
@@ -194,7 +194,7 @@ def test_a_result_without_a_problem_has_no_figures(tmp_path: Path) -> None:
     text = (tmp_path / "bare.html").read_text()
     assert "<img" not in text
     assert "its ground is unknown" in text
-    assert "To run it again" not in text
+    assert "To repeat the run" not in text
 
 
 def test_a_problem_of_another_version_has_no_figures(tmp_path: Path) -> None:

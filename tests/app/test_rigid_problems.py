@@ -81,7 +81,7 @@ def test_a_summary_has_wheels_in_the_air_and_rocks(
     monkeypatch.chdir(tmp_path)
     Path("d.toml").write_text(DRIVE)
     facts = run("d.toml")
-    for name in ("pressed wheels", "wheels in the air", "lightest wheel"):
+    for name in ("pressed wheels", "wheels in the air", "least loaded wheel"):
         assert f"\n{name} " in facts
     assert "x the tolerance" not in facts  # the error test ignores the unknowns
 

@@ -93,7 +93,7 @@ def test_a_share_out_of_reach_is_infeasible_and_the_plan_is_kept(tmp_path):
     )
     assert result.exit_code == Outcome.INFEASIBLE.exit_code
     assert (
-        "infeasible: the plan holds on 0 of 8 drawn worlds, expected at least 95 %" in result.stdout
+        "infeasible: the plan holds in 0 of 8 drawn worlds, expected at least 95 %" in result.stdout
     )
     assert "violated most often: " in result.stdout
     assert "x at the goal" in result.stdout

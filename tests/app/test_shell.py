@@ -162,7 +162,7 @@ def test_verbose_says_what_is_done_and_when() -> None:
     assert times == sorted(times)
     for words in (
         "read p.toml",
-        "settled the vehicle at its start",
+        "settled the vehicle at the start",
         "solved: steps ",
         "wrote p.nc",
     ):

@@ -203,4 +203,4 @@ def test_the_command(tmp_path: Path) -> None:
         assert "expected" in refused.stderr
     checked = CliRunner().invoke(app, ["check", str(tmp_path / "p.toml")])
     assert "ground map" in checked.stdout
-    assert "GeoTIFF of float64, EPSG:32633, heights at the middles of cells" in checked.stdout
+    assert "GeoTIFF of float64, EPSG:32633, heights at the centres of cells" in checked.stdout

@@ -79,7 +79,7 @@ def test_the_mean_density_gives_the_width_of_cells(tmp_path):
     density = float(re.search(r"([\d.]+) per m2", words)[1])
     assert_allclose(density, 10, rtol=0.05)  # the square without points does not count
     width = float(f"{np.sqrt(4 / density):.2g}")
-    assert f"cells of {width:g} m, chosen for 4 points in each (override by spacing)" in words
+    assert f"cells of {width:g} m, chosen for 4 points in each (override with spacing)" in words
     assert_allclose(found.grid.spacing, width)
 
 

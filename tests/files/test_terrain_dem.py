@@ -211,7 +211,7 @@ def test_npz_refuses(tmp_path):
     [
         ("map.sdat", r"ending in .npz, .tif, .* found '.sdat'; header and .*translate"),
         ("map.tif", "map.tif: expected a map, found that it cannot be read"),
-        ("junk", "another raster of GDAL in one file, found no ending with unknown"),
+        ("junk", "another single-file raster that GDAL reads, found no ending with unknown"),
         ("a.zip", "unpack it: unzip in.zip"),
         ("a.shp", "contours to a raster: gdal_grid .* in.shp out.tif"),
         ("a.hdr", "give the name of the file with the heights"),

@@ -24,7 +24,7 @@ def test_wheels_without_actuators_are_driven(tmp_path):
     assert [each.driven for each in vehicle.wheels] == [True] * 4
     (note,) = notes(vehicle)
     assert note.startswith("guessed driven: no wheel has an actuator: front_left_joint, ")
-    assert note.endswith("override by wheels = { front_left_joint = { driven = true } }")
+    assert note.endswith("override with wheels = { front_left_joint = { driven = true } }")
     free = read_vehicle(
         written(tmp_path, FOUR, "wheels = { front_left_joint = { driven = false } }")
     )

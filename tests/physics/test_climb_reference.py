@@ -99,7 +99,7 @@ def test_at_a_wall_the_front_axle_goes_alone():
 def test_unknown_laws_are_refused():
     with pytest.raises(ModelError, match="expected one of projective, fixed"):
         reference(step_climber(), TILTS, PerAxle(0, 0, 0), law="best")
-    with pytest.raises(ModelError, match=r"at least 1 as 'cap', found 0\.5"):
+    with pytest.raises(ModelError, match=r"at least 1 for 'cap', found 0\.5"):
         reference(step_climber(), TILTS, PerAxle(0, 0, 0), cap=0.5)
 
 
@@ -202,10 +202,10 @@ def test_largest_period_of_a_sampled_controller():
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"law": "best"}, "expected one of projective, .* as 'law'"),
+        ({"law": "best"}, "expected one of projective, .* for 'law'"),
         ({"directions": "eyes"}, "expected one of contact, sensors as 'directions'"),
-        ({"smoothing": 0.0}, "positive number as 'smoothing'"),
-        ({"unwinding": -1.0}, "at least 0 as 'unwinding'"),
+        ({"smoothing": 0.0}, "positive number for 'smoothing'"),
+        ({"unwinding": -1.0}, "at least 0 for 'unwinding'"),
         ({"cap": 0.9}, "'cap' >= 1"),
     ],
 )

@@ -292,7 +292,7 @@ def test_models_without_inertia_refuse_solids(model):
 
 @pytest.mark.parametrize(
     ("words", "numbers"),
-    [("a finite number as 'heading'", {"heading": np.nan}), ("half-width", {"half_width": 0.0})],
+    [("a finite number for 'heading'", {"heading": np.nan}), ("half-width", {"half_width": 0.0})],
 )
 def test_a_prism_of_invalid_numbers_is_refused(words, numbers):
     with pytest.raises(ModelError, match=words):

@@ -115,8 +115,8 @@ def test_power_law_has_no_period():
     [
         ({"shortest": 0.1}, "expected shortest >= 0.2 m, twice the spacing, found 0.1 m"),
         ({"longest": 0.3}, "shortest < longest"),
-        ({"hurst": 0.0}, r"hurst must lie in \(0, 1\]"),
-        ({"rms": -1.0}, "rms must be zero or positive, found -1"),
+        ({"hurst": 0.0}, r"expected hurst in \(0, 1\]"),
+        ({"rms": -1.0}, "expected rms >= 0, found -1"),
     ],
 )
 def test_power_law_refuses(change, words):

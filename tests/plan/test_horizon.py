@@ -199,6 +199,6 @@ def test_states_that_are_none_and_steps_that_fail_are_told(found):
         replan(window, first, np.nan, start)
     with pytest.raises(ModelError, match="expected a time t of at least 1 s"):
         replan(window, first._replace(t=1.0), 0.5, start)
-    with pytest.raises(SolverError, match="the inputs of the former cycle may still be used"):
+    with pytest.raises(SolverError, match="the inputs of the previous cycle may still be used"):
         replan(window, first, 0.0, start + np.array([0, 1e308, 0, 0]))
     assert replan(window, first, 0.0, start).violation < 1e-6

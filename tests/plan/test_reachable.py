@@ -75,7 +75,7 @@ def test_an_end_in_a_place_to_keep_out_of(name):
     assert (place, sure) == (name, True)
     assert words == (
         f"the vehicle cannot be at the {name} (19, 20): inside the keep-out disc at (20, 20) of "
-        f"2 m radius; move the {name} or make the keep-out smaller"
+        f"2 m radius; move the {name} or make the keep-out region smaller"
     )
 
 
@@ -158,8 +158,8 @@ def test_places_to_keep_out_of_that_divide_the_map_together():
     ((_, words, sure),) = told(layers, START, ("goal", 25.0, 25.0))
     assert sure
     assert (
-        "several keep-outs together separate them: polygon of 4 points about (8, 15), polygon"
-        in words
+        "several keep-out regions together separate them: polygon of 4 points about (8, 15), "
+        "polygon" in words
     )
     assert "disc" not in words
 

@@ -99,8 +99,8 @@ def test_a_current_folder_that_is_gone(words: str) -> None:
     code, shown, told = _shell(f"mkdir gone; cd gone; rmdir ../gone; slipfree {words}")
     assert (code, shown) == (2, "")
     assert told == (
-        "expected an existing current folder, found a removed one (No such file or directory); "
-        "change to another folder: cd DIR\n"
+        "expected a current folder that exists, found that it was removed (No such file or "
+        "directory); change to another folder: cd DIR\n"
     )
 
 

@@ -1,4 +1,4 @@
-"""Vehicles that come with the package, by function."""
+"""Functions that return the vehicles of the catalogue."""
 
 from slipfree.catalog.carts import (
     ackermann,

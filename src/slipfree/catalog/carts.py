@@ -362,4 +362,6 @@ def _pair(
 def _positive(name: str, **lengths: float) -> None:
     for key, length in lengths.items():
         if not 0 < length < inf:
-            raise ModelError(f"{name}: {key}: expected a finite positive length, found {length} m")
+            raise ModelError(
+                f"{name}: {key}: expected a finite positive length, found {length} m; change it"
+            )

@@ -173,7 +173,9 @@ def rocky7(
            Hb).
     """
     if steered not in ("front", "corners"):
-        raise ModelError(f"rocky7: steered: expected 'front' or 'corners', found {steered!r}")
+        raise ModelError(
+            f"rocky7: steered: expected 'front' or 'corners', found {steered!r}; change it"
+        )
     ahead, above, down, half_track = 0.12075, 0.105, 0.125, 0.2
     arm, angle, half, drop = 0.16, radians(49), 0.069, 0.02
     bogie = (ahead - arm * sin(angle), above - arm * cos(angle))

@@ -66,7 +66,7 @@ def seven_wheels(
     if not 0 < stiffness < inf:
         raise ModelError(
             "seven_wheels: expected a positive, finite stiffness of the springs, since seven rigid "
-            f"contacts are too many for five degrees of freedom, found {stiffness} N/m"
+            f"contacts are too many for five degrees of freedom, found {stiffness} N/m; change it"
         )
     if not 0 <= 3 * wheel_mass < FRONT_MASS:
         raise ModelError(

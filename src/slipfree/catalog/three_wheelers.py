@@ -66,8 +66,7 @@ def three_wheeler(
         needs more friction.
     mass, center_of_mass : float, tuple of 3 floats
         Mass of the platform, and its centre of mass in the platform's frame; the paper gives
-        neither.
-        [kg, m]
+        neither. [kg, m]
     wheel_mass, grip : float
         Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
         each wheel [1].
@@ -86,11 +85,13 @@ def three_wheeler(
     for key, length in (("half_track", half_track), ("wheelbase", wheelbase)):
         if not 0 < length < inf:
             raise ModelError(
-                f"three_wheeler: {key}: expected a finite positive length, found {length} m"
+                f"three_wheeler: {key}: expected a finite positive length, found {length} m; "
+                "change it"
             )
     if axle not in get_args(Axle):
         raise ModelError(
-            f"three_wheeler: axle: expected one of {', '.join(get_args(Axle))}, found {axle!r}"
+            f"three_wheeler: axle: expected one of {', '.join(get_args(Axle))}, found {axle!r}; "
+            "choose one of these names"
         )
     rear, front, section = -wheelbase / 3, 2 * wheelbase / 3, section_of_radii(r1, r2)
     ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}

@@ -37,7 +37,7 @@ NO_MEMORY = (
     "not enough memory: reduce 'terrain.window', or increase the spacing of the ground or "
     "'time.step', or use fewer intervals of the plan"
 )
-REFRESH = 0.1  # between two updates of the progress bar [s]
+REFRESH = 0.1  # shortest time between updates of the progress bar [s]
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Problem file (TOML).")]
 Settings = Annotated[
@@ -84,14 +84,13 @@ def reported() -> Iterator[None]:
 
 @contextmanager
 def about(file: Path) -> Iterator[None]:
-    """Raise errors of the block again, with a message that contains the name of the result file.
+    """Name the result file in the message of an error that the block raises.
 
     Raises
     ------
     DataError
-        For a KeyError of the block, since every result of ``slipfree run`` has the requested
-        quantities, statistics and attributes, and for a ModelError or DataError. The latter two are
-        raised unchanged if their message contains the name.
+        If the block raises a ModelError or DataError whose message lacks the name, or a KeyError:
+        every result of ``slipfree run`` has the requested quantities, statistics and attributes.
     """
     try:
         yield
@@ -321,13 +320,13 @@ def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[
 
 
 def print_facts(facts: list[tuple[str, str]]) -> None:
-    """Print facts, pairs of name and text, and add them to the JSON output of the command."""
+    """Print facts (pairs of name and text), and add them to the JSON output of the command."""
     add_json_facts(facts)
     show(facts)
 
 
 def show(facts: list[tuple[str, str]]) -> None:
-    """Print facts, pairs of name and text: as a table on a terminal, otherwise as plain lines."""
+    """Print facts (pairs of name and text), as a table on a terminal, otherwise as plain lines."""
     if not sys.stdout.isatty():
         width = max(len(name) for name, _ in facts)
         for name, value in facts:

@@ -17,7 +17,7 @@ from slipfree.errors import DataError
 if TYPE_CHECKING:
     from slipfree.problem.problem import Problem
 
-STEP = 0.05  # longest time between two steps of the session [s]
+STEP = 0.05  # longest time between steps of the session [s]
 
 
 def edit(
@@ -31,7 +31,7 @@ def edit(
     """Plan by hand: drag start, goal and keep-out regions on a map in a web page.
 
     The page shows the search while it runs and compares the plan with the last one. It saves the
-    places to the problem file.
+    start, goal and regions to the problem file.
     """
     with reported():
         problem = read_problem(file, None)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
 FOLDER = "problems"  # in the package
-NEED = ("file", "friction")  # keys with names of input files
+NEED = ("file", "friction")  # keys whose values are names of input files
 
 
 def _complete(begun: str) -> list[str]:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def check(file: File, settings: Settings = None) -> None:
-    """Check a problem, and settle the vehicle on the ground at its start.
+    """Check a problem, and settle the vehicle on the ground at the start of the motion.
 
     Print facts about ground, vehicle and start; the motion is not computed.
     """
@@ -51,7 +51,7 @@ def check(file: File, settings: Settings = None) -> None:
 
         problem = read_problem(file, settings)
         setup = build(problem)
-        detail("settled the vehicle at its start")
+        detail("settled the vehicle at the start")
         start, facts = verb_of(problem).describe_start(problem, setup)
         add_json("start", lambda: quantities(start))
         print_facts([*setup.facts, *facts])
@@ -66,7 +66,7 @@ def vehicle(
     write: Annotated[
         Path | None,
         typer.Option(
-            "--write", metavar="FILE", help="Write a vehicle file with the guesses about a URDF."
+            "--write", metavar="FILE", help="Write a vehicle file with the guesses made for a URDF."
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
@@ -117,12 +117,12 @@ def compare(file: File, settings: Settings = None) -> None:
             ("at the rates of the driving law", [row.fitting for row in rows]),
         ):
             print_line(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
-            head = f"{'rank':6}{'along':18}{'across':18}{'measured on the poses':27}"
+            head = f"{'rank':6}{'along':18}{'across':18}{'from the poses':27}"
             print_line(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
             for row, drive in zip(rows, drives, strict=True):
                 rank = f"{row.rank}/{row.conditions}"
                 print_line(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
-        print_line("\n* largest coefficient of friction that a wheel needs, load-weighted")
+        print_line("\n* largest friction coefficient that a wheel requires; forces load-weighted")
 
 
 def _drive(drive: Drive) -> str:

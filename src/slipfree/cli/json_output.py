@@ -30,7 +30,7 @@ def quantities(run: Trajectory) -> dict[str, Any]:
     """Return description, unit, first, last, smallest and largest value of each quantity by name.
 
     For quantities of wheels, first and last values are arrays of shape (n_wheels,), and smallest
-    and largest values are those of all wheels. Headings count from the axis of the problem's frame.
+    and largest values are taken over all wheels. Headings refer to the frame of the problem file.
     """
     from slipfree.frames import to_problem_frame
 

@@ -72,7 +72,7 @@ class _CommandOutput:
     stderr : text stream
         Stream of the details: the original stderr, since messages of integrators are redirected.
     began : float
-        Start of the command by `time.perf_counter`. [s]
+        Start time of the command, from `time.perf_counter`. [s]
     content : dict
         Keys and values of the JSON object.
     """
@@ -158,8 +158,8 @@ def _check_folder() -> None:
         Path.cwd()
     except OSError as error:
         print_error(
-            f"expected an existing current folder, found a removed one ({error.strerror}); change "
-            "to another folder: cd DIR"
+            "expected a current folder that exists, found that it was removed "
+            f"({error.strerror}); change to another folder: cd DIR"
         )
         raise typer.Exit(BAD_INPUT) from error
 
@@ -214,9 +214,9 @@ def add_json(name: str, make: Callable[[], Any]) -> None:
 
 
 def add_json_facts(facts: list[tuple[str, str]]) -> None:
-    """Add facts, pairs of name and text, to the JSON object.
+    """Add facts (pairs of name and text) to the JSON object.
 
-    An indented name belongs to the last name that is not indented: its key is "name: indented".
+    The key of an indented name is "NAME: INDENTED", where NAME is the last name without indent.
     """
     found, above = _current_output().content.setdefault("facts", {}), ""
     for name, words in facts:
@@ -249,7 +249,7 @@ def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def print_error(words: str) -> None:
-    """Print an error on stderr, also with ``--quiet``, and add it to the JSON object."""
+    """Print an error on stderr, even with ``--quiet``, and add it to the JSON object."""
     add_json_lines("errors", words)
     with suppress(OSError):  # stderr may be full: the exit code still reports the error
         print_line(words, err=True)

@@ -63,7 +63,7 @@ def _check_new(path: Path, file: Path) -> None:
     check_output(path)
     if resolve_links(path) == resolve_links(file):
         raise DataError(
-            f"{path}: expected another file than FILE, found FILE itself; omit -o to rewrite it"
+            f"{path}: expected a file other than FILE, found FILE itself; omit -o to rewrite it"
         )
     if path.exists():
         raise DataError(

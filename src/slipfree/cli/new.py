@@ -18,7 +18,7 @@ HOLE = "FILE"  # placeholder of the file name in the comments of a template
 
 
 class Kind(StrEnum):
-    """Kinds of problems."""
+    """Kind of a problem: the name of its template."""
 
     direct = "direct"
     inverse = "inverse"

@@ -33,7 +33,7 @@ def pareto(
         str,
         typer.Option(
             metavar="NAME",
-            help="Second objective: duration, effort, energy, or any quantity (its square).",
+            help="Second objective: duration, effort, energy, or the square of any quantity.",
         ),
     ] = "duration",
     points: Annotated[
@@ -55,7 +55,7 @@ def pareto(
     ] = 1,
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")] = True,
 ) -> None:
-    """Plan with the least slip for several durations, efforts or energies.
+    """Plan motions of least slip for several durations, efforts or energies.
 
     Print the Pareto front, and write its table, its figure and the plan of every point.
     """

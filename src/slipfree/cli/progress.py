@@ -18,14 +18,14 @@ INTEGRATION = "integrated"
 
 
 class Reports(NamedTuple):
-    """Callables by which a computation reports; both raise KeyboardInterrupt after Ctrl-C.
+    """Callables that report progress; both raise KeyboardInterrupt after Ctrl-C.
 
     Attributes
     ----------
     time : callable
         Called with the time reached. [s]
     search : callable
-        Called with the phase of a search and a line about its iterate.
+        Called with the phase of a search and a line that describes its iterate.
     """
 
     time: Callable[[float], None]
@@ -34,9 +34,9 @@ class Reports(NamedTuple):
 
 @contextmanager
 def reporting(duration: float | None) -> Iterator[Reports]:
-    """Yield the callables by which a computation reports its progress.
+    """Yield callables that report the progress of a computation.
 
-    With ``--verbose`` every iterate is a line; with ``--quiet`` and ``--json`` nothing is printed.
+    With ``--verbose`` every iterate is printed; with ``--quiet`` and ``--json`` nothing is printed.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def _detailed() -> Callable[[str, str], None]:
         nonlocal begun
         if not begun:
             begun = True
-            detail("settled the vehicle at its start; integrating")
+            detail("settled the vehicle at the start; integrating")
         seldom(phase, line)
 
     return integrated
@@ -93,7 +93,7 @@ def _detailed() -> Callable[[str, str], None]:
 def _sparse(show: Callable[[str], None], apart: float) -> Callable[[str, str], None]:
     """Return a callback of phase and line that shows at most one line per ``apart`` seconds.
 
-    The first line of a new phase is shown already `NEW_PHASE` seconds after the line before.
+    The first line of a new phase is shown `NEW_PHASE` seconds after the previous line.
     """
     last, former = time.monotonic() + FIRST_LINE - NEW_PHASE, ""
 

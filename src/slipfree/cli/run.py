@@ -50,7 +50,7 @@ Out = Annotated[
         "current folder.",
     ),
 ]
-Csv = Annotated[Path | None, typer.Option(metavar="OUT.csv", help="Write the samples also as CSV.")]
+Csv = Annotated[Path | None, typer.Option(metavar="OUT.csv", help="Also write the samples as CSV.")]
 Figures = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
@@ -63,7 +63,7 @@ CrossCheck = Annotated[
     bool,
     typer.Option(
         "--cross-check",
-        help="Solve also with the other formulation of contact (closure or montana), and print the "
+        help="Also solve with the other formulation of contact (closure or montana), and print the "
         "largest differences.",
     ),
 ]
@@ -143,7 +143,7 @@ def _output_paths(
 def _check_options(
     problem: Problem[Any], cross_check: bool, resume: Path | None, animation: Path | None
 ) -> None:
-    """Raise DataError for options that the verb does not support, and animations not in .gif."""
+    """Raise DataError for options that the verb does not support, or animations not in .gif."""
     from slipfree.problem.verbs.base import ANIMATION, CROSS_CHECK, RESUME
     from slipfree.problem.verbs.registry import check_option
 
@@ -164,7 +164,7 @@ def output_of(problem: Problem[Any]) -> str:
 
 
 def _solve(problem: Problem[Any], verb: MotionVerb, former: SavedPlan | None) -> Result:
-    """Return the result of a problem, solved with reports of the progress."""
+    """Solve a problem, report the progress, and return the result."""
     from slipfree.problem.solve import run_problem
 
     duration = problem.spec.time.duration if verb.is_timed else None

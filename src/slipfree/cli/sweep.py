@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from slipfree.sweep.log import Rows
     from slipfree.sweep.pools import Pool
 
-MOST_KEYS = 2  # largest number of varied keys in figures
+MAX_KEYS = 2  # largest number of varied keys in figures
 FIGURES = "figures"
 FIRST_LINE, LINES_APART = 1.0, 60.0  # times between lines of progress without a terminal [s]
 
@@ -145,11 +145,11 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
                 about_all = duration(left * each / processes)
                 count = "1 process" if processes == 1 else f"{processes} processes"
                 words = f"about {about_all}: {each:.3g} s per run on {count}"
-    print_facts([*facts, ("time", words if left else "nothing is left to run")])
+    print_facts([*facts, ("time", words if left else "all runs are finished")])
 
 
 def duration(seconds: float) -> str:
-    """Return a duration as text, in the largest unit of which it has at least two."""
+    """Return a duration as text, in the largest unit in which its value is at least 2."""
     for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.2g} {unit}"
@@ -157,7 +157,7 @@ def duration(seconds: float) -> str:
 
 
 def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
-    """Warn about finished runs without a result file, for example of a sweep without ``--keep``."""
+    """Warn about finished runs without a result file, such as those run without ``--keep``."""
     from slipfree.sweep.run import missing_results, result_path
 
     if missing := missing_results(folder, plan, rows):
@@ -236,9 +236,9 @@ def _progress(words: str) -> Iterator[Callable[..., None]]:
 def _draw(plan: Sweep, grids: Sequence[Swept], folder: Path) -> None:
     from slipfree.show.sweep_figures import save_sweep_figures
 
-    if len(plan.axes) > MOST_KEYS:
+    if len(plan.axes) > MAX_KEYS:
         print_line(
-            f"no figures: {len(plan.axes)} keys are varied, and figures show at most {MOST_KEYS}"
+            f"no figures: {len(plan.axes)} keys are varied, and figures show at most {MAX_KEYS}"
         )
         return
     if plan.count > 1:

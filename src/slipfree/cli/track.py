@@ -27,14 +27,14 @@ def track(
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Time between two replannings; default: a twentieth of the window.",
+            help="Time between updates of the plan; default: a twentieth of the window.",
         ),
     ] = None,
     window: Annotated[
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Length of the window that is replanned; default: a fifth of the plan's duration.",
+            help="Duration of the replanned window; default: a fifth of the plan's duration.",
         ),
     ] = None,
     out: Annotated[

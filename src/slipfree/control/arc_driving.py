@@ -36,7 +36,7 @@ def arc_inputs(
     *,
     speed: float,
 ) -> tuple[dict[str, Piecewise], float]:
-    """Return inputs that drive along arcs one after the other, and the duration [s].
+    """Return inputs that drive along consecutive arcs, and the duration [s].
 
     The vehicle stops before every arc until its wheels are steered for it. On even ground the
     middle of the turning axis then follows the arc without slip.

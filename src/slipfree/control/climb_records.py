@@ -45,7 +45,7 @@ class ControlState(NamedTuple):
 
 
 class ControlInputs(NamedTuple):
-    """Reference speed of the vehicle [m/s]."""
+    """Input of the controller: the reference speed of the vehicle [m/s]."""
 
     speed: Any
 
@@ -64,7 +64,7 @@ class ControlOutputs(NamedTuple):
     torques : PerAxle
         Torques of the motors, one per wheel. [N m]
     scale : SX
-        Factor by which the limit of the motors scales all torques. [1]
+        Factor by which the torque limit of the motors scales all torques. [1]
     energy : SX
         Kinetic and potential energy of the vehicle, and elastic energy of the contacts. [J]
     """
@@ -84,13 +84,11 @@ def _each(name: str, unit: str, words: str) -> PerAxle:
 def state_labels(control: Driver) -> ControlState:
     """Return the labels of the states of a controller."""
     return ControlState(
-        _each("error_sum", "rad", "integral of the error of the wheels' rate")
-        if control.integral
-        else (),
+        _each("error_sum", "rad", "integral of the wheel-rate error") if control.integral else (),
         _each("direction_seen", "rad", "smoothed estimate of the axle's direction from sensors")
         if control.senses
         else (),
-        _each("error_lag", "rad s-1", "filtered error of the wheels' rate, for the derivative gain")
+        _each("error_lag", "rad s-1", "filtered wheel-rate error, for the derivative gain")
         if control.derivative
         else (),
     )
@@ -105,8 +103,8 @@ OUTPUTS = ControlOutputs(
         )
     ),
     _each("direction", "rad", "direction in which the axle can move over its contacts"),
-    _each("reference", "rad s-1", "reference of the wheels' rate"),
-    _each("motor_torque", "N m", "commanded torque of a wheel's motor"),
-    Label("torque_scale", "1", "scale factor of all torques due to the motors' limit"),
-    Label("energy", "J", "kinetic and potential energy, that of the contacts' springs included"),
+    _each("reference", "rad s-1", "reference rate of the wheels"),
+    _each("motor_torque", "N m", "commanded motor torque of a wheel"),
+    Label("torque_scale", "1", "factor by which the torque limit scales all torques"),
+    Label("energy", "J", "kinetic and potential energy, including the springs of the contacts"),
 )

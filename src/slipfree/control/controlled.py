@@ -1,4 +1,4 @@
-"""Models with a controller: its laws replace inputs, and its states become states of the model."""
+"""Models with a controller: laws replace inputs, and its states become states of the model."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> 
     controller : Controller
         The controller.
     sampled : bool
-        Whether the inputs of the model remain inputs. They are then given the laws as values, for
-        `slipfree.solve.zero_order_hold.simulate_sampled`.
+        Whether the inputs of the model remain inputs, which
+        `slipfree.solve.zero_order_hold.simulate_sampled` sets to the values of the laws.
 
     Returns
     -------

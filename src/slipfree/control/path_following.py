@@ -38,8 +38,8 @@ class _PlanarWheel(NamedTuple):
     effects : mapping of str to SX
         Derivatives of the angle with respect to commanded coordinates, by name. [rad/rad, rad/m]
     leans : str or None
-        Name of the passive coordinate that tilts the wheel sideways; None if there is none or the
-        wheel is not driven.
+        Name of the passive coordinate that tilts the wheel sideways; None if there is no such
+        coordinate or the wheel is not driven.
     """
 
     wheel: Wheel
@@ -63,8 +63,8 @@ class _PlanarGeometry(NamedTuple):
     ahead : float
         Distance of the platform's centre ahead of the turning axis. [m]
     gain : float
-        Ratio of the difference of wheel speeds to that of a vehicle that turns without slip: above
-        one where unsteered wheels must slip sideways. [1]
+        Difference of the wheel speeds, relative to that of a vehicle that turns without slip; above
+        one if unsteered wheels must slip sideways. [1]
     """
 
     wheels: tuple[_PlanarWheel, ...]
@@ -174,10 +174,10 @@ def _guidance_rates(
     forward = (-ca.sin(direction), ca.cos(direction))
     d_x, d_y = dae.x.x - reference.x, dae.x.y - reference.y
     along, left = d_x * forward[0] + d_y * forward[1], d_y * forward[0] - d_x * forward[1]
-    # the centre's velocity points left of the heading, as it lies ahead of the turning axis
+    # the centre lies ahead of the turning axis: its velocity points to the left of the heading
     turned = dae.named("heading")[0] - direction + ca.atan(plan.ahead * curvature)
     v = speed * ca.cos(turned) - abs(speed) / base * along
-    # left' = v sin, turned' = turning - v curvature: critically damped over a base length
+    # with left' = v sin(turned) and turned' = turning - v curvature, errors are critically damped
     error = ca.sin(turned)  # smooth where the angle wraps around
     turning = speed * curvature - (2 * abs(speed) * error + speed * left / base) / base
     return v, turning
@@ -277,9 +277,10 @@ def _wheel_mobility(
 ) -> Iterator[tuple[Pose, dict[str, ca.SX], str | None, bool]]:
     """Yield the pose of every wheel in the level platform's frame, and its steering and tilting.
 
-    The second value maps commanded coordinates to their effect on the wheel's heading; the third
-    is the passive coordinate that tilts the wheel sideways, None without one or for a wheel that
-    is not driven; the last is whether a passive coordinate swivels the wheel about the vertical.
+    The second value maps commanded coordinates to their effect on the wheel's heading. The third is
+    the passive coordinate that tilts the wheel sideways; None if there is no such coordinate or the
+    wheel is not driven. The last is whether a passive coordinate swivels the wheel about the
+    vertical.
     """
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     passive = {c.name: ca.SX.sym(c.name) for c in vehicle.of("passive")}

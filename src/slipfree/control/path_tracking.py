@@ -16,7 +16,7 @@ from slipfree.trajectory import Trajectory
 
 GAIN = 1.0  # decay rate of the errors of position and heading [1/s]
 DEGREE = 5  # degree of the splines through the way-points
-MAX_START_DISTANCE = 1e-6  # largest distance between path and start [size, rad]
+MAX_START_DISTANCE = 1e-6  # largest distance of the path from the start [vehicle sizes, rad]
 
 
 def path_inputs(
@@ -61,7 +61,7 @@ def path_inputs(
     if set(names) != set(PLANAR):
         raise ModelError(
             f"path: expected an inverse model with the inputs {', '.join(PLANAR)}, found "
-            f"{', '.join(names)}; build it by inverse_kinematics(..., given={PLANAR})"
+            f"{', '.join(names)}; build it with inverse_kinematics(..., given={PLANAR})"
         )
     if t is None:
         path = ca.vertcat(x, y, heading)

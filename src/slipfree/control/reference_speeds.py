@@ -119,12 +119,12 @@ def reference(
     """
     if law not in get_args(Law):
         raise ModelError(
-            f"reference: expected one of {', '.join(get_args(Law))} as 'law', found {law!r}; "
+            f"reference: expected one of {', '.join(get_args(Law))} for 'law', found {law!r}; "
             "choose one of these names"
         )
     if not cap >= 1:
         raise ModelError(
-            f"reference: expected a number of at least 1 as 'cap', found {cap}; increase it"
+            f"reference: expected a number of at least 1 for 'cap', found {cap}; increase it"
         )
     if law == "fixed":
         return PerAxle(ca.SX(1), ca.SX(1), ca.SX(1))
@@ -298,7 +298,7 @@ def estimated_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: Pe
 
 
 def directions(profile: Profile, radius: float, axles: PerAxle) -> PerAxle:
-    """Return the directions in which the axles can move forward, upward from the horizontal [rad].
+    """Return the angles above the horizontal in which the axles can move forward [rad].
 
     The direction of an axle is the steepest upward tangent of the solids near its wheels: wheels
     that touch floor and wall move up the wall. They move downhill, as over an edge, only if no

@@ -53,7 +53,7 @@ class Noise:
             if not (0 <= value < math.inf and (value > 0 or name != "band")):
                 sign = ">" if name == "band" else ">="
                 raise ModelError(
-                    f"noise: expected a finite number {sign} 0 as {name!r}, found {value}; "
+                    f"noise: expected a finite number {sign} 0 for {name!r}, found {value}; "
                     "change it"
                 )
 
@@ -87,7 +87,7 @@ def measured(
 
 
 def _unit(rng: np.random.Generator, band: float, t: Any) -> Any:
-    """Return the value at time t of noise with root mean square one and largest frequency band."""
+    """Return the value at time ``t`` of noise with unit rms and largest frequency ``band``."""
     edges = np.linspace(0.01 * band, band, TONES + 1)
     turning = 2 * np.pi * rng.uniform(edges[:-1], edges[1:])
     phases = rng.uniform(0, 2 * np.pi, TONES)

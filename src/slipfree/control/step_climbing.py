@@ -98,19 +98,19 @@ class Control:
         for name, known in (("law", Law), ("directions", Directions)):
             if getattr(self, name) not in get_args(known):
                 raise ModelError(
-                    f"control: expected one of {', '.join(get_args(known))} as {name!r}, "
+                    f"control: expected one of {', '.join(get_args(known))} for {name!r}, "
                     f"found {getattr(self, name)!r}; choose one of these names"
                 )
         for name in ("smoothing", "proportional", "integral", "lag"):
             if not getattr(self, name) > 0:
                 raise ModelError(
-                    f"control: expected a positive number as {name!r}, found "
+                    f"control: expected a positive number for {name!r}, found "
                     f"{getattr(self, name)}; increase it"
                 )
         for name in ("derivative", "unwinding"):
             if not getattr(self, name) >= 0:
                 raise ModelError(
-                    f"control: expected a number of at least 0 as {name!r}, found "
+                    f"control: expected a number of at least 0 for {name!r}, found "
                     f"{getattr(self, name)}; increase it"
                 )
         if not (0 <= self.share < math.inf and self.cap >= 1):
@@ -152,7 +152,7 @@ class Commands(NamedTuple):
 
 
 def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rises: Any) -> Torques:
-    """Return the torques of the wheels, (17), within the motors' limit, (18) and (19).
+    """Return the motor torques by (17), scaled to the torque limit by (18) and (19).
 
     (18) as printed does not limit negative torques; here the absolute value is limited.
 
@@ -179,7 +179,7 @@ def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rise
 
 
 def limited(limit: float, wanted: PerAxle) -> Torques:
-    """Return torques of the wheels within the motors' limit, (18) and (19) [N m]."""
+    """Return motor torques scaled to the torque limit by (18) and (19) [N m]."""
     if math.isinf(limit):
         return Torques(wanted, wanted, ca.SX(1))
     scale = limit / ca.fmax(limit, ca.mmax(ca.fabs(ca.vertcat(*wanted))))
@@ -189,7 +189,7 @@ def limited(limit: float, wanted: PerAxle) -> Torques:
 def largest_period(control: Driver, climber: Climber) -> float:
     """Return the sample time above which a sampled controller is unstable [s].
 
-    For a freely spinning wheel of inertia J/n with constant torque between samples at distance T,
+    For a freely spinning wheel of inertia J/n with constant torque during the sample time T,
     error and integral advance by a matrix of trace ``2 - a - b/2`` and determinant ``1 - a + b/2``
     with ``a = T n kp / J`` and ``b = T^2 n ki / J``. It is stable for T below ``2 J / (n kp)`` and
     below ``2 kp / ki``.

@@ -135,8 +135,8 @@ def grid_mapping(crs: str) -> dict[str, Any]:
 def _projection(system: dict[str, Any]) -> dict[str, Any]:
     """Return the CF attributes of a projection from PROJJSON.
 
-    The result is empty if CF does not define the projection, or if a parameter has another unit
-    than `UNITS`.
+    The result is empty if CF does not define the projection, or if the unit of a parameter is not
+    in `UNITS`.
     """
     conversion = system.get("conversion", {})
     code = conversion.get("method", {}).get("id", {}).get("code")

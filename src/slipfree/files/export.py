@@ -147,6 +147,6 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
 
 
 def _urn(crs: str) -> str:
-    """Return the name of a coordinate reference system, an EPSG code as URN."""
+    """Return the name of a coordinate reference system, with an EPSG code written as URN."""
     code = re.fullmatch(r"EPSG:(\d+)", crs)
     return f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs

@@ -39,7 +39,7 @@ def read_mcap(path: Path, name: str) -> Rows:
         Name of a column of the table. ``"v_x"``, ``"v_y"`` or ``"omega_z"``: commands ``t, v_x,
         v_y, omega_z`` of messages Twist or TwistStamped [s, m/s, rad/s]. ``"x"``, ``"y"`` or
         ``"heading"``: path ``t, x, y, heading`` of the last message Path, or of messages Odometry
-        [s, m, rad]. Frames have x forward, y left (REP 103); times count from that of the first
+        [s, m, rad]. Frames have x forward, y left (REP 103); times are relative to the first
         row.
 
     Raises
@@ -150,7 +150,7 @@ def _messages(path: Path, kinds: Sequence[str]) -> Iterator[tuple[str, int, Any]
                 yield channel.topic, record.log_time, decode(record.data)
     except DataError:
         raise
-    except Exception as error:  # also those of its parsers and codecs
+    except Exception as error:  # also errors of its parsers and codecs
         raise DataError(
             f"{path}: expected messages as MCAP, found a file that is damaged or of another "
             f"format ({type(error).__name__}); record or convert it again"

@@ -40,8 +40,8 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
     vehicle : Vehicle
         The vehicle.
     robot : Robot, optional
-        The URDF of the vehicle: values of its joints have the signs of its axes. Without it, angles
-        of wheels are positive forward.
+        The URDF of the vehicle, whose axes determine the signs of the joint values. Without it,
+        angles of wheels are positive forward.
 
     Raises
     ------

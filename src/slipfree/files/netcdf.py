@@ -147,8 +147,8 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
     path : path
         The result file.
     lazy : bool
-        Whether to read each quantity from the file whenever it is accessed, to save memory. Then
-        the access raises the DataError of a quantity with damaged values.
+        Whether to read each quantity from the file whenever it is accessed, to save memory. Access
+        to a quantity with damaged values then raises DataError.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return by name the arrays that `write` stored in addition to the trajectory.
+    """Return the arrays that `write` stored in addition to the trajectory, by name.
 
     Raises
     ------
@@ -384,7 +384,8 @@ def _trajectory(file: _File) -> Trajectory:
         raise _fault(file.path, "a variable 'wheel' that does not contain names")
     names = tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels)
     n, k = t.size, len(names)
-    sizes = {("time",): (n,), ("wheel", "time"): (k, n), ("time", "wheel"): (n, k)}  # last: old
+    # the last order is that of version 0.1
+    sizes = {("time",): (n,), ("wheel", "time"): (k, n), ("time", "wheel"): (n, k)}
     stop = None
     if set(STOP) <= set(found):
         name, words = (str(found[key]) for key in (STOP[0], STOP[2]))

@@ -28,7 +28,7 @@ CLIMB_SUMS = {
 }
 ON_SOLIDS = ("gap", "load", "friction", "slip")  # quantities of climbs with the number of a solid
 NO_CLEARANCE = 1.0  # version 0.1 stored this for a wheel without a second near point [m]
-ROUNDING = 1e-6  # smaller violations of a limit are rounding, in the unit of the limit
+ROUNDING = 1e-6  # smaller violations of a limit count as rounding, in the unit of the limit
 
 OUTCOMES = {  # outcome by name of the stop; limits and checks have other names
     "solver": Outcome.SOLVER_FAILURE,
@@ -64,8 +64,8 @@ def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]
 def sums_0_1(labels: Mapping[str, Label]) -> dict[str, dict[str, float]]:
     """Return the stored quantities of a result of version 0.1 that make up the current ones.
 
-    A current quantity is a sum of stored quantities with factors. Those of climbs have other names
-    since climbs are dynamics.
+    A current quantity is a sum of stored quantities with factors. Quantities of
+    climbs have new names, since climbs are now computed by the dynamic model.
     """
     if "axle_x" not in labels:
         return {name: {name: 1.0} for name in labels}

@@ -26,7 +26,7 @@ from slipfree.plan.transcription import PlanTask, TimedCondition
 from slipfree.records import Array, Label, leaves
 from slipfree.trajectory import Trajectory
 
-BOUND_TOLERANCE = 1e-9  # largest gap between bounds that count as consistent [their unit]
+BOUND_TOLERANCE = 1e-9  # largest gap between consistent bounds, in their unit
 REMEDIES = {
     "start": "start elsewhere",
     LIMIT: "widen the limit",
@@ -41,7 +41,7 @@ class _Bounds(NamedTuple):
     """Bounds of an expression before transcription: ``lower <= expression <= upper``.
 
     ``fraction`` is the time at which the bounds apply as a fraction of the duration, nan if they
-    apply at all times; ``shift`` is the map coordinate minus the local coordinate.
+    apply at all times. ``shift`` is the map coordinate minus the local coordinate.
     """
 
     label: Label

@@ -12,7 +12,7 @@ import numpy as np
 from slipfree.plan.transcription import Index, PlanTask, Program, RowBlock
 from slipfree.records import Array, Label, leaves
 
-VIOLATION_TOLERANCE = 1e-6  # smaller violations are rounding [unit of the quantity]
+VIOLATION_TOLERANCE = 1e-6  # smaller violations count as rounding, in the unit of the quantity
 EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"
 COST = "cost"
 

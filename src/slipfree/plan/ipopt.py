@@ -21,8 +21,8 @@ OTHER_VIOLATION_GROWTH = 100.0  # for the repetition of a search without progres
 STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
 IPOPT_TOLERANCE = 1e-8
 WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
-WARM_MONOTONE_BARRIER = 1e-3  # the same for the monotone barrier, whose problems change more
-WARM_PUSH = 1e-9  # smallest distance from the bounds in a warm start [scaled unknowns]
+WARM_MONOTONE_BARRIER = 1e-3  # the same with the monotone strategy, for models with a replay
+WARM_PUSH = 1e-9  # smallest distance of scaled unknowns from their bounds in a warm start
 WARM_OPTIONS: dict[str, Any] = {
     "warm_start_init_point": "yes",
     **{f"warm_start_{name}_push": WARM_PUSH for name in ("bound", "slack_bound", "mult_bound")},
@@ -30,7 +30,7 @@ WARM_OPTIONS: dict[str, Any] = {
     "warm_start_slack_bound_frac": WARM_PUSH,
 }
 QUASI_DENSE_ORDERING = (
-    6  # minimum degree ordering for matrices with a few full rows, as of a free duration
+    6  # of MUMPS: suits matrices with a few dense rows, such as that of a free duration
 )
 IterateCallback = Callable[["Iterate"], bool]
 
@@ -210,7 +210,7 @@ def solve_program(
         "max_iter": iterations,
         "theta_max_fact": growth,
     }
-    if warm is not None and program.task.dae.replay:  # of the monotone barrier
+    if warm is not None and program.task.dae.replay:  # see "mu_strategy" in `_ipopt_solver`
         ipopt["mu_init"] = WARM_MONOTONE_BARRIER
     with InterruptGuard() as guard:
         watch = _IterateWatcher(program, on_iterate or (lambda _: True), guard)
@@ -245,7 +245,7 @@ def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, An
         "print_level": 0,
         "sb": "yes",
         "tol": IPOPT_TOLERANCE,
-        # Contact forces as unknowns need the monotone barrier (docs/decisions.md).
+        # Contact forces as unknowns require the monotone strategy (docs/decisions.md).
         "mu_strategy": "monotone" if program.task.dae.replay else "adaptive",
         "honor_original_bounds": "yes",
         "mumps_permuting_scaling": 0,

@@ -1,8 +1,8 @@
 """Model-predictive control: update a plan while the vehicle moves, one Newton step per cycle.
 
-A window of fixed length in time moves ahead of the vehicle. At its end, the quantities of the goal
-must equal those of the plan at that time. Only the bounds of its program change from cycle to
-cycle. In each cycle the former solution is shifted in time, the measured state is imposed, and one
+A window of fixed duration moves ahead of the vehicle. At its end, the quantities of the goal must
+equal those of the plan at that time. Only the bounds of its program change from cycle to cycle. In
+each cycle the previous solution is shifted in time, the measured state is imposed, and one
 iteration is made (Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization
 in optimal feedback control, SIAM J. Control Optim. 43, 2005). Near the end of the plan the window
 becomes shorter.
@@ -211,7 +211,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     window : Horizon
         Moving window, from `slipfree.plan.mpc.horizon`.
     former : Cycle
-        Result of the former cycle, or of `slipfree.plan.mpc.first_cycle`.
+        Result of the previous cycle, or of `slipfree.plan.mpc.first_cycle`.
     t : float
         Time of the measurement since the beginning of the plan. [s]
     x : ndarray, shape (n_x,)
@@ -226,11 +226,11 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     Raises
     ------
     ModelError
-        If ``t`` or ``x`` is not finite, ``x`` has the wrong shape, or ``t`` is before the former
-        cycle.
+        If ``t`` or ``x`` is not finite, ``x`` has the wrong shape, or ``t`` is before the
+        previous cycle.
     SolverError
-        If the iterations fail, for example for a state far from the plan. The inputs of the former
-        cycle may still be used.
+        If the iterations fail, for example for a state far from the plan. The inputs of the
+        previous cycle may still be used.
 
     Examples
     --------
@@ -259,8 +259,8 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
         )
     if t < former.t - TIME_TOLERANCE:
         raise ModelError(
-            f"replan: expected a time t of at least {former.t:g} s, the time of the former cycle, "
-            f"found {t:g} s; replan at ascending times"
+            f"replan: expected a time t of at least {former.t:g} s, the time of the previous "
+            f"cycle, found {t:g} s; replan at increasing times"
         )
     span = min(window.span, plan.duration - t)
     if span < MIN_WINDOW_FRACTION * window.span:
@@ -284,12 +284,12 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
         lam_x0=bounds,
     )
     status = str(window.solver.stats()["return_status"])
-    # IPOPT may return rows of another iterate than its unknowns.
+    # The rows that IPOPT returns may belong to another iterate than the unknowns.
     g = np.array(window.rows(found["x"], window.weights)).ravel()
     if status not in USABLE_STATUSES or not np.isfinite(g).all():
         raise SolverError(
             f"replan: the iterations failed at t = {t:g} s, state {x}: {ipopt_words(status)}; "
-            "the inputs of the former cycle may still be used"
+            "the inputs of the previous cycle may still be used"
         )
     unknowns, rows, bounds = (np.array(found[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     asked = replace(program, g_lower=g_lower, g_upper=g_upper)

@@ -25,8 +25,8 @@ WEAK = float(
     np.sqrt(IPOPT_TOLERANCE)
 )  # largest distance and relative multiplier of a weakly active bound
 REGULARISATION = 1e-12  # of the KKT matrix, for dependent constraints
-LANCZOS_STEPS = 40  # number of steps for extreme eigenvalues
-ROUNDING = 1e-10  # smaller eigenvalues count as zero [largest eigenvalue]
+LANCZOS_STEPS = 40  # number of Lanczos steps for the extreme eigenvalues
+ROUNDING = 1e-10  # eigenvalues below this fraction of the largest one count as zero
 Operator = Callable[[Array], Array]
 
 
@@ -76,7 +76,7 @@ class Optimality(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Result of the check as text, for summaries."""
+        """Result of the check as text for the summary."""
         bounds, directions = (
             f"{count} {noun}" + "s" * (count != 1)
             for count, noun in ((self.weak, "bound"), (self.directions, "free direction"))
@@ -208,7 +208,7 @@ def _extreme_eigenvalues(operator: Operator, size: int) -> tuple[float, float]:
     products = np.zeros((steps, size))
     new = np.random.default_rng(1).standard_normal(size)
     for k in range(steps):
-        for _ in range(2):  # repeated because of rounding
+        for _ in range(2):  # one pass leaves rounding errors
             new = new - basis[:k].T @ (basis[:k] @ new)
         length = float(np.linalg.norm(new))
         if k and length <= ROUNDING * float(np.linalg.norm(products[k - 1])):

@@ -17,8 +17,8 @@ from slipfree.errors import ModelError
 from slipfree.outcome import Outcome
 from slipfree.records import field_overview
 
-SLACK = 0.01  # smallest bound above the least second objective [second objective]
-MARGIN = 1e-3  # smallest difference of a dominated point [first objective]
+SLACK = 0.01  # relative distance of the smallest bound from the least second objective
+MARGIN = 1e-3  # smallest relative gain of a point that dominates another
 
 
 class FrontPoint(NamedTuple):
@@ -163,7 +163,7 @@ def is_better(point: FrontPoint, other: FrontPoint) -> bool:
 
 
 def _batches(count: int) -> Iterator[list[int]]:
-    """Yield the indices of all points but the last: the first, then middles between known ones."""
+    """Yield the indices of all points but the last: the first, then midpoints of known ones."""
     known = [0, count - 1]
     yield [0]
     while batch := [(a + b) // 2 for a, b in pairwise(known) if b - a > 1]:

@@ -67,12 +67,12 @@ from slipfree.records import Array, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
 from slipfree.trajectory import PLAN, Stop, Trajectory
 
-SLIP_STAGES = (0.0, 1.0)  # consecutive factors on the weight of the slip
+SLIP_STAGES = (0.0, 1.0)  # factors of the weight of the slip, one per stage
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
 MAX_LIMIT_ROUNDS = 4  # largest number of times that violated limits are added
 MAX_REFINEMENTS = 6  # largest number of refinements of the mesh
 MIN_IMPROVEMENT = 0.8  # ratio of errors on a finer and a coarser mesh for a further refinement
-LIMIT_CLEARANCE = 1e-5  # distance of plans from the model's limits, which end a simulation
+LIMIT_CLEARANCE = 1e-5  # distance of plans from limits of the model, in their units
 SAMPLE_STEP = 0.25  # largest time between samples of the simulation [s]
 PlanProgress = Callable[[str, Iterate], bool]
 
@@ -185,7 +185,7 @@ class Plan:
 
     @cached_property
     def prices(self) -> tuple[Price, ...]:
-        """Prices of the active limits, largest saving first; empty if ``success`` is False."""
+        """Shadow prices of active limits, largest saving first; empty if ``success`` is False."""
         return limit_prices(self.program, self.solution) if self.success else ()
 
 
@@ -247,19 +247,19 @@ def plan(
         the verified plan of least cost from all guesses, or, if the simulation verifies none, the
         plan of least cost.
     goal : mapping of str to float or (low, high), or sequence of Limit
-        Values or ranges of states and algebraic unknowns by name at the end, in map coordinates;
+        Values or ranges of states and algebraic unknowns at the end, by name, in map coordinates;
         or conditions in the model's symbols. [m, rad]
     costs : mapping of str to float, or sequence of Cost
         Weights by name: ``"slip"``, ``"effort"`` (squared inputs), ``"time"``, ``"energy"`` (work
-        of the wheels' drives; energy from braking is not counted), or the name of any
-        quantity of the model, whose square is integrated over time and summed over the wheels
-        (positions in local coordinates, see `Dae`). Or terms with other expressions: `Cost`.
+        of the wheels' drives; braking recovers no energy), or any quantity of the model, whose
+        square is integrated over time and summed over the wheels (positions in local coordinates,
+        see `Dae`). Alternatively, terms with other expressions: `Cost`.
     duration : float or (shortest, longest)
         Duration of the plan. [s]
     smooth : float
         Weight of the squared rates of the inputs, integrated over time.
     continuous : bool
-        Whether inputs are continuous and linear on every interval; else they are constant on it.
+        Whether inputs are continuous and linear on every interval; otherwise they are constant.
     limits : mapping of str to (low, high), or sequence of Limit
         Ranges of quantities by name during the whole plan, in map coordinates; or limits in the
         model's symbols.
@@ -269,7 +269,7 @@ def plan(
         Bounds of inputs and of their rates by name. [1/s, 1/s2]
     cost_limits : mapping of str to float, optional
         Largest integrals of terms of the cost, by name as in ``costs``, in the units of the terms;
-        terms without a weight are limited only.
+        terms without a weight are only limited.
     initial_inputs : mapping of str to float, optional
         Values of inputs at the beginning by name, for example zero for a vehicle at rest; the
         others are free within their bounds. [1/s]
@@ -494,7 +494,7 @@ def _solve_in_stages(
             not more.found.success
             and largest_violation(program, more.found.rows) > VIOLATION_TOLERANCE
         ):
-            # The former plan meets all constraints, although its slip is not minimal.
+            # The previous plan meets all constraints, although its slip is not minimal.
             kept = found._replace(success=False, status=more.found.status)
             return search._replace(found=kept, first=first, stages=stages)
         search = more._replace(stages=stages)
@@ -614,7 +614,7 @@ def _warm_guess(program: Program, first: Array) -> Solution:
 
 
 def _violated_limits(task: PlanTask, run: Trajectory, beyond: float) -> list[Limit]:
-    """Return the limits of the model that a plan violates and that are not in its task.
+    """Return the limits of the model that a plan violates and that its task lacks.
 
     A violation counts if it is larger than ``beyond``, which is negative to include limits that
     the plan almost reaches. The returned limits are narrower by `LIMIT_CLEARANCE` on both sides.
@@ -661,9 +661,10 @@ def _refine(
 
 
 def _has_improved(before: Verification, after: Verification) -> bool:
-    """Return whether a finer mesh has reduced the error; that of the model does not depend on it.
+    """Return whether a finer mesh has reduced the error of a plan.
 
-    The condition is for plans that are simulated with another model.
+    It is for plans that are simulated with another model: the error of the planned model does not
+    depend on the mesh.
     """
     return position_error(after) < MIN_IMPROVEMENT * position_error(before)
 

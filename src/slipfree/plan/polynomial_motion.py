@@ -25,7 +25,7 @@ from slipfree.solve.system import with_inputs
 from slipfree.trajectory import Trajectory
 
 SAME_STATE_DISTANCE = 1e-6  # largest distance of states that count as equal [m, rad]
-FRACTION_TOLERANCE = 1e-12  # largest difference of times that count as equal [duration]
+FRACTION_TOLERANCE = 1e-12  # relative difference of times that count as equal
 
 
 class PolynomialMotion(NamedTuple):
@@ -122,7 +122,7 @@ def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
     """Return consecutive motions of one model as one motion.
 
     All motions must have the same degree and the same kind of inputs. At a junction, states and
-    continuous inputs are those of the former motion.
+    continuous inputs are those of the earlier motion.
     """
     times = np.cumsum([0.0, *(each.duration for each in motions)])
     ends = [t + each.ends[1:] for t, each in zip(times, motions, strict=False)]
@@ -146,9 +146,9 @@ def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
 def transfer_motion(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:
     """Return unknowns of a program, not scaled, sampled from a motion of another program.
 
-    Mesh, goal and ground of the programs may differ. Only the part of the former motion after the
-    fraction ``after`` of its duration is used. Algebraic unknowns that the former motion does not
-    have are computed from the equations of the model.
+    Mesh, goal and ground of the programs may differ. Only the part of the given motion after the
+    fraction ``after`` of its duration is used. Algebraic unknowns that the given motion lacks
+    are computed from the equations of the model.
     """
     task, layout = program.task, program.layout
     nodes = after + (1 - after) * program.mesh.nodes

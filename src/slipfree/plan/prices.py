@@ -1,4 +1,4 @@
-"""Compute prices of limits: decrease of the optimal cost per unit by which a limit is widened.
+"""Compute shadow prices of limits: decrease of the optimal cost per unit by which a limit widens.
 
 A multiplier is the derivative of the optimal cost with respect to its bound (Nocedal and Wright,
 Numerical Optimization, 2nd ed., section 12.8). A limit bounds a quantity at all points of the mesh;
@@ -27,14 +27,14 @@ from slipfree.plan.optimality import active_set
 from slipfree.plan.transcription import Index, Program
 from slipfree.records import Array, Label, field_overview
 
-STEP_FRACTION = 0.01  # change of a bound in messages [power of ten of the bound; m for goals]
+STEP_FRACTION = 0.01  # change of a bound in messages, relative to its power of ten; in m for goals
 MAX_NAMED_PRICES = 5  # number of prices in a message
-MIN_SHARE = 1e-4  # smallest reported saving by a step [cost]
+MIN_SHARE = 1e-4  # smallest reported saving by a step, relative to the cost
 AT_MOST, AT_LEAST, VALUE = "at most", "at least", "value"
 
 
 class Price(NamedTuple):
-    """Price of a limit of a plan: derivative of the optimal cost with respect to its bound.
+    """Shadow price of a limit of a plan: derivative of the optimal cost with respect to its bound.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Price(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Sentence that states the relative saving of cost for a small change of the bound."""
+        """Relative saving of cost for a small change of the bound, as a sentence."""
         side = "" if self.side == VALUE else f" {self.side}"
         more = "more" if self.rate < 0 else "less"
         return (
@@ -86,7 +86,7 @@ class Price(NamedTuple):
 
 
 def limit_prices(program: Program, solution: Solution) -> tuple[Price, ...]:
-    """Return the prices of the active limits of a solution, the largest saving per step first.
+    """Return the shadow prices of the active limits of a solution, largest saving per step first.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def _sides(
 ) -> Iterator[tuple[str, float, Index]]:
     """Yield side, bound and indices into rows and unknowns for each side of a limit.
 
-    Points at which the program has a narrower bound are left out.
+    Points at which the program has a narrower bound are omitted.
     """
     lower = np.append(program.g_lower, program.lower)[group.where]
     upper = np.append(program.g_upper, program.upper)[group.where]

@@ -19,7 +19,7 @@ from slipfree.trajectory import Trajectory
 
 Range = tuple[float, float]
 BLENDED_POWER = 0.1  # width of the smooth transition between work and braking [W]
-ROUNDED_FRACTION = 0.01  # rounding of a square root at zero [bound]
+ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bound
 
 
 def duration_of(value: float | Range) -> Range:
@@ -100,7 +100,7 @@ def _cost_term(dae: Dae, name: str) -> Cost:
         slip = ca.sumsqr(ca.vertcat(*parts))
         return Cost(name, slip, "m2 s-1", "squared slip of all wheels")
     if name == "energy":
-        return Cost(name, _driving_power(dae), "J", "work of the drives, braking not counted")
+        return Cost(name, _driving_power(dae), "J", "work of the drives, without braking")
     squares = ca.SX(sum(_squared(each) for each in dae.named(name)))
     words = f"squared {name}, integrated over time"
     return Cost(name, squares, _squared_unit(dae, name), words)

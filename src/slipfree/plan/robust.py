@@ -1,6 +1,7 @@
-"""Tighten the limits of a plan until a share of its simulations in drawn worlds keeps them.
+"""Tighten the limits of a plan until a required share of its simulations satisfies them.
 
-A drawn world is the model with random errors, for example of ground, friction and inputs.
+Each simulation runs in a drawn world: the model with random errors, for example of ground, friction
+and inputs.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ from slipfree.trajectory import Trajectory
 P = TypeVar("P")
 Draw = tuple[int, int, int]
 LOWER, UPPER = "lower", "upper"
-CONFIDENCE = 0.95  # level of the interval of a share
+CONFIDENCE = 0.95  # level of the confidence interval of a share
 MAX_ROUNDS = 5  # largest number of times that the limits are tightened
-MIN_STEP = 1 / 8  # smallest fraction of the tightening of a round between two plans
-FINAL = 0  # stream of the draws that only the reported shares use
+MIN_STEP = 1 / 8  # smallest step between two plans, as a fraction of the round's tightening
+FINAL = 0  # random stream of the draws for the reported shares only
 
 
 class Bound(NamedTuple):
@@ -91,7 +92,7 @@ class Replays(NamedTuple):
     each: tuple[Replay, ...]
 
     def __repr__(self) -> str:
-        return f"Replays: {self.held} of {self.draws} keep all bounds"
+        return f"Replays: {self.held} of {self.draws} satisfy all bounds"
 
     @property
     def draws(self) -> int:
@@ -100,12 +101,12 @@ class Replays(NamedTuple):
 
     @property
     def held(self) -> int:
-        """Number of simulations that keep all bounds."""
+        """Number of simulations that satisfy all bounds."""
         return sum(replay.holds for replay in self.each)
 
     @property
     def share(self) -> float:
-        """Share of the simulations that keep all bounds."""
+        """Share of the simulations that satisfy all bounds."""
         return self.held / self.draws
 
     @property
@@ -170,7 +171,7 @@ def robust_plan(
     final_draws: int,
     seed: int,
 ) -> RobustPlan[P]:
-    """Tighten the limits of a plan until a share of its simulations in drawn worlds keeps them.
+    """Tighten the limits of a plan until a required share of its simulations satisfies them.
 
     Every round simulates the newest plan for draws that it does not depend on. If the share is
     missed, the limits of the next plan are tightened by quantiles of these violations, chosen such
@@ -183,12 +184,12 @@ def robust_plan(
     first : P
         The plan with the limits as given.
     solve : callable
-        Function of the tightening of the bounds and of the plan before, for a warm start; returns
-        a plan, or raises SlipfreeError if there is none.
+        Function of the tightening of the bounds and of the previous plan, for a warm start;
+        returns a plan, or raises SlipfreeError if there is none.
     replay : callable
         Function of a plan and of draws; returns the simulations.
     share : float
-        Required share of simulations that keep all bounds. [1]
+        Required share of simulations that satisfy all bounds. [1]
     draws, final_draws : int
         Number of draws of a round, and of the final test.
     seed : int
@@ -220,9 +221,9 @@ def robust_plan(
 def _tighten_gradually(
     solve: Callable[[Tightening, P], P], now: P, tightening: Tightening, added: Tightening
 ) -> tuple[P, float, str]:
-    """Return the plan with further tightened limits, the fraction reached, and why it is below 1.
+    """Return the plan with tightened limits, the fraction reached, and the reason if it is below 1.
 
-    Steps that are not solved are halved, and later steps start from the plan of the former one.
+    Steps that are not solved are halved; later steps start from the last solved plan.
     """
     done, step, failure = 0.0, 1.0, ""
     while done < 1 and step >= MIN_STEP:
@@ -317,7 +318,7 @@ def replay_of(
     accuracy: float,
     goal: float | None,
 ) -> Replay:
-    """Compare a simulation in a drawn world with the bounds of a plan and of its model.
+    """Compare a simulation in a drawn world with the bounds of the plan and of its model.
 
     Parameters
     ----------
@@ -330,7 +331,7 @@ def replay_of(
     run : Trajectory
         Simulation of the planned inputs in the drawn world.
     accuracy : float
-        Violation that is tolerated, in the unit of each quantity.
+        Tolerated violation, in the unit of each quantity.
     goal : float or None
         Tolerance of conditions with equal bounds, in their units; without it they are ignored.
     """
@@ -359,7 +360,7 @@ def _model_limits(dae: Dae, given: Sequence[Limit]) -> Iterator[Limit]:
 
 
 def _excess_at_stop(dae: Dae, found: PolynomialMotion, run: Trajectory) -> tuple[Bound, float]:
-    """Return the bound at which a simulation of a plan ended, and an excess.
+    """Return the bound at which a simulation of a plan ended, and an estimate of the excess.
 
     The simulation does not show by how much the bound would have been violated. The excess is the
     distance of the plan from the bound at this time: tightening by it excludes the plan. It is

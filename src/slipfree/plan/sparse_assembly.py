@@ -169,7 +169,7 @@ def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.
     """
     count = len(each.variable_indices)
     if f.is_a("SXFunction") and not f.find_functions():
-        # Ten times as fast as CasADi's interpreter called point by point.
+        # Ten times as fast as calling CasADi's interpreter point by point.
         return _repeat_constants(_evaluate_by_columns(f, [*map(_split_columns, arguments)]), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
     found = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
@@ -252,7 +252,7 @@ def _lagrangian_hessian(
             each.variable_indices.T[row].ravel(),
             each.variable_indices.T[column].ravel(),
         )
-        # If two unknowns of a block are the same one of the program, both triangles count.
+        # If two unknowns of a block are one unknown of the program, both triangles count.
         twice = np.repeat(row != column, len(each.variable_indices)) & (rows == columns)
         values.append(found)
         entries.append((np.minimum(rows, columns), np.maximum(rows, columns)))

@@ -13,10 +13,10 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
 
-PERTURBATION = 0.3  # standard deviation of a perturbed input [rms of the input]
+PERTURBATION = 0.3  # standard deviation of a perturbation, relative to the rms of the input
 MODES = 4  # number of cosines in a perturbation
 MAX_HALVINGS = 4  # of a perturbation whose motion ends early
-SHORTEST = 0.5  # shortest motion that is used as a guess [duration]
+SHORTEST = 0.5  # shortest motion that is used as a guess, relative to the duration
 GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 PATH_SAMPLES = 201  # samples at which the paths of two plans are compared
 SAME_PATH = 1e-3  # largest distance of paths that count as one optimum [m]
@@ -144,7 +144,7 @@ def distances(optima: Sequence[LocalOptimum]) -> list[float]:
 
 
 def optima_words(optima: Sequence[LocalOptimum]) -> str:
-    """Return a text table of local optima, one line each, with cost, duration and path distance."""
+    """Return a table of local optima as text, one line each, with cost, duration and distance."""
     return "\n".join(
         f"{each.start}: {each.outcome}, cost {each.cost:.6g} ("
         + ", ".join(f"{name} {value:.4g}" for name, value in each.terms.items())

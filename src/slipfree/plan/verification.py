@@ -18,10 +18,10 @@ from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
 
-LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit [range of its bounds]
-REFINED_FRACTION = 0.25  # smallest violation on intervals refined with a violated one [tolerance]
-VERIFICATION_TOLERANCE = 0.01  # tolerance of the simulation [accuracy of the plan]
-POSITION_UNITS = ("m", "rad", "1")  # of states that a simulation by another model must reproduce
+LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit, relative to its range
+REFINED_FRACTION = 0.25  # neighbours with this fraction of a violation are also refined
+VERIFICATION_TOLERANCE = 0.01  # tolerance of the simulation, relative to the plan's accuracy
+POSITION_UNITS = ("m", "rad", "1")  # of states that a simulation with another model must reproduce
 MIN_INTERVAL_SAMPLES = 8  # samples per interval, denser near its ends
 
 
@@ -126,10 +126,10 @@ def _precise(program: Program) -> SolverOptions:
 def _verify_on_replay(
     program: Program, found: PolynomialMotion, start: Trajectory, *, accuracy: float, step: float
 ) -> Verification:
-    """Compare a plan with the simulation of its inputs by another model, ``dae.replay``.
+    """Compare a plan with the simulation of its inputs with another model, ``dae.replay``.
 
-    Positions and angles must agree within the accuracy. Speeds differ by the vibrations that the
-    planned model leaves out; they are reported only.
+    Positions and angles must agree within the accuracy. Speeds differ by vibrations that the
+    planned model omits; their differences are only reported.
     """
     task, dae = program.task, program.task.dae
     model = dae if dae.replay is None else dae.replay.model
@@ -180,10 +180,10 @@ def _intervals(program: Program, parts: Array) -> Index:
 
 
 def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory) -> float:
-    """Return the largest violation of a limit in a simulation by another model.
+    """Return the largest violation of a limit in a simulation with another model.
 
     A limit on unknowns of the planned model applies to the quantity of the same name of the other
-    model; it is left out if there is none.
+    model; it is omitted if there is none.
     """
     dae, label = task.dae, quantity_label(limit.label)
     if not ca.depends_on(limit.expression, dae.columns()[1]):

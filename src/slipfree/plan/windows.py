@@ -1,8 +1,8 @@
 """Plan long motions along a route in consecutive windows.
 
-Each window begins at a simulated state of the plan before, and extends beyond the next hand-over by
-an overlap, which is planned again in the next window. A program therefore never has more unknowns
-than those of one window, and the parts before the hand-overs join to one motion, which is simulated
+Each window begins at a hand-over, a simulated state of the preceding plan, and extends beyond the
+next hand-over by an overlap, which the next window plans again. A program therefore never has more
+unknowns than one window. The parts before the hand-overs join to one motion, which is simulated
 without a jump of states or continuous inputs.
 """
 
@@ -37,9 +37,9 @@ from slipfree.trajectory import SolverError, Stop, Trajectory, joined
 
 GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 WINDOW_POINTS = 400  # points of the route in a guess
-POINTS_PER_METRE = 4  # of the route, where the nearest one is searched
-ASIDE = 0.25  # largest distance from the route at the end of a window [overlap]
-OTHER_LENGTHS = (0.5, -0.5)  # changes of the length of a window without solution [overlap]
+POINTS_PER_METRE = 4  # points per metre of the route among which the nearest one is searched
+ASIDE = 0.25  # largest distance from the route at the end of a window, relative to overlap
+OTHER_LENGTHS = (0.5, -0.5)  # changes of the length of an unsolved window, in overlaps
 MIN_REST = 1e-6  # shortest part of a route that is planned [m]
 TIME_TOLERANCE = 1e-9  # largest difference of times that count as equal [s]
 GOAL_SUFFIX = " at the goal"  # of the violations of conditions at the end of a plan
@@ -128,7 +128,7 @@ class LongPlan:
 
 
 class _Part(NamedTuple):
-    """Part of a window before its hand-over, or a former plan from which the search continues.
+    """Part of a window before its hand-over, or an earlier plan from which the search continues.
 
     The last five values are those of `Plan`.
     """
@@ -177,7 +177,7 @@ class _WindowSearch(NamedTuple):
     def solve(self, here: _HandOver) -> tuple[Plan, float, tuple[SolvedStage, ...]]:
         """Return the plan of a window, the arc length at its end [m], and all solved programs.
 
-        Other lengths are tried if the window has no solution; then the last plan is an iterate.
+        Other lengths are tried if the window has no solution. If none has, the plan is an iterate.
         """
         stages: tuple[SolvedStage, ...] = ()
         for change in (0.0, *OTHER_LENGTHS):
@@ -242,7 +242,7 @@ class _WindowSearch(NamedTuple):
         )
 
     def nearest(self, run: Trajectory, low: float, high: float) -> float:
-        """Return the arc length of the route's point nearest to the end of a motion [m].
+        """Return the arc length of the route at the point nearest to the end of a motion [m].
 
         Only arc lengths from ``low`` to ``high`` are searched.
         """
@@ -296,7 +296,7 @@ def plan_windows(
     options : SolverOptions
         As for `plan`.
     resume : SavedPlan, optional
-        Former result of this function that ended before the goal; its motion is kept, and the
+        Earlier result of this function that ended before the goal; its motion is kept, and the
         search continues at its end.
     progress : callable, optional
         As for `plan`; the description of each program begins with the position of the window.
@@ -416,7 +416,7 @@ def _end_inputs(dae: Dae, motion: PolynomialMotion, bounds: Array) -> dict[str, 
 def _former_part(
     dae: Dae, start: Trajectory, saved: SavedPlan, step: float, options: SolverOptions
 ) -> _Part:
-    """Return a former plan as the first part of a long plan, simulated again.
+    """Return an earlier plan as the first part of a long plan, simulated again.
 
     Raises
     ------

@@ -26,8 +26,8 @@ from slipfree.terrain.solids import Prism
 from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
-DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are rougher
-TIME_TOLERANCE = 1e-9  # times at a smaller distance count as equal [duration]
+DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth
+TIME_TOLERANCE = 1e-9  # relative difference of times that count as equal
 EVEN = 1e-6  # smaller relative differences of periods count as zero
 
 
@@ -98,7 +98,7 @@ def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
 
 
 def heading_offset(problem: Problem[S]) -> float:
-    """Return the angle [rad] to add to a heading of the problem to count it from the y axis."""
+    """Return the angle that converts a heading of the problem to one from the y axis [rad]."""
     return -OFFSET[getattr(problem.spec, "frame", "paper")]
 
 
@@ -197,8 +197,8 @@ def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> Sampled
         steps.
     """
     time = problem.spec.time
-    if time.duration / period > schema.MOST_SAMPLES:
-        expected = f"a period with at most {schema.MOST_SAMPLES} steps in {time.duration:g} s"
+    if time.duration / period > schema.MAX_SAMPLES:
+        expected = f"a period with at most {schema.MAX_SAMPLES} steps in {time.duration:g} s"
         raise problem_error(problem.source, [Fault(key, expected, f"{period:g} s; increase it")])
     every = round(time.step / period)
     if every < 1 or abs(every * period - time.step) > EVEN * period:

@@ -24,7 +24,7 @@ from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, place_rocks
 from slipfree.trajectory import Trajectory
 
-OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys only for map files
+OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys of map files only
 EARTH = -12000.0, 9000.0  # heights between the deepest ocean and the highest mountain [m]
 
 

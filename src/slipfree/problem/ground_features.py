@@ -44,11 +44,11 @@ class Ramp(Feature):
 
 
 class Ridge(Feature):
-    """A ridge across y, of the form of a Gaussian bell."""
+    """A Gaussian ridge, with its crest perpendicular to the y axis."""
 
     middle: float = Field(description="y of the crest [m]")
     height: float = Field(description="height of the crest; negative for a trench [m]")
-    width: Positive = Field(description="distance from the crest at which 1/e of it remains [m]")
+    width: Positive = Field(description="distance from the crest to 1/e of its height [m]")
 
     def added(self, grid: Grid) -> Grid:
         """Return a ground with the feature added."""

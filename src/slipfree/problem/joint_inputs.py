@@ -19,7 +19,7 @@ from slipfree.problem.schema import FILE, Motion
 from slipfree.records import Array
 from slipfree.vehicle.tree import Vehicle
 
-START_TOLERANCE = 1e-6  # of the first command of a position [rad, m]
+START_TOLERANCE = 1e-6  # of the first commanded position [rad, m]
 
 
 class _Actuator(NamedTuple):

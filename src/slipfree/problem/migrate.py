@@ -94,7 +94,7 @@ def _note(source: Source, data: dict[str, Any]) -> str:
             "the start now faces +x (0.1.0: +y): to face +y, set start.heading = '90 deg'"
         )
     if "heading" in limits:
-        remedies.append("limits.heading now counts from the x axis (0.1.0: from the y axis)")
+        remedies.append("limits.heading is now measured from the x axis (0.1.0: from the y axis)")
     return f"{source.where(('frame',))}: {'; '.join(remedies)}" if remedies else ""
 
 

@@ -30,7 +30,7 @@ from slipfree.trajectory import SolverError, outcome_words
 
 SLIP, TIME, DURATION, ENERGY = "slip", "time", "duration", "energy"
 USUAL = (DURATION, "effort", ENERGY)  # second objectives of every planning problem
-SHORTEST = 0.01  # smallest duration in the search for the least one [largest duration]
+SHORTEST = 0.01  # lower bound of the least duration, relative to the largest duration
 LineCallback = Callable[[str, str], None]
 SettingTexts = tuple[str, ...]
 
@@ -134,7 +134,7 @@ def plan_front(
     """Return the Pareto front of slip against the duration or a term of the cost.
 
     The duration is fixed, or the integral of the term limited, at each point, and the slip is
-    minimised. Other costs of the problem are left out; its limits, bounds and weight of smoothness
+    minimised. Other costs of the problem are omitted; its limits, bounds and weight of smoothness
     remain. The longest duration is that of the problem.
 
     Parameters
@@ -330,7 +330,7 @@ def _task(
 
 
 def _solve_point(task: _PointTask, report: LineCallback | None = None) -> tuple[int, FrontPoint]:
-    """Return the index of a task in its batch, and its point: a plan, or the reason for none."""
+    """Return the index of a task in its batch, and its point: a plan, or the reason of failure."""
     return task.order, _planned(task, report)
 
 

@@ -1,4 +1,4 @@
-"""Session of planning by hand: a page asks for plans, watches the search, and saves the problem."""
+"""Session of planning by hand: a page requests plans, shows the search and saves the problem."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Session(NamedTuple):
     plans : tuple of FoundPlan
         The last plans, the newest first.
     version : int
-        Number of changes, so that a page sees whether it is up to date.
+        Number of changes, by which a page detects that it is out of date.
     """
 
     path: Path
@@ -136,7 +136,7 @@ def open_session(path: Path, text: str, places: Places) -> Session:
 
 
 def state_of(session: Session) -> dict[str, Any]:
-    """Return what a page shows, as a JSON value."""
+    """Return the state of a session as a JSON value for the page."""
     return {
         "version": session.version,
         "phase": session.phase,
@@ -161,7 +161,9 @@ def _rounded(path: Array) -> list[list[float]]:
 
 
 class Desk:
-    """Session with its worker; commands come from any thread, `step` runs in the main thread.
+    """Session with its worker process.
+
+    Any thread may give commands; `step` must run in the main thread.
 
     Parameters
     ----------

@@ -138,7 +138,7 @@ class PlanWorker:
 
 def _solve_requests(connection: Connection[Any, Any]) -> None:
     """Solve the problems that arrive at a connection until it is closed."""
-    import slipfree.problem.solve  # noqa: F401 - while the user is still editing
+    import slipfree.problem.solve  # noqa: F401 - loads while the user is editing
 
     prepare_process()
     while True:

@@ -127,7 +127,7 @@ def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
     words = ["slipfree", "run", name, *(part for each in settings for part in ("--set", each))]
     again = f"slipfree info {shlex.quote(file.name)} --problem > {shlex.quote(name)}\n"
     again += f"{shlex.join(words)}   # with slipfree {found[ORIGIN]}\n"
-    return {"Problem": found["problem"], "To run it again": again}
+    return {"Problem": found["problem"], "To repeat the run": again}
 
 
 def _drawn(result: Result, count: int) -> _Drawn:

@@ -178,7 +178,7 @@ def _folder(file: Path, spec: Runnable, recorded: str, folder: Path | None) -> P
         f"{file}: expected the input file{'s' * (len(needed) > 1)} {' and '.join(needed)} of its "
         f"problem in {' or '.join(map(str, tried))}, found "
         f"{'no folder with all of them' if len(needed) > 1 else 'no such file'}; give the folder "
-        "of the problem file by --folder DIR"
+        "of the problem file with --folder DIR"
     )
 
 

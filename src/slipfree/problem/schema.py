@@ -29,7 +29,7 @@ from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 
 SlipName = Annotated[str, AfterValidator(known_slip)]
 
-MOST_SAMPLES = 1_000_000  # largest number of samples of a motion
+MAX_SAMPLES = 1_000_000  # largest number of samples of a motion
 VERB = "kind of the problem"
 TOLERANCE = "tolerance of the integrator, absolute and relative [1]"
 SIZED = (
@@ -139,8 +139,8 @@ class CommonKeys(Record):
         if time.step > time.duration:
             expected = f"at most the duration, {time.duration:g} s"
             yield Fault(("time", "step"), expected, f"{time.step:g} s; reduce the step")
-        elif time.duration / time.step > MOST_SAMPLES:
-            expected = f"a step with at most {MOST_SAMPLES} samples in {time.duration:g} s"
+        elif time.duration / time.step > MAX_SAMPLES:
+            expected = f"a step with at most {MAX_SAMPLES} samples in {time.duration:g} s"
             yield Fault(("time", "step"), expected, f"{time.step:g} s; increase the step")
 
 
@@ -179,7 +179,7 @@ class Motion(Task, Runnable):
 
     frame: Frame = Field(
         default="paper",
-        description="axis from which headings count, also in summaries, exports and figures: "
+        description="axis from which headings are measured, also in summaries, exports, figures: "
         "y, or x (REP 103)",
     )
     vehicle: Vehicle = Field(description="the vehicle")

@@ -87,7 +87,7 @@ class Terrain(Record):
         description="'area': values of a picture are at cell centres; 'point': at nodes",
     )
     spacing: Positive | None = Field(
-        default=None, description="distance between nodes, for points [m]"
+        default=None, description="distance between nodes, for scattered points [m]"
     )
     geographic: Literal["local"] | None = Field(
         default=None, description="conversion of degrees to metres; by default degrees are an error"
@@ -96,12 +96,12 @@ class Terrain(Record):
         default=None,
         description="interpolation of holes inside the map; wheels must not touch other holes",
     )
-    scale: Positive = Field(default=1.0, description="factor on x, y and heights [1]")
-    horizontal_scale: Positive = Field(default=1.0, description="further factor on x and y [1]")
-    vertical_scale: Positive = Field(default=1.0, description="further factor on heights [1]")
+    scale: Positive = Field(default=1.0, description="factor of x, y and heights [1]")
+    horizontal_scale: Positive = Field(default=1.0, description="further factor of x and y [1]")
+    vertical_scale: Positive = Field(default=1.0, description="further factor of heights [1]")
     window: Window | None = Field(default=None, description="part of the scaled ground to use [m]")
     smooth: Positive | None = Field(
-        default=None, description="standard deviation of a Gaussian average of the heights [m]"
+        default=None, description="standard deviation of a Gaussian filter of the heights [m]"
     )
     error: ElevationError | None = Field(default=None, description="a random error of the heights")
     rolled: Positive | None = Field(

@@ -30,7 +30,7 @@ def known_slip(name: str) -> str:
 
 
 def registered_laws() -> dict[str, Any]:
-    """Return by name the laws that have parameters."""
+    """Return the laws that have parameters, by name."""
     laws: dict[str, Any] = {**SLIP_LAWS, **GROUND_LAWS, **CONTACT_LAWS}
     return {name: law for name, law in laws.items() if fields(law)}
 

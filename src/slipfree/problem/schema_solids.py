@@ -42,7 +42,7 @@ class Stairs(Record):
 
 
 class Obstacle(Record):
-    """An obstacle on the ground: a profile with vertical sides, at a place and along a heading."""
+    """An obstacle on the ground: a profile with vertical sides, at a position and heading."""
 
     ramp: Incline | None = Field(default=None, description="a ramp up to a plateau")
     step: Step | None = Field(default=None, description="a step up to a plateau")
@@ -53,7 +53,7 @@ class Obstacle(Record):
         description="corners of a convex polygon: distance along the heading, and height [m]",
     )
     x: float = Field(default=0.0, description="x of the point where the profile begins [m]")
-    y: float = Field(default=0.0, description="y of this point [m]")
+    y: float = Field(default=0.0, description="y of the point where the profile begins [m]")
     heading: Angle = Field(
         default=0.0,
         description="direction of the profile, counter-clockwise from the axis of frame [rad]",

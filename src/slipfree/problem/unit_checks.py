@@ -15,7 +15,7 @@ TABLES = (*BARE, "inputs", "bounds")
 
 
 def check_units(spec: schema.Task, dae: Dae) -> Iterator[Fault]:
-    """Yield an error for each value with another unit than the model's quantity of that name."""
+    """Yield an error for each value whose unit differs from that of the model's quantity."""
     units = _units(dae)
     for name in TABLES:
         yield from unit_faults((name,), getattr(spec, name, None) or {}, units, bare=name in BARE)

@@ -96,7 +96,7 @@ class WheelTest(NamedTuple):
     Attributes
     ----------
     title : str
-        Title of the file; its name without one.
+        Title in the file; by default the name of the file.
     soil : Soil
         The soil.
     size : WheelSize

@@ -14,7 +14,7 @@ from slipfree.terrain.base import Grid
 
 
 def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
-    """Return the axes of the cost grid: those of the ground if their spacing is the given one.
+    """Return the axes of the cost grid; the axes of the ground if they have the given spacing.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
     return axes[0], axes[1]
 
 
-def ground_figures(
+def ground_properties(
     grid: Grid, x: Array, y: Array, half: float, sharpest: float
 ) -> tuple[Array, Array, Array, Array]:
     """Return slope, roughness and concavity of the ground under the footprint at every node.
@@ -68,7 +68,7 @@ def ground_figures(
     if min(_nodes_within(half, h) for h in grid.spacing) > 0:
         p, q, variance = _plane(z, grid.spacing, half)
     else:
-        # too few nodes to fit a plane: deviation of a curved square of this size
+        # too few nodes to fit a plane: use the deviation of a curved square of this size
         variance = half**4 * ((r**2 + t**2) / 45 + s**2 / 9)
     share = footprint_mean((hollow >= sharpest).astype(float), grid.spacing, half)
     layers = [np.arctan(np.hypot(p, q)), np.sqrt(variance), share]
@@ -131,7 +131,7 @@ def _plane(z: Array, h: tuple[float, float], half: float) -> tuple[Array, Array,
 def footprint_mean(
     z: Array, h: tuple[float, float], half: float, axes: tuple[int, ...] = (0, 1)
 ) -> Array:
-    """Return the means of ``z`` over squares of the footprint's size about every node."""
+    """Return the mean of ``z`` over a square of the footprint's size around every node."""
     for axis in axes:
         size = 2 * _nodes_within(half, h[axis]) + 1
         z = scipy.ndimage.uniform_filter1d(z, size, axis=axis, mode="nearest")

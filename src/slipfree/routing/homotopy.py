@@ -82,10 +82,10 @@ def homotopy_class(points: Array, obstacles: Array) -> tuple[int, ...]:
 def crossed_rays(
     layers: Traversability, points: Array, obstacles: Array
 ) -> Iterator[tuple[float, Ray]]:
-    """Yield the distance of a path's crossing from an obstacle [m], and the crossed ray.
+    """Yield each crossed ray of a path, after the distance of the crossing from its obstacle [m].
 
-    The rays have the direction of the axis that is more nearly across the line between the path's
-    ends. A path that may not cross a ray passes its obstacle on the other side.
+    The rays are parallel to the axis that is more nearly perpendicular to the line between the
+    path's ends. A path that may not cross a ray passes its obstacle on the other side.
     """
     on_path = np.zeros(layers.cost.shape, dtype=bool)
     on_path[nodes_at(layers, resample_polyline(points, 0.5 * min(layers.spacing)))] = True

@@ -26,7 +26,7 @@ REMEDIES = {
     "edge": "use a larger map",
     "hole": 'interpolate small holes by terrain.fill = "linear"',
     "friction": "give the ground more friction",
-    "keep_out": "make the keep-out smaller",
+    "keep_out": "make the keep-out region smaller",
 }
 SURE = ("friction", "keep_out")
 Ends = tuple[tuple[int, int], tuple[int, int]]  # nodes
@@ -45,8 +45,8 @@ class Objection(NamedTuple):
         Whether the position is an error: it is off the map, within reach of a keep-out region or
         on a slope that friction cannot hold, or one of these two separates it from the start.
         Otherwise only the search for a route fails, since it requires space for every heading and
-        ground that is not too steep, rough or concave for the footprint; a motion may still be
-        possible.
+        ground that is not too steep, rough or concave for the footprint; a motion may still
+        exist.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Objection(NamedTuple):
 def unreachable(
     layers: Traversability, positions: Sequence[tuple[str, float, float]]
 ) -> list[Objection]:
-    """Return objections to positions that a motion should pass; empty if there are none.
+    """Return the reasons why a motion cannot pass given positions; empty if it can.
 
     Parameters
     ----------
@@ -175,12 +175,12 @@ def _keep_out_words(layers: Traversability, ends: Ends) -> str:
         words = " and ".join(region.words for region in alone)
         if len(alone) > 1:
             return (
-                f"each of the keep-outs {words} separates them; make these keep-outs smaller or "
-                "move them"
+                f"each of the keep-out regions {words} separates them; make these regions smaller "
+                "or move them"
             )
         return (
-            f"the keep-out {words} lies between them, and no route leads around it; make it "
-            "smaller or move it"
+            f"the keep-out {words} lies between them, and no route leads around it; make "
+            "it smaller or move it"
         )
     needed = [
         region
@@ -188,7 +188,7 @@ def _keep_out_words(layers: Traversability, ends: Ends) -> str:
         if not _divides(layers, tuple(other for other in regions if other is not region), ends)
     ]
     words = ", ".join(region.words for region in needed or regions)
-    return f"several keep-outs together separate them: {words}; make one smaller or move it"
+    return f"several keep-out regions together separate them: {words}; make one smaller or move it"
 
 
 def _divides(

@@ -10,7 +10,7 @@ import numpy as np
 from slipfree.errors import ModelError
 
 HEADINGS = 24  # number of final headings that are tried if none is given
-MIN_LENGTH = 1e-6  # shorter arcs are omitted [turning radius]
+MIN_LENGTH = 1e-6  # shorter arcs are omitted, in turning radii
 PlanarPose = tuple[float, float, float]
 
 
@@ -46,7 +46,7 @@ def reeds_shepp(
         the left. [m, m, rad]
     goal : tuple of 3 floats
         The same at the end. If the heading is None, the result is the shortest of the paths to 24
-        evenly spaced final headings, among them that of the start.
+        evenly spaced final headings, one of which is the heading of the start.
     turning_radius : float
         Turning radius of the middle of the rear axle. [m]
     ahead : float
@@ -78,7 +78,7 @@ def reeds_shepp(
     -1.318 m, curvature 1 1/m
     0.505 m, curvature -1 1/m
     """
-    from rsplan import planner  # imported where it is used
+    from rsplan import planner  # imported here: only this function uses the package
 
     if not 0 < turning_radius < math.inf:
         raise ModelError(

@@ -14,8 +14,8 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.records import Array
 
-TIP_ROUNDING = 1e-3  # rounding of the distance at the centre of a disc [radius]
-CORNER_ROUNDING = 1e-12  # rounding of the distance at a corner of a polygon [size of the polygon]
+TIP_ROUNDING = 1e-3  # rounding of the distance at the centre of a disc, in radii
+CORNER_ROUNDING = 1e-12  # rounding of the distance at a corner of a polygon, relative to its size
 MIN_TURN_SINE = 1e-9  # a point with a smaller sine of its turn is not a corner
 OUTLINE_POINTS = 96  # points on the outline of a disc
 

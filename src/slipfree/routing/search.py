@@ -42,7 +42,7 @@ MOVES = tuple(
 )
 
 MAX_SEARCHES = 4  # largest number of searches per route
-MAX_COST_RATIO = 2.0  # largest cost of an alternative [cost of the cheapest route]
+MAX_COST_RATIO = 2.0  # largest cost of an alternative, relative to the cheapest route
 
 
 class Route(NamedTuple):
@@ -83,11 +83,11 @@ def route(
     Returns
     -------
     ndarray, shape (n, 2)
-        Way-points from the start to the goal. Their distance is half the side of the footprint's
-        square (`Limits.half`), or 1/2000 of the route's length if that is more. The cubic spline
-        through them (`Path`) avoids blocked nodes. If no smoothed route does so, the whole route
-        is the polyline that the search found, with way-points at this distance, half or a quarter
-        of it. If the spline still meets blocked nodes, the way-points are the vertices of the
+        Way-points from the start to the goal. The distance between them is half the side of the
+        footprint's square (`Limits.half`), or 1/2000 of the route's length if that is more. The
+        cubic spline through them (`Path`) avoids blocked nodes. If no smoothed route does so, the
+        way-points lie on the polyline that the search found, at this distance, half or a quarter of
+        it. If the spline still meets blocked nodes, the way-points are the vertices of the
         polyline. [m]
 
     Raises

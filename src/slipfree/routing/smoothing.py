@@ -13,16 +13,16 @@ from slipfree.geometry.path import Path
 from slipfree.records import Array, Mask
 from slipfree.routing.traversability import Traversability, nodes_at, window
 
-CLEARANCE = 1.2  # clearance from blocked nodes: a cell and a margin [cell]
-CURVATURE_TARGET = 0.97  # curvature that smoothing aims at after a violation [allowed curvature]
-MIN_TARGET_FACTOR = 0.7  # smallest change of that target between two rounds
-CHECK_STEP = 0.05  # distance of the points at which a path is checked [cell]
-CURVATURE_TOLERANCE = 1.02  # curvature up to which a route counts as smooth [allowed curvature]
+CLEARANCE = 1.2  # clearance from blocked nodes: a cell and a margin, in cells
+CURVATURE_TARGET = 0.97  # target after a violation, relative to the allowed curvature
+MIN_TARGET_FACTOR = 0.7  # smallest factor by which a round changes that target
+CHECK_STEP = 0.05  # distance between the points at which a path is checked, in cells
+CURVATURE_TOLERANCE = 1.02  # accepted curvature, relative to the allowed curvature
 PENALTIES = (1.0, 3.0, 10.0, 30.0, 100.0)  # weights of clearance and curvature, increased in turn
 MAX_POINTS = 2000  # points of a route during smoothing; limits the computing time
-BLUR = 1.0  # standard deviation of the smoothing of the cost, for Newton's method [cell]
+BLUR = 1.0  # standard deviation of the smoothing of the cost, for Newton's method, in cells
 MAX_NEWTON_STEPS = 300  # of one round of smoothing
-INITIAL_DAMPING = 1e-3  # of the Newton steps [stiffness of the chain of points]
+INITIAL_DAMPING = 1e-3  # of the Newton steps, relative to the stiffness of the chain of points
 MIN_RELATIVE_GAIN = 1e-6  # smoothing ends at a step with a smaller gain
 MIDDLE, EDGE, BEND = np.array([0.5, 0.5]), np.array([-1.0, 1.0]), np.array([1.0, -2.0, 1.0])
 
@@ -70,17 +70,17 @@ class _Objective(NamedTuple):
 
 
 def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array:
-    """Return a smooth route near a route of the search.
+    """Return a smooth route near the route that the search found.
 
-    If no smoothed route avoids all blocked nodes, the result is the route of the search, if
-    possible with equally spaced points whose spline avoids them.
+    If no smoothed route avoids all blocked nodes, the result is the route that the search found,
+    if possible with equally spaced points whose spline avoids them.
 
     Parameters
     ----------
     layers : Traversability
         The map.
     rough : ndarray, shape (n, 2)
-        Points of the route of the search, in map coordinates. [m]
+        Points of the route that the search found, in map coordinates. [m]
     turning_radius : float
         Smallest turning radius, kept where there is enough space. [m]
 
@@ -229,7 +229,7 @@ def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, 
 
 
 def _squares(vectors: Array) -> Array:
-    """Return the dyadic products of vectors with themselves, shape (n, 2, 2)."""
+    """Return the outer products of vectors with themselves, shape (n, 2, 2)."""
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])
 
 
@@ -281,7 +281,7 @@ def polyline_length(points: Array) -> float:
 
 
 def resample_polyline(points: Array, step: float) -> Array:
-    """Return equally spaced points along a polyline, about a step apart, with the same ends."""
+    """Return equally spaced points along a polyline with the same ends, about ``step`` apart."""
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     at = np.concatenate([[0], np.cumsum(gaps)])
     count = max(round(float(at[-1]) / step), 1)
@@ -292,7 +292,7 @@ def resample_polyline(points: Array, step: float) -> Array:
 
 
 def _resample_spline(points: Array, step: float) -> Array:
-    """Return equally spaced points along the smooth curve through points, about a step apart."""
+    """Return equally spaced points along the spline through points, about ``step`` apart."""
     from scipy.interpolate import CubicSpline  # imported here: the import takes 0.2 s
 
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)

@@ -21,7 +21,7 @@ from slipfree.routing.footprint import (
     axis_step,
     coarse_axes,
     footprint_mean,
-    ground_figures,
+    ground_properties,
     interpolate_layer,
     nearest_nodes,
 )
@@ -33,10 +33,10 @@ from slipfree.vehicle.tree import Vehicle
 
 Point = tuple[float, float] | Array
 
-# Extra cost per metre. The steepest slope that can be climbed and fully used friction are each
-# worth a detour of four times the length, since they leave no margin. Roughness as large as the
-# wheel is an obstacle, worth ten. Ground that is everywhere too concave for the wheels is too:
-# the wheels may straddle it, but only by chance.
+# Costs per metre, added to the cost 1 of level ground. The steepest slope that can be climbed, and
+# full use of the friction, leave no margin: each adds 4. Roughness as large as the wheel radius is
+# an obstacle and adds 10; so does a footprint that is too concave everywhere, which the wheels can
+# straddle only by chance.
 SLOPE = 4.0
 FRICTION = 4.0
 ROUGHNESS = 10.0
@@ -126,7 +126,7 @@ def traversability(
     Parameters
     ----------
     terrain : Bicubic
-        The ground, with or without friction.
+        The ground, with or without a friction coefficient.
     vehicle : Vehicle
         The vehicle; its wheels in the zero configuration determine the footprint.
     keep_out : iterable of Region
@@ -144,7 +144,7 @@ def traversability(
         The cost and its layers. A node is blocked if the slope is steeper than ``steepest`` or
         than friction can hold, if the roughness reaches the radius of the largest wheel, if the
         ground is concave with a radius of curvature of at most that radius, or if in any heading a
-        wheel could reach over the edge of the map, into a hole of it or into a keep-out region.
+        wheel could reach over the edge of the map, into a hole or into a keep-out region.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def traversability(
     if spacing is None:
         spacing = max(*terrain.grid.spacing, min(right, forward) / 3)
     x, y = coarse_axes(terrain.grid, spacing)
-    slope, roughness, hollow, share = ground_figures(terrain.grid, x, y, half, 1 / radius)
+    slope, roughness, hollow, share = ground_properties(terrain.grid, x, y, half, 1 / radius)
     held = _friction(terrain, x, y, half)
     held = None if held is None else held * grip
     if steepest is None:
@@ -243,7 +243,7 @@ def _friction(terrain: Bicubic, x: Array, y: Array, half: float) -> Array | None
 
 
 def _formula(function: Callable[[ca.SX, ca.SX], ca.SX], x: Array, y: Array) -> Array:
-    """Return the values of a formula on a grid, computed line by line along y."""
+    """Return the values of a formula on a grid, computed for one x at a time."""
     at, line = ca.SX.sym("x"), ca.SX.sym("y", y.size)
     values = [ca.SX(function(at, line[j])) for j in range(y.size)]
     f = ca.Function("friction", [at, line], [ca.vertcat(*values)])
@@ -262,9 +262,9 @@ def blocked_by(layers: Traversability) -> dict[str, Mask]:
     -------
     dict of str to ndarray, shape (n_x, n_y)
         True for blocked nodes, by reason; a node may have several. A wheel could reach over the
-        ``"edge"`` of the map, into a ``"hole"`` of it or into a ``"keep_out"`` region. The ground
-        has a ``"slope"`` that is too steep or that ``"friction"`` cannot hold, a ``"roughness"``
-        of at least the wheel radius, or a ``"hollow"`` with at most this radius.
+        ``"edge"`` of the map, into a ``"hole"`` or into a ``"keep_out"`` region. The ground
+        has a ``"slope"`` that is too steep or that ``"friction"`` cannot hold, a ``"roughness"`` of
+        at least the wheel radius, or a ``"hollow"`` whose radius is at most the wheel radius.
     """
     x, y, limits = layers.x[:, None], layers.y[None, :], layers.limits
     keep_out = np.zeros(layers.cost.shape, dtype=bool)
@@ -297,7 +297,7 @@ def to_edge(limits: Limits, x: Array, y: Array) -> Array:
 def window(
     layers: Traversability, bounds: tuple[float, float, float, float], margin: float
 ) -> tuple[slice, slice]:
-    """Return the slices of the grid inside a rectangle that is extended by a margin [m]."""
+    """Return the slices of the grid inside a rectangle extended by a margin [m]."""
     i = np.searchsorted(layers.x, (bounds[0] - margin, bounds[1] + margin)).tolist()
     j = np.searchsorted(layers.y, (bounds[2] - margin, bounds[3] + margin)).tolist()
     return slice(*i), slice(*j)

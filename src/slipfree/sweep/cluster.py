@@ -50,7 +50,7 @@ class Cluster:
         self._open: dict[str, Any] = {}
 
     def room(self) -> int:
-        """Return the largest number of open tasks; warn if no workers are left, or some are back.
+        """Return the largest number of open tasks; warn if all workers are lost or some are back.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class Cluster:
 
     def close(self) -> None:
         """Cancel open tasks and disconnect from the scheduler."""
-        with suppress(Exception):  # of a scheduler that may be gone
+        with suppress(Exception):  # the scheduler may have stopped
             self._client.cancel([*self._open.values()])
         self._client.close()
 
@@ -115,10 +115,10 @@ def _connect(address: str) -> Any:
     except ImportError as error:
         raise DataError(f"--scheduler: {missing_package('distributed', 'cluster')}") from error
     try:
-        with ThreadPoolExecutor(1) as alone:  # a notebook's thread has an event loop of its own
+        with ThreadPoolExecutor(1) as alone:  # a notebook already runs an event loop
             alone.submit(asyncio.run, _reach(address)).result()
         client = Client(address, timeout=CONNECT, set_as_default=False)
-    except Exception as error:  # whatever the transport that the address names raises
+    except Exception as error:  # its class depends on the transport
         reason = f"{type(error).__name__}: {error}".removesuffix(": ")
         raise DataError(
             f"--scheduler {address}: expected the address of a running Dask scheduler, as in "
@@ -149,7 +149,7 @@ async def _reach(address: str) -> None:
 def _check_workers(client: Any, address: str) -> None:
     try:
         found = set(client.run(_version).values())
-    except Exception as error:  # whatever the workers raise on import
+    except Exception as error:  # workers can raise any error on import
         raise DataError(
             f"--scheduler {address}: expected workers that have slipfree {__version__}, found "
             f"{type(error).__name__}: {error}; install this version on all workers"

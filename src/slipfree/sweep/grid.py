@@ -26,7 +26,7 @@ NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 RANGE = re.compile(rf"\s*({NUMBER})\s*:\s*({NUMBER})\s*:\s*(\d+)\s*")
 WHOLE = re.compile(r"\s*[+-]?\d+\s*")
 DIGITS = 12  # significant digits of the values of a range: 0.3, not 0.30000000000000004
-MOST_RUNS = 100_000
+MAX_RUNS = 100_000
 SEED = "seed"  # last part of the keys that repetitions change
 
 
@@ -175,16 +175,16 @@ def sweep_of(
     Raises
     ------
     DataError
-        If ``vary`` is invalid or contains a key that is varied or set elsewhere, if there are more
-        than 100 000 runs, or if the problem has no seed for repetitions; a `ProblemError` if a
-        value is invalid.
+        If ``vary`` is invalid, contains a key twice or contains a key of ``settings``, if there are
+        more than 100 000 runs, or if the problem has no seed for repetitions; a `ProblemError` if
+        a value is invalid.
     """
     axes = tuple(axis_of(each) for each in vary)
     _check_keys(axes, settings)
     sizes = int(np.prod([len(axis.values) for axis in axes], dtype=object)) * (repeat or 1)
-    if sizes > MOST_RUNS:
+    if sizes > MAX_RUNS:
         raise DataError(
-            f"sweep: expected at most {MOST_RUNS} runs, found {sizes}; vary fewer values, or "
+            f"sweep: expected at most {MAX_RUNS} runs, found {sizes}; vary fewer values, or "
             "reduce --repeat"
         )
     problems = load_variants(file, settings, _checked_points(axes))
@@ -282,7 +282,7 @@ def _comparison_key(value: str) -> object:
 def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
     """Raise DataError for varied keys that are repeated, set, or part of another varied key.
 
-    A table may be set and one of its keys varied: the varied values then replace the set one.
+    A table may be set and one of its keys varied; the varied values then replace the key's value.
     """
     paths = [key_path(axis.key) for axis in axes]
     for k, path in enumerate(paths):
@@ -312,7 +312,7 @@ def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
 
 
 def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
-    """Return equally spaced numbers as text, integers if the ends and the step are integers.
+    """Return equally spaced numbers as text; integers if the ends and the step are integers.
 
     Raises
     ------
@@ -320,9 +320,9 @@ def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
         If there are fewer than 2 or more than 100 000 values, or the ends are equal or not finite.
     """
     low, high, n = float(first), float(last), int(count)
-    if not 2 <= n <= MOST_RUNS:
+    if not 2 <= n <= MAX_RUNS:
         raise DataError(
-            f"--vary {text}: expected 2 to {MOST_RUNS} values, found {count}; correct the last "
+            f"--vary {text}: expected 2 to {MAX_RUNS} values, found {count}; correct the last "
             "number"
         )
     if not (low != high and isfinite(low) and isfinite(high)):

@@ -80,8 +80,8 @@ class Rows:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._offsets: dict[int, tuple[int, str]] = {}  # of runs: byte in the file, outcome
-        self._units: dict[str, tuple[int, int, str]] = {}  # of figures, and where they come first
+        self._offsets: dict[int, tuple[int, str]] = {}  # by run: byte in the file, outcome
+        self._units: dict[str, tuple[int, int, str]] = {}  # by metric: first run, position, unit
         self.outcomes: Counter[str] = Counter()
         self.last: Row | None = None
 
@@ -222,7 +222,7 @@ class Log:
             ) from error
 
     def _read(self, head: Mapping[str, Any]) -> None:
-        """Find the finished runs; drop an incomplete line; write the head of an empty log."""
+        """Read the finished runs; remove an incomplete line; write the head of an empty log."""
         self._file.seek(0)
         offset = 0
         for number, line in enumerate(self._file, 1):
@@ -253,7 +253,7 @@ class Log:
         except (TypeError, ValueError, AttributeError) as error:
             raise self._damaged(number) from error
         if row.outcome in self._open:
-            self.rows.discard(row.run)  # it was done again
+            self.rows.discard(row.run)  # the run was repeated
         else:
             self.rows.add(row, offset)
 
@@ -297,7 +297,7 @@ class Log:
 
 
 def _how(key: str, old: Any, new: Any) -> str:
-    """Return a text about the former and the new value of a key in the first line of a log."""
+    """Return a text with the former and the new value of a key in the first line of a log."""
     if key == "problem":
         return ""
     if key == "files":

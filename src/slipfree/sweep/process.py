@@ -6,7 +6,7 @@ from slipfree.sweep.task import Done, Task
 
 
 def run_task(task: Task) -> Done:
-    """Execute a task in a process; return its result, see `slipfree.sweep.worker.work`."""
-    from slipfree.sweep.worker import work  # with the solvers, which the parent does not need
+    """Execute a task with `slipfree.sweep.worker.work`, and return its result."""
+    from slipfree.sweep.worker import work  # imports the solvers, which the parent does not need
 
     return work(task)

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from slipfree.problem.summary import Facts
 
 NAME = "table.csv"
-SHOWN = 3  # number of printed failures
-MOST_VALUES = 10  # number of printed values of a key
-MOST_LETTERS = 300  # length of a run's text in the table; the log has the complete text
+MAX_FAILURES = 3  # number of printed failures
+MAX_VALUES = 10  # number of printed values of a key
+MAX_CHARACTERS = 300  # longest text of a run in the table; the log has the complete text
 KEPT = "within_limits"  # metric of plans: 1 if they satisfy their limits
 REMEDIES = {
     FAILED: "--again repeats runs that failed",
@@ -60,7 +60,7 @@ def _line(run: Run, row: Row, names: Iterable[str]) -> list[object]:
 def _line_of(words: str) -> str:
     """Return a text as one line of limited length."""
     joined = " ".join(words.split())
-    return joined if len(joined) <= MOST_LETTERS else f"{joined[: MOST_LETTERS - 3]}..."
+    return joined if len(joined) <= MAX_CHARACTERS else f"{joined[: MAX_CHARACTERS - 3]}..."
 
 
 def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str, ...]:
@@ -119,10 +119,10 @@ def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
     yield from seed_facts(sweep)
     for outcome, remedy in REMEDIES.items():
         wrong = rows.ended(outcome)
-        for row in rows.read(wrong[:SHOWN]):
+        for row in rows.read(wrong[:MAX_FAILURES]):
             given = f" ({', '.join(row.settings)})" if row.settings else ""
             yield f"  run {row.run} {outcome}", f"{_line_of(row.words)}{given}"
-        more = f"{len(wrong) - SHOWN} more, see the table; " * (len(wrong) > SHOWN)
+        more = f"{len(wrong) - MAX_FAILURES} more, see the table; " * (len(wrong) > MAX_FAILURES)
         if wrong:
             yield "  ...", f"{more}{remedy}"
 
@@ -152,10 +152,10 @@ def _spreads(swept: Swept) -> Iterator[tuple[str, str]]:
     yield swept.name, f"{_spread(swept.values, unit)}"
     for k, axis in enumerate(swept.axes):
         parts = np.moveaxis(swept.values, k, 0)
-        for value, part in list(zip(axis.values, parts, strict=True))[:MOST_VALUES]:
+        for value, part in list(zip(axis.values, parts, strict=True))[:MAX_VALUES]:
             yield f"  {axis.name} = {value}", _spread(part, unit)
-        if len(parts) > MOST_VALUES:
-            yield "  ...", f"{len(parts) - MOST_VALUES} more values; {NAME} has all"
+        if len(parts) > MAX_VALUES:
+            yield "  ...", f"{len(parts) - MAX_VALUES} more values; {NAME} has all"
 
 
 def _spread(values: Array, unit: str) -> str:
@@ -184,7 +184,7 @@ def plan_facts(sweep: Sweep) -> Facts:
     for axis in sweep.axes:
         few = (
             axis.values
-            if len(axis.values) <= MOST_VALUES
+            if len(axis.values) <= MAX_VALUES
             else (*axis.values[:3], "...", axis.values[-1])
         )
         count = "1 value" if len(axis.values) == 1 else f"{len(axis.values)} values"

@@ -33,7 +33,7 @@ def work(task: Task) -> Done:
         outcome, words = FAILED, str(error)
     except (OSError, MemoryError) as error:
         outcome, words = LOST, f"{type(error).__name__}: {error}"
-    except Exception as error:  # one bad run must not end hundreds of good ones
+    except Exception as error:  # a failed run must not end the sweep
         outcome, words = FAILED, f"{type(error).__name__}: {error}"
     folder = str(Path(task.file).parent)
     words = words.replace(f"{folder}{os.sep}", "")

@@ -14,7 +14,7 @@ from slipfree.lookups import LookupTable
 from slipfree.records import Array, Mask, overview
 
 MAX_HEIGHT = 1e9  # largest absolute height of a ground [m]
-UNIFORMITY = 1e-9  # largest deviation of a node from a uniform axis [length of the axis]
+UNIFORMITY = 1e-9  # largest deviation of a node from a uniform axis, relative to its length
 RESAMPLE = {
     "x": "x_even = np.linspace(x[0], x[-1], x.size); "
     "z = scipy.interpolate.RectBivariateSpline(x, y, z)(x_even, y)",
@@ -387,8 +387,8 @@ def _check_heights(x: Array, y: Array, z: Array) -> None:
     if np.abs(z[np.isfinite(z)]).max(initial=0.0) > MAX_HEIGHT:
         raise DataError(
             f"grid: z must lie between -{MAX_HEIGHT:g} and {MAX_HEIGHT:g}, found "
-            f"{z.flat[np.nanargmax(np.abs(z))]:g}; fill the "
-            "holes that such a value marks, or cut the grid"
+            f"{z.flat[np.nanargmax(np.abs(z))]:g}; such values usually mark holes: fill them, or "
+            "crop the grid"
         )
     bad = ~np.isfinite(z)
     if bad.any():

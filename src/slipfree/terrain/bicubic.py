@@ -16,8 +16,8 @@ from slipfree.terrain.friction import Friction, check_friction, coefficient, map
 from slipfree.terrain.grid_ops import hole_distance
 from slipfree.terrain.kernel import Layout, Opened, register_ground
 
-KNOT_TOLERANCE = 1e-10  # a point at a smaller distance from a knot lies on it [cell]
-HOLE_CLEARANCE = 1 / 3  # smoothing moves the zero of a distance by less at corners [cell]
+KNOT_TOLERANCE = 1e-10  # points closer to a knot count as on it, in cells
+HOLE_CLEARANCE = 1 / 3  # smoothing shifts the zero of the distance by less, in cells
 CHUNK = 8192  # points evaluated at once, so that temporary arrays stay in the cache
 CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
 MAX_FOURFOLD_SIZE = 2**21  # larger tables of coefficients are stored once, not four times
@@ -345,7 +345,7 @@ def _gather_function(table: Array) -> ca.Function:
     columns = np.ascontiguousarray(table.T)
     run = (
         4 if table.size <= MAX_FOURFOLD_SIZE else 1
-    )  # neighbours stored together: 4 look-ups instead of 16
+    )  # neighbours are stored together: 4 lookups instead of 16
     runs = np.lib.stride_tricks.sliding_window_view(columns, run, axis=1)
     axes = [list(range(runs.shape[1])), list(range(runs.shape[0]))]
     # a linear interpolant returns the exact values at its nodes

@@ -1,4 +1,4 @@
-"""Operations on height maps: cut, fill, scale, smooth, disturb.
+"""Operations on height maps: crop, fill, scale, smooth, perturb.
 
 The functions return new maps and do not change their arguments.
 """
@@ -18,9 +18,9 @@ from slipfree.terrain.base import Grid
 
 MAX_NODES = 5e7  # largest number of nodes of a ground; an array then takes 400 MB
 MAX_COORDINATE = 1e12  # largest absolute coordinate of a map [m] or [deg]
-MIN_RELATIVE_STEP = 1e-14  # smallest step of an axis [largest coordinate]
-WINDOW_TOLERANCE = 1e-6  # a node outside a window by a smaller distance counts as inside [cell]
-GAUSSIAN_CUTOFF = 4.0  # half-width of a truncated Gaussian [standard deviations]
+MIN_RELATIVE_STEP = 1e-14  # smallest step of an axis, relative to its largest coordinate
+WINDOW_TOLERANCE = 1e-6  # nodes outside a window by less count as inside, in cells
+GAUSSIAN_CUTOFF = 4.0  # half-width of a truncated Gaussian, in standard deviations
 WAVES = 1000  # number of plane waves of an elevation error
 NEIGHBOURHOOD = np.ones((3, 3), dtype=bool)  # a node and its eight neighbours
 Window = tuple[float, float, float, float]

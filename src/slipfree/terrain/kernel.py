@@ -81,7 +81,7 @@ class Opened(NamedTuple):
 
 
 def register_ground(table: Array, layout: Layout) -> Opened | None:
-    """Return a ground registered with the compiled evaluator; None without evaluator or free slot.
+    """Register a ground with the compiled evaluator; return None without evaluator or free slot.
 
     Parameters
     ----------

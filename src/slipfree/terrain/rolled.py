@@ -15,8 +15,8 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import averaged
 
 NODES = 8  # nodes per wheel radius
-BALL = 1.5  # radius of the closing ball [wheel radius]
-BLUR = 0.25  # standard deviation of the Gaussian [wheel radius]
+BALL = 1.5  # radius of the closing ball, in wheel radii
+BLUR = 0.25  # standard deviation of the Gaussian, in wheel radii
 
 
 @dataclass(frozen=True, eq=False)

@@ -255,7 +255,7 @@ class Prism:
         for name in ("x", "y", "z", "heading"):
             if not math.isfinite(getattr(self, name)):
                 raise ModelError(
-                    f"prism: expected a finite number as {name!r}, found {getattr(self, name)}; "
+                    f"prism: expected a finite number for {name!r}, found {getattr(self, name)}; "
                     "correct it"
                 )
         if not self.half_width > 0:
@@ -354,9 +354,9 @@ class Prism:
         return distance.reshape(points.shape[:-1]), normal.T.reshape(points.shape)
 
     def top(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
-        """Return the heights of the upper side at map points; minus infinity beside the prism [m].
+        """Return the heights of the top of the prism at map points; minus infinity beside it [m].
 
-        ``x`` and ``y`` have shapes that broadcast, which is the shape of the result.
+        ``x`` and ``y`` are broadcast; the result has their common shape.
         """
         x, y = np.broadcast_arrays(np.asarray(x, float) - self.x, np.asarray(y, float) - self.y)
         along, right = (axis[0] * x + axis[1] * y for axis in self.axes.T[:2])
@@ -382,9 +382,9 @@ def placed(
 ) -> tuple[Prism, ...]:
     """Return the solids of a profile, without its floor, as prisms on a ground.
 
-    The profile's origin is at the map point (x, y, z) [m], its x axis along the heading, counted
-    counter-clockwise from the map's y axis [rad]; the prisms are ``half_width`` wide on both sides
-    [m].
+    The profile's origin is at the map point (x, y, z) [m], and its x axis has the given heading,
+    counter-clockwise from the map's y axis [rad]. The prisms extend ``half_width`` to both sides of
+    the profile [m].
 
     Examples
     --------
@@ -477,7 +477,7 @@ def ramp(angle: float, height: float) -> Profile:
 
 
 def step(height: float) -> Profile:
-    """Return a floor with a plateau of a given height from x = 0 on [m].
+    """Return a floor with a plateau of a given height [m] from x = 0 on.
 
     Raises
     ------
@@ -489,7 +489,7 @@ def step(height: float) -> Profile:
 
 
 def kerb(height: float, length: float) -> Profile:
-    """Return a floor with a block of a given height and length from x = 0 on [m].
+    """Return a floor with a block of a given height and length [m] from x = 0 on.
 
     Raises
     ------
@@ -529,7 +529,7 @@ def _positive(**sizes: float) -> None:
     for name, value in sizes.items():
         if not (value > 0 and math.isfinite(value)):
             raise ModelError(
-                f"profile: expected a positive and finite number as {name!r}, found {value}; "
+                f"profile: expected a positive and finite number for {name!r}, found {value}; "
                 "change it"
             )
 

@@ -57,7 +57,7 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
     """
     axes = []
     if not spacing > 0:
-        raise ModelError(f"blank: expected a positive spacing, found {spacing:g} m")
+        raise ModelError(f"blank: expected a positive spacing, found {spacing:g} m; increase it")
     for name, (first, last) in (("x", x_range), ("y", y_range)):
         cells = (last - first) / spacing
         if not (cells > 0 and abs(cells - round(cells)) < 1e-6):
@@ -114,9 +114,9 @@ def power_law(
             f"{shortest:g} m; refine the grid or raise shortest"
         )
     if not 0 < hurst <= 1:
-        raise ModelError(f"power_law: hurst must lie in (0, 1], found {hurst}")
+        raise ModelError(f"power_law: expected hurst in (0, 1], found {hurst}; change it")
     if not rms >= 0:
-        raise ModelError(f"power_law: rms must be zero or positive, found {rms} m")
+        raise ModelError(f"power_law: expected rms >= 0, found {rms} m; change its sign")
     rng = np.random.default_rng(seed)
     octave = (np.arange(WAVES) + rng.random(WAVES)) / WAVES
     k = 2 * np.pi / longest * (longest / shortest) ** octave
@@ -286,7 +286,7 @@ def ramp(
 
 
 def ridge(grid: Grid, *, middle: float, height: float, width: float) -> Grid:
-    """Return the grid with a ridge across y added, of the form of a Gaussian bell.
+    """Return the grid with a Gaussian ridge added, its crest perpendicular to the y axis.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def _scatter(
     """
     smallest, largest = diameters
     if not count >= 0:
-        raise ModelError(f"{name}: expected count >= 0, found {count}")
+        raise ModelError(f"{name}: expected count >= 0, found {count}; increase it")
     if not 0 < smallest <= largest:
         raise ModelError(
             f"{name}: expected diameters with 0 < smallest <= largest, found "
@@ -336,7 +336,7 @@ def _scatter(
     u = np.random.default_rng(seed).random((count, 3))
     x = grid.x[0] + u[:, 0] * np.ptp(grid.x)
     y = grid.y[0] + u[:, 1] * np.ptp(grid.y)
-    few = (smallest / largest) ** SIZE_EXPONENT  # share above the largest diameter, cut off
+    few = (smallest / largest) ** SIZE_EXPONENT  # share of all diameters above the largest one
     diameter = smallest * (1 - u[:, 2] * (1 - few)) ** (-1 / SIZE_EXPONENT)
     return list(zip(x.tolist(), y.tolist(), diameter.tolist(), strict=True))
 

@@ -100,7 +100,7 @@ class Climber:
         for name, value in sizes.items():
             if not value > 0:
                 raise ModelError(
-                    f"climber: expected a positive number as {name!r}, found {value}; increase it"
+                    f"climber: expected a positive number for {name!r}, found {value}; increase it"
                 )
         if not self.radius < self.front.ahead - self.rear.ahead:
             raise ModelError(

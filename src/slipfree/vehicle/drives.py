@@ -15,9 +15,9 @@ from slipfree.errors import ModelError
 class Drive:
     """Base class of drives; it exerts no effort, as for a wheel that is not driven.
 
-    A drive acts on a wheel or on a commanded coordinate. Its effort is a torque on a wheel or a
-    coordinate that turns, and a force on a coordinate that slides; units of the latter are N and m
-    instead of N m and rad. Kinematic and quasi-static models use the rate of every drive.
+    A drive acts on a wheel or on a commanded coordinate. Its effort is a torque on a wheel or on a
+    coordinate that turns, and a force on a coordinate that slides, with the units N and m instead
+    of N m and rad. Kinematic and quasi-static models use the rate of every drive.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Torque(Drive):
 
 @dataclass(frozen=True)
 class Motor(Drive):
-    """Direct-current motor with a speed controller: the input is the wanted rate.
+    """Direct-current motor with a speed controller: the input is the reference rate.
 
     The effort is ``kp (wanted - rate) + e``, limited to ``stall min(1, 1 - rate / no_load)``
     forward and ``stall min(1, 1 + rate / no_load)`` backward. The integral ``e`` follows
@@ -114,7 +114,9 @@ class Motor(Drive):
             value, least = getattr(self, each.name), each.name in ("ki", "rotor_inertia")
             if not (0 < value < inf or (least and value == 0)):
                 words = "finite number of zero or more" if least else "finite positive number"
-                raise ModelError(f"motor: {each.name!r}: expected a {words}, found {value}")
+                raise ModelError(
+                    f"motor: {each.name!r}: expected a {words}, found {value}; change it"
+                )
 
     @property
     def added_inertia(self) -> float:

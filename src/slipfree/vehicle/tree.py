@@ -55,7 +55,8 @@ class Body:
     def __post_init__(self) -> None:
         if not 0 <= self.mass < math.inf:
             raise ModelError(
-                f"body: mass: expected a finite number of zero or more, found {self.mass} kg"
+                f"body: mass: expected a finite number of zero or more, found {self.mass} kg; "
+                "change it"
             )
         check_vector("body: at (centre of mass)", self.at)
         if self.inertia is not None:
@@ -120,19 +121,19 @@ class Coordinate:
         if not self.lower < self.upper:
             raise ModelError(
                 f"coordinate {self.name!r}: the lower stop must be below the upper one, "
-                f"found lower = {self.lower} and upper = {self.upper}"
+                f"found lower = {self.lower} and upper = {self.upper}; exchange or correct them"
             )
         for key in ("stiffness", "damping", "bump"):
             value = getattr(self, key)
             if not 0 <= value < math.inf:
                 raise ModelError(
                     f"coordinate {self.name!r}: {key}: expected a finite number of zero or more, "
-                    f"found {value}"
+                    f"found {value}; change it"
                 )
         if not self.max_rate > 0:
             raise ModelError(
                 f"coordinate {self.name!r}: max_rate: expected a positive number, found "
-                f"{self.max_rate}"
+                f"{self.max_rate}; increase it"
             )
         if self.bump and not (math.isfinite(self.lower) or math.isfinite(self.upper)):
             raise ModelError(
@@ -141,7 +142,8 @@ class Coordinate:
             )
         if not math.isfinite(self.rest):
             raise ModelError(
-                f"coordinate {self.name!r}: rest: expected a finite number, found {self.rest}"
+                f"coordinate {self.name!r}: rest: expected a finite number, found {self.rest}; "
+                "change it"
             )
         if self.kind != "commanded" and self.drive != RATE:
             raise ModelError(
@@ -365,9 +367,9 @@ class Vehicle:
     def masses(
         self, platform: Pose, values: Mapping[str, ca.SX]
     ) -> Iterator[tuple[str, float, ca.SX]]:
-        """Yield part, mass [kg] and centre of mass [m] of every part and wheel with a mass.
+        """Yield name, mass [kg] and centre of mass [m] of every part and wheel with a mass.
 
-        The part of a wheel is its parent.
+        The name of a wheel is that of its parent part.
 
         Parameters are those of `carriers`.
         """
@@ -435,7 +437,7 @@ def _check_inertia(inertia: Elements) -> None:
     if len(inertia) != 6 or not all(map(math.isfinite, inertia)):
         raise ModelError(
             "body: inertia: expected six finite numbers Ixx, Iyy, Izz, Ixy, Ixz, Iyz in kg m^2, "
-            f"found {inertia}"
+            f"found {inertia}; correct the inertia"
         )
     least = float(np.linalg.eigvalsh(tensor(inertia))[0])
     if least <= 0:

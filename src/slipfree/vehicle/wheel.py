@@ -82,24 +82,25 @@ class Wheel:
         check_vector(f"wheel {self.name!r}: at", self.at)
         if not 0 < self.grip < math.inf:
             raise ModelError(
-                f"wheel {self.name!r}: grip: expected a finite positive number, found {self.grip}"
+                f"wheel {self.name!r}: grip: expected a finite positive number, found {self.grip}; "
+                "change it"
             )
         if self.static_depth is not None and not 0 < self.static_depth < math.inf:
             raise ModelError(
                 f"wheel {self.name!r}: static_depth: expected a finite positive length or None, "
-                f"found {self.static_depth} m"
+                f"found {self.static_depth} m; change it"
             )
         if not 0 <= self.mass < math.inf:
             raise ModelError(
                 f"wheel {self.name!r}: mass: expected a finite number of zero or more, found "
-                f"{self.mass} kg"
+                f"{self.mass} kg; change it"
             )
         if self.inertia is not None and not (
             len(self.inertia) == 2 and all(0 < each < math.inf for each in self.inertia)
         ):
             raise ModelError(
                 f"wheel {self.name!r}: inertia: expected two finite positive numbers in kg m^2, "
-                f"found {self.inertia}"
+                f"found {self.inertia}; change them"
             )
         try:
             unit_vector(self.axle)

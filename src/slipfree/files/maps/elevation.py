@@ -32,7 +32,7 @@ from slipfree.terrain.grid_ops import (
 )
 
 EARTH_RADIUS = 6371008.8  # mean radius (2 a + b) / 3 of the WGS84 ellipsoid [m]
-HEADER = 1e4  # size of the largest header of a numpy array [bytes]
+HEADER = 1e4  # largest header of a numpy array [bytes]
 MAX_STRETCH = 0.01  # largest relative error of distances along x of a map in degrees
 # semi-major axis [m] and squared eccentricity [1] of the WGS84 ellipsoid
 SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
@@ -60,7 +60,7 @@ TO_ONE_FILE = (
     "gdal_translate in{} out.tif"
 )
 TO_HEIGHTS = "give the name of the file with the heights"
-OTHERS = {  # remedies for formats that are not read
+OTHERS = {  # remedies for unsupported formats
     ".zip": "unpack it: unzip in.zip",
     ".gz": "unpack it: gunzip in.gz",
     **{each: f"unpack it: tar xf in{each}" for each in (".tar", ".tgz")},
@@ -175,11 +175,11 @@ def read_map(
         Node spacing; required for scattered points, chosen by default for point clouds, not
         allowed for other files. [m]
     geographic : {"local"} or Frame, optional
-        Conversion of degrees to metres, required for maps in degrees: ``"local"`` by
-        `geographic_to_metric`, or a frame for the coordinates of another map.
+        Conversion of degrees to metres, required for maps in degrees: ``"local"`` for that of
+        `geographic_to_metric`, or the frame of another map for its coordinates.
     fill : {"linear"}, optional
-        Method of filling holes that do not reach the border (see `fill_holes`); by default holes
-        stay: ground that no wheel may touch.
+        Method of filling holes that do not reach the border (see `fill_holes`); by default no hole
+        is filled, and no wheel may touch one.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def _reader(ending: str) -> MapReader:
 def _expected_endings() -> str:
     """Return the description of the files that can be read."""
     known = ", ".join(each for reader in READERS for each in reader.endings)
-    return f"expected a file ending in {known}, or another raster of GDAL in one file"
+    return f"expected a file ending in {known}, or another single-file raster that GDAL reads"
 
 
 def _check_keys(ending: str, reading: Reading) -> None:
@@ -375,7 +375,7 @@ def jacksboro(scale: float = 1.0) -> Grid:
     Parameters
     ----------
     scale : float
-        Factor on x, y and z, which does not change slopes. [1]
+        Factor of x, y and z, which does not change slopes. [1]
 
     Notes
     -----

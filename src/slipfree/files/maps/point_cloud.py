@@ -17,12 +17,12 @@ from slipfree.records import Array, Mask
 from slipfree.terrain.grid_ops import MAX_COORDINATE, Axis, Heights, Window, parts
 
 GROUND, NOISE = 2, (7, 18)  # classes of points in LAS files
-POINTS_PER_CELL = 4.0  # mean in the chosen cells; of random points, one cell in 55 is empty
+POINTS_PER_CELL = 4.0  # default mean number; with random points, one cell in 55 is empty
 COARSE = 64.0  # mean number of points in the cells that measure the covered area
-MARGIN = 4.0  # width of the points around a window that are read [cell]
+MARGIN = 4.0  # width of the border around a window that is also read, in cells
 CHUNK = 200_000  # number of points read at once
 MAX_POINTS = 1e8  # largest number of points in memory, 25 bytes each
-MAX_RECORD = 4096  # largest size of a point; those of the standard have up to 67 [bytes]
+MAX_RECORD = 4096  # largest size of a point; points of the standard have up to 67 [bytes]
 VERTICAL_UNIT, VERTICAL_SYSTEM, LINEAR_UNIT = 4099, 4096, 3076  # keys of GeoTIFF
 UNITS = {9001: "metre", 9002: "foot", 9003: "US survey foot"}  # codes of EPSG
 TO_METRES = (
@@ -63,9 +63,9 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
     """Return the height map of a point cloud.
 
     Points classified as ground are used if there are any, otherwise all points except noise and
-    withheld points. The points of a
-    cell are averaged in x, y and z, and heights are interpolated linearly between these averages:
-    a plane is exact. Cells without points, and nodes outside the convex hull, are holes.
+    withheld points. The points of a cell are averaged in x, y and z, and heights are interpolated
+    linearly between these averages: a plane is exact. Cells without points, and nodes outside the
+    convex hull, are holes.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
     z, occupied = _gridded(points, x, y, (i, j))
     chosen = ""
     if not spacing:
-        chosen = f", chosen for {POINTS_PER_CELL:g} points in each (override by spacing)"
+        chosen = f", chosen for {POINTS_PER_CELL:g} points in each (override with spacing)"
     used = f"{len(points)} classified as ground, of" if cloud.ground.any() else "all"
     words = (
         f"{used} {len(cloud.points)} points, {density:.3g} per m2; cells of {cell:g} m{chosen}; "
@@ -122,7 +122,7 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
 
 
 def _widened(window: Window, cell: float) -> Window:
-    """Return a window with a margin, on whose points heights at its border depend."""
+    """Return a window with a margin: heights at its border also depend on points outside."""
     margin = MARGIN * cell
     return window[0] - margin, window[1] + margin, window[2] - margin, window[3] + margin
 
@@ -155,7 +155,7 @@ def _read(path: Path, near: Window | None) -> _Cloud:
             return _Cloud(found, np.concatenate(ground), version, *_system(file.header))
     except (DataError, OSError):
         raise
-    except Exception as error:  # laspy, lazrs and pyproj raise various ones for damaged files
+    except Exception as error:  # laspy, lazrs and pyproj raise many kinds for damaged files
         raise DataError(
             f"expected a readable LAS or LAZ file, found {str(error).rstrip('.')}; copy or "
             "download it again: it may be cut off or damaged"
@@ -268,7 +268,7 @@ def _gridded(points: Array, x: Axis, y: Axis, part: tuple[slice, slice]) -> tupl
     i, j = np.rint((points[:, :2] - first) / x.step).astype(np.int64).T
     cells, which = np.unique(i * y.size + j, return_inverse=True)
     count = np.bincount(which)
-    # about the first node: coordinates such as northings would lose digits in sums
+    # relative to the first node: sums of coordinates such as northings would lose digits
     means = [np.bincount(which, column) / count for column in (points[:, :2] - first).T]
     z = np.bincount(which, points[:, 2]) / count
     found = interpolate_points(np.column_stack([*means, z]), np.zeros(2), x.step, part)

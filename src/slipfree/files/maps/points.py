@@ -160,7 +160,7 @@ def _distinct(points: Array) -> tuple[Array, int, float]:
     high, low = np.full(len(places), -np.inf), np.full(len(places), np.inf)
     np.maximum.at(high, which, points[:, 2])
     np.minimum.at(low, which, points[:, 2])
-    single = high == low  # not averaged, which would round
+    single = high == low  # averaging would round these
     z[single] = high[single]
     return np.column_stack([places, z]), repeated, float((high - low).max())
 

@@ -1,4 +1,4 @@
-"""Maps from raster files of one file each, read by rasterio (GDAL)."""
+"""Maps from single-file rasters, read with rasterio (GDAL)."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ DRIVERS = (  # GDAL drivers that read one file, and follow no references to othe
     *("GRASSASCIIGrid", "Leveller", "RMF", "BLX", "FIT", "GXF", "ISG", "KRO", "BMP", "GIF", "JPEG"),
     *("PNM", "SGI", "WEBP"),
     *("USGSDEM", "ZMap", "GTX", "BYN", "ACE2", "JDEM", "LAN", "LCP", "NGSGEOID", "NOAA_B", "TGA"),
-)  # the last line: formats without a mark in their first bytes
-FORMATS = {  # names of formats by the usual endings of files
+)  # the last line: formats without a signature in their first bytes
+FORMATS = {  # names of formats by their usual file endings
     **dict.fromkeys((".tif", ".tiff"), "GeoTIFF"),
     ".asc": "ESRI ASCII grid",
     ".hgt": "SRTM tile",
@@ -53,7 +53,7 @@ NAMED = {".hgt": "name the file after its position, as in N45E006.hgt; if it has
 OPTIONS: dict[str, dict[str, str]] = {
     "AAIGrid": {"DATATYPE": "Float64"}
 }  # the default loses digits
-BY_NAME = {  # drivers whose libraries open files by name only, by the first bytes
+BY_NAME = {  # drivers that open files only by name, by the first bytes of the files
     b"CDF\x01": "netCDF",
     b"CDF\x02": "netCDF",
     b"CDF\x05": "netCDF",
@@ -62,12 +62,12 @@ BY_NAME = {  # drivers whose libraries open files by name only, by the first byt
 }
 UNKNOWN = "not recognized as being in a supported file format"  # in errors of GDAL
 CACHE = 64  # GDAL's cache of blocks [MB]
-TO_GRAY = "keep the heights alone: gdal_translate -b 1 in.tif out.tif"
+TO_GRAY = "keep only the band of heights: gdal_translate -b 1 in.tif out.tif"
 TO_REAL = "convert them: gdal_translate -ot Float32 in.tif out.tif"
 TO_METRES = "reproject it to metres: gdalwarp -t_srs EPSG:326xx in.tif out.tif (xx: the UTM zone)"
 Registration = Literal["area", "point"]
 WORDS = {
-    "area": "heights at the middles of cells (pixel is area)",
+    "area": "heights at the centres of cells (pixel is area)",
     "point": "heights at nodes (pixel is point)",
 }
 
@@ -136,8 +136,8 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     Raises
     ------
     DataError
-        If the file is damaged, if it does not have one band of heights on an upright grid in metres
-        or degrees, if it has no coordinates and cell or registration is missing, if it has
+        If the file is damaged, if it does not have one band of heights on a grid along x and y in
+        metres or degrees, if it has no coordinates and cell or registration is missing, if it has
         coordinates and one of them is given, or if the window is empty or contains too few or too
         many nodes.
     """
@@ -158,7 +158,7 @@ def read_raster(path: Path, ask: Reading) -> Heights:
             rasterio.Env(GDAL_CACHEMAX=CACHE),
         ):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            if head in BY_NAME:  # from a folder without other files
+            if head in BY_NAME:  # link it in a folder without other files, which GDAL would read
                 check_header(path)
                 folder = Path(opened.enter_context(TemporaryDirectory()))
                 (folder / name).symlink_to(path.resolve())
@@ -201,7 +201,7 @@ def _open_alone(name: str, opener: Callable[..., BinaryIO]) -> Any:
 
 @contextmanager
 def _quiet_log() -> Iterator[None]:
-    """Keep errors of rasterio's log off the screen: it cannot decode all messages of GDAL.
+    """Hide errors of rasterio's log, which cannot decode all messages of GDAL.
 
     They are raised in a callback of GDAL, where no code can catch them; reading goes on.
     """
@@ -369,7 +369,7 @@ def _place(file: Any, ask: Reading) -> _Place:
     """
     if file.gcps[0]:
         refuse(
-            "a raster on an upright grid",
+            "a raster on a grid along x and y",
             f"{len(file.gcps[0])} ground control points",
             "resample it: gdalwarp in.tif out.tif",
         )
@@ -419,7 +419,7 @@ def _axes(file: Any) -> tuple[Axis, Axis, bool]:
             "rows that run along x, from west to east",
             f"a raster that is rotated, sheared or mirrored (x = {a:g} column + {b:g} row + ..., "
             f"y = {d:g} column + {e:g} row + ...)",
-            "resample it upright: gdalwarp in.tif out.tif",
+            "resample it along x and y: gdalwarp in.tif out.tif",
         )
     south = f + (e / 2 if e > 0 else e * (file.height - 0.5))
     return Axis(c + a / 2, a, file.width), Axis(south, abs(e), file.height), e > 0

@@ -10,7 +10,7 @@ import numpy as np
 
 from slipfree.errors import DataError
 
-STRETCH, SPAN = 0.01, 100.0  # largest relative error of lengths, and length of its test [1], [m]
+STRETCH, SPAN = 0.01, 100.0  # largest scale error [1], and length over which it is measured [m]
 SPHEROID = re.compile(r'SPHEROID\["[^"]*",([\d.]+),([\d.]+)')
 SEMI_MAJOR, ROUND = 6378137.0, 0.01  # semi-major axis of the earth [m], and its relative tolerance
 COMPOUND = re.compile(r'AUTHORITY\["EPSG","(\d+)"\]\],VERT_CS')

@@ -185,8 +185,8 @@ def _of_geometry(
 def _inertia(inertial: Element, turned: Vector, faults: Faults, who: str) -> Elements | None:
     """Return the inertia tensor of an element in the axes of its link [kg m^2].
 
-    The result is None without the element ``inertia``, or for moments that no body has: principal
-    moments that are not positive, or of which one exceeds the sum of the others.
+    The result is None without the element ``inertia``, or for impossible moments: principal
+    moments that are not positive, or one of which exceeds the sum of the others.
     """
     element = inertial.first("inertia")
     if element is None:

@@ -10,7 +10,7 @@ from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import in_axes
 from slipfree.records import Array
 
-STEEP = 0.5  # largest vertical component of a level axis, as of an axle; other axes are steep
+STEEP = 0.5  # largest vertical component of a level axis, such as an axle
 FORWARD_YAW = {"x": 0.0, "y": np.pi / 2, "-x": np.pi, "-y": -np.pi / 2}  # of the axes [rad]
 
 

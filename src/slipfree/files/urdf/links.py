@@ -73,8 +73,8 @@ def joint_values(
     vehicle : Vehicle
         The vehicle.
     robot : Robot or None
-        Its URDF: values of its joints have the signs of its axes; joints without effect on the
-        vehicle are at zero, or at the limit closest to zero. For None, angles of wheels are
+        Its URDF, whose axes determine the signs of the joint values. Joints without effect on the
+        vehicle are at zero, or at the limit closest to zero. Without a URDF, angles of wheels are
         positive forward.
     values, angles : mapping of str to SX
         Values of the coordinates, and angles of the wheels, by name. [rad or m]

@@ -19,9 +19,9 @@ from slipfree.records import Array
 from slipfree.regular_files import read_bytes
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb")
-ROUND = 0.02  # points this close to the largest distance from the axis are on the tread [radius]
+ROUND = 0.02  # points of the tread are this close to the largest distance from the axis, in radii
 MAX_GAP = np.radians(50.0)  # largest angle about the axis between points on the tread
-FIT = 0.01  # largest error of the circle through the profile of a rounded tread [radius]
+FIT = 0.01  # largest error of a circle fitted to a rounded tread, in radii
 
 
 def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | None:

@@ -1,4 +1,4 @@
-"""Conversion of URDF to vehicles: joints, wheels from round links, masses from inertials."""
+"""Conversion of URDF to vehicles: joints, wheels from round links, masses from inertial data."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
     for reason in dict.fromkeys(guess.reason for guess in findings.guesses):
         alike = [guess for guess in findings.guesses if guess.reason == reason]
         names = ": " + ", ".join(guess.name for guess in alike) if alike[0].table else ""
-        notes.append(f"guessed {reason}{names}; override by {alike[0].override}")
+        notes.append(f"guessed {reason}{names}; override with {alike[0].override}")
     wheels.add_notes()
 
 

@@ -52,8 +52,8 @@ class WheelRole:
     Attributes
     ----------
     driven : bool or None
-        Whether the wheel is driven; None to derive it from the actuators in the URDF, or else
-        to guess it.
+        Whether the wheel is driven; None to derive it from the actuators in the URDF, or to guess
+        it if there are none.
     radius : float or None
         Rolling radius; None for that of the shape in the URDF, or ``Roles.radius`` for a mesh. [m]
     tube : float or None

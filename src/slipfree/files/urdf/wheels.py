@@ -24,7 +24,7 @@ from slipfree.records import Array
 from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
-MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its joint's axis [radius]
+MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its axis, in radii
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
 RIGHT = (0.0, -1.0, 0.0)
@@ -128,7 +128,7 @@ class Wheels:
         if thin:
             notes.append(
                 f"treated as thin discs, since their treads are flat: {', '.join(thin)}; override "
-                "by tube = ..."
+                "with tube = ..."
             )
 
     def _with_fixed_shapes(self, tree: Tree) -> Tree:
@@ -269,7 +269,7 @@ class Wheels:
         return min(shapes, key=lambda shape: _lowest(shape, rotation), default=None)
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
-        """Return rolling radius, tube radius, and position in its link, of a wheel [m].
+        """Return rolling radius and tube radius of a wheel, and its position in its link [m].
 
         The result is None, with an error added, if they are invalid.
         """
@@ -339,7 +339,7 @@ class Wheels:
         return mass, (axial, float(np.trace(total) - axial) / 2)
 
     def _is_driven(self, joint: UrdfJoint) -> bool:
-        """Return whether a wheel is driven, and record the guess if the URDF does not say it.
+        """Return whether a wheel is driven, and record a guess if the URDF does not specify it.
 
         If a wheel of the URDF has an actuator, the wheels with actuators are driven; otherwise all
         wheels but casters.
@@ -399,7 +399,7 @@ class Wheels:
             alike.setdefault(words, []).append(joint.name)
         for words, names in alike.items():
             self._findings.notes.append(
-                f"{words}: {', '.join(names)}; override by wheels = {{ {toml_key(names[0])} = {{ "
+                f"{words}: {', '.join(names)}; override with wheels = {{ {toml_key(names[0])} = {{ "
                 "radius = ... } }"
             )
 

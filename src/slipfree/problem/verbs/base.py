@@ -118,8 +118,8 @@ class Result:
     trajectory : Trajectory
         The motion, complete or up to its stop.
     verification : mapping of str to Quantity
-        Largest differences of the motion from an independent repetition, and violations of limits,
-        by name; empty for verbs without verification.
+        Largest differences of the motion from an independent computation, and violations of
+        limits, by name; empty for verbs without verification.
     setup : Setup or None
         Model, start and inputs of the motion; None if it was read from a file.
     arrays : mapping of str to ndarray

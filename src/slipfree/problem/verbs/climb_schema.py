@@ -105,7 +105,7 @@ class Compliance(Record):
 
     stiffness: Positive | None = Field(default=None, description="stiffness of a contact [N/m]")
     damping: NonNegative | None = Field(
-        default=None, description="damping of Hunt and Crossley: share of the force per speed [s/m]"
+        default=None, description="damping factor of the Hunt-Crossley contact law [s/m]"
     )
     creep: Positive | None = Field(
         default=None, description="slip speed at which friction is almost fully developed [m/s]"

@@ -11,7 +11,7 @@ from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory
 
 ENDING = "climb"  # attribute of a result with the end of the climb
-UNBALANCED = 1e-3  # largest unreported error of the energy balance [work of the motors]
+UNBALANCED = 1e-3  # largest unreported error of the energy balance, relative to the motors' work
 
 AVERAGES = {
     "slip": "slip, eq. (20)",
@@ -74,7 +74,7 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
     least = [value for name, value in counts.items() if name.startswith("climb_plan_least_")]
     yield "  least friction", "by leg " + ", ".join(f"{value:.3f}" for value in least)
     took = f"{counts['climb_plan_driven']:.3g} s" if "climb_plan_driven" in counts else "not done"
-    yield "  tracked", f"{took}; the tracker keeps at least {MIN_SPEED:g} m/s, a plan may be slower"
+    yield "  tracked", f"{took}; tracking is not slower than {MIN_SPEED:g} m/s, a plan may be"
 
 
 def _slippery(run: Trajectory) -> str:

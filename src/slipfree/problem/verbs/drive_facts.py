@@ -13,7 +13,7 @@ from slipfree.trajectory import Trajectory, path_length
 FORMULATION = "formulation"  # attribute of results of direct problems
 OBSTACLES = "obstacles"  # attribute of motions over solids: their ending
 UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has one contact point
-MAX_ROCKS = 5  # changes of the lightest wheel that a summary lists
+MAX_ROCKS = 5  # changes of the least loaded wheel that a summary lists
 CHECKS = (
     "closure residual",
     "Newton step",
@@ -91,7 +91,7 @@ def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     listed = [f"{r.before} to {r.after} at {r.t:.4g} s" for r in found[:MAX_ROCKS]]
     more = ["..."] if len(found) > MAX_ROCKS else []
     yield (
-        "lightest wheel",
+        "least loaded wheel",
         f"changes {'once' if len(found) == 1 else f'{len(found)} times'}: "
         f"{', '.join(listed + more)}"
         if found
@@ -119,11 +119,11 @@ def start_facts(poses: Sequence[Trajectory]) -> Iterator[tuple[str, str]]:
         return
     name, share, depth = lightest_wheel(poses[0], 0)
     where = f"{-depth:.2g} m above the ground" if depth < 0 else f"{depth:.2g} m deep"
-    yield "lightest wheel", f"{name}, {share:.2g} of an equal share of the weight, {where}"
+    yield "least loaded wheel", f"{name}, {share:.2g} of an equal share of the weight, {where}"
     if len(poses) > 1:
         others = [
             f"pitch {pose['pitch'][0]:.4g}, roll {pose['roll'][0]:.4g} rad with "
-            f"{lightest_wheel(pose, 0)[0]} lightest"
+            f"{lightest_wheel(pose, 0)[0]} least loaded"
             for pose in poses[1:]
         ]
         yield "other stable poses", "; ".join(others)
@@ -193,9 +193,9 @@ def friction_words(run: Trajectory) -> str:
     where = f"at most (wheel {run.wheels[i]}, t = {run.t[k]:.4g} s)"
     value = f"{used[k, i]:.4g}"
     if "ground_friction" not in run.attributes:
-        return f"coefficient needed {value} {where}; the ground's is not given"
+        return f"coefficient needed {value} {where}; the ground has no given coefficient"
     words = f"utilisation {value} {where}, of a coefficient of {run.attributes['ground_friction']}"
-    spread = ", of the forces that this motion needs"
+    spread = ", for the forces that this motion needs"
     if "utilisation_best" in run.columns:
         spread += ", distributed by load"
     by_law = is_quasi_static(run) or is_dynamic(run)

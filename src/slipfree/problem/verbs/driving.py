@@ -81,8 +81,8 @@ EXTREMES = Extremes(
     ),
     gained=("work", "potential_energy"),
 )
-STEEPEST = 3.0  # vertical over normal distance from a ground, at a slope of 70 degrees
-SAME = 1e-3  # largest distance of wheels from stored positions and from the ground [radii]
+STEEPEST = 3.0  # ratio of vertical to normal distance from the ground, at a slope of 70 degrees
+SAME = 1e-3  # largest distance of wheels from stored positions and from the ground, in radii
 
 
 class DriveVerb(MotionVerb):
@@ -225,7 +225,7 @@ def _visuals(robot: Robot | None) -> dict[str, Mesh]:
         return found
     folder = Path(robot.tree.file).parent
     for link in robot.tree.links.values():
-        with suppress(DataError):  # the vehicle is then drawn by simple bodies
+        with suppress(DataError):  # the vehicle is then drawn with simple bodies
             if link.visuals:
                 found[link.name] = joined(*(load_mesh(mesh, folder) for mesh in link.visuals))
     return found
@@ -234,7 +234,7 @@ def _visuals(robot: Robot | None) -> dict[str, Mesh]:
 def _stable_poses(problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, ...]:
     """Return the stable poses at the start of a motion, that of the motion first.
 
-    Headings count from the axis of the problem's frame. With exact contact there is one pose.
+    Headings are those of the problem's frame. With exact contact there is one pose.
     """
     model, spec = setup.model, problem.spec
     if model.standing is not None and model.standing.guess is None:
@@ -375,7 +375,7 @@ def _depth(run: Trajectory) -> Array:
 
 def _changed(what: str, file: str | None, words: str) -> DataError:
     """Return the error for a vehicle or ground that is not that of the result."""
-    remedy = "restore the file, give its folder by --folder DIR, or " if file else ""
+    remedy = "restore the file, give its folder with --folder DIR, or " if file else ""
     return DataError(
         f"expected the {what} with which the result was computed, found a different one"
         f"{f' ({file})' if file else ''}: {words}; {remedy}run the problem again"

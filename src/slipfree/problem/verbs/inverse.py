@@ -255,7 +255,7 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
 def _points(problem: Problem[S], spec: Inverse) -> Array | None:
     """Return t, x, y, heading of the way-points [s, m, m, rad], shape (4, n); None without path.
 
-    The headings count from the y axis.
+    The headings are measured from the y axis.
 
     Raises
     ------
@@ -273,7 +273,7 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
         with at(problem, place):
             if is_mcap(Path(path.file)) and spec.frame != "rep103":
                 raise DataError(
-                    "expected frame = 'rep103' with a path in MCAP, whose headings count from x, "
+                    "expected frame = 'rep103' with a path in MCAP, with headings from the x axis, "
                     f"found frame = {spec.frame!r}; set frame = 'rep103'"
                 )
             rows = read_columns(problem.folder / path.file, COLUMNS)
@@ -408,7 +408,7 @@ def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
 def _with_replay(setup: Setup, run: Trajectory, inputs: Any, options: SolverOptions) -> Trajectory:
     """Return a motion with statistics of its differences from the direct model.
 
-    The direct model is integrated with ``inputs``, functions of time; for None, the inputs are
+    The direct model is integrated with ``inputs``, functions of time. If it is None, the inputs are
     splines through the samples of the motion.
     """
     direct, gaps, words = setup.model, dict[str, float](), ""

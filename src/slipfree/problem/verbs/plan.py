@@ -74,9 +74,9 @@ if TYPE_CHECKING:
 
 MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
 PATH_SAMPLES = 121  # samples of the path of an iterate
-ROUNDING = 1e-6  # largest violation that counts as rounding, in the unit of the limit
-STIFFER = 10.0  # factor of stiffness of another simulation of pressed wheels
-SLIDING = 0.95  # utilisation above which a wheel counts as sliding
+ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
+STIFFER = 10.0  # factor of the stiffness in a second simulation of pressed wheels
+SLIDING = 0.95  # wheels with a larger utilisation count as sliding
 FORCE_LIMITS = {"drive_torque", "utilisation", "friction_needed", "force_normal"}
 OFFER = (
     'no slow motion was found within these limits; set model = "dynamics" to plan with momentum: '
@@ -371,7 +371,7 @@ def _by_stiffness(
 
 
 def with_offer(setup: Planning, found: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
-    """Return the stop of a plan; if there is no slow plan, it offers a plan with momentum."""
+    """Return the stop of a plan; after a failed slow plan, it suggests a plan with momentum."""
     stop, spec = found.run.stop, setup.spec
     slow = spec.model == "quasi-static" or FORCE_LIMITS & {*spec.limits}
     if stop is None or not slow or stop.outcome not in (Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE):
@@ -381,7 +381,7 @@ def with_offer(setup: Planning, found: Plan, guesses: Sequence[Trajectory]) -> S
 
 
 def _torque_need(setup: Planning, guess: Trajectory) -> str:
-    """Return the torques that an initial guess needs if they exceed their limit, otherwise ""."""
+    """Return a text on the torques of an initial guess that exceed their limit, or an empty one."""
     bounds = setup.spec.limits.get("drive_torque")
     if bounds is None or "drive_torque" not in guess:
         return ""
@@ -418,7 +418,7 @@ def _momentum(setup: Planning, found: Plan) -> dict[str, str]:
 
 
 def _slowly(setup: Planning, found: Plan) -> str:
-    """Return the description of quasi-statics at the wheel rates of a plan with inertia."""
+    """Return the description of the quasi-static motion at the wheel rates of a plan."""
     run = found.run
     try:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)

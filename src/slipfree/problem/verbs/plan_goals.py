@@ -101,7 +101,7 @@ def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
 
 
 def facing(problem: Problem[S], wanted: Ranges) -> Ranges:
-    """Return ranges with the heading counted from the y axis, as in the model."""
+    """Return ranges with the heading measured from the y axis, as in the model."""
     return {
         name: (low + heading_offset(problem), high + heading_offset(problem))
         if name == "heading"

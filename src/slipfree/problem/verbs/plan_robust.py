@@ -1,7 +1,7 @@
-"""Plans that hold on a share of drawn worlds.
+"""Plans that satisfy their limits in a required share of drawn worlds.
 
 A drawn world has random errors of the map, of the friction and of the gains of the inputs. A plan
-holds on it if its simulation there keeps all limits.
+holds in this world if its simulation satisfies all limits.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ class Tested(NamedTuple):
     Attributes
     ----------
     plan : FoundPlan
-        The plan, with tightened limits if too few simulations of the first plan kept its limits.
+        The plan, with tightened limits if too few simulations of the first one satisfied them.
     stop : Stop or None
-        Reason why fewer simulations than required keep the limits, or interruption by Ctrl-C.
+        Reason why too few simulations satisfy the limits, or interruption by Ctrl-C.
     words : str
         Description of the results, one fact per line; empty without simulations, and after Ctrl-C.
     statistics : dict of str to float
-        Shares of the simulations that keep all limits, with the plan and with the first plan, and
-        numbers of simulations and of rounds of tightening; empty as `words`.
+        Shares of the simulations that satisfy all limits, with the plan and with the first plan,
+        and numbers of simulations and of rounds of tightening; empty if ``words`` is.
     """
 
     plan: FoundPlan
@@ -93,7 +93,7 @@ def make_robust(
     progress: PlanProgress,
     report: Report | None,
 ) -> Tested:
-    """Tighten the limits of a plan until it holds on a share of drawn worlds.
+    """Tighten the limits of a plan until it holds in the required share of drawn worlds.
 
     After Ctrl-C, the last accurate plan is returned, with an interruption as its stop.
 
@@ -108,7 +108,7 @@ def make_robust(
     progress : callable
         As for `plan`.
     report : callable or None
-        Called several times a second with the phase and a line during simulations.
+        Called several times per second with the phase and a line during simulations.
     """
     source, latest = source_of(problem), first
 
@@ -226,16 +226,16 @@ def _seed(draw: Draw, part: int) -> int:
 
 
 def robust_words(found: RobustPlan[FoundPlan], first: FoundPlan) -> str:
-    """Return shares, tightening, violations and costs of a robust plan, a line each."""
+    """Return shares, tightening, violations and costs of a robust plan, one per line."""
     return "\n".join(f"{name}: {words}" for name, words in _lines(found, first))
 
 
 def _lines(found: RobustPlan[FoundPlan], first: FoundPlan) -> Iterator[tuple[str, str]]:
     after, before, (low, high) = found.after, found.before, found.after.interval
-    earlier = f"; without tightening on {before.held}" if found.rounds else "; nothing tightened"
+    earlier = f"; without tightening in {before.held}" if found.rounds else "; no limit tightened"
     yield (
         "robust plan",
-        f"holds on {after.held} of {after.draws} drawn worlds ({100 * after.share:.3g} %, "
+        f"holds in {after.held} of {after.draws} drawn worlds ({100 * after.share:.3g} %, "
         f"{CONFIDENCE:.0%} confidence interval {100 * low:.3g} to {100 * high:.3g} %){earlier}",
     )
     if found.tightening:
@@ -272,14 +272,14 @@ def _cost_words(first: FoundPlan, robust: FoundPlan) -> str:
 
 
 def _stop(found: RobustPlan[FoundPlan], robust: Robust) -> Stop | None:
-    """Return the stop of a plan that keeps its bounds in too few simulations, otherwise None."""
+    """Return the stop of a plan that holds in too few drawn worlds, otherwise None."""
     after = found.after
     if after.share >= robust.share:
         return None
     bound, count = next(iter(after.violated.items()))
     tighter = f"; tighter limits are not solved: {found.failure}" if found.failure else ""
     words = (
-        f"the plan holds on {after.held} of {after.draws} drawn worlds, expected at "
+        f"the plan holds in {after.held} of {after.draws} drawn worlds, expected at "
         f"least {100 * robust.share:.3g} %; violated most often: {bound} in {count}{tighter}; "
         "widen the limits, or reduce the share or the uncertainty in plan.robust"
     )

@@ -49,10 +49,10 @@ class Guide(Driver):
 class KeepOut(Record):
     """A region that no wheel may touch: a disc or a polygon."""
 
-    x: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
-    y: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
-    longitude: float | None = Field(default=None, description="of the centre, instead of x [deg]")
-    latitude: float | None = Field(default=None, description="of the centre, instead of y [deg]")
+    x: float | None = Field(default=None, description="x of the centre of a disc [m]")
+    y: float | None = Field(default=None, description="y of the centre of a disc [m]")
+    longitude: float | None = Field(default=None, description="longitude, instead of x [deg]")
+    latitude: float | None = Field(default=None, description="latitude, instead of y [deg]")
     radius: Positive | None = Field(default=None, description="radius of a disc [m]")
     points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
         default=None, description="corners of a polygon [m]"
@@ -60,16 +60,16 @@ class KeepOut(Record):
 
 
 class Robust(Record):
-    """Drawn worlds on which a plan is replayed, and the share of them on which it must hold."""
+    """Random worlds in which a plan is simulated, and the share in which its limits must hold."""
 
     share: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=0.95, description="share of draws on which the plan must keep its limits [1]"
+        default=0.95, description="share of draws for which the plan must satisfy its limits [1]"
     )
     draws: Annotated[int, Field(ge=1)] = Field(
-        default=50, description="number of draws by which the limits are tightened in a round"
+        default=50, description="number of draws that determine the tightening of a round"
     )
     final_draws: Annotated[int, Field(ge=1)] = Field(
-        default=200, description="number of other draws, on which the final share is measured"
+        default=200, description="number of further draws, which determine the final share"
     )
     seed: Annotated[int, Field(ge=0)] = Field(default=0, description="seed of all draws")
     map: HeightErrors | None = Field(default=None, description="errors of the heights of the map")
@@ -124,7 +124,7 @@ class Search(Record):
         "default: a third of the window [m]",
     )
     robust: Robust | None = Field(
-        default=None, description="drawn worlds on which the plan must keep its limits"
+        default=None, description="random worlds in which the plan must satisfy its limits"
     )
     sliding: bool = Field(
         default=False,

@@ -35,7 +35,7 @@ from slipfree.records import Array
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
 
-SMOOTHINGS = (1.0, 0.3)  # widths of the load law of the first plans [static depths]
+SMOOTHINGS = (1.0, 0.3)  # smoothing widths of the load law in the first plans, in static depths
 ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
 
 

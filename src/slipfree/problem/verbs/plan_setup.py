@@ -62,7 +62,7 @@ from slipfree.vehicle.tree import Vehicle
 
 SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]
 HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
-HOLE_CLEARANCE = 2.0  # additional distance of plans from holes [plan.accuracy]
+HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of plan.accuracy
 RUNS = count()
 
 

@@ -65,8 +65,8 @@ def best_start(
     problem, setup : Problem, Planning
         The problem and its set-up.
     report : callable or None
-        Called several times a second with the phase and a line; may raise KeyboardInterrupt, after
-        which the plans found so far are returned if there are any.
+        Called several times per second with the phase and a line; may raise KeyboardInterrupt,
+        after which the plans found so far are returned if there are any.
 
     Raises
     ------

@@ -37,7 +37,7 @@ from slipfree.trajectory import SolverError, Trajectory, path_length
 from slipfree.vehicle.tree import Vehicle
 
 CYCLES_PER_WINDOW = 20  # default number of periods in a window
-WINDOWS_PER_PLAN = 5  # default duration of a plan [windows]
+WINDOWS_PER_PLAN = 5  # duration of a plan divided by the default window
 PATH_SPACING = 20  # samples of a plan between two points of its path
 
 

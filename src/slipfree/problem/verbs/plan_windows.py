@@ -22,7 +22,7 @@ from slipfree.problem.verbs.plan_schema import Plan
 from slipfree.records import Array
 from slipfree.vehicle.tree import Vehicle
 
-OVERLAP = 1 / 3  # default length that is planned again [window]
+OVERLAP = 1 / 3  # default overlap, relative to the window
 
 
 def check_windows(

@@ -22,8 +22,8 @@ from slipfree.records import Array
 
 AXLE = ca.SX(ca.DM([1, 0, 0]))  # direction of the axle in the wheel's axes
 FACES_AROUND, FACES_ACROSS = 36, 6  # faces of a mesh around the wheel, and across its tread
-MIN_DRAWN_HALF_WIDTH = 0.04  # smallest half-width of a mesh [rolling radii]
-CLOSED_EDGE_RADIUS = 1e-9  # a tread's edge with a smaller radius is on the axle [rolling radii]
+MIN_DRAWN_HALF_WIDTH = 0.04  # smallest half-width of a mesh, in rolling radii
+CLOSED_EDGE_RADIUS = 1e-9  # smaller edges of a tread lie on the axle, in rolling radii
 ARC_LENGTH_POINTS = 721  # points of a table of arc lengths
 
 
@@ -62,7 +62,7 @@ class Section(ABC):
             if isinstance(value, float | int) and not 0 < value < inf:
                 raise ModelError(
                     f"{type(self).__name__.lower()}: {each.name}: expected a finite positive "
-                    f"length, found {value} m"
+                    f"length, found {value} m; change it"
                 )
 
     def __str__(self) -> str:

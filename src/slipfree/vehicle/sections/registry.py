@@ -35,7 +35,9 @@ def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
     """
     for key, radius in (("r1", r1), ("r2", r2)):
         if not 0 <= radius < inf:
-            raise ModelError(f"{key}: expected a finite radius of zero or more, found {radius} m")
+            raise ModelError(
+                f"{key}: expected a finite radius of zero or more, found {radius} m; change it"
+            )
     if r1 + r2 <= 0:
         raise ModelError("r1, r2: expected a positive radius, found two zeros; increase r1 or r2")
     section = Disc(r2) if r1 == 0 else Sphere(r1) if r2 == 0 else Torus(r1, r2)
