@@ -158,7 +158,7 @@ def test_no_file_is_replaced(file: Path) -> None:
     ("lines", "words"),
     [
         ("[start]\nx = 1.0\n", "the start now faces +x"),
-        ("[start]\nheading = 1.0\n[limits]\nheading = [0, 1]\n", "limits.heading now counts"),
+        ("[start]\nheading = 1.0\n[limits]\nheading = [0, 1]\n", "limits.heading is now measured"),
         ("[start]\nheading = 1.0\n", ""),
     ],
 )

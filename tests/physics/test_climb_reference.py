@@ -203,7 +203,7 @@ def test_largest_period_of_a_sampled_controller():
     ("values", "words"),
     [
         ({"law": "best"}, "expected one of projective, .* for 'law'"),
-        ({"directions": "eyes"}, "expected one of contact, sensors as 'directions'"),
+        ({"directions": "eyes"}, "expected one of contact, sensors for 'directions'"),
         ({"smoothing": 0.0}, "positive number for 'smoothing'"),
         ({"unwinding": -1.0}, "at least 0 for 'unwinding'"),
         ({"cap": 0.9}, "'cap' >= 1"),
