@@ -199,7 +199,7 @@ def test_info_of_files_that_are_no_results(folder: Path) -> None:
     )
     _invoke("run", "p.toml", "--no-draw")
     (folder / "cut.nc").write_bytes((folder / "p.nc").read_bytes()[:-1])
-    assert "cut off or damaged; run the problem again" in _refused("info", "cut.nc")
+    assert "truncated or damaged; run the problem again" in _refused("info", "cut.nc")
 
 
 @pytest.mark.usefixtures("folder")

@@ -404,9 +404,8 @@ def test_the_least_friction_takes_no_coefficient():
         (
             "[5, 0], [-5, 0]",
             "[5, 0.1], [-5, 0.1]",
-            "p.toml:3: profile: expected as first solid "
-            "a floor, level at height 0 under the vehicle, found the front wheels, at x = "
-            "-0.116 m, 100 mm inside it",
+            "p.toml:3: profile: expected a floor as first solid, level and at height 0 under the "
+            "vehicle, found the front wheels, at x = -0.116 m, 100 mm inside it",
         ),
         (
             "[2, 0.09], [0, 0.09]",
@@ -417,8 +416,8 @@ def test_the_least_friction_takes_no_coefficient():
         (
             "[-5, -1], [5, -1], [5, 0], [-5, 0]",
             "[-0.2, -1], [5, -1], [5, 0], [-0.2, 0]",
-            "p.toml:3: profile: expected as first solid a floor, level at height 0 under "
-            "the vehicle, found the middle wheels, at x = -0.371 m, 118 mm above it",
+            "p.toml:3: profile: expected a floor as first solid, level and at height 0 under the "
+            "vehicle, found the middle wheels, at x = -0.371 m, 118 mm above it",
         ),
         (
             'verb = "climb"\n',

@@ -31,7 +31,9 @@ def test_a_vehicle_file_by_itself():
     ]
     assert facts(found)["inputs"] == "2: left_drive_rate, right_drive_rate"
     assert facts(found)["suspension"] == "0 of 0 for exact contact of all wheels"
-    assert facts(found)["condition of rates"].endswith("at the start, weakest in caster_rate")
+    assert facts(found)["condition of rates"].endswith(
+        "at the start, least determined: caster_rate"
+    )
     notes = [words for name, words in found.facts if name == "vehicle file"]
     assert notes[0] == "omitted, since they carry no wheel and no mass: lidar_mount"
     assert notes[1].startswith("wheel right_drive: its rate is positive forward, opposite")

@@ -101,8 +101,8 @@ def test_what_is_no_result_is_kept(
     told = _refused(monkeypatch, *words)
     place = f"p.toml:{LINE}: output.file" if named else "p.toml"
     assert told == (
-        f"{place}: expected no file p.nc, or a result of an earlier run, found another file; "
-        "choose another name, or give it on the command line: -o p.nc\n"
+        f"{place}: expected a new file or a result of an earlier run, found the file p.nc, which "
+        "is neither; choose another name, or give it on the command line: -o p.nc\n"
     )
     assert Path("p.nc").read_text() == content
     assert _run(*words, "-o", "p.nc").exit_code == 0
@@ -118,7 +118,7 @@ def test_what_is_no_figure_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
         Path(path).mkdir()
         Path(path, "map.png").write_text("precious")
     told = _refused(monkeypatch, _problem("r.nc"))
-    assert "expected no file r_figures/map.png, or a figure of an earlier run" in told
+    assert "found the file r_figures/map.png, which is neither" in told
     assert "; choose another folder: --figures DIR" in told
     assert Path("r_figures/map.png").read_text() == "precious"
     assert _run("p.toml", "--figures", "other").exit_code == 0

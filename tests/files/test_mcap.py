@@ -372,7 +372,7 @@ def test_a_problem_with_commands_and_one_with_a_path(
     wrong = given.replace("[given]", "[path]").replace("c.mcap", path.as_posix())
     wrong = wrong.replace('frame = "rep103"\n', "")
     (tmp_path / "w.toml").write_text(wrong + rest[rest.index("[time]") :])
-    with pytest.raises(DataError, match="expected frame = 'rep103' with a path in MCAP"):
+    with pytest.raises(DataError, match="expected frame = 'rep103' for a path in MCAP"):
         run_problem(load_problem(tmp_path / "w.toml"))
 
 

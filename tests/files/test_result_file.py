@@ -205,7 +205,9 @@ def test_every_truncation_is_found(motion: Trajectory, tmp_path: Path) -> None:
     data, cut = (tmp_path / "a.nc").read_bytes(), tmp_path / "cut.nc"
     for size in range(len(data)):
         cut.write_bytes(data[:size])
-        with pytest.raises(DataError, match=r"cut\.nc: .* netCDF file that is cut off or damaged"):
+        with pytest.raises(
+            DataError, match=r"cut\.nc: .* netCDF file that is truncated or damaged"
+        ):
             netcdf.read(cut)
 
 
@@ -220,8 +222,8 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
     ("head", "words"),
     [
         (b"verb = 1", "found a file that is not netCDF"),
-        (b"\x89HDF\r\n\x1a\n", "another format than netCDF-3; convert it: nccopy"),
-        (b"CDF\x05" + bytes(40), "another format than netCDF-3; convert it: nccopy"),
+        (b"\x89HDF\r\n\x1a\n", "a format other than netCDF-3; convert it: nccopy"),
+        (b"CDF\x05" + bytes(40), "a format other than netCDF-3; convert it: nccopy"),
     ],
 )
 def test_other_files(head: bytes, words: str, tmp_path: Path) -> None:
@@ -256,7 +258,7 @@ def test_a_file_changed_by_others(motion: Trajectory, tmp_path: Path) -> None:
         (b"units", b"unite", "without the attribute 'units'"),
         (b"\0\0\0\4time\0\0", b"\0\0\0\4tine\0\0", "found no variable 'time'"),
         (b"x slip pitch", b"x slip patch", "found no variable 'patch'"),
-        (struct.pack(">II", 11, 5), struct.pack(">II", 13, 5), "cut off or damaged"),
+        (struct.pack(">II", 11, 5), struct.pack(">II", 13, 5), "truncated or damaged"),
     ]:
         assert old in data
         path.write_bytes(data.replace(old, new))

@@ -241,7 +241,7 @@ def test_a_path_with_a_heading_is_followed(name):
 def test_a_path_is_checked():
     _, dae = models(VEHICLES["four_wheel_steered"], FLAT)
     t = np.arange(6.0)
-    with pytest.raises(ModelError, match="expected at least 6 times of way-points, found 5"):
+    with pytest.raises(ModelError, match="expected at least 6 way-points, found 5"):
         track_path(dae, t[:5], t[:5], t[:5], t[:5])
     with pytest.raises(ModelError, match="expected increasing times, found 5 s followed by 4 s"):
         track_path(dae, t[::-1], t, t, t)

@@ -456,7 +456,7 @@ def test_paths_are_checked():
     path_inputs(dae, begin, still, t, still + 2 * np.pi, t=t)  # a whole turn is none
     with pytest.raises(ModelError, match=r"expected expressions of dae\.t only"):
         path_inputs(dae, begin, dae.x.y, dae.t, 0 * dae.t)
-    with pytest.raises(ModelError, match="expected at least 6 times of way-points, found 5"):
+    with pytest.raises(ModelError, match="expected at least 6 way-points, found 5"):
         path_inputs(dae, begin, still[:5], t[:5], still[:5], t=t[:5])
     with pytest.raises(ModelError, match=r"expected 11 values each of x, y and heading, .*\(5,\)"):
         path_inputs(dae, begin, still, t, still[:5], t=t)

@@ -173,14 +173,14 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
         raise DataError(f"{where}: expected a name that ends in .nc, found {out}; {remedy}")
     if out.is_file() and not is_result(out):
         raise DataError(
-            f"{where}: expected no file {out}, or a result of an earlier run, found another file; "
-            f"{remedy}"
+            f"{where}: expected a new file or a result of an earlier run, found the file {out}, "
+            f"which is neither; {remedy}"
         )
     for path in figures[1:]:
         if not _begins_with(path, FIGURE):
             raise DataError(
-                f"{where}: expected no file {path}, or a figure of an earlier run, found "
-                "another file; choose another folder: --figures DIR"
+                f"{where}: expected a new file or a figure of an earlier run, found the file "
+                f"{path}, which is neither; choose another folder: --figures DIR"
             )
 
 

@@ -1,4 +1,4 @@
-"""Path tracking: platform rates along a path in time, with or without feedback."""
+"""Path tracking: platform rates along a timed path, with or without feedback."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def path_inputs(
     t: Array | None = None,
     begin: float = 0.0,
 ) -> Any:
-    """Return the inputs of an inverse model along a path in time.
+    """Return the inputs of an inverse model along a timed path.
 
     Parameters
     ----------
@@ -146,8 +146,7 @@ def _checked_points(t: Any, x: Any, y: Any, heading: Any) -> tuple[Array, Array]
     values = [np.asarray(each, dtype=float) for each in (x, y, heading)]
     if t.size <= DEGREE:
         raise ModelError(
-            f"path: expected at least {DEGREE + 1} times of way-points, found {t.size}; add "
-            "way-points"
+            f"path: expected at least {DEGREE + 1} way-points, found {t.size}; add way-points"
         )
     if any(each.shape != (t.size,) for each in values):
         raise ModelError(

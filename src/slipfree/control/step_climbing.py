@@ -29,7 +29,7 @@ class Driver(Protocol):
 
     @property
     def senses(self) -> bool:
-        """Whether the controller uses directions estimated from sensors, which are states."""
+        """Whether the controller estimates directions from sensors; the estimates are states."""
 
     @property
     def proportional(self) -> float:

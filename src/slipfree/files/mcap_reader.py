@@ -120,7 +120,7 @@ def read_joint_commands(path: Path) -> dict[str, JointCommands]:
 
 
 def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, Any]]]:
-    """Return the only topic with messages of the given types, and these with their times [ns]."""
+    """Return the only topic with messages of the given types, and the messages with times [ns]."""
     topics: dict[str, list[tuple[int, Any]]] = {}
     for topic, time, message in _messages(path, kinds):
         topics.setdefault(topic, []).append((time, message))
@@ -133,7 +133,7 @@ def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, 
 
 
 def _messages(path: Path, kinds: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, time of recording [ns] and content of each message of the given types."""
+    """Yield topic, recording time [ns] and content of each message of the given types."""
     ros = ros_package()
     from mcap.reader import make_reader
 

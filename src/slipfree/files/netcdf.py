@@ -323,7 +323,7 @@ def _open(path: Path) -> _File:
         with path.open("rb") as stream:
             head = stream.read(4)
         if head in (b"\x89HDF", b"CDF\5"):
-            found = "a netCDF file in another format than netCDF-3"
+            found = "a netCDF file in a format other than netCDF-3"
             raise _fault(path, found, "convert it: nccopy -k cdf2 IN.nc OUT.nc")
         if not b"CDF".startswith(head[:3]):
             raise _fault(path, "a file that is not netCDF", "give a file that slipfree run wrote")
@@ -333,7 +333,7 @@ def _open(path: Path) -> _File:
                 variables = {name: _variable(each) for name, each in file.variables.items()}
         except DAMAGED as error:
             # The traceback refers to arrays that would keep the file open.
-            found = "a netCDF file that is cut off or damaged"
+            found = "a netCDF file that is truncated or damaged"
             raise _fault(path, found) from error.with_traceback(None)
     if ORIGIN not in attributes:
         remedy = "give a file that slipfree run wrote"

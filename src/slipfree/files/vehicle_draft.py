@@ -1,4 +1,4 @@
-"""Drafts of vehicles: parts from a file, before the check that they form a vehicle."""
+"""Drafts of vehicles: parts read from a file, not yet validated as a vehicle."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def toml_key(name: str) -> str:
 
 @dataclass(frozen=True)
 class Draft:
-    """Parts of a vehicle from a file, not yet checked to form a vehicle.
+    """Parts of a vehicle read from a file, not yet validated as a vehicle.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class Draft:
     guesses: tuple[Guess, ...] = ()
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
-        """Return the coordinates of a kind, in the order of the file."""
+        """Return the coordinates of a given kind, in the order of the file."""
         return tuple(c for c in self.coordinates if c.kind == kind)
 
     def vehicle(self) -> Vehicle:
@@ -193,7 +193,7 @@ def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tu
 
 
 def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the loop that is reached by repeated steps from a name to its parent; empty if none.
+    """Return the loop that repeated steps from a name to its parent reach; empty without a loop.
 
     Each name in the result is followed by its parent.
     """

@@ -292,7 +292,7 @@ class File(NamedTuple):
         return f"{where}: {fault.hint}expected {fault.expected}, found {fault.found}"
 
     def _who(self, place: Place) -> str:
-        """Return the element with a key, as in `` (joint 'boom')``; empty text without a name."""
+        """Return the name of the element with a key, as in `` (joint 'boom')``; empty if none."""
         if len(place) < 2 or not isinstance(place[1], int):
             return ""
         element = self.data[str(place[0])][place[1]]

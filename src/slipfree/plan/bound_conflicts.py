@@ -1,4 +1,4 @@
-"""Find bounds of an optimal control problem that contradict each other, before its solution."""
+"""Find contradictory bounds of an optimal control problem before it is solved."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class _Bounds(NamedTuple):
 
 
 def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
-    """Return one sentence for each pair of bounds that contradict each other.
+    """Return one sentence for each pair of contradictory bounds.
 
     Parameters
     ----------

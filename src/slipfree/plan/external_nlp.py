@@ -1,4 +1,4 @@
-"""Solve a nonlinear program that a model has transcribed itself."""
+"""Solve nonlinear programs of other transcriptions, such as that of climbs."""
 
 from __future__ import annotations
 

@@ -225,7 +225,7 @@ def solve_program(
 
 
 def warm_solver(program: Program, iterations: int) -> ca.Function:
-    """Return IPOPT for a warm start near a solution, with full Newton steps.
+    """Return an IPOPT solver for a warm start near a solution, with full Newton steps.
 
     The function has the arguments and results of ``casadi.nlpsol``, with unknowns and their bounds
     divided by their scale. It makes at most the given number of iterations.

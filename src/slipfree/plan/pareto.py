@@ -22,7 +22,7 @@ MARGIN = 1e-3  # smallest relative gain of a point that dominates another
 
 
 class FrontPoint(NamedTuple):
-    """Point of a Pareto front: the least first objective for a bound on the second one.
+    """Point of a Pareto front: minimum of the first objective for a bound on the second one.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ def pareto_front(
         if not point.is_solved:
             why = f" ({point.words})" if point.words else ""
             raise ModelError(
-                f"pareto_front: expected a solution of least {name} objective, found the outcome "
+                f"pareto_front: expected a minimum of the {name} objective, found the outcome "
                 f"{point.outcome.title!r}{why}; give a solved point"
             )
         if not point.second > 0:

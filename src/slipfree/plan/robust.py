@@ -76,7 +76,7 @@ class Replay(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the simulation violates no bound."""
+        """Whether the simulation satisfies all bounds."""
         return max(self.excess.values(), default=0.0) <= 0
 
 
@@ -354,7 +354,7 @@ def replay_of(
 
 
 def _model_limits(dae: Dae, given: Sequence[Limit]) -> Iterator[Limit]:
-    """Yield the limits of a model, which end simulations, without those that are given."""
+    """Yield the limits of a model, which end simulations, except the given ones."""
     names = {limit_name(limit) for limit in given}
     yield from (limit for limit in dae.limits if limit_name(limit) not in names)
 
@@ -395,7 +395,7 @@ def _excess(
     accuracy: float,
     tolerance: float | None,
 ) -> Iterator[tuple[Bound, float]]:
-    """Yield every finite bound of limits, and the largest value beyond it.
+    """Yield every finite bound of limits, and its largest violation.
 
     Violations up to `tolerated_excess` are tolerated, for conditions with equal bounds up to
     ``tolerance`` if it is larger; without it these conditions are ignored.

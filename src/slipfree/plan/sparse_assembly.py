@@ -110,7 +110,7 @@ def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
 
 
 def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
-    """Return the results of an SX function, its operations applied to columns of numbers.
+    """Evaluate an SX function by applying its operations to columns of numbers.
 
     Parameters
     ----------

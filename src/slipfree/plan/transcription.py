@@ -122,7 +122,7 @@ class CollocationMesh(NamedTuple):
 
 
 class RowBlock(NamedTuple):
-    """Rows (constraint functions) that the program repeats ``count`` times: on intervals, or once.
+    """Rows (constraint functions) of the program, repeated ``count`` times: per interval, or once.
 
     Attributes
     ----------

@@ -126,7 +126,7 @@ def _precise(program: Program) -> SolverOptions:
 def _verify_on_replay(
     program: Program, found: PolynomialMotion, start: Trajectory, *, accuracy: float, step: float
 ) -> Verification:
-    """Compare a plan with the simulation of its inputs with another model, ``dae.replay``.
+    """Compare a plan with the simulation of its inputs by another model, ``dae.replay``.
 
     Positions and angles must agree within the accuracy. Speeds differ by vibrations that the
     planned model omits; their differences are only reported.

@@ -226,7 +226,7 @@ class _WindowSearch(NamedTuple):
             return error.trajectory
 
     def gate(self, guess: Trajectory) -> tuple[Limit, Limit]:
-        """Return the conditions at the end of a window: it lies on a line segment.
+        """Return the conditions at the end of a window: the position is on a line segment.
 
         The segment crosses the end of the guess at a right angle to the heading there, and extends
         by `ASIDE` times the overlap to either side.

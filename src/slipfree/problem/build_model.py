@@ -80,7 +80,7 @@ def model_law(problem: Problem[S], spec: schema.Modelled) -> Any:
 
 
 def _wrong_law(spec: schema.Modelled, name: str) -> Fault:
-    """Return the error of a table of a law that does not apply."""
+    """Return the error for the table of a law that does not apply."""
     if name in LAWS[spec.model]:
         tables = ", ".join(sorted(spec.law.model_fields_set))
         if spec.model == "kinematics":

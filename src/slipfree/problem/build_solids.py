@@ -67,7 +67,7 @@ def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
 
 
 def _profile(name: str, spec: Any) -> Profile:
-    """Return the profile of an obstacle of a kind, with a floor as its first solid."""
+    """Return the profile of an obstacle of a given kind, with a floor as its first solid."""
     if name == "points":
         return Profile((*flat().solids, Solid(spec)))
     return OBSTACLES[name](**dict(spec))

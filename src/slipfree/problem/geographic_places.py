@@ -1,4 +1,4 @@
-"""Conversion of places in longitude and latitude to coordinates of the ground."""
+"""Conversion of positions from longitude and latitude to coordinates of the ground."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _places(spec: Task) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
 
 
 def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
-    """Return a problem's values with a place replaced."""
+    """Return the values of a problem with another value of one position."""
     name, old = str(keys[0]), getattr(spec, str(keys[0]))
     if len(keys) == 1:
         return spec.model_copy(update={name: values})

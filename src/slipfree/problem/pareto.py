@@ -84,7 +84,7 @@ class PlanFront(NamedTuple):
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the front, from those of its points.
+        """Outcome of the front, derived from the outcomes of its points.
 
         ``COMPLETE`` if all points are solved, ``INTERRUPTED`` if a point is interrupted, otherwise
         the outcome of the first unsolved point.

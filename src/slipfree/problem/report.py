@@ -119,7 +119,7 @@ def _versions(file: Path, found: Mapping[str, str]) -> Facts:
 
 
 def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
-    """Return the texts of the problem file and of the commands to run it again, by title."""
+    """Return the texts of the problem file and of the commands to repeat the run, by title."""
     if "problem" not in found:
         return {}
     name = f"{Path(found.get('problem_file', 'problem.toml')).stem}_again.toml"

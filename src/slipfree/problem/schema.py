@@ -49,7 +49,7 @@ INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
 
 
 class Vehicle(Record):
-    """A vehicle: of the catalogue, with the keywords of its function, or from a file."""
+    """A vehicle from the catalogue, with the keywords of its function, or from a file."""
 
     catalog: Literal[tuple(CATALOG)] | None = Field(  # type: ignore[valid-type]
         default=None, description="name in the catalogue"
@@ -64,7 +64,7 @@ class Vehicle(Record):
     @model_validator(mode="wrap")
     @classmethod
     def _by_source(cls, data: Any, handler: ModelWrapValidatorHandler[Vehicle]) -> Vehicle:
-        """Validate the table of a vehicle of the catalogue by the arguments of its function."""
+        """Validate the table of a catalogue vehicle against the arguments of its function."""
         return cast("Vehicle", read_table(cls, data, handler))
 
     @property

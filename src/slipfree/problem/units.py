@@ -12,7 +12,7 @@ UNIT = re.compile(r"\[([^\],]+)\]$")  # a single unit at the end of a descriptio
 
 
 def unit_of(spec: CommonKeys, key: str) -> str:
-    """Return the unit of a dotted key of a problem, as in ``m/s``; empty for a key without unit."""
+    """Return the unit of a dotted key of a problem, such as ``m/s``; empty without a unit."""
     table: Any = spec
     words = ""
     for part in key_path(key):

@@ -170,7 +170,7 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
         return
     count = 3 * len(vehicle.wheels)
     if not has_exact_closure(vehicle):
-        how = "the depths of the wheels give the loads, and friction follows them"
+        how = "the depths of the wheels determine the loads, on which friction depends"
     elif _has_ground_law(dae):
         how = "the wheel-ground law determines them, together with the rates"
     elif is_determinate(vehicle):
@@ -285,6 +285,6 @@ def conditioning(dae: Dae, start: Trajectory) -> Facts:
             for k in np.argsort(size)[::-1]
             if size[k] > MIN_SHARE * max(size)
         ]
-        words = f"{values[0] / values[-1]:.3g} at the start, weakest in {', '.join(weak)}"
+        words = f"{values[0] / values[-1]:.3g} at the start, least determined: {', '.join(weak)}"
         facts.append((f"condition of {name}", words))
     return facts

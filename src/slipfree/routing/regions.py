@@ -91,7 +91,7 @@ class Region(ABC):
 
     @abstractmethod
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return the signed distance of a point as an expression, negative inside [m].
+        """Return the signed distance of a point from the region, negative inside [m].
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class _Disc(Region):
         return np.array([self.x, self.y]) + self.radius * circle
 
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return the signed distance of a point as an expression, negative inside [m].
+        """Return the signed distance of a point from the region, negative inside [m].
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class _Disc(Region):
 
 @dataclass(frozen=True, repr=False)
 class _Polygon(Region):
-    """Inside of a simple polygon with ``points`` in map coordinates [m]."""
+    """Interior of a simple polygon with ``points`` in map coordinates [m]."""
 
     points: tuple[tuple[float, float], ...]
 
@@ -204,7 +204,7 @@ class _Polygon(Region):
         return np.array(self.points)
 
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return the signed distance of a point as an expression, negative inside [m].
+        """Return the signed distance of a point from the region, negative inside [m].
 
         Parameters
         ----------

@@ -155,7 +155,7 @@ def _spreads(swept: Swept) -> Iterator[tuple[str, str]]:
         for value, part in list(zip(axis.values, parts, strict=True))[:MAX_VALUES]:
             yield f"  {axis.name} = {value}", _spread(part, unit)
         if len(parts) > MAX_VALUES:
-            yield "  ...", f"{len(parts) - MAX_VALUES} more values; {NAME} has all"
+            yield "  ...", f"{len(parts) - MAX_VALUES} more values; {NAME} lists all"
 
 
 def _spread(values: Array, unit: str) -> str:

@@ -332,7 +332,7 @@ class Vehicle:
             )
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
-        """Return the coordinates of a kind, in the vehicle's order."""
+        """Return the coordinates of a given kind, in the vehicle's order."""
         return tuple(c for c in self.coordinates if c.kind == kind)
 
     def unit(self, name: str) -> Literal["rad", "m"]:
@@ -392,7 +392,7 @@ class Vehicle:
 
 
 def planar(vehicle: Vehicle) -> Vehicle:
-    """Return a vehicle whose platform moves only in the map's plane x = 0, for dynamics.
+    """Return a vehicle whose platform moves only in the plane x = 0 of the map, for dynamics.
 
     The platform moves along y and z and pitches; its x, heading and roll are zero. The forces that
     keep it in the plane do no work.

@@ -205,7 +205,7 @@ def read_map(
 
 
 def takes_key(ending: str, key: str) -> bool:
-    """Return whether a key of a ground applies to files with an ending such as ``".tif"``."""
+    """Return whether a key of [terrain] applies to files with an ending such as ``".tif"``."""
     return key not in KEYS or key in _reader(ending).keys
 
 
@@ -367,7 +367,7 @@ def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
 
 
 def jacksboro(scale: float = 1.0) -> Grid:
-    """Return the elevation model of the Jacksboro fault, Tennessee, that matplotlib ships.
+    """Return the elevation model of the Jacksboro fault, Tennessee, shipped with matplotlib.
 
     It has 403 by 344 nodes with spacings of 74.4 m and 92.7 m, and heights from 236 m to 1076 m;
     x points to the east, y to the north; the origin is the south-western node.
@@ -472,7 +472,7 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
             if largest > 8 * MAX_NODES + HEADER:
                 raise DataError(
                     f"{path}: expected at most {MAX_NODES:g} nodes, found an array of "
-                    f"{largest / 1e9:.3g} GB; cut it, or convert it to GeoTIFF and set a window"
+                    f"{largest / 1e9:.3g} GB; crop it, or convert it to GeoTIFF and set a window"
                 )
             missing = sorted({"x", "y", "z"} - set(file.files))
             if missing:

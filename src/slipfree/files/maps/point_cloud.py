@@ -158,7 +158,7 @@ def _read(path: Path, near: Window | None) -> _Cloud:
     except Exception as error:  # laspy, lazrs and pyproj raise many kinds for damaged files
         raise DataError(
             f"expected a readable LAS or LAZ file, found {str(error).rstrip('.')}; copy or "
-            "download it again: it may be cut off or damaged"
+            "download it again: it may be truncated or damaged"
         ) from error
 
 

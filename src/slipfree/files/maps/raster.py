@@ -173,7 +173,7 @@ def read_raster(path: Path, ask: Reading) -> Heights:
         words = re.sub(r"/vsi\w+/", "", str(error.__cause__ or error)).replace(name, path.name)
         raise DataError(
             f"expected a readable {FORMATS.get(ending, 'raster')}, found {words.rstrip('.')}; "
-            f"{NAMED.get(ending, '')}copy or download it again: it may be cut off or damaged"
+            f"{NAMED.get(ending, '')}copy or download it again: it may be truncated or damaged"
         ) from error
 
 

@@ -71,7 +71,7 @@ def system_name(crs: Any, remedy: str) -> tuple[str, bool]:
 
 
 def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, float]:
-    """Return a place in coordinates of a reference system [m or deg].
+    """Return a position in coordinates of a reference system [m or deg].
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def replace_values(
 
 
 class _KeyPlaceError(ValueError):
-    """Error of a valid key that cannot be set or removed in the given tables."""
+    """Error for a valid key that cannot be set or removed in the given tables."""
 
 
 def _value(text: str) -> Any:

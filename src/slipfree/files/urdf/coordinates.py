@@ -55,7 +55,7 @@ class Coordinates:
             self._findings.faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected the type 'fixed', 'revolute', 'continuous' or "
-                f"'prismatic', found {joint.type!r}; replace it by such joints",
+                f"'prismatic', found {joint.type!r}; replace it with such joints",
             )
             return "0"
         leader, multiplier, offset = self._leader(joint)

@@ -114,7 +114,7 @@ def _link_of(part: Element) -> str:
 
 
 def _is_xacro(element: Element) -> bool:
-    """Return whether an element is a command of xacro, or has an expression of it."""
+    """Return whether an element is a xacro command or contains a xacro expression."""
     return element.tag.startswith("xacro:") or any("${" in t for t in element.attributes.values())
 
 

@@ -156,7 +156,7 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
     if estimated:
         notes.append(
             "moments of inertia of a box or a cylinder, since those in the file are missing or "
-            f"not those of a body: {', '.join(estimated)}"
+            f"impossible: {', '.join(estimated)}"
         )
     released = [j.name for j in kept if j.moves and not file.joints.get(j.name, j).moves]
     if released:

@@ -188,7 +188,7 @@ class Tree(NamedTuple):
     omitted: tuple[str, ...] = ()
 
     def below(self, link: str) -> list[UrdfJoint]:
-        """Return all joints below a link: its joints, the joints of their child links, etc."""
+        """Return all joints below a link: its joints, those of their child links, and so on."""
         found, known = [], {link}
         for joint in self.joints.values():
             if joint.parent in known:
@@ -241,7 +241,7 @@ class Findings:
     def guess(
         self, table: str, name: str, values: Mapping[str, float | bool | str], reason: str
     ) -> None:
-        """Record a guess, once."""
+        """Record a guess unless it is recorded already."""
         guess = Guess(table, name, values, reason)
         if guess not in self.guesses:
             self.guesses.append(guess)

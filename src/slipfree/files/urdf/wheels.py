@@ -208,7 +208,7 @@ class Wheels:
             self._findings.guess("wheels", name, values, f"a wheel: {guess.reason}")
 
     def _add_mesh_findings(self) -> None:
-        """Add a guess for each wheel measured in a mesh, and an error for each mesh not read."""
+        """Add a guess for each wheel measured in a mesh, and an error for each unreadable mesh."""
         for joint in self.joints:
             shape = self._shape(joint)
             if shape is not None and shape.kind == "mesh" and joint.name not in self._given:
@@ -300,9 +300,8 @@ class Wheels:
         if joint.moves and _eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
             faults.add(
                 joint.line,
-                f"joint {joint.name!r}: expected a wheel about its axis, "
-                f"found its {shape.kind} at {_spelled(shape.at)} m; move the shape or the "
-                "axis",
+                f"joint {joint.name!r}: expected a wheel shape centred on its axis, found a "
+                f"{shape.kind} at {_spelled(shape.at)} m; move the shape or the axis",
             )
             return None
         return radius, tube, shape.at

@@ -1,4 +1,4 @@
-"""Climbs: a vehicle of two bodies over an obstacle, in the plane."""
+"""Climbs of a vehicle with two bodies over an obstacle, in a vertical plane."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class Climbing:
 
 
 class ClimbVerb(MotionVerb):
-    """Climb of a vehicle of two bodies over an obstacle, in the plane."""
+    """Climb of a vehicle with two bodies over an obstacle, in a vertical plane."""
 
     schema = climb_schema.Climb
     options = (ANIMATION,)
@@ -249,7 +249,7 @@ class ClimbVerb(MotionVerb):
 
 
 def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
-    """Return vehicle and ground of a result, from its set-up or else from its problem.
+    """Return vehicle and ground of a result, from its set-up if present, or from its problem.
 
     Raises
     ------
@@ -370,7 +370,7 @@ def _start(
     profile: Profile,
     contact: CompliantContact,
 ) -> Trajectory:
-    """Return the vehicle on the floor with its front wheels at a distance from the obstacle.
+    """Return the vehicle on the floor, its front wheels at the given distance from the obstacle.
 
     Raises
     ------
@@ -465,7 +465,7 @@ def _first_contact(climber: Climber, profile: Profile) -> float:
 
 
 def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault | None:
-    """Return the error of wheels inside solid k, or not on the floor (k = 0).
+    """Return the error for wheels inside solid k, or not on the floor (k = 0).
 
     The result is None if the wheels are placed correctly. ``sunk`` are the depths of the axles'
     wheels at rest, shape (3,) [m].
@@ -482,7 +482,7 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
         place: Place = ("profile",)
         return Fault(
             place,
-            "as first solid a floor, level at height 0 under the vehicle",
+            "a floor as first solid, level and at height 0 under the vehicle",
             f"{wheels} {1e3 * abs(off[axle]):.3g} mm {side}; extend or level the first solid",
         )
     inside = f"{wheels} {-1e3 * gap[axle]:.3g} mm inside solid {k}"

@@ -34,7 +34,7 @@ class Solid(Record):
 
 
 class Profile(Record):
-    """The ground of a climb: a floor with one obstacle, or solids, as polygons or from a file."""
+    """The ground of a climb: a floor with one obstacle, or polygons, given here or in a file."""
 
     ramp: Incline | None = Field(default=None, description="a ramp up to a plateau")
     step: Step | None = Field(default=None, description="a step up to a plateau")

@@ -74,7 +74,9 @@ def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         flights = time_in_air(run)
         yield (
             "vehicle in the air",
-            f"{sum(flights):.3g} s in all, {max(flights):.3g} s at once" if flights else "never",
+            f"{sum(flights):.3g} s in all, the longest flight {max(flights):.3g} s"
+            if flights
+            else "never",
         )
     lifted = (depth < 0).mean(axis=0)
     words = [
@@ -85,7 +87,7 @@ def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "wheels in the air", "; ".join(words) or "none"
     if is_dynamic(run):
         left = ((depth[:-1] >= 0) & (depth[1:] < 0)).sum()
-        yield "lift-offs", f"{left}, counted for each wheel"
+        yield "lift-offs", f"{left}, counted per wheel"
         return
     found = rocks(run)
     listed = [f"{r.before} to {r.after} at {r.t:.4g} s" for r in found[:MAX_ROCKS]]

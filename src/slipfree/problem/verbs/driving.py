@@ -256,7 +256,7 @@ def model_attributes(spec: Modelled) -> dict[str, str]:
 
 
 def ground_of(result: Result) -> Ground:
-    """Return the ground of a result, from its set-up or else built from its problem."""
+    """Return the ground of a result, from its set-up if present, or built from its problem."""
     return build_ground(result.problem) if result.setup is None else result.setup.ground
 
 
@@ -374,7 +374,7 @@ def _depth(run: Trajectory) -> Array:
 
 
 def _changed(what: str, file: str | None, words: str) -> DataError:
-    """Return the error for a vehicle or ground that is not that of the result."""
+    """Return the error for a vehicle or ground that differs from that of the result."""
     remedy = "restore the file, give its folder with --folder DIR, or " if file else ""
     return DataError(
         f"expected the {what} with which the result was computed, found a different one"

@@ -273,7 +273,7 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
         with at(problem, place):
             if is_mcap(Path(path.file)) and spec.frame != "rep103":
                 raise DataError(
-                    "expected frame = 'rep103' with a path in MCAP, with headings from the x axis, "
+                    "expected frame = 'rep103' for a path in MCAP, with headings from the x axis, "
                     f"found frame = {spec.frame!r}; set frame = 'rep103'"
                 )
             rows = read_columns(problem.folder / path.file, COLUMNS)

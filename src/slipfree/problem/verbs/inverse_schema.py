@@ -15,7 +15,7 @@ from slipfree.problem.schema import FILE, VERB, Motion, Task
 
 
 class Path(Record):
-    """Path in time: positions and headings of the platform's centre, as arrays or from a file."""
+    """Timed path: positions and headings of the platform's centre, as arrays or from a file."""
 
     t: Column | None = Field(default=None, description="times, increasing from 0 [s]")
     x: Column | None = Field(default=None, description="x at these times [m]")
@@ -38,7 +38,7 @@ class Inverse(Motion):
         description="whether rates in the heading frame are met exactly; otherwise their errors "
         "are minimised; true by default unless all three are given",
     )
-    path: Path | None = Field(default=None, description="a path in time, instead of given rates")
+    path: Path | None = Field(default=None, description="a timed path, instead of given rates")
     steering: Literal["rate", "angle"] = Field(
         default="angle", description="unknown of the steering: its rate or its angle"
     )

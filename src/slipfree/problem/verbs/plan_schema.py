@@ -150,7 +150,7 @@ class Plan(Modelled):
         "squared [1]"
     )
     cost_limits: dict[str, Positive] = Field(
-        default={}, description="largest integrals over time, by name as in costs [1]"
+        default={}, description="upper bounds of integrals over time, named as in costs [1]"
     )
     limits: dict[str, Range] = Field(
         default={}, description="ranges of quantities during the motion, in their units [m, rad, 1]"
@@ -165,7 +165,7 @@ class Plan(Modelled):
     )
     way_points: Annotated[tuple[dict[str, Range], ...], Field(strict=False)] = Field(
         default=(),
-        description="ranges as in the goal, each at a fraction 'at' of the duration [m, rad]",
+        description="ranges as in the goal, at the fraction 'at' of the duration [m, rad]",
     )
     inputs: dict[str, PiecewiseConstant] | None = Field(
         default=None,
