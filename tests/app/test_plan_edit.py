@@ -155,7 +155,7 @@ def test_an_invalid_problem_is_not_saved(session: Session) -> None:
 
 def test_a_file_that_changed_is_not_overwritten(session: Session) -> None:
     session.path.write_text("# mine\n", encoding="utf-8")
-    with pytest.raises(DataError, match="expected the file as it was read, found other text"):
+    with pytest.raises(DataError, match="expected an unchanged file, found that it was changed"):
         saved(session, session.places)
     assert session.path.read_text(encoding="utf-8") == "# mine\n"
 

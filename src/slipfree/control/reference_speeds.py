@@ -134,7 +134,7 @@ def reference(
 
 
 class _Cosines(NamedTuple):
-    """Cosines in the printed speed ratios: (6) of the rear axle and (8) of the front axle.
+    """Cosines in the printed speed ratios: equation (6) for the rear axle, (8) for the front axle.
 
     ``over`` is the numerator and ``under`` the denominator of a ratio.
     """
@@ -146,7 +146,7 @@ class _Cosines(NamedTuple):
 
 
 def _cosines(tilts: Tilts, alpha: Any) -> _Cosines:
-    """Return the cosines of (6) and (8), with rear tilt th_b and front tilt th_a + th_b."""
+    """Return the cosines of equations (6) and (8), with tilts th_b (rear) and th_a + th_b."""
     return _Cosines(
         ca.cos(alpha - tilts.rear),
         ca.cos(tilts.rear),
@@ -161,7 +161,7 @@ def _printed_6_8(tilts: Tilts, alpha: Any, cap: float) -> PerAxle:
 
 
 def _printed_14(tilts: Tilts, alpha: Any, _cap: float) -> PerAxle:
-    """Return the speed ratios of the axles from the pseudo-inverse (15) of the printed (14)."""
+    """Return the speed ratios of the axles by equation (15), from (14) as printed."""
     a, b, c, d = _cosines(tilts, alpha)
     first, square = a / b, d**2
     size = 5 / (2 * first**2 * square + square + 2 * c**2)
@@ -206,7 +206,7 @@ class Base(NamedTuple):
 
 
 def motors(base: Base, speeds: PerAxle) -> Any:
-    """Return the matrix A of shape (7, 3) in ``V = A (x', y', theta')``, (16) corrected.
+    """Return the matrix A of shape (7, 3) in ``V = A (x', y', theta')``, equation (16) corrected.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def odometry(base: Base, speeds: PerAxle) -> Any:
 
 
 def printed_jacobian(base: Base, tilts: Tilts, alpha: float) -> Any:
-    """Return the matrix of (14) as printed, with gamma = 0, shape (3, 7)."""
+    """Return the matrix of equation (14) as printed, with gamma = 0, shape (3, 7)."""
     a, b, c, d = _cosines(tilts, alpha)
     rear, front, turn, side = a / b / 5, c / d / 5, 1 / (6 * base.aside), 1 / (6 * base.along)
     rows = [
@@ -263,7 +263,7 @@ def printed_jacobian(base: Base, tilts: Tilts, alpha: float) -> Any:
 
 
 def printed_inverse(base: Base, tilts: Tilts, alpha: float) -> Any:
-    """Return the matrix of (16) as printed, divided by gear ratio and radius, shape (7, 3)."""
+    """Return the matrix of equation (16) as printed, over gear ratio and radius, shape (7, 3)."""
     a, b, c, d = _cosines(tilts, alpha)
     return motors(base, PerAxle(b / a, 1, d / c))
 

@@ -152,7 +152,7 @@ class Commands(NamedTuple):
 
 
 def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rises: Any) -> Torques:
-    """Return the motor torques by (17), scaled to the torque limit by (18) and (19).
+    """Return the motor torques of equation (17), scaled to the torque limit by (18) and (19).
 
     (18) as printed does not limit negative torques; here the absolute value is limited.
 
@@ -179,7 +179,7 @@ def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rise
 
 
 def limited(limit: float, wanted: PerAxle) -> Torques:
-    """Return motor torques scaled to the torque limit by (18) and (19) [N m]."""
+    """Return motor torques scaled to the torque limit by equations (18) and (19) [N m]."""
     if math.isinf(limit):
         return Torques(wanted, wanted, ca.SX(1))
     scale = limit / ca.fmax(limit, ca.mmax(ca.fabs(ca.vertcat(*wanted))))

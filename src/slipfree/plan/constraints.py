@@ -236,7 +236,7 @@ def size_of(group: ConstraintGroup, values: Array) -> float:
 
 
 def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
-    """Return the record, ``"x"`` or ``"z"``, and the index in it of a state or unknown.
+    """Return the record (``"x"`` or ``"z"``) and the index of a state or unknown.
 
     The result is None for an expression that is not a single state or unknown.
     """

@@ -117,7 +117,7 @@ def saved(session: Session, places: Places) -> Session:
     """
     if _read(session.path) != session.text:
         raise DataError(
-            f"{session.path}: expected the file as it was read, found other text; restart "
+            f"{session.path}: expected an unchanged file, found that it was changed; restart "
             "slipfree edit"
         )
     text = edited_text(session.text, session.places, places)

@@ -40,7 +40,7 @@ ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
 
 
 def guess_motion(setup: Planning, start: tuple[Any, Array]) -> Trajectory:
-    """Return the motion at the inputs of an initial guess, simulated with a rough tolerance.
+    """Return the motion under the inputs of an initial guess, simulated with a loose tolerance.
 
     If the guess follows a path and the goal has x and y, the motion ends at its sample nearest to
     the goal; ranges of x and y are represented by their middle. If the integrator fails after the
