@@ -336,9 +336,7 @@ def _scatter(
     u = np.random.default_rng(seed).random((count, 3))
     x = grid.x[0] + u[:, 0] * np.ptp(grid.x)
     y = grid.y[0] + u[:, 1] * np.ptp(grid.y)
-    few = (
-        smallest / largest
-    ) ** SIZE_EXPONENT  # share of the power law beyond the largest diameter
+    few = (smallest / largest) ** SIZE_EXPONENT  # share of the power law beyond the largest
     diameter = smallest * (1 - u[:, 2] * (1 - few)) ** (-1 / SIZE_EXPONENT)
     return list(zip(x.tolist(), y.tolist(), diameter.tolist(), strict=True))
 
