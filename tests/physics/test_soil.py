@@ -292,7 +292,7 @@ def test_wheels_have_a_width_and_do_not_sink_to_the_axle():
         with pytest.raises(ModelError, match=r"'front_right': expected a torus.*Torus\(r1, r2\)"):
             model(thin, ground, law=SAND)
     soft = replace(SAND, cohesion=0.0, frictional_modulus=10.0, cohesive_modulus=1.0)
-    with pytest.raises(ModelError, match=r"expected that the wheel sinks less than its radius"):
+    with pytest.raises(ModelError, match=r"expected a sinkage smaller than the wheel's radius"):
         dynamics(vehicle, ground, law=soft)
     with pytest.raises(ModelError, match=r"at slip 0.1 and slip angle 0 rad; reduce the load"):
         single_wheel(soft, SIZE, LOAD, [0.1])

@@ -17,9 +17,9 @@ from slipfree.vehicle.tree import Vehicle
 class Rolling:
     """No slip at any wheel.
 
-    The law suits vehicles without rollers whose wheels can all touch a rigid ground, and whose
-    passive joints and free wheels are as many as the rolling conditions, ``2 n_wheels - 3``, such
-    as the tilting three-wheeler.
+    The law suits vehicles without rollers whose wheels can all touch a rigid ground, and that have
+    as many passive joints and free wheels as rolling conditions, ``2 n_wheels - 3``, such as the
+    tilting three-wheeler.
     """
 
     def check(self, vehicle: Vehicle) -> None:
