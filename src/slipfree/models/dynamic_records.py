@@ -104,7 +104,7 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0) -> Labels:
 
 def _wheel_input(wheel: Wheel) -> Label:
     """Return the label of the input of a driven wheel."""
-    words = f"wheel {wheel.name}, forward positive"
+    words = f"wheel {wheel.name}, positive forward"
     if wheel.drive.takes_effort:
         return Label(f"{wheel.name}_torque", "N m", f"torque on {words}")
     return Label(f"{wheel.name}_rate", "rad s-1", f"rate of {words}")

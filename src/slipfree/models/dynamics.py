@@ -114,11 +114,11 @@ def dynamics(
     A wheel may touch the base and several solids at once. Its outputs are those of the contact with
     the least gap; the outputs of solid ``k`` are ``solid_gap_k``, ``solid_load_k`` and others.
 
-    A planar vehicle starts at given states.
+    The start of a planar vehicle consists of given states; its equilibrium is not computed.
 
     Examples
     --------
-    A vehicle accelerates from rest on level ground.
+    Accelerate a vehicle from rest on level ground:
 
     >>> import numpy as np
     >>> from slipfree import Analytic, catalog, dynamics, settle, simulate
@@ -203,8 +203,8 @@ def check_inertia(vehicle: Vehicle, labels: Labels, x: DynamicState, matrix: ca.
     for c, value in zip(vehicle.coordinates, values, strict=True):
         if not (c.acting_drive.prescribed or value > MIN_INERTIA):
             raise ModelError(
-                f"dynamics: coordinate {c.name!r}: expected that it moves a part or a wheel with "
-                "mass, found none; give a part or a wheel that it carries a mass"
+                f"dynamics: coordinate {c.name!r}: expected a part or a wheel with mass that it "
+                "moves, found none; give a part or a wheel that it carries a mass"
             )
 
 
@@ -242,7 +242,7 @@ def moving_bodies(vehicle: Vehicle, x: DynamicState) -> Multibody:
 
 
 def _in_space(vehicle: Vehicle, x: DynamicState) -> DynamicState:
-    """Return states with all components of position and speeds; a plane fixes three of them."""
+    """Return states with all components of position and speeds; a planar vehicle lacks some."""
     if not vehicle.planar:
         return x
     zero = ca.SX(0)

@@ -60,7 +60,7 @@ from slipfree.records import Label, leaves, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
-RELAXATION_RATE = 10.0  # at which depths follow the loads [1/s]
+RELAXATION_RATE = 10.0  # rate at which depths follow the loads [1/s]
 
 
 class RigidUnknowns(NamedTuple):
