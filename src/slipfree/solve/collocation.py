@@ -30,11 +30,11 @@ from slipfree.solve.system import System, with_inputs
 from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
-TRIED_DEGREES = (8, 10, 12, 14)  # of an element, tried in this order
+TRIED_DEGREES = (8, 10, 12, 14)  # degrees of the polynomials, tried in this order
 MAX_ELEMENTS = 4096
 NOISE_GROWTH = 3.0  # growth of the difference of degrees that shows amplified noise
-MAX_VAIN_REFINEMENTS = 2  # refinements without improvement
-MAX_NEWTON_STEPS = 20  # per element
+MAX_VAIN_REFINEMENTS = 2  # maximum number of consecutive refinements without improvement
+MAX_NEWTON_STEPS = 20  # maximum number of Newton steps per element
 CONVERGED_RESIDUAL = 1e-13  # residual of an element's equations, without unit
 ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not halve it
 WEAK_SINGULAR_VALUE = (
@@ -329,7 +329,7 @@ def _refine_elements(
             if former is not None:
                 error = float(np.abs(values - former[2]).max(initial=0.0))
                 if best is None or error < best[2]:
-                    best, vain = (former[0], former[1], error), 0  # it amplifies noise less
+                    best, vain = (former[0], former[1], error), 0  # lower degree, less noise
                 if error < tolerance:
                     return best
                 if error > NOISE_GROWTH * least:

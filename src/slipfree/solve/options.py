@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from slipfree.errors import ModelError
 
-MIN_TOLERANCE = 1e-14  # below which rounding dominates
+MIN_TOLERANCE = 1e-14  # rounding dominates below it
 Method = Literal["idas", "cvodes"]
 
 
