@@ -25,11 +25,11 @@ from slipfree.show.style import MM, PAGE, STYLE
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")
-MOST = 400  # largest number of frames of a film; longer motions are accelerated
-ROWS = {"height_ratios": (2, 3)}  # of the axes in a film of a section, which is wide
-HEIGHTS = (130.0, 86.0)  # of a film of a section, and of one in plan view [mm]
+MOST = 400  # maximum number of frames of a film; longer motions are shown faster
+ROWS = {"height_ratios": (2, 3)}  # heights of the two axes in a film of a section
+HEIGHTS = (130.0, 86.0)  # heights of a film of a section, and of one in plan view [mm]
 HEIGHT = 0.6  # height of the 3D view [its width]
-WIDTH = 150  # characters in a line below the film
+WIDTH = 150  # number of characters in a line below the film
 T = TypeVar("T")
 
 
@@ -238,5 +238,5 @@ def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
 
 
 def _shares(color: Color) -> tuple[float, ...]:
-    """Return red, green and blue, from 0 to 1, of a color with components from 0 to 255."""
+    """Return red, green and blue, from 0 to 1, of a colour with components from 0 to 255."""
     return tuple(part / 255 for part in color)

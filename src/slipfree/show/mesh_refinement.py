@@ -15,7 +15,7 @@ from slipfree.records import Array
 from slipfree.show.meshes import joined
 from slipfree.terrain.base import Grid, Terrain
 
-MOST = 60_000  # largest number of added nodes
+MOST = 60_000  # maximum number of added nodes
 
 
 class Refined(NamedTuple):
