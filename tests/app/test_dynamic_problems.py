@@ -1,4 +1,4 @@
-"""Problems with ``model = "dynamics"`` at the shell."""
+"""Tests of problems with ``model = "dynamics"`` on the command line."""
 
 from pathlib import Path
 

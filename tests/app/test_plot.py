@@ -1,4 +1,4 @@
-"""Plots draw without a warning, say what they show, and say why a motion stopped."""
+"""Tests of figures: no warnings, the right contents, and the reason of a stop."""
 
 from __future__ import annotations
 

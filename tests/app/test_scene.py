@@ -1,4 +1,4 @@
-"""What there is to draw of a motion is where the motion was."""
+"""Tests of scenes: drawn objects are at the positions of the motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page in a real browser: what it shows, that it moves, and that it asks nobody for anything.
+"""Tests of the page in a real browser: contents, motion, and absence of network requests.
 
 Without a graphics card a picture takes long, so there is one browser and one motion for all.
 """

@@ -1,4 +1,4 @@
-"""``slipfree wheel``: table, figure, measured points, and errors; soil in problem files."""
+"""Tests of ``slipfree wheel`` (table, figure, measured points, errors) and of soil in problems."""
 
 from __future__ import annotations
 

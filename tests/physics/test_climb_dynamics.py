@@ -1,7 +1,7 @@
-"""Motion of the seven-wheeler up a ramp and a step, against the lab's figures.
+"""Tests of the seven-wheeler on a ramp and a step against the results of a separate study.
 
-Those are of a prototype with its own equations; their tolerances are fixed with them. True slip and
-the paper's, (20), are means of the three axles, in percent.
+The study used a prototype with its own equations and also fixed the tolerances. True slip and the
+slip (20) of the paper are means over the three axles, in percent.
 """
 
 from dataclasses import replace

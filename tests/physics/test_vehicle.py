@@ -1,4 +1,4 @@
-"""Vehicles are checked when they are built; frames agree with textbook rotations."""
+"""Tests of vehicles: validation at construction, and frames against textbook rotations."""
 
 import re
 from dataclasses import replace

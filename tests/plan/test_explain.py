@@ -1,4 +1,4 @@
-"""Why there is no plan: conflicts by name before solving, violations and relaxations after."""
+"""Tests of infeasible plans: conflicts found before solving, violations and relaxations after."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A route and a plan around a hole of a ragged map, and a drive on it, all without a window."""
+"""Tests of a route, a plan and a drive around a hole in a ragged map without a window."""
 
 from __future__ import annotations
 

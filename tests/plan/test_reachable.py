@@ -1,4 +1,4 @@
-"""What is wrong with places of a map is told by name before anything is sought."""
+"""Tests that invalid positions on a map are reported by name before a search."""
 
 from __future__ import annotations
 

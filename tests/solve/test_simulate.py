@@ -1,4 +1,4 @@
-"""The integrator on small systems with known solutions, and how it ends."""
+"""Tests of the integrator on small systems with known solutions, and of its endings."""
 
 from typing import Any, NamedTuple
 

@@ -1,4 +1,4 @@
-"""Codes of solvers are printed with their meaning."""
+"""Tests that solver codes are printed with their meaning."""
 
 import casadi as ca
 import pytest

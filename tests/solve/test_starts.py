@@ -1,4 +1,4 @@
-"""Starts from the contact of a wheel, from any unknown of the pose, and nearest to a pose."""
+"""Tests of starts from a wheel contact, from an unknown of the pose, and near a given pose."""
 
 import numpy as np
 import pytest
