@@ -2,7 +2,7 @@
 
 ``python benchmarks/soil.py`` compares `single_wheel` with the points in ``measured_wheels.csv``,
 and prints the error of the eight Gauss points on each side of the largest stress, the number of
-operations per wheel, and the time of a motion in sand. No constant is fitted to the measured points.
+operations per wheel, and the time of a motion in sand. No constant is fitted to these points.
 """
 
 from __future__ import annotations

@@ -173,7 +173,9 @@ def test_times_are_checked(t, words):
 
 @pytest.mark.parametrize("tolerance", [0.0, -1e-8, 1.0, np.nan])
 def test_tolerance_is_checked(tolerance):
-    with pytest.raises(ModelError, match="tolerance: expected a number from 1e-14 to below 1"):
+    with pytest.raises(
+        ModelError, match="tolerance: expected a number of at least 1e-14 and less than 1"
+    ):
         SolverOptions(tolerance=tolerance)
 
 

@@ -155,7 +155,7 @@ def _controller(
 
 
 def _as_measured(noise: Noise | None, t: ca.SX, true: Measured) -> Measured:
-    """Return the quantities as the sensors of the controller measure them."""
+    """Return the quantities measured by the controller's sensors."""
     return true if noise is None else Measured(*measured(noise, t, *true))
 
 

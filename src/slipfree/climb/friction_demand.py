@@ -178,7 +178,7 @@ def least_friction_forces(matrix: Array, load: Array) -> HoldingForces:
 
 
 def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Array, Array]:
-    """Return the contact forces whose smallest friction reserve is largest, and that reserve.
+    """Return the contact forces that maximise the smallest friction reserve, and this reserve.
 
     The forces (n, 6) [N] satisfy ``matrix @ f = load``. The reserve of an axle, shape (n,), is
     ``(mu N - |T|) / relative``, with the normal force N and the tangential force T.

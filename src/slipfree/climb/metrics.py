@@ -155,7 +155,7 @@ def has_reached_top(run: Trajectory, climber: Climber, profile: Profile) -> Mask
 
 
 def slip_ratio(run: Trajectory, climber: Climber) -> Array:
-    """Return the slip ratio ``(r w - v) / (r w)``, (20), shape (n, 3); NaN for wheels near rest.
+    """Return the slip ratios ``(r w - v) / (r w)`` by (20), shape (n, 3); NaN for wheels near rest.
 
     ``r`` and ``w`` are the radius and the rate of a wheel, ``v`` is the speed of the middle axle.
     """

@@ -174,7 +174,7 @@ def plane_of(terrain: Terrain) -> Plane | None:
 
 
 def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Function:
-    """Return the search as a CasADi graph; `nearest` of `kernel.c` is equal for maps and tori."""
+    """Return the search as a CasADi graph, equivalent to `nearest` of `kernel.c` for maps."""
     jet, newton = _jet_function(terrain), _newton_function(section)
     symbol: Any = ca.SX if jet.is_a("SXFunction") else ca.MX
     asked, begin, gap = symbol.sym("asked", 6), symbol.sym("begin", 2), symbol.sym("gap")
@@ -202,7 +202,7 @@ def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Funct
 
 
 def _lowest_point(section: Section, jet: ca.Function, asked: Any) -> list[Any]:
-    """Return the tread point that is lowest above the ground: its x and y, and its height above it.
+    """Return x and y of the tread point nearest to the ground below, and its height above it.
 
     The tread points compared have normals in the vertical plane along the direction of travel, at
     the angles `DIRECTIONS` from the vertical.

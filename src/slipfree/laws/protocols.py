@@ -230,7 +230,7 @@ class ContactLaw(Protocol):
         """Raise ModelError if the law cannot be used with the vehicle or the ground."""
 
     def static_depth(self, wheel: Wheel, load: float) -> float:
-        """Return the depth of a wheel at rest under a load [m]; the wheel has a static depth."""
+        """Return the depth of a wheel at rest under a load [m]; `Wheel.static_depth` is set."""
 
     def max_depth(self, wheel: Wheel) -> float:
         """Return the depth up to which the law is valid; infinity without limit [m]."""

@@ -83,7 +83,7 @@ class Contact(NamedTuple):
 
 
 def deepest(contacts: Sequence[Contact]) -> Contact:
-    """Return the contact with the least gap, of the contacts of one wheel."""
+    """Return the contact of a wheel that has the smallest gap."""
     found, *others = contacts
     for other in others:
         pairs = zip(leaves(found), leaves(other), strict=True)
@@ -260,7 +260,7 @@ def solid_limits(vehicle: Vehicle, contacts: Sequence[tuple[Contact, ...]]) -> I
 def depth_limits(
     vehicle: Vehicle, law: ContactLaw, contacts: Sequence[tuple[Contact, ...]]
 ) -> Iterator[Limit]:
-    """Yield the limit of the depth of each wheel up to which a law is valid, if there is one."""
+    """Yield the limit of each wheel's depth up to which a law is valid, if the law has one."""
     for wheel, touching in zip(vehicle.wheels, contacts, strict=True):
         most = law.max_depth(wheel)
         if most < np.inf:

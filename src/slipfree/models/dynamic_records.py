@@ -187,7 +187,7 @@ def _solid_labels(vehicle: Vehicle, k: int) -> OnSolid:
 
 
 def output_efforts(vehicle: Vehicle, efforts: Sequence[T]) -> tuple[T, ...]:
-    """Return the efforts of commanded coordinates that are outputs, since they are not inputs."""
+    """Return the efforts of those commanded coordinates whose efforts are outputs, not inputs."""
     pairs = zip(vehicle.of("commanded"), efforts, strict=True)
     return tuple(effort for c, effort in pairs if not c.drive.takes_effort)
 

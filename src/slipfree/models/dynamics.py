@@ -182,7 +182,7 @@ def dynamics(
 
 
 def check_dynamic(vehicle: Vehicle) -> None:
-    """Raise ModelError if a vehicle does not suit dynamics."""
+    """Raise ModelError if a vehicle cannot be used in dynamics."""
     if not vehicle.mass:
         raise ModelError(
             f"dynamics: expected a vehicle with mass, found none in {vehicle.name!r}; give its "
@@ -404,7 +404,7 @@ def _accelerations(
 
 
 def _attitude_rate(x: DynamicState) -> ca.SX:
-    """Return the rate of a quaternion (w, x, y, z), with a return of its norm to one [1/s]."""
+    """Return the rate of a quaternion (w, x, y, z), with stabilisation of its norm at one [1/s]."""
     attitude, omega = ca.vertcat(*x.attitude), ca.vertcat(*x.omega)
     scalar, vector = attitude[0], attitude[1:]
     turning = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2

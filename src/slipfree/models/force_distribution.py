@@ -411,7 +411,7 @@ def _utilisation(contacts: _Contacts, y: Array) -> Array:
 
 
 def _normal(contacts: _Contacts, y: Array) -> Array:
-    """Return friction times normal force, shape (n, m) in weights."""
+    """Return friction times normal force, shape (n, m) [weight]."""
     return contacts.normal + _apply(contacts.normal_slope, y)
 
 

@@ -277,7 +277,7 @@ def generalised_forces(system: Multibody, loads: Iterable[Load]) -> ca.SX:
 
 
 def bias_forces(system: Multibody) -> ca.SX:
-    """Return the generalised inertial forces at constant speeds, less those of gravity.
+    """Return the generalised inertial forces at constant speeds, minus the forces of gravity.
 
     The equations of motion are ``M u' + bias = Q``, with the generalised forces ``Q`` of drives,
     springs and ground. The shape is (6 + n_coordinates, 1).

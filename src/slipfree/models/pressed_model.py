@@ -357,7 +357,7 @@ def _dae(
 
 
 def _first_pose(q: Quantities) -> ca.SX:
-    """Return height, attitude and suspension of a level pose that presses all wheels in."""
+    """Return height, attitude and suspension of a level pose with all wheels in the ground."""
     heights, _ = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
     lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.wheels)
     return ca.vertcat(lowest, ca.SX.zeros(2 + len(q.position.suspension)))

@@ -322,7 +322,7 @@ def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body
 
 
 def _hidden(bodies: Iterable[Body], drive: Driven) -> Iterable[Body]:
-    """Yield the simple bodies that no mesh of a link replaces; the platform is without meshes."""
+    """Yield the simple bodies that no mesh of the URDF replaces; the platform has no mesh."""
     shown = {wheel_name(joint.name) for joint in _joints_with_visuals(drive)}
     names = {wheel.name for wheel in drive.vehicle.wheels} - shown
     for body in bodies:
@@ -363,7 +363,7 @@ def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> li
 
 
 def ground_normals(terrain: Bicubic, points: Array) -> Array:
-    """Return the upward unit normals of a ground at map points of shape (..., 3), same shape."""
+    """Return the upward unit normals of a ground at map points; both have the shape (..., 3)."""
     slopes = []
     for axis, cell in enumerate(terrain.grid.spacing):
         step = 1e-3 * cell

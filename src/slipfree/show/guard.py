@@ -153,7 +153,7 @@ def _with_script(response: Any, script: bytes) -> Any:
 
 
 def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> bool:
-    """Return whether a request is for a name of this machine, and from no foreign page.
+    """Return whether a request addresses this machine and comes from its own page.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ Post = Callable[[object], object]
 def start_server(
     port: int, get: Mapping[str, Get], post: Mapping[str, Post], warn: Callable[[str], None]
 ) -> ThreadingHTTPServer:
-    """Return a server that answers requests of its own page, in threads; it is not yet serving.
+    """Return an HTTP server for the requests of its own page; the caller must start it.
 
     Parameters
     ----------

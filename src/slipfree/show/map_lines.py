@@ -108,7 +108,7 @@ def _grid_and_north(drawn: Grid, terrain: Terrain, window: Window) -> Iterable[L
 
 
 def _coordinate(name: str, value: float) -> str:
-    """Return the label of a grid line; of large coordinates only the last three digits."""
+    """Return the label of a grid line; large coordinates are shortened to the last three digits."""
     is_large = abs(value) >= LARGE
     return f"{name} ...{value % 1000:03g} m" if is_large else f"{name} {value + 0.0:g} m"
 

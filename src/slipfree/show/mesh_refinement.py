@@ -124,7 +124,7 @@ class Refined(NamedTuple):
         return heights
 
     def _cells(self, x: Array, y: Array) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
-        """Return the indices along x and y of the cells nearest to points, equal shapes."""
+        """Return the indices, along x and along y, of the cells nearest to points."""
         h_x, h_y = self.grid.spacing
         i, j = np.floor((x - self.grid.x[0]) / h_x), np.floor((y - self.grid.y[0]) / h_y)
         n, m = self.near.shape

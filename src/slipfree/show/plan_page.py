@@ -43,7 +43,7 @@ class PlanMap(NamedTuple):
 
 
 def page_content(plan_map: PlanMap) -> Content:
-    """Return the page."""
+    """Return the HTML page for planning by hand."""
     x_min, x_max, y_min, y_max = whole(plan_map.grid)
     data = {
         "domain": [x_min, x_max, y_min, y_max],

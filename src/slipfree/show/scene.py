@@ -288,7 +288,7 @@ def framed(
 
 
 def stopped(run: Trajectory) -> str:
-    """Return a stop in words, as in `Actor`; empty without a stop."""
+    """Return the message of a stop, as in `Actor`; empty without a stop."""
     return stop_words(run)
 
 
@@ -379,6 +379,6 @@ def _reason_without_arrows(name: str, actors: Iterable[Actor]) -> str:
 
 
 def scale_words(scene: Scene, name: str) -> str:
-    """Return the scale of the arrows of a quantity in words; empty without arrows."""
+    """Return the scale of the arrows of a quantity as text; empty without arrows."""
     scale = scene.scales[name]
     return f"1 m of arrow length represents {1 / scale:.4g} {UNITS[name]}" if scale else ""

@@ -171,7 +171,7 @@ class Stage:
         self.follow(scene.is_far)
 
     def spread(self, enabled: bool) -> None:
-        """Move the motions sideways, so that vehicles at one place are visible, or back.
+        """Move the motions apart sideways, so that coincident vehicles are visible, or back.
 
         A plan stays with the motion that simulates it.
         """
