@@ -191,7 +191,7 @@ def test_inputs_are_checked():
         (np.zeros(7), "one value for each of the 20 intervals between samples, found shape"),
         (np.nan, "expected finite numbers"),
         (dae.u.rate * 2, "found one that contains inputs"),
-        (ca.SX.sym("q"), "q is not a symbol of the model"),
+        (ca.SX.sym("q"), "expected symbols of the model, found q"),
         (ca.SX(2, 1), "expected a scalar expression"),
         ("fast", "expected real numbers or an SX expression"),
         (1j, "expected real numbers or an SX expression"),
@@ -361,7 +361,7 @@ def test_events_are_checked():
         ([Event(x, name="wall")], "found 'wall' twice; rename the event"),
         ([Event(ca.vertcat(x, x))], "expected a scalar SX"),
         ([Event(1.0)], "expected a scalar SX, found 1.0"),
-        ([Event(x - ca.SX.sym("q"))], "event 'event': q is not a symbol of the model"),
+        ([Event(x - ca.SX.sym("q"))], "event 'event': expected symbols of the model, found q"),
     ):
         with pytest.raises(ModelError, match=words):
             simulate(dae, start, dae.inputs(speed=1.0), T, events=events)

@@ -186,7 +186,7 @@ def _turning_rates(run: Trajectory) -> Array:
 
 
 def _mean_size(ratios: Array) -> Array:
-    """Return the means of absolute values clipped to one, without NaN; NaN if all are NaN."""
+    """Return the means of absolute values clipped to one, ignoring NaN; NaN if all are NaN."""
     sizes = np.minimum(np.abs(ratios), 1)
     known: Mask = ~np.isnan(sizes)
     with np.errstate(invalid="ignore"):

@@ -112,7 +112,7 @@ def touch(
 
 
 class _Miss(NamedTuple):
-    """Residual (2, 1) of the nearest point [m], ground normal, tread point [m] and gap [m]."""
+    """A trial of the contact search: residual (2, 1) [m], ground normal, tread point and gap [m]."""
 
     residual: ca.SX
     normal: ca.SX

@@ -26,8 +26,9 @@ class Rolling:
         """Raise ModelError if the vehicle cannot roll without slip."""
         if any(wheel.rollers for wheel in vehicle.wheels):
             raise ModelError(
-                f"{vehicle.name!r} has wheels with rollers, which cannot roll without slip; use "
-                "least slip: LeastSlip(), or slip = 'least' in a problem file"
+                f"{vehicle.name!r}: expected wheels without rollers, found wheels with rollers, "
+                "which slip sideways; use least slip: LeastSlip(), or slip = 'least' in a "
+                "problem file"
             )
         check_exact_closure(vehicle, "Rolling()")
         found, needed = rolling_counts(vehicle)

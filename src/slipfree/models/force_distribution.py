@@ -180,7 +180,7 @@ def _check(matrix: Array, load: Array, friction: Array) -> None:
     if 0 in friction.shape:
         raise ModelError(
             "friction: expected at least one sample and one wheel, found shape "
-            f"{friction.shape} (samples, wheels)"
+            f"{friction.shape} (samples, wheels); use a motion with samples"
         )
     n, m = friction.shape
     w = matrix.shape[1] if matrix.ndim == 3 else 0
@@ -246,7 +246,7 @@ def _contacts(particular: Array, free: Array, friction: Array) -> _Contacts:
 
 
 def _feasible_unknowns(contacts: _Contacts, y: Array) -> Array:
-    """Return unknowns (n, k) with positive normal forces, where these exist (phase one)."""
+    """Return unknowns (n, k) with positive normal forces, where these exist, to start from."""
     none = np.zeros_like(contacts.along)
     flat = np.zeros_like(contacts.along_slope)
     upright = contacts._replace(along=none, across=none, along_slope=flat, across_slope=flat)

@@ -140,7 +140,7 @@ def animate(scene: Scene, file: str | Path, title: str = "") -> str:
         figure.set_layout_engine("none")  # axes must not move between frames
         times = np.linspace(first, last, count).tolist()
         write_film(writer, figure, Path(file), film.show, times)
-    return f"{speed:.3g} times the real speed"
+    return f"{speed:.3g} times real speed"
 
 
 class Film:
@@ -155,7 +155,7 @@ class Film:
         self.title = title
         self.head = figure.suptitle("", x=0.98, ha="right", fontsize=8, parse_math=False)
         told = [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
-        told += [f"{speed:.3g} times the real speed"] if speed > 1 else []
+        told += [f"{speed:.3g} times real speed"] if speed > 1 else []
         lines = ["; ".join(told), *scene.warnings]
         lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
         words = "\n".join(textwrap.fill(line, WIDTH) for line in lines)

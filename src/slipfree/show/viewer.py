@@ -113,7 +113,7 @@ def page(scene: Scene, title: str, color: str) -> str:
         html = recording.as_html()
     finally:
         stop(server)
-    words = [f"Played at {speed:.3g} times the real speed."] if speed > 1 else []
+    words = [f"Played at {speed:.3g} times real speed."] if speed > 1 else []
     words += [f"The view follows {scene.actors[0].name}."] if scene.is_far else []
     return with_legend(html, scene, title, color, words)
 

@@ -296,7 +296,7 @@ def _check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
     ).free_sx()
     if free:
         raise ModelError(
-            f"input {label.full}: {free[0]} is not a symbol of the model; use the "
+            f"input {label.full}: expected symbols of the model, found {free[0]}; use the "
             "symbols of its Dae"
         )
     return law
