@@ -112,7 +112,7 @@ def touch(
 
 
 class _Miss(NamedTuple):
-    """A trial of the contact search: residual (2, 1) [m], ground normal, tread point and gap [m]."""
+    """Trial of the contact search: residual (2, 1) [m], ground normal, tread point and gap [m]."""
 
     residual: ca.SX
     normal: ca.SX
