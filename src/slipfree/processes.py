@@ -240,7 +240,7 @@ def available_cores() -> int:
 def prepare_process() -> None:
     """Prepare a new process: ignore Ctrl-C and warnings, print to stderr, exit with the parent."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal; the parent handles it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C in the terminal
     warnings.simplefilter("ignore")  # the parent reports them
     os.dup2(2, 1)  # output of solvers must not get into the summary
 

@@ -105,14 +105,14 @@ def _nearest_on_disc(prism: Prism, origin: ca.DM, carrier: Pose, circle: float) 
     center, plane = carrier.origin, carrier.rotation[:, 1:]
     if not circle:
         return center
-    best, trial, step = ca.SX.zeros(2), ca.SX.zeros(2), ca.SX.zeros(2)  # in the plane
+    best, trial, step = ca.SX.zeros(2), ca.SX.zeros(2), ca.SX.zeros(2)  # in the disc's plane
     least, slack = ca.SX(MAX_DISTANCE), ca.SX(DISTANCE_TOLERANCE)
     for _ in range(ROUNDS):
         distance, normal, hessian = prism.expansion(center + plane @ trial + origin, plane)
         linear = hessian @ trial - distance * (plane.T @ normal)
         newton = _minimum_in_disc(hessian, linear, circle)
         is_better = distance < least + slack
-        is_first = ca.logic_and(ca.logic_not(is_better), slack > 0)  # rejection
+        is_first = ca.logic_and(ca.logic_not(is_better), slack > 0)  # first rejection
         best, least = ca.if_else(is_better, trial, best), ca.if_else(is_better, distance, least)
         step = ca.if_else(is_better, newton - trial, ca.if_else(is_first, step, step / 2))
         trial = ca.if_else(is_first, newton, best + step)

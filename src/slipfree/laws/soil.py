@@ -62,11 +62,11 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # on -1 to 1, for each side of the peak
-SMALLEST_DEPTH = 1e-9  # of a wheel in soil; angles have no derivative at depth zero [radii]
+POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # Gauss points on each side of the peak
+SMALLEST_DEPTH = 1e-9  # of a wheel; angles have no derivative at zero depth [wheel radii]
 STEADY_CREEP = 1e-8  # creep speed in steady motion [larger of rim and forward speed]
-ANGLE_SMOOTHING = 0.01  # slip angle at which its sign, for (6) and (7), is 0.76 [rad]
-STATIC_STEPS = 60  # of bisection for the static sinkage
+ANGLE_SMOOTHING = 0.01  # slip angle whose smoothed sign in (6) and (7) is 0.76 [rad]
+STATIC_STEPS = 60  # number of bisection steps for the static sinkage
 
 
 class SoilUnknowns(NamedTuple):

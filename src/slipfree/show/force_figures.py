@@ -156,7 +156,7 @@ def energy(run: Trajectory, ax: Axes) -> Axes:
         ax.plot(run.t, moving, label="kinetic energy", color=PALETTE[3])
         lost = run["lost_energy"] - run["lost_energy"][0]
     ax.plot(run.t, work, label="drives", color=PALETTE[0])
-    # long gaps, as it covers the work of the drives where nothing is lost
+    # long gaps: without losses this line would hide that of the drives
     ax.plot(run.t, height, label="potential energy", color=PALETTE[2], ls=(0, (6, 6)))
     ax.plot(run.t, lost, label="losses", color=PALETTE[1])
     ax.set_ylabel("energy since the start [J]")

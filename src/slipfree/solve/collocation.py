@@ -4,7 +4,7 @@ The equations contain the rate of such a state, for example of a steering angle,
 may be small and may change sign. The effect of an initial value then vanishes at once or grows
 without bound; the path determines the state instead. On every element, these states are polynomials
 without an initial value. The other states are continuous between elements, so that the elements are
-solved one after the other. The difference between the solutions of two degrees measures the error.
+solved one after the other. The error is estimated from the solutions of two polynomial degrees.
 """
 
 from __future__ import annotations
@@ -243,10 +243,10 @@ def drive(
 ) -> Drive:
     """Return the motion of a model with states that have no initial value.
 
-    Elements are shortened until the solutions of two degrees agree on these states within the
-    tolerance. If they never do, the solution with the best agreement is returned, since short
-    elements of high degree amplify noise of the path. The motion ends before the first sample that
-    violates a limit.
+    Elements are shortened until the solutions of two polynomial degrees agree on these states
+    within the tolerance. If they never do, the solution with the best agreement is returned, since
+    short elements of high degree amplify noise of the path. The motion ends before the first sample
+    that violates a limit.
 
     Parameters
     ----------
@@ -301,9 +301,10 @@ def drive(
 def _refine_elements(
     system: System, free_states: Mask, start: Trajectory, t: Array, tolerance: float
 ) -> tuple[CollocationScheme, list[CollocationElement], float]:
-    """Return the scheme and elements for which two degrees agree best, and their difference.
+    """Return the scheme and elements at which two degrees agree best, and their difference.
 
-    The difference is the largest difference of the free states, divided by their sizes.
+    The degrees are those of the polynomials on the elements. The difference is the largest one of
+    the free states, divided by their sizes.
     """
     x = system.dae.rows("x", start, -1)
     z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[
