@@ -102,7 +102,7 @@ def derivative_errors(ground: Bicubic, exact: NdBSpline, a: np.ndarray, b: np.nd
 
 
 def poor_starts() -> None:
-    """Settle from poor guesses and count where the wheels are."""
+    """Settle from poor initial guesses and count the solutions."""
 
     def hills(x: ca.SX, y: ca.SX) -> ca.SX:
         return 0.15 * ca.sin(0.9 * x + 0.3) * ca.cos(0.7 * y) + 0.05 * ca.sin(1.7 * y + 0.2 * x)

@@ -1,15 +1,15 @@
-"""Kinematics, quasi-statics and dynamics of the same vehicle on the same ground, over its speed.
+"""Compare kinematics, quasi-statics and dynamics of vehicles on the same ground, by speed.
 
 ``python benchmarks/agreement.py`` prints
 
-1. for four vehicles that turn over about 1 m of hills from rest: how far the ends of dynamics and
-   of quasi-statics are apart, by speed; the creep of both laws is 1 % of the speed, so that
-   quasi-statics has the same path at every speed. The line below has the change from column to
-   column over the change of the squared speed, which is constant for a difference of second order.
-   Last, how far the end of kinematics with least slip is from that of quasi-statics. The ends of
-   dynamics are those 1 ms later, the time constant of its rates;
-2. for a rigid four-wheeler, straight on over rough ground at 0.1 m/s: how far dynamics is from
-   kinematics with wheels that are pressed into the ground, and which wheels both have in the air.
+1. for four vehicles that turn over about 1 m of hills from rest: the distance between the ends of
+   dynamics and of quasi-statics, by speed; the creep of both laws is 1 % of the speed, so that
+   quasi-statics has the same path at every speed. The next line contains the change from column to
+   column divided by the change of the squared speed, which is constant for a second-order
+   difference. The last line contains the distance between the ends of kinematics with least slip
+   and of quasi-statics. Ends of dynamics are taken 1 ms later, the time constant of its rates;
+2. for a rigid four-wheeler, straight on over rough ground at 0.1 m/s: the distance of dynamics from
+   kinematics with wheels pressed into the ground, and the wheels in the air in both.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def _turn(model: Dae, vehicle: Vehicle, speed: float, delay: float = 0.0) -> np.
 
 
 def _rock(rms: float) -> None:
-    """Print how dynamics and kinematics of a rigid four-wheeler agree on rough ground."""
+    """Print the agreement of dynamics and kinematics of a rigid four-wheeler on rough ground."""
     vehicle = catalog.rigid_skid_steer()
     axis = np.arange(-3, 5.05, 0.1)
     flat = Grid(axis, axis, np.zeros((axis.size, axis.size)))

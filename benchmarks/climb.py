@@ -1,10 +1,10 @@
-"""The step climber's motion against the figures that it must reach.
+"""Compare the step climber's motion with required values.
 
-``python benchmarks/climb.py`` (some minutes) prints a line for every figure: what is asked, what is
-found; names of parts, such as ``thresholds`` or ``random``, are for these alone. The figures are
-those of a prototype with its own equations; see `slipfree.climb`. Slip is the mean over the axles
-of (20), *true* that of the wheels' own slip, *disturbance* that of (21), all in percent; ratios are
-to fixed references. Times are the least of three runs.
+``python benchmarks/climb.py`` (some minutes) prints a line for every quantity, with the required
+and the computed value; with names of parts, such as ``thresholds`` or ``random``, it prints only
+these. The required values are those of a prototype with its own equations; see `slipfree.climb`.
+Slip is the mean over the axles of (20), *true* that of the wheels' own slip, *disturbance* that of
+(21), all in percent; ratios are to fixed references. Times are the least of three runs.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ SETS = {  # friction and torque on ramp and step, and the lab's slip/true/distur
 
 
 class Means(NamedTuple):
-    """Means over the axles [%], and whether it climbed."""
+    """Means over the axles [%], and whether the vehicle climbed."""
 
     slip: float
     true: float
@@ -146,7 +146,7 @@ def row(what: str, asked: str, found: str, reached: bool) -> None:
 
 
 def kinematics() -> None:
-    """Print how well the law solves the closure, and the odometry inverts it."""
+    """Print errors of the reference law in the closure, and of the odometry."""
     rng, climber, worst, inverse = np.random.default_rng(2), step_climber(0.06), 0.0, 0.0
     for _ in range(2000):
         tilts = Tilts(*rng.uniform(-0.6, 0.6, 2))
@@ -165,7 +165,7 @@ def kinematics() -> None:
 
 
 def statics() -> None:
-    """Print loads and rest after a drop of a millimeter."""
+    """Print loads and rest after a drop of a millimetre."""
     climber, contact = step_climber(), CompliantContact()
     dae = climbing(climber, flat(), FIXED, contact)
     values = standing(climber, contact, 0.0)
@@ -184,9 +184,9 @@ def statics() -> None:
 
 
 def accuracy() -> None:
-    """Print balances of energy, convergence with the tolerance, and regularisation.
+    """Print energy balances, convergence with the tolerance, and the effect of regularisation.
 
-    The lab's accuracy is that of its exact law with .9 of the directions and a cap of two.
+    The accuracy of the study is that of its exact law with 0.9 of the directions and a cap of two.
     """
     lab = Control(directions="contact", share=0.9, cap=2.0)
     for name, profile, contact, control in (
@@ -236,7 +236,7 @@ def accuracy() -> None:
 
 
 def acceptance() -> None:
-    """Print the figures of ramp and step that are asked for."""
+    """Print the required values of ramp and step, and the results."""
     base = means(RAMP, FIXED, TABLE_I)
 
     def within(what: str, found: float, low: float, high: float) -> None:
@@ -282,7 +282,7 @@ def acceptance() -> None:
 
 
 def failures() -> None:
-    """Print what must not climb."""
+    """Print the cases that must not climb."""
     for name, contact, controls in (
         ("step, mu .9/.675", TWICE, ("printed (6)+(8)", "printed (16)", "printed (14)")),
         ("step, mu .4/.3", TABLE_I, tuple(CONTROLS)),
@@ -296,7 +296,7 @@ def failures() -> None:
 
 
 def sets() -> None:
-    """Print the lab's tables next to these."""
+    """Print the tables of the study beside these results."""
     print("\nset, ground, control: slip, true slip, disturbance found (lab's) [%]")
     for name, (on_ramp, on_step, *lab) in SETS.items():
         for ground, profile, (contact, torque), known in (
@@ -314,7 +314,7 @@ def sets() -> None:
 
 
 def rigid() -> None:
-    """Print stiff contacts against rigid time stepping."""
+    """Print the comparison of stiff contacts with rigid time stepping."""
     for name, profile, contact in (("ramp", RAMP, TABLE_I), ("step", STEP, TWICE)):
         stiff = replace(contact, stiffness=1e7, damping=50.0, creep=2e-4)
         for exact in (False, True):
@@ -333,7 +333,7 @@ def rigid() -> None:
 
 
 class Case(NamedTuple):
-    """What climbs what, with which part of the static friction at speed."""
+    """Controller, obstacle, and ratio of kinetic to static friction."""
 
     profile: Profile
     control: Control
@@ -342,7 +342,7 @@ class Case(NamedTuple):
 
 
 def critical(case: Case, between: np.ndarray) -> float:
-    """Return the least friction that climbs, by bisection."""
+    """Return the least coefficient of friction that suffices for a climb, by bisection."""
     low, high = between
     while high - low > FINE:
         mu = (low + high) / 2
@@ -353,7 +353,7 @@ def critical(case: Case, between: np.ndarray) -> float:
 
 
 def friction() -> None:
-    """Print how much friction slow and quick climbs need."""
+    """Print the friction needed by slow and fast climbs."""
     grounds = {"ramp": RAMP, "50 mm": step(0.05), "90 mm": STEP}
     demands = {name: least_friction(step_climber(), each).mu for name, each in grounds.items()}
     for name, asked, apart in (
@@ -394,7 +394,7 @@ def friction() -> None:
 
 
 def sensitivities() -> None:
-    """Print forward sensitivities against differences."""
+    """Print forward sensitivities beside finite differences."""
     p, final = sensitive_start()
     outcome, slope = (
         ca.Function("outcome", [p], [each]) for each in (final, ca.jacobian(final, p))

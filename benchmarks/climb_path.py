@@ -1,10 +1,10 @@
-"""Friction that climbs need, slow and planned, and how long they take.
+"""Compute the friction needed by slow and planned climbs, and the times of planned climbs.
 
-``python benchmarks/climb_path.py`` prints four tables, next to the figures of a separate study:
-the least friction of slow climbs and the highest step for one; the least friction of planned ones,
-leg by leg; the least time on the 90 mm step, with and without the wheels' own inertia, over the
-whole leg and over that of the study, which leaves out 0.2 % of the height at both ends; and how the
-results depend on the number of nodes. Times of solving are the least of three.
+``python benchmarks/climb_path.py`` prints four tables beside the values of a separate study: the
+least friction of slow climbs, and the highest step for a given friction; the least friction of
+planned climbs, leg by leg; the least time on the 90 mm step, with and without the inertia of the
+wheels, over the whole leg and over that of the study, which omits 0.2 % of the height at both ends;
+and the effect of the number of nodes. Solver times are the least of three.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ SECONDS = (0.63, 0.73, 0.89)
 
 
 def solved(climber: Climber, profile: Profile, leg: Leg, cost: str, **options: Any) -> Trajectory:
-    """Return the plan of a leg over time; its statistics tell how long it took to find."""
+    """Return the plan of a leg over time; its statistics contain the solver time."""
     took, iterations = [], 0
     for _ in range(3):
         start = time.perf_counter()
@@ -127,7 +127,7 @@ def fastest() -> Iterator[str]:
 
 
 def meshes() -> Iterator[str]:
-    """Yield what the number of nodes changes, and the speed."""
+    """Yield the effect of the number of nodes, and of the speed."""
     yield "90 mm step, rear leg: nodes, largest speed [m/s], least mu; least time [s] at mu 0.7"
     climber, profile = step_climber(), PROFILES["90 mm"]
     leg = legs(climber, profile)[-1]

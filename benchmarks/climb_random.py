@@ -1,9 +1,9 @@
-"""Climbs drawn at random, each in a process of its own: how they end.
+"""Run random climbs, each in a separate process, and count their endings.
 
-``python benchmarks/climb.py random`` runs 200, two at a time, and prints how many climb, stall,
-slide back or tip over, and which are not finished or fail: by an error, by a crash, by numbers that
-are not finite, or by taking too long. ``python benchmarks/climb_random.py 3 4``
-prints what becomes of the seeds 3 and 4.
+``python benchmarks/climb.py random`` runs 200 climbs, two at a time. It prints how many climb,
+stall, slide back or tip over, and which are not finished or fail by an error, a crash, numbers that
+are not finite, or a timeout. ``python benchmarks/climb_random.py 3 4`` prints the outcomes of the
+seeds 3 and 4.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ COUNT, LONGEST = 200, 300.0  # seconds of a run
 
 
 def one(seed: int) -> dict[str, object]:
-    """Return what becomes of a seed."""
+    """Return the outcome of a seed."""
     case, clock = drawn(seed), time.process_time()
     run = drive(case)
     told = climb_ending(run, case.climber, case.profile)
@@ -38,7 +38,7 @@ def one(seed: int) -> dict[str, object]:
 
 
 def apart(seed: int) -> dict[str, object]:
-    """Return what becomes of a seed in a process of its own, whatever happens to that."""
+    """Return the outcome of a seed, computed in a separate process that may crash."""
     command = [sys.executable, __file__, str(seed)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST, check=False)
@@ -50,7 +50,7 @@ def apart(seed: int) -> dict[str, object]:
 
 
 def random(count: int = COUNT) -> None:
-    """Print how climbs end."""
+    """Print the endings of climbs."""
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(apart, range(count)))
     ends = Counter(str(each["name"]) for each in found)

@@ -1,4 +1,4 @@
-"""Friction that climbs of the 90 mm step need, by what drives them; how exact that must be; noise.
+"""Compute the friction needed to climb the 90 mm step, by controller; sensitivity and noise.
 
 ``python benchmarks/climb.py thresholds robustness noise`` prints all of it.
 """
@@ -50,7 +50,7 @@ DRIVERS: dict[str, Driver] = {
 
 
 class Threshold(NamedTuple):
-    """Who drives, with which part of the static friction at speed, and how fast."""
+    """Controller, ratio of kinetic to static friction, and speed."""
 
     driver: Driver
     part: float
@@ -58,10 +58,10 @@ class Threshold(NamedTuple):
 
 
 def thresholds() -> None:
-    """Print the least static friction that climbs the 90 mm step, by what drives.
+    """Print the least static friction with which the 90 mm step is climbed, by controller.
 
-    Plans know the friction, but that of least friction, which does not; both rest between their
-    legs. What climbs at some friction may fail with more: the last column tries that.
+    Plans use the given friction, except that of least friction; both are at rest between their
+    legs. A vehicle that climbs with some friction may fail with more, which the last column tests.
     """
     print(f"\nleast mu_s on the 90 mm step to {FINE:g}; what of mu_s + {MORE} does not climb")
     for part, speed in ((0.75, 0.25), (0.75, 0.05), (1.0, 0.25), (1.0, 0.05)):
@@ -80,7 +80,7 @@ def thresholds() -> None:
 
 
 def holds(case: Threshold, mu: float) -> bool:
-    """Return whether the 90 mm step is climbed at a friction."""
+    """Return whether the 90 mm step is climbed with a coefficient of friction."""
     try:
         control = case.driver(mu, case.speed)
     except SolverError:  # no plan
@@ -94,7 +94,7 @@ def holds(case: Threshold, mu: float) -> bool:
 def climbed(
     profile: Profile, control: Control | Tracking, contact: CompliantContact, **how: Any
 ) -> bool:
-    """Return whether it climbs; what the integrator gives up on does not."""
+    """Return whether a run climbs; a failure of the integrator counts as no."""
     try:
         return climb(profile, control, contact, **how).metrics.window.climbed
     except SolverError:
@@ -102,7 +102,7 @@ def climbed(
 
 
 def robustness() -> None:
-    """Print what tracked plans for mu_s 0.69, and of least friction, bear; mu_d = .75 mu_s."""
+    """Print the friction range of tracked plans for mu_s 0.69, and of least friction."""
     for name, course in (("plan for 0.69", planned(STEP, 0.69)), ("least mu", planned(STEP))):
         base = Tracking(course)
         print(f"\n{name}: what climbs, and what does not")
@@ -143,7 +143,7 @@ def _shifted(ahead: float) -> Climber:
 
 
 def noise() -> None:
-    """Print slip with noisy sensors."""
+    """Print the slip with sensor noise."""
     print(
         "\nnoise of tilts [rad], their rates, wheels' rates [rad/s]: slip, true slip, disturbance"
     )

@@ -1,11 +1,12 @@
-"""Direct kinematics on this package's terrain against CasADi's own spline node.
+"""Compare direct kinematics on this package's terrain with CasADi's own spline node.
 
 ``python benchmarks/direct.py`` drives the paper's three-wheeler 10 m straight over one surface,
-given on maps of 20 x 20, 200 x 200 and 2000 x 2000 nodes. Every row is a process of its own, so
-that its memory is its own. *ours*: ``Bicubic`` and what ``simulate`` gives to IDAS. *stock*: the
-same equations with ``casadi.interpolant('bspline')``, and IDAS with its default options. CPU time
-is that of the integrator call alone, the least of five; the error is that of the last
-configuration against *ours* at 1e-12. Ratios at equal error interpolate the work-precision lines.
+given on maps of 20 x 20, 200 x 200 and 2000 x 2000 nodes. Every row runs in a separate process, so
+that its peak memory can be measured. *ours*: ``Bicubic``, and the options of ``simulate`` for IDAS.
+*stock*: the same equations with ``casadi.interpolant('bspline')``, and IDAS with its default
+options. CPU time is that of the integrator call alone, the least of five; the error is that of the
+last configuration against *ours* at 1e-12. Ratios at equal error interpolate the work-precision
+curves.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ PATIENCE = 60  # seconds for a row
 
 
 class Stock:
-    """The terrain that CasADi offers: a fitted B-spline as one node of the graph."""
+    """Terrain with CasADi's own spline: a fitted B-spline as one node of the graph."""
 
     origin = (0.0, 0.0, 0.0)
 
@@ -58,7 +59,7 @@ class Stock:
         return jet_of(self.height(x, y), x, y)
 
     def friction(self, _x: ca.SX, _y: ca.SX, _lookups: LookupTable) -> ca.SX:
-        """Return one; nothing asks for it. [1]."""
+        """Return a coefficient of friction of one, which is never used. [1]."""
         return ca.SX(1)
 
 
@@ -71,7 +72,7 @@ def surface(nodes: int) -> Grid:
 
 
 def wrapped(system: System) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the DAE as IDAS gets it from ``simulate``, and the option with its Jacobian."""
+    """Return the DAE that ``simulate`` passes to IDAS, and the option with its Jacobian."""
     symbols = [ca.MX.sym(name, system.core.size1_in(k)) for k, name in enumerate("txzu")]
     ode, alg = system.core(*symbols)
     equations = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
@@ -89,7 +90,7 @@ def written_out(system: System, law: Any) -> dict[str, Any]:
 
 
 def row(kind: str, nodes: int) -> dict[str, Any]:
-    """Build one terrain and model, drive, and return what it took."""
+    """Build one terrain and model, drive, and return the costs."""
     grid = surface(nodes)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin = time.perf_counter()
@@ -121,7 +122,7 @@ def row(kind: str, nodes: int) -> dict[str, Any]:
 
 
 def ratio(ours: list[tuple[float, float]], stock: list[tuple[float, float]]) -> str:
-    """Return the range of stock over our CPU time at the errors that both reach."""
+    """Return the range of CPU time ratios, stock over ours, at the errors that both reach."""
     (error, cpu), (error_s, cpu_s) = (np.log(np.array(sorted(line))).T for line in (ours, stock))
     low, high = max(error[0], error_s[0]), min(error[-1], error_s[-1])
     at = np.linspace(low, high, 9)

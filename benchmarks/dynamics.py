@@ -1,21 +1,21 @@
-"""Cost of dynamic motions on formulas and maps, interpreted and compiled.
+"""Measure the cost of dynamic motions on formulas and maps, interpreted and compiled.
 
 ``python benchmarks/dynamics.py`` prints
 
-1. microseconds of CPU of a search for the ground point nearest to a wheel: on a formula, on a map
-   with the compiled search, on a map without it;
+1. CPU time in microseconds of a search for the ground point nearest to a wheel: on a formula, on a
+   map with the compiled search, and on a map without it;
 2. for three vehicles at four speeds, on a formula and on its bicubic map: steps and CPU time of the
    integration per metre, at the loosest tolerance of 1e-5 to 1e-7 with an error below 0.1 mm
    against 1e-10; interpreted and compiled;
-3. Rocky 7 in MuJoCo, on a height field with the nodes of our map, both from the pose in which
-   MuJoCo comes to rest: how far the motions are apart, and CPU time per metre of MuJoCo's steps
-   with their errors against the smallest step, and of ours as above. Ends depend on contacts and
-   facets, so further lines have MuJoCo with stiffer contacts and on finer nodes, and ours stiffer.
+3. for Rocky 7 in MuJoCo, on a height field with the nodes of our map, both from the pose in which
+   MuJoCo comes to rest: the distance of the motions; CPU time per metre of MuJoCo for several step
+   sizes, with errors against the smallest one; and ours as above. The ends depend on contacts and
+   facets, so further lines show MuJoCo with stiffer contacts and finer nodes, and ours stiffer.
 
-The time of the integration is that of `simulate` with two samples, the least of a few runs, less
-that of a run whose duration is a thousandth. ``python
-benchmarks/dynamics.py search`` prints the first part alone, ``... rocky7`` (or ``car``,
-``three_wheeler``) one vehicle, ``... mujoco`` (extra ``bench``) the last part.
+The time of the integration is that of `simulate` with two samples, the least of a few runs, minus
+that of a run with a thousandth of the duration. ``python benchmarks/dynamics.py search`` prints
+only the first part, ``... rocky7`` (or ``car``, ``three_wheeler``) one vehicle, ``... mujoco``
+(extra ``bench``) the last part.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class Cost(NamedTuple):
 
 
 class Drive:
-    """A vehicle that accelerates to a speed from rest, over 3 m, or 1.5 s at least."""
+    """Vehicle that accelerates to a speed from rest, over 3 m, for at least 1.5 s."""
 
     def __init__(
         self, vehicle: Vehicle, ground: Terrain, speed: float, law: Compliant = SOFT, **place: float
@@ -189,7 +189,7 @@ def vehicle_costs(name: str) -> None:
 
 
 class Peer:
-    """MuJoCo's model of a vehicle on waves, at rest where it settled, and its motions."""
+    """MuJoCo's model of a vehicle on waves at its equilibrium, and its motions."""
 
     def __init__(self, vehicle: Vehicle, spacing: float, softness: float = SOFTNESS) -> None:
         grid = nodes(waves, spacing)
@@ -212,13 +212,13 @@ class Peer:
 
 
 def states(run: Trajectory) -> np.ndarray:
-    """Return time, position and quaternion of the platform, as in MuJoCo's states."""
+    """Return time, position and quaternion of the platform in the form of MuJoCo's states."""
     names = ("x", "y", "z", *(f"attitude_{k}" for k in "wxyz"))
     return np.column_stack([run.t, *(run[name] for name in names)])
 
 
 def apart(one: Motion, other: Motion) -> str:
-    """Return how far the end of a motion is from that of another, across and along its heading."""
+    """Return the distance between the ends of two motions, across and along the heading."""
     x, y = 1e3 * (one.position[-1] - other.position[-1])[:2]
     c, s = np.cos(other.heading[-1]), np.sin(other.heading[-1])
     return f"{np.hypot(x, y):.1f} mm ({c * x + s * y:+.1f} aside, {c * y - s * x:+.1f} along)"
@@ -230,7 +230,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def beside_mujoco() -> None:
-    """Print how far Rocky 7's motions are from MuJoCo's, and what both cost."""
+    """Print the distance of Rocky 7's motions from MuJoCo's, and the costs of both."""
     import mujoco
 
     vehicle = VEHICLES["rocky7"][0]

@@ -1,11 +1,10 @@
-"""Faults injected into commands that write: old results intact, new ones complete or absent.
+"""Inject faults into commands that write files, and check old and new files.
 
 ``python benchmarks/faults.py [--tries N] [--seed N] [--only NAME]`` prints a line for every fault
-and command: how often it was tried, how many files are lost, neither the old ones nor complete, how
-many tracebacks stood on stderr, how many files are new and complete, how many unfinished ones are
-left beside them, how often the same command without the fault works afterwards, and exit codes.
-``--only compiler`` installs the package into a fresh environment without a compiler, which takes a
-minute and needs the packages that it depends on.
+and command: the numbers of tries, of lost files (neither the old file nor a complete new one), of
+tracebacks on stderr, of complete new files, of leftover unfinished files, of later successes of the
+same command without the fault, and the exit codes. ``--only compiler`` installs the package into a
+fresh environment without a compiler, which takes a minute and needs the package's dependencies.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ Start = Callable[[list[str], Path], tuple[int, str]]
 
 
 def prepared(folder: Path) -> None:
-    """Write problems, and an old result."""
+    """Write problems and an old result."""
     for kind, name in (("direct", "p"), ("plan", "plan"), ("climb", "climb")):
         data = dict(bases(kind)[0])
         data["time"] = {
@@ -64,7 +63,7 @@ def prepared(folder: Path) -> None:
 
 
 def begun(words: list[str], folder: Path, **more: object) -> subprocess.Popen[str]:
-    """Return a command that runs."""
+    """Start a command and return its process."""
     return subprocess.Popen(
         [sys.executable, "-c", BEGIN, *words],
         cwd=folder,
@@ -77,7 +76,7 @@ def begun(words: list[str], folder: Path, **more: object) -> subprocess.Popen[st
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Return exit code and stderr of a command."""
+    """Return the exit code and stderr of a command."""
     try:
         _, told = process.communicate(timeout=LONGEST)
     except subprocess.TimeoutExpired:
@@ -87,12 +86,12 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
 
 
 def plain(words: list[str], folder: Path) -> tuple[int, str]:
-    """Run a command without any fault."""
+    """Run a command without a fault."""
     return ended(begun(words, folder))
 
 
 def signalled(number: int, after: float, **variables: str) -> Start:
-    """Return what runs a command, and sends it a signal after a time."""
+    """Return a function that runs a command and sends it a signal after a delay."""
 
     def start(words: list[str], folder: Path) -> tuple[int, str]:
         process = begun(words, folder, env={**os.environ, **variables})
@@ -108,7 +107,7 @@ def signalled(number: int, after: float, **variables: str) -> Start:
 
 
 def limited(size: int) -> Start:
-    """Return what runs a command that cannot write more than some bytes to a file."""
+    """Return a function that runs a command with a limited file size."""
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
@@ -117,14 +116,14 @@ def limited(size: int) -> Start:
 
 
 def surrounded(**variables: str | None) -> Start:
-    """Return what runs a command with other variables of the environment; None takes one out."""
+    """Return a function that runs a command with other environment variables; None removes one."""
     there = {k: v for k, v in {**os.environ, **variables}.items() if v is not None}
     return lambda words, folder: ended(begun(words, folder, env=there))
 
 
 @contextmanager
 def mounted(options: str, folder: Path) -> Iterator[None]:
-    """Mount a file system in memory over a folder, with what was in it."""
+    """Mount a file system in memory over a folder, with the contents of the folder."""
     copy = Path(tempfile.mkdtemp())
     shutil.copytree(folder, copy, dirs_exist_ok=True)
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", folder], check=True)
@@ -147,7 +146,7 @@ def mounted(options: str, folder: Path) -> Iterator[None]:
 
 
 def _filled(file: Path, room: int) -> None:
-    """Fill a file system but for some bytes."""
+    """Fill a file system except for some bytes."""
     with suppress(OSError), file.open("wb", buffering=0) as stream:
         while stream.write(bytes(4096)):
             pass
@@ -155,7 +154,7 @@ def _filled(file: Path, room: int) -> None:
 
 
 def complete(file: Path, rows: int) -> bool:
-    """Return whether a file is whole."""
+    """Return whether a file is complete."""
     try:
         match file.suffix:
             case ".nc":
@@ -180,7 +179,7 @@ def complete(file: Path, rows: int) -> bool:
 
 
 def tried(name: str, fault: Start, folder: Path, counts: Counter[str], rows: int) -> None:
-    """Try a command with a fault, look at all files, and run it again without."""
+    """Run a command with a fault, check all files, and run it again without the fault."""
     if name == "sweep":
         shutil.rmtree(folder / "sw")  # which would go on with what it has
     before = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
@@ -206,7 +205,7 @@ def tried(name: str, fault: Start, folder: Path, counts: Counter[str], rows: int
 
 
 def faults(rng: Random, took: float) -> dict[str, Callable[[], Start]]:
-    """Return what goes wrong, by name."""
+    """Return the faults by name."""
     return {
         "killed": lambda: signalled(signal.SIGKILL, rng.uniform(0.1, took)),
         "Ctrl-C": lambda: signalled(signal.SIGINT, rng.uniform(0.1, took)),
@@ -223,7 +222,7 @@ def faults(rng: Random, took: float) -> dict[str, Callable[[], Start]]:
 
 
 def _bad_caches() -> Start:
-    """Return what runs a command with damaged caches: fonts, and compiled functions."""
+    """Return functions that run a command with damaged caches of fonts or compiled functions."""
     folder = Path(tempfile.mkdtemp(prefix="caches-"))
     for kept in Path(os.environ[FOLDER]).glob("*.so"):
         (folder / kept.name).write_bytes(kept.read_bytes()[:1000] + b"junk")
@@ -235,7 +234,7 @@ def _bad_caches() -> Start:
 
 
 def mounts(rng: Random) -> dict[str, Callable[[], str]]:
-    """Return file systems on which commands cannot do their work."""
+    """Return file systems on which commands must fail."""
     return {
         "disk full": lambda: f"full{rng.choice([0, 4096, 20_000, 60_000, 200_000])}",
         "read-only": lambda: "ro",

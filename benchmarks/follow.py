@@ -1,4 +1,4 @@
-"""100 m of hills along a path, with and without the part of the law that regulates the tilts.
+"""Measure path following over 100 m of hills, with and without the tilt term of the law.
 
 ``python benchmarks/follow.py``
 """

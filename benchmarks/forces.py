@@ -1,10 +1,10 @@
-"""Forces: closed forms, energy, creep, the limits of friction, and which axle stands where.
+"""Check forces: closed forms, energy, creep, limits of friction, and axles at rest on slopes.
 
-``python benchmarks/forces.py`` prints the figures of ``docs/accuracy.md`` and ``docs/papers.md``:
+``python benchmarks/forces.py`` prints the values of ``docs/accuracy.md`` and ``docs/papers.md``:
 errors against closed forms; the work of the drives against the energy gained; creep across a slope;
-the convergence towards three limits of friction; random starts; steps against creep; the least
-coefficient of friction on which four axles stand, from the best distribution of forces and from
-the existence of an equilibrium with friction; and the friction that the paper's direct run needs.
+the convergence towards three limits of friction; random starts; steps by creep speed; the least
+coefficient of friction with which four axles can stand, from the best distribution of forces and
+from the existence of an equilibrium; and the friction that the paper's direct run needs.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def creep() -> None:
 
 
 def limits() -> None:
-    """Print how fast the limits of friction are approached."""
+    """Print the convergence towards the limits of friction."""
     sizes = np.array([1e-3, 1e-4, 1e-5, 1e-6])
     for axle in ("tilting", "sliding"):
         apart, _ = zip(*from_rolling(axle, sizes), strict=True)
@@ -163,7 +163,7 @@ def limits() -> None:
 
 
 def starts() -> None:
-    """Print how many random starts converge, and whether to one solution."""
+    """Print the number of random starts that converge, and of different solutions."""
     rng, total, apart = np.random.default_rng(SEED), 0, 0.0
     for axle in ("tilting", "fixed", "prismatic", "sliding"):
         counts = []
@@ -178,7 +178,7 @@ def starts() -> None:
 
 
 def steps() -> None:
-    """Print the steps of 10 s of hills at tolerance 1e-8."""
+    """Print the integrator steps for 10 s of hills at tolerance 1e-8."""
     sizes = (1e-3, 1e-4, 1e-5, 1e-6)
     for axle in ("tilting", "sliding", "fixed", "prismatic"):
         runs = [
@@ -190,7 +190,7 @@ def steps() -> None:
 
 
 def standing() -> None:
-    """Print the least coefficient of friction on which each axle stands."""
+    """Print the least coefficient of friction with which each axle can stand on a slope."""
     print(
         "least friction to stand on, massless wheels: best distribution / equilibrium exists / lab"
     )

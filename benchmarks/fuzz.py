@@ -1,12 +1,12 @@
-"""Files drawn at random, read as commands do: how many are read, refused, or break something.
+"""Read random files as the commands do, and count those read, refused or mishandled.
 
 ``python benchmarks/fuzz.py --cases 10000 [--seed N]`` prints, for every kind of file, how many
-cases were read, how many refused by a clear error that names the file, and how many ended in a
-traceback, a warning, an unclear error, a hang, or the death of the process; the slowest case, and
-the most memory. Every kind runs in a process of its own, whose address space is limited and which
-is killed when a case takes too long. It ends with exit code 1 if anything is wrong.
+cases were read, refused with a clear error that names the file, or ended in a traceback, a warning,
+an unclear error, a hang, or the death of the process; also the slowest case and the largest memory.
+Every kind runs in a separate process with limited address space, which is killed if a case takes
+too long. The exit code is 1 if a case was mishandled.
 
-``python benchmarks/fuzz.py --only direct:17 [--seed N]`` does one case again and keeps its files.
+``python benchmarks/fuzz.py --only direct:17 [--seed N]`` repeats one case and keeps its files.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ HEAD = f"{'kind':9}{'cases':>7}{'read':>7}{'refused':>9}" + "".join(
 
 @dataclass
 class Tally:
-    """What became of the cases of a kind."""
+    """Outcomes of the cases of a kind."""
 
     counts: Counter[str] = field(default_factory=Counter)
     slowest: tuple[float, int] = (0.0, 0)
@@ -50,7 +50,7 @@ class Tally:
     faults: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def add(self, number: int, name: str, words: str, seconds: float) -> None:
-        """Count a case, and keep the first of every fault."""
+        """Count a case, and keep the first case of each error."""
         self.counts[name] += 1
         self.slowest = max(self.slowest, (seconds, number))
         if name in FAULTS:
@@ -67,13 +67,13 @@ class Tally:
 
 
 def one(kind: str, number: int, seed: int, folder: Path) -> Verdict:
-    """Return what becomes of a case."""
+    """Return the outcome of a case."""
     rng = Random(f"{seed}-{kind}-{number}")
     return judged(drawn(kind, rng), folder, deep=rng.random() < DEEP)
 
 
 def child(kind: str, first: int, last: int, seed: int) -> None:
-    """Do cases of a kind, and tell of each when it begins and when it has ended."""
+    """Run cases of a kind, and report the beginning and end of each."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with os.fdopen(os.dup(1), "w") as out, Path(os.devnull).open("w") as nothing:
@@ -89,7 +89,7 @@ def child(kind: str, first: int, last: int, seed: int) -> None:
 
 
 def kind_of_cases(kind: str, count: int, seed: int) -> Tally:
-    """Return what becomes of cases of a kind; after a hang or a death another process goes on."""
+    """Return the outcomes of cases of a kind; another process continues after a hang or crash."""
     tally, first = Tally(), 0
     while first < count:
         words = [
@@ -108,7 +108,7 @@ def kind_of_cases(kind: str, count: int, seed: int) -> Tally:
 
 
 def _followed(process: subprocess.Popen[bytes], number: int, tally: Tally) -> int:
-    """Count what a process tells until it ends, and return the next case."""
+    """Count the reported cases of a process until it ends, and return the next case."""
     if process.stdout is None:
         raise RuntimeError("a process without a pipe")
     wait, data = BEGIN, b""
@@ -135,7 +135,7 @@ def _followed(process: subprocess.Popen[bytes], number: int, tally: Tally) -> in
 
 
 def shared(cases: int) -> dict[str, int]:
-    """Return how many cases every kind gets."""
+    """Return the number of cases of each kind."""
     parts = {kind: SHARES.get(kind, 2) for kind in KINDS}
     counts = {kind: cases * part // sum(parts.values()) for kind, part in parts.items()}
     counts["direct"] += cases - sum(counts.values())
@@ -163,7 +163,7 @@ def main() -> int:
 
 
 def table(cases: int, seed: int, kinds: list[str]) -> int:
-    """Print what becomes of cases; return 1 if anything is wrong."""
+    """Print the outcomes of cases; return 1 if any is an error."""
     print(
         f"seed {seed}; a case may take {LONGEST:g} s, a process {MEMORY / 2**30:g} GiB of addresses"
     )

@@ -1,8 +1,8 @@
-"""Bytes that grow towards code not yet reached, given to every reader: needs atheris.
+"""Fuzz every reader with bytes that are mutated towards unvisited code; requires atheris.
 
 ``python benchmarks/fuzz_guided.py [KIND] [RUNS]`` (urdf and 20000 by default) begins with files of
-a kind of `benchmarks/fuzz.py` and prints how many were read, how many refused by a clear error, and
-what else became of them; with exit code 1 if anything did. Atheris comes with ``slipfree[bench]``.
+a kind of `benchmarks/fuzz.py` and prints how many were read, refused with a clear error, or
+mishandled. The exit code is 1 if any was mishandled. Atheris comes with ``slipfree[bench]``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MEMORY = 4000  # [MB]
 
 
 def guided(kind: str, runs: int) -> None:
-    """Give a reader files of a kind, and leave with what became of them."""
+    """Pass fuzzed files of a kind to a reader, and exit with the outcomes."""
     folder, corpus = Path(tempfile.mkdtemp()), Path(tempfile.mkdtemp())
     model = drawn(kind, Random(0))
     for seed in range(SEEDS):

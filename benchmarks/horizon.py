@@ -1,9 +1,9 @@
-"""Plans kept up to date while the vehicle moves: time of a cycle, and what it costs in slip.
+"""Measure plans updated while the vehicle moves: time per cycle, and additional slip.
 
-``python benchmarks/horizon.py`` drives the three-wheeler of `plan.py` over the hills, under a
-window of 20 intervals of degree 3 that goes ahead of it, from the start of a plan of 50 intervals
-and from some centimetres beside it. Between cycles the model is simulated. Slip is its root mean
-square over time and wheels; that of the first row is the plan's, simulated.
+``python benchmarks/horizon.py`` drives the three-wheeler of `plan.py` over the hills with a moving
+horizon of 20 intervals of degree 3, from the start of a plan of 50 intervals and from a few
+centimetres beside it. Between cycles the model is simulated. Slip is the root mean square over time
+and wheels; the first row is the simulation of the plan.
 
 A second table shows the time of one cycle over the number of intervals.
 """
@@ -30,7 +30,7 @@ SIZES = (20, 40, 80)
 
 
 class Drive(NamedTuple):
-    """A traverse: rms slip [m/s], distance from the goal [m], times of the cycles [s]."""
+    """Driven motion: rms slip [m/s], distance from the goal [m], times of the cycles [s]."""
 
     slip: float
     away: float
@@ -39,7 +39,7 @@ class Drive(NamedTuple):
 
 
 def drive(found: Plan, window: Horizon, start: dict[str, float]) -> Drive:
-    """Return what becomes of a traverse under a window."""
+    """Return the motion driven with a moving horizon."""
     dae, cycle = found.program.task.dae, first_cycle(window)
     here, seconds, runs, violations = settle(dae, **start), [], [], []
     for t, end in pairwise(np.linspace(0, DURATION, CYCLES + 1)):
@@ -55,7 +55,7 @@ def drive(found: Plan, window: Horizon, start: dict[str, float]) -> Drive:
 
 
 def between(dae: Any, here: Any, window: Horizon, cycle: Cycle, span: tuple[float, float]) -> Any:
-    """Return the motion from one cycle to the next, in parts as samples of its slip."""
+    """Return the motion from one cycle to the next, as samples of its slip."""
     parts = []
     for first, last in pairwise(np.linspace(*span, SAMPLES + 1)):
         here = simulate(dae, here, *cycle_inputs(window, cycle, first, last))
@@ -64,7 +64,7 @@ def between(dae: Any, here: Any, window: Horizon, cycle: Cycle, span: tuple[floa
 
 
 def table(found: Plan) -> None:
-    """Print slip and times of traverses."""
+    """Print slip and times of driven motions."""
     print(
         f"{INTERVALS} intervals of degree 3 over {SPAN:g} s, {CYCLES} cycles of "
         f"{DURATION / CYCLES:g} s"

@@ -1,9 +1,9 @@
-"""Inverse kinematics: how well three rates determine the rest, how long a motion runs, round trips.
+"""Measure inverse kinematics: condition numbers, duration of motions, and round trips.
 
-``python benchmarks/inverse.py`` prints three things: the condition numbers of all choices of three
-platform velocities, with the steering rate or the steering angle unknown, on flat ground and over
-a seeded set of poses on hills; how long the paper's inverse input runs until a rear wheel tilts by
-0.35 rad, on four grounds; and how well the rates of direct runs come back from their motion alone.
+``python benchmarks/inverse.py`` prints the condition numbers of all choices of three platform
+velocities, with the steering rate or the steering angle unknown, on flat ground and over a seeded
+set of poses on hills; the time after which the paper's inverse input tilts a rear wheel by
+0.35 rad, on four grounds; and the errors of the rates of direct runs, recovered from their motion.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ GROUNDS: dict[str, Height] = {
 
 
 def moving(dae: Any, poses: list[dict[str, float]]) -> Trajectory:
-    """Return one sample for each pose where the vehicle can stand, with equal rear rates."""
+    """Return one sample per pose at which the vehicle can stand, with equal rear wheel rates."""
     system, x, z = (
         with_inputs(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0),
         [],
@@ -134,7 +134,7 @@ def condition_table() -> None:
 
 
 def until_the_tilt(height: Height, solve_for: Any) -> str:
-    """Return when, or why not, the paper's inverse input tilts a wheel by that much."""
+    """Return the time at which the paper's inverse input reaches a tilt, or the stop reason."""
     vehicle = three_wheeler(tilt_stop=TILT, mass=0.0, wheel_mass=0.0)
     terrain = Analytic(height)
     dae = inverse_kinematics(vehicle, terrain, given=PLANAR, solve_for=solve_for)
@@ -157,7 +157,7 @@ def until_the_tilt(height: Height, solve_for: Any) -> str:
 
 
 def tilt_table() -> None:
-    """Print how long the paper's inverse input runs."""
+    """Print the durations of motions with the paper's inverse input."""
     given = ", ".join(f"{name} {value}" for name, value in PAPER_MOTION.items())
     print(f"\n{given}: time at which a rear wheel tilts by {TILT} rad")
     for name, height in GROUNDS.items():
@@ -177,7 +177,7 @@ def direct_run(t: Any, tolerance: float, **start: float) -> tuple[Any, Trajector
 
 
 def pointwise() -> None:
-    """Print how well rates come back from recorded states, for every choice of Euler rates."""
+    """Print the errors of rates recovered from recorded states, by choice of Euler rates."""
     _, _, run = direct_run(np.linspace(0, 6, 7), 1e-10, x=0.3, heading=0.2)
     worst, returned, left_out = 0.0, 0, 0
     free: Any = {"solve_for": "rates", "least_margin": 0.0}
@@ -200,7 +200,7 @@ def pointwise() -> None:
 
 
 def in_time() -> None:
-    """Print how well rates come back, integrated and along a path that crosses the axis."""
+    """Print the errors of rates recovered by integration, and along a path across the axis."""
     for words, start, sought in (
         ("in time, steering stable", {"x": 0.3, "heading": 0.2}, False),
         ("along a path that crosses", {"x": 1.0, "y": 0.5}, True),

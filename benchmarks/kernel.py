@@ -1,11 +1,11 @@
-"""Height, gradient and Hessian of a ground: compiled, interpreted, and as CasADi's own spline.
+"""Time height, gradient and Hessian of a ground: compiled, interpreted, and CasADi's spline.
 
-``python benchmarks/kernel.py`` prints nanoseconds of CPU for one point, the least of many runs over
-1000 points, along a driven path and at random points of the map, for maps of 20 x 20 to 4000 x 4000
-nodes: a loop over the same C code without CasADi; the cells that this code looks up for CasADi, as
-`Bicubic.jet` has it; cells from CasADi's tables, which stand in where there is no compiler; and the
-B-spline that CasADi offers, differentiated by CasADi. With the Jacobian of the six numbers, as
-Newton's methods need it.
+``python benchmarks/kernel.py`` prints the CPU time per point in nanoseconds, the least of many runs
+over 1000 points, along a driven path and at random points of the map, for maps of 20 x 20 to
+4000 x 4000 nodes. It compares a loop over the C code without CasADi; the cells that this code looks
+up for CasADi, as in `Bicubic.jet`; cells from CasADi's tables, which are used without a compiler;
+and CasADi's own B-spline, differentiated by CasADi; each also with the Jacobian of the six numbers,
+which Newton's method needs.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ API double loop(long long n, const double *at) {{
 
 
 def least(task: Callable[[], object]) -> float:
-    """Return the least CPU time of a task, for one of its points. [ns]."""
+    """Return the least CPU time of a task per point. [ns]."""
     best, begin = np.inf, time.perf_counter()
     for _ in range(REPEATS):
         clock = time.process_time_ns()
@@ -72,7 +72,7 @@ def least(task: Callable[[], object]) -> float:
 
 
 def plain(ground: Bicubic, folder: str) -> Callable[[np.ndarray], Callable[[], object]]:
-    """Return what makes a loop over points in C."""
+    """Return a function that evaluates points in a C loop."""
     code, file = Path(folder, "loop.c"), Path(folder, f"loop{ground.grid.x.size}.so")
     code.write_text(LOOP)
     subprocess.run(["cc", "-O2", "-fPIC", "-shared", code, "-o", file, "-lm"], check=True)
@@ -100,7 +100,7 @@ def plain(ground: Bicubic, folder: str) -> Callable[[np.ndarray], Callable[[], o
 def called(
     ground: Bicubic | Stock, *, slopes: bool
 ) -> Callable[[np.ndarray], Callable[[], object]]:
-    """Return what makes a run of CasADi over points, of a jet or of its Jacobian."""
+    """Return a function that evaluates a jet or its Jacobian at points by CasADi."""
     x, y, lookups = ca.SX.sym("x"), ca.SX.sym("y"), LookupTable()
     jet = ground.jet(x, y, lookups)
     values = ca.vertcat(jet.height, jet.gradient, *(jet.hessian[k] for k in (0, 1, 3)))
@@ -121,7 +121,7 @@ def called(
 
 
 def without_kernel(grid: Grid) -> Bicubic:
-    """Return a ground that does without the kernel."""
+    """Return a ground that does not use the kernel."""
     opened, bicubic.opened = bicubic.opened, lambda *_: None
     try:
         ground = Bicubic(grid)

@@ -1,8 +1,8 @@
-"""Large vehicles, sweeps and results: times and memory of commands in fresh processes.
+"""Measure times and memory of commands with large vehicles, sweeps and results.
 
-``python benchmarks/large.py`` measures the package that Python imports. The result of a million
-samples is a short one, repeated, by ``python benchmarks/large.py FILE`` in a process of its own:
-the peak memory of a command includes that of the process that starts it.
+``python benchmarks/large.py`` measures the imported package. The result of a million samples
+repeats a short one; ``python benchmarks/large.py FILE`` writes it in a separate process, since the
+peak memory of a command includes that of the process that starts it.
 """
 
 from __future__ import annotations

@@ -1,16 +1,15 @@
-"""Maps: windows of one larger than memory, and plans on a real map whose heights are in error.
+"""Measure windows of a map larger than memory, and plans on a real map with height errors.
 
 ``python benchmarks/maps.py`` prints
 
 1. for a GeoTIFF of 20 000 x 20 000 cells of 0.25 m (tiled, only the tiles around the drive
-   written), driven over for 20 s: time to read and to drive, and the peak memory of the process,
-   by window; beside it that of a process that reads nothing, and what is said without a window;
-2. for plans up a slope of the Jacksboro fault, a hundred times smaller, the share of seeded
-   elevation errors under which their rates, replayed, keep the limits, and how far from the
-   plan's end they end: one plan that uses all the friction that is allowed, and others that were
-   asked to leave a reserve.
+   written), driven over for 20 s: times of reading and driving, and the peak memory of the process,
+   by window; also the memory of a process that reads nothing, and the message without a window;
+2. for plans up a slope of the Jacksboro fault, a hundred times smaller: the share of seeded
+   elevation errors under which their replayed rates keep the limits, and the distance of the ends
+   from the plan's end, for a plan that uses all the allowed friction, and for plans with a reserve.
 
-``python benchmarks/maps.py FOLDER`` prints what `real_maps` says of each map in a folder.
+``python benchmarks/maps.py FOLDER`` prints the report of `real_maps` on each map in a folder.
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ step = 0.5
 
 
 def write_map(path: Path) -> None:
-    """Write the large map: hills of 20 m in the middle, nothing elsewhere."""
+    """Write the large map, with hills of 20 m in the middle and level ground elsewhere."""
     import rasterio
     from rasterio.transform import Affine
 
@@ -155,7 +154,7 @@ def peak() -> float:
 
 
 def part(*words: str) -> dict[str, float]:
-    """Return what this file prints, run by a process of its own."""
+    """Return the output of a part of this file, run in a separate process."""
     done = subprocess.run([sys.executable, __file__, *words], check=True, capture_output=True)
     return dict(json.loads(done.stdout))
 
@@ -188,7 +187,7 @@ def windows() -> None:
 
 
 def replayed(setup: Setup, course: PolynomialMotion, rms: float, seed: int) -> Trajectory:
-    """Return the motion by the rates of a plan on a ground in error."""
+    """Return the motion by the rates of a plan on a ground with height errors."""
     x, y = setup.terrain.origin[:2]
     grid = disturbed(setup.ground.grid, rms, CORRELATION, seed) if rms else setup.ground.grid
     dae = direct_kinematics(setup.vehicle, Bicubic(grid, (x, y), setup.ground.mu))
@@ -235,7 +234,7 @@ def errors() -> None:
 
 
 def planned(limit: float) -> tuple[Trajectory, Setup, PolynomialMotion]:
-    """Return a plan, what it was made on, and its rates."""
+    """Return a plan, its model, and its rates."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plan.toml"
         path.write_text(PLAN.format(limit=limit))

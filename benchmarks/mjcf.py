@@ -1,4 +1,4 @@
-"""A vehicle on a map as a model of MuJoCo, and its motions."""
+"""Convert a vehicle on a map to a MuJoCo model, and simulate it."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def mujoco_model(vehicle: Vehicle, grid: Grid, mu: float, softness: float = SOFT
     """Return the model of a vehicle on a height field with the nodes of a square map.
 
     Wheels are ellipsoids with the two radii of curvature of the torus at its tread. They have
-    velocity servos with heavy rotors, which do not act on the carriers: without them the solver of
-    the contacts, which does not see the gain, takes wheels for easy to turn, and they slip by some
-    per cent. Joints on the same coordinate are coupled by equations. Commanded coordinates stay
-    zero: their joints are rigid. Springs, dampers and stops are not written.
+    velocity servos with heavy rotors, which do not act on the carriers: without them the contact
+    solver, which ignores the gain, treats wheels as easy to turn, and they slip by a few per cent.
+    Joints on the same coordinate are coupled by equations. Commanded coordinates stay zero: their
+    joints are rigid. Springs, dampers and stops are not written.
     """
     import mujoco
 
@@ -134,12 +134,12 @@ def placed(pose: Pose) -> dict[str, str]:
 
 
 def numbers(*values: float) -> str:
-    """Return numbers as MuJoCo reads them."""
+    """Return numbers as text for MuJoCo."""
     return " ".join(f"{float(value):.17g}" for value in values)
 
 
 def settled(model: Any, vehicle: Vehicle, start: Trajectory, step: float) -> Any:
-    """Return the state after a second at rest, with steps of this length, from a pose of ours."""
+    """Return the state after a second at rest, with a step size, from a pose of ours."""
     import mujoco
 
     data = mujoco.MjData(model)

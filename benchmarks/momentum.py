@@ -1,4 +1,4 @@
-"""Plans with momentum over a bump on a slope: refused slowly, planned with inertia, simulated.
+"""Plan over a bump on a slope: refused quasi-statically, planned with inertia, simulated.
 
 ``python benchmarks/momentum.py`` plans with `rigid_dynamics` and simulates the torques of each
 plan with `dynamics` on compliant contacts. A car with four torque drives drives over a ridge; a

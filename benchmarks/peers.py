@@ -1,25 +1,25 @@
-"""Error against CPU time per metre: other ways to the motion of the three-wheeler, in one run.
+"""Compare error and CPU time per metre of other ways to compute the three-wheeler's motion.
 
 ``python benchmarks/peers.py --plot peers.png`` (extra ``bench``)
 
 The paper's three-wheeler drives 5 m straight over a map of 200 x 200 nodes, smooth and with 2 mm of
-noise, its tilts kept from running away by the driving law. CPU time is that of the integration
-alone, the least of three rounds of a few each, since machines change their pace; every line's error
-is the largest of any sample of the position, against its own model at the tightest tolerance or,
-for MuJoCo, against its own motion at the smallest step.
+noise; the driving law limits its tilts. CPU time is that of the integration alone, the least of
+three rounds of a few runs, since the speed of machines varies. The error of a curve is the largest
+position error of any sample, against its own model at the tightest tolerance or, for MuJoCo,
+against its own motion at the smallest step.
 
-ours        closure and least slip, IDAS, as ``simulate`` runs it but for looking at limits
-compiled    the same with compiled equations; compiling them is not counted
-naive       what is written first with CasADi: Montana's contact equations, the B-spline that CasADi
-            offers, IDAS with its defaults and CasADi's own derivatives
-scipy       our model, interpreted, the algebraic unknowns solved inside: LSODA, DOP853, Radau,
+ours        closure and least slip, IDAS as in ``simulate``, but without evaluation of limits
+compiled    the same with compiled equations; the compilation is not counted
+naive       a straightforward implementation with CasADi: Montana's contact equations, CasADi's
+            B-spline, IDAS with its defaults and CasADi's own derivatives
+scipy       our model, interpreted, with the algebraic unknowns eliminated: LSODA, DOP853, Radau,
             which form Jacobians by differences
 sundae      our model, interpreted, by scikit-sundae: IDA on residual and Jacobian, called from
-            Python; CVODE on what is left when the algebraic unknowns are solved inside
-MuJoCo      a dynamic simulation, another question: soft contacts of ellipsoids with the radii of
-            the torus, on a height field of the same nodes, servos in place of given rates. Its
-            vehicle has a rigid axle, since free tilts fall over in dynamics, and turns its wheels
-            as ours with that axle did; how far it ends from ours is told beside.
+            Python; CVODE on the equations with the algebraic unknowns eliminated
+MuJoCo      a dynamic simulation, which solves another problem: soft contacts of ellipsoids with the
+            radii of the torus, on a height field of the same nodes, servos in place of given rates.
+            Its vehicle has a rigid axle, since free tilts fall over in dynamics, and its wheels
+            turn as those of our model with that axle; the distance of both ends is printed.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def ground(rough: float) -> Grid:
 def prepared(
     rough: float, axle: str = "tilting", *, naive: bool = False, compiled: bool = False
 ) -> tuple[Any, Trajectory, System, Any]:
-    """Return the model, its start, and its equations under the driving law, with this."""
+    """Return the model, its start, and its equations under the driving law."""
     grid = ground(rough)
     vehicle = three_wheeler(axle=axle, mass=0.0, wheel_mass=0.0)
     model = montana_kinematics if naive else direct_kinematics
@@ -97,7 +97,7 @@ def least(task: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def points(run: Callable[[float], tuple[float, np.ndarray]], metres: float) -> Line:
-    """Return CPU per metre and error over the tolerance; those that fail are left out."""
+    """Return CPU time per metre and error for each tolerance; failed runs are omitted."""
     exact = run(EXACT)[1]
     line = []
     for tolerance in TOLERANCES:
@@ -113,7 +113,7 @@ def points(run: Callable[[float], tuple[float, np.ndarray]], metres: float) -> L
 def by_idas(
     equations: dict[str, Any], own: dict[str, Any], at: dict[str, Any]
 ) -> Callable[[float], Any]:
-    """Return an integration by CasADi's IDAS over the tolerance, with options of its own."""
+    """Return an integration by CasADi's IDAS for each tolerance, with its own options."""
 
     def run(tolerance: float) -> tuple[float, np.ndarray]:
         options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6, **own}
@@ -144,7 +144,7 @@ def buffered(f: ca.Function, size: int) -> Callable[[float, np.ndarray], list[np
 
 
 def explicit(system: System, at: dict[str, Any]) -> ca.Function:
-    """Return ``(t, x) -> x'``, the algebraic unknowns solved for."""
+    """Return ``(t, x) -> x'`` with the algebraic unknowns eliminated."""
     equations = cvodes(system)
     t, x, u = (equations[name] for name in "txu")
     function = ca.Function("rates", [t, x, u], [equations["ode"]])
@@ -153,7 +153,7 @@ def explicit(system: System, at: dict[str, Any]) -> ca.Function:
 
 
 def by_scipy(kind: str, rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
-    """Return an integration by scipy over the tolerance."""
+    """Return an integration by SciPy for each tolerance."""
     call = buffered(rates, rates.size1_in(1))
 
     def run(tolerance: float) -> tuple[float, np.ndarray]:
@@ -176,7 +176,7 @@ def by_scipy(kind: str, rates: ca.Function, at: dict[str, Any]) -> Callable[[flo
 
 
 def by_cvode(rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
-    """Return an integration by scikit-sundae's CVODE over the tolerance."""
+    """Return an integration by scikit-sundae's CVODE for each tolerance."""
     from sksundae.cvode import CVODE
 
     call = buffered(rates, rates.size1_in(1))
@@ -193,7 +193,7 @@ def by_cvode(rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
 
 
 def by_ida(system: System, at: dict[str, Any]) -> Callable[[float], Any]:
-    """Return an integration by scikit-sundae's IDA over the tolerance."""
+    """Return an integration by scikit-sundae's IDA for each tolerance."""
     from sksundae.ida import IDA
 
     n, m = system.core.size1_in(1), system.core.size1_in(2)
@@ -232,7 +232,7 @@ def by_ida(system: System, at: dict[str, Any]) -> Callable[[float], Any]:
 
 
 def ours(rough: float) -> dict[str, Line]:
-    """Return the lines of our model by every integrator."""
+    """Return the curves of our model with every integrator."""
     dae, start, system, _ = prepared(rough)
     x = dae.rows("x", start, -1)
     u = system.u[:, 0]
@@ -250,7 +250,7 @@ def ours(rough: float) -> dict[str, Line]:
 
 
 def compiled(rough: float, at: dict[str, Any]) -> dict[str, Line]:
-    """Return the line of our model with compiled equations."""
+    """Return the curve of our model with compiled equations."""
     with tempfile.TemporaryDirectory() as folder:
         os.environ[FOLDER] = folder
         _, _, system, _ = prepared(rough, compiled=True)
@@ -258,7 +258,7 @@ def compiled(rough: float, at: dict[str, Any]) -> dict[str, Line]:
 
 
 def naive(rough: float) -> dict[str, Line]:
-    """Return the line of what is written first with CasADi."""
+    """Return the curve of a straightforward implementation with CasADi."""
     dae, start, system, law = prepared(rough, naive=True)
     x = dae.rows("x", start, -1)
     u = system.u[:, 0]
@@ -268,7 +268,7 @@ def naive(rough: float) -> dict[str, Line]:
 
 
 def quicker(one: Line, other: Line) -> Line:
-    """Return the points of a line at the least CPU of two rounds; its errors are the same."""
+    """Return the points of a curve with the least CPU time of two rounds; errors are equal."""
     least = {error: cpu for cpu, error in other}
     least |= {error: min(cpu, least.get(error, cpu)) for cpu, error in one}
     return [(least[error], error) for error in sorted(least, reverse=True)]
@@ -290,7 +290,7 @@ WHEEL = """<body name="{name}" pos="{at}"><joint name="{name}" axis="-1 0 0"/>
 
 
 def mujoco(rough: float) -> dict[str, Any]:
-    """Return MuJoCo's line, and how far its end at the smallest step is from ours. [m]."""
+    """Return MuJoCo's curve, and the distance of its end at the smallest step from ours [m]."""
     import mujoco as mj
 
     dae, start, *_ = prepared(rough, "fixed")
@@ -344,7 +344,7 @@ def mujoco(rough: float) -> dict[str, Any]:
 
 
 def at_error(line: Line, error: float) -> float:
-    """Return the CPU time per metre at an error, between the points of a line. [ms].
+    """Return the CPU time per metre at an error, interpolated on a curve. [ms].
 
     A line that is more exact at its loosest is charged that point.
     """
@@ -355,12 +355,12 @@ def at_error(line: Line, error: float) -> float:
 
 
 def beside(times: float) -> str:
-    """Return a ratio in words."""
+    """Return a ratio as text."""
     return f"{times:.1f} times" if np.isfinite(times) else "not reached"
 
 
 def plot(found: dict[float, dict[str, Line]], file: Path) -> None:
-    """Draw all lines, a panel a ground."""
+    """Draw all curves, one panel per ground."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
@@ -376,7 +376,7 @@ def plot(found: dict[float, dict[str, Line]], file: Path) -> None:
 
 
 def words(rough: float) -> str:
-    """Return what a ground is called."""
+    """Return the name of a ground."""
     return f"with {1e3 * rough:g} mm of noise" if rough else "smooth"
 
 
@@ -384,7 +384,7 @@ PARTS = {"ours": ours, "naive": naive, "mujoco": mujoco}
 
 
 def measured(rough: float) -> dict[str, Line]:
-    """Return the lines on a ground and print them; parts are processes, since one may crash."""
+    """Return the curves on a ground and print them; each runs in a process, since it may crash."""
     lines, gap = dict[str, Line](), np.nan
     for part in ROUNDS * [*PARTS]:
         command = [sys.executable, __file__, "--part", part, "--noise", str(rough)]

@@ -1,19 +1,19 @@
-"""Plans of least slip: their slip simulated, their time, how it grows, and the plain way beside it.
+"""Measure plans of least slip: simulated slip, computing time, growth, and a plain Opti program.
 
 ``python benchmarks/plan.py`` prints, for a rigid-axle three-wheeler on the hills of the tests,
 from (0, 0, 0) to (0.6, 2.6) in 20 s:
 
-1. What slips how much. Plans are simulated again, interval by interval, on ten samples each; slip
-   is its root mean square over time and wheels, or its path over that of the platform. Under
-   traction the same inputs, or the same law, drive the vehicle by friction.
-2. Time against that of the prototype, run now, on its problem: the weights are its own.
-3. A plan as it is called, on the hills and on a map of them: its functions interpreted, compiled,
-   and taken from the cache, which the hills' and the map's do not share; a process each.
-4. Time and memory of an iteration over the number of intervals, compiled; a process each.
-5. Iterations from a plan that is at hand: the same, another mesh, a goal moved by 5 %.
+1. Slip of several driving methods. Plans are simulated, interval by interval, with ten samples
+   each; slip is the root mean square over time and wheels, or its path divided by that of the
+   platform. In the quasi-static model the same inputs, or the same law, drive the vehicle.
+2. Time beside that of the prototype in the same run, on its problem with its weights.
+3. A plan by the public function, on the hills and on a map of them: functions interpreted, compiled
+   and cached (hills and map do not share the cache); each in a separate process.
+4. Time and memory of an iteration by number of intervals, compiled; each in a separate process.
+5. Iterations from an existing plan: the same plan, another mesh, and a goal moved by 5 %.
 6. The ramp of the tests, too steep to climb straight with its friction, from several starts.
 7. The same task by ``casadi.Opti`` with ``casadi.interpolant`` for the ground, on a map of the
-   hills, and ours on that map; a process each, since the stock node may crash.
+   hills, and ours on that map; each in a separate process, since the stock node may crash.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ Drive = Callable[[Any, Trajectory, float], Trajectory]  # model, start, toleranc
 
 
 class Row(NamedTuple):
-    """One way to drive: a law of a model and its start, and what finding it cost."""
+    """Driving method: a law of a model and its start, and the cost of finding it."""
 
     words: str
     drive: Drive
@@ -111,9 +111,9 @@ def planned(
     compiled: bool = False,
     **options: Any,
 ) -> tuple[Plan, float]:
-    """Return the plan of the task on a ground, and its wall time. [s].
+    """Return the plan of the task on a ground, and its wall time [s].
 
-    Inputs are constant on every interval, as the prototype's are, if not asked otherwise.
+    Inputs are constant on every interval by default, as in the prototype.
     """
     dae = direct_kinematics(vehicle or three_wheeler(axle="fixed"), terrain)
     solver = SolverOptions(compiled=compiled)
@@ -144,7 +144,7 @@ def rms_slip(run: Trajectory) -> float:
 
 
 def sliding(run: Trajectory) -> float:
-    """Return the path of slip of a wheel, their mean, over that of the platform. [mm/m]."""
+    """Return the slip path of a wheel, averaged, divided by the platform's path [mm/m]."""
     slip = np.hypot(run["slip_along"], run["slip_across"]).mean(axis=1)
     return 1e3 * float(np.trapezoid(slip, run.t)) / path_length(run)
 
@@ -155,7 +155,7 @@ def effort(run: Trajectory) -> float:
 
 
 def rows() -> list[Row]:
-    """Return all ways to drive."""
+    """Return all driving methods."""
     ground, found = Analytic(hills), []
     for rates in STARTS:
         best, seconds = planned(ground, rates=rates)
@@ -168,7 +168,7 @@ def rows() -> list[Row]:
 
 
 def by_plan(found: Plan) -> Drive:
-    """Return the way to drive that replays a plan."""
+    """Return the driving method that replays a plan."""
     step = DURATION / INTERVALS / SAMPLES
     return lambda dae, start, tolerance: simulate_plan(
         dae, start, found.motion, step=step, options=SolverOptions(tolerance=tolerance)
@@ -184,12 +184,12 @@ def followed(dae: Any, start: Trajectory, tolerance: float) -> Trajectory:
 
 
 def frictional(creep: float) -> Any:
-    """Return the model under traction."""
+    """Return the quasi-static model."""
     return quasi_statics(three_wheeler(axle="fixed"), Analytic(hills, mu=MU), law=Coulomb(creep))
 
 
 def by_friction(drive: Drive, creep: float) -> tuple[float, str]:
-    """Return the slip of a way to drive under traction, rms [m/s], and why it ended early."""
+    """Return the rms slip of a driving method with friction [m/s], and its stop reason."""
     dae = frictional(creep)
     try:
         run = drive(dae, settle(dae), FRICTION_TOLERANCE)
@@ -201,7 +201,7 @@ def by_friction(drive: Drive, creep: float) -> tuple[float, str]:
 
 
 def table() -> None:
-    """Print what slips how much."""
+    """Print the slip of all driving methods."""
     dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
     start, ways = settle(dae), rows()
     print(f"least slip, {INTERVALS} intervals, degree {DEGREE}; traction: mu {MU}, creep {CREEP:g}")
@@ -225,7 +225,7 @@ def table() -> None:
 
 
 def cost(way: Row) -> str:
-    """Return what finding a way took."""
+    """Return the cost of finding a driving method."""
     if way.found is None:
         return f"{'-':>6}  {'-':>9}"
     count = sum(stage.iterations for stage in way.found.stages)
@@ -239,7 +239,7 @@ def search(found: Plan) -> float:
 
 
 def floors(drive: Drive, dae: Any) -> None:
-    """Print the slip of a plan by traction over the creep, and that of gravity alone."""
+    """Print the slip of a quasi-static plan by creep speed, and that due to gravity alone."""
     print(
         "the plan of the first row by traction: rms slip [m/s], and that at rest in its poses, "
         "by gravity alone"
@@ -259,7 +259,7 @@ def floors(drive: Drive, dae: Any) -> None:
 
 
 def prototype() -> None:
-    """Print the time of the prototype against ours, on its problem."""
+    """Print the time of the prototype beside ours, on its problem."""
     if not PROTOTYPE.exists():
         print("prototype: it is not beside the project")
         return
@@ -290,7 +290,7 @@ def prototype() -> None:
 
 
 def measured(words: str, counts: list[int], seconds: float, reached: list[float]) -> None:
-    """Print what a search took and reached."""
+    """Print the cost and the result of a search."""
     print(
         f"{words:22}{'+'.join(map(str, counts)):18} {seconds:7.2f}  "
         f"{1e3 * seconds / sum(counts):7.1f}  {reached[0]:.2e}        "
@@ -306,7 +306,7 @@ def to_equal(staged: list[list[float]], cold: list[float], slip: float) -> float
 
 
 def grown(intervals: int) -> dict[str, float]:
-    """Return what a plan on a number of intervals took."""
+    """Return the cost of a plan on a number of intervals."""
     found, seconds = planned(Analytic(hills), costs=EASY, intervals=intervals, compiled=True)
     count = sum(stage.iterations for stage in found.stages)
     parts = {
@@ -326,7 +326,7 @@ def grown(intervals: int) -> dict[str, float]:
 
 
 def called(ground: str, intervals: int, *, compiled: bool) -> dict[str, Any]:
-    """Return what a plan of continuous inputs took, as it is called."""
+    """Return the cost of a plan with continuous inputs by the public function."""
     terrain = Analytic(hills) if ground == "hills" else Bicubic(surface())
     found, seconds = planned(terrain, intervals=intervals, continuous=True, compiled=compiled)
     parts = {
@@ -344,7 +344,7 @@ def called(ground: str, intervals: int, *, compiled: bool) -> dict[str, Any]:
 
 
 def calls() -> None:
-    """Print what plans take as they are called."""
+    """Print the costs of plans by the public function."""
     print(
         "                                     iterations  all    IPOPT  functions  building  rest\n"
         "                                                 [s]    [s]    of IPOPT   again [s] [s]"
@@ -397,7 +397,7 @@ def growth() -> None:
 
 
 def warm() -> None:
-    """Print the iterations from a plan that is at hand, beside those from a simple motion."""
+    """Print the iterations from an existing plan, beside those from a simple motion."""
     first, _ = planned(Analytic(hills))
     print("from the plan of the first row                 iterations, cold  from the plan")
     for words, goal, intervals in (
@@ -455,7 +455,7 @@ def ramp() -> None:
 
 
 def apart(*words: str) -> Any:
-    """Return what this file finds in a process of its own, or words on how that failed."""
+    """Return a result of this file from a separate process, or the error as text."""
     command = [sys.executable, __file__, *words]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
@@ -476,7 +476,7 @@ def surface() -> Grid:
 
 
 class StockMap(Stock):
-    """The terrain that CasADi offers, of any extent."""
+    """Terrain of any extent with CasADi's own spline."""
 
     has_friction, friction_domain = False, None
 
@@ -486,7 +486,7 @@ class StockMap(Stock):
 
 
 def plain(hessian: str) -> dict[str, Any]:
-    """Return what the plain way takes on the task, on the map."""
+    """Return the cost of the plain Opti program for the task, on the map."""
     dae = direct_kinematics(
         three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0), StockMap(surface())
     )
@@ -511,7 +511,7 @@ def plain(hessian: str) -> dict[str, Any]:
 
 
 def report(status: str, iterations: int, seconds: float, integral: float) -> dict[str, Any]:
-    """Return what is printed of a way to plan; the slip is that at the points of collocation."""
+    """Return the printed values of a method; the slip is that at the collocation points."""
     return {
         "status": status,
         "iterations": iterations,
@@ -521,7 +521,7 @@ def report(status: str, iterations: int, seconds: float, integral: float) -> dic
 
 
 def written(dae: Any, points: list[float]) -> tuple[ca.Opti, ca.MX]:
-    """Return the task as one writes it by hand, and the integral of its squared slip."""
+    """Return the task as a hand-written Opti program, and the integral of its squared slip."""
     x, z, u = dae.columns()
     slip = ca.vertcat(*dae.named("slip_along"), *dae.named("slip_across"))
     core = ca.Function("core", [x, z, u], [dae.ode, ca.vertcat(*dae.alg), ca.sumsqr(slip)])
@@ -550,7 +550,7 @@ def written(dae: Any, points: list[float]) -> tuple[ca.Opti, ca.MX]:
 
 
 def guessed(dae: Any, opti: ca.Opti, unknowns: tuple[ca.MX, ca.MX, ca.MX], points: Any) -> None:
-    """Set the start and the guess, that of our plans."""
+    """Set the start and the initial guess of our plans."""
     nodes = (np.arange(INTERVALS)[:, None] + np.array(points)).ravel() / INTERVALS
     start, right_left = settle(dae), STARTS[0]
     given = (*right_left, 0.0)
@@ -569,7 +569,7 @@ def guessed(dae: Any, opti: ca.Opti, unknowns: tuple[ca.MX, ca.MX, ca.MX], point
 
 
 def ours() -> dict[str, Any]:
-    """Return what our way takes on the task, on the map."""
+    """Return the cost of our method for the task, on the map."""
     found, _ = planned(
         Bicubic(surface()), vehicle=three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0)
     )
@@ -578,7 +578,7 @@ def ours() -> dict[str, Any]:
 
 
 def beside() -> None:
-    """Print the plain way beside ours."""
+    """Print the plain Opti program beside our method."""
     print(f"on a map of {SPACING} m, at most {MOST} iterations of the plain way")
     print(
         "                                     status                       iterations  "

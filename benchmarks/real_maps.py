@@ -1,9 +1,9 @@
-"""Maps of others, read and driven over: part of `benchmarks/maps.py`.
+"""Read published maps and drive over them; part of `benchmarks/maps.py`.
 
-For each file of a folder: read as it is or refused, the keys or the command by which the message
-is followed, size, reference system, holes, largest difference from rasterio at all nodes and at
-the corners, and a drive of 100 m on a spiral around the place that is farthest from holes and
-border, without a window.
+For each file of a folder it prints whether the file is read unchanged or refused, the keys or the
+command that follow the advice of the message, size, reference system, holes, the largest difference
+from rasterio at all nodes and at the corners, and a drive of 100 m on a spiral around the position
+that is farthest from holes and border, without a window.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What every benchmark prints first: versions, machine, and a reference line to read times by."""
+"""Print the versions, the machine, and reference times with which to compare all timings."""
 
 from __future__ import annotations
 

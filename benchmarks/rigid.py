@@ -1,4 +1,4 @@
-"""Vehicles with pressed wheels: settling, limits, steps per metre, and plans over hills.
+"""Measure vehicles with pressed wheels: settling, limits, steps per metre, and plans.
 
 ``python benchmarks/rigid.py [settle|limit|drive|plan]`` prints all tables or those named.
 """
@@ -68,7 +68,7 @@ def pressed(vehicle, terrain, share=1 / 50, smoothing=SMOOTHING):
 
 
 def forward(model, vehicle, speed: float, weave: float = 0.0):
-    """Return inputs that drive forward at a speed, with a swinging difference of the sides."""
+    """Return inputs that drive forward at a speed, with an oscillating difference of the sides."""
     swing = weave * ca.cos(0.5 * model.t)
     rates = {
         f"{w.name}_rate": speed / w.radius * (1 - swing * np.sign(w.at[0]))
@@ -80,7 +80,7 @@ def forward(model, vehicle, speed: float, weave: float = 0.0):
 
 
 def settled() -> None:
-    """Print how many poor starts settle."""
+    """Print the number of poor starts that settle."""
     print(f"\n{STARTS} poor starts: z -0.2 to 0.4 m, roll and pitch +-0.5 rad off")
     for rms, share in ((0.05, 1 / 250), (0.05, 1 / 50)):
         ground = hills_map(rms, 8.0, 10.0)
@@ -170,7 +170,7 @@ def plans() -> None:
 
 
 def _planned(vehicle, ground):
-    """Return plans with sharper and sharper load laws, by width, each from the one before."""
+    """Return plans with increasingly sharp load laws, by width, each from the previous one."""
     names, made, saved = [f"{w.name}_rate" for w in vehicle.wheels], {}, None
     for width in (1.0, 0.3, 0.1):
         model = direct_kinematics(vehicle, ground, smoothing=width)

@@ -1,9 +1,9 @@
-"""URDFs of others, read and driven: how many need a completion, and which.
+"""Read and drive published URDFs, and count the completions that they need.
 
-``python benchmarks/robots.py FOLDER`` prints for each URDF of a folder what is refused, the lines
-by which the message is followed, the number of notes and guesses, and a drive of 5 m straight on
-over rough ground, with the contact of kinematics and with dynamics. The heights have an rms of a
-third of the smallest driven wheel's radius R, and wavelengths of 15 R to 60 R.
+``python benchmarks/robots.py FOLDER`` prints for each URDF of a folder the reasons of a refusal,
+the lines that follow the advice of the message, the number of notes and guesses, and a drive of 5 m
+straight on over rough ground, with kinematics and with dynamics. The heights have an rms of a third
+of the smallest driven wheel's radius R, and wavelengths of 15 R to 60 R.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _radii(vehicle: Vehicle) -> str:
 
 
 def _driven(file: Path, work: Path, vehicle: Vehicle, model: str) -> str:
-    """Return what a drive of 5 m ended with."""
+    """Return the outcome of a drive of 5 m."""
     radius = min(wheel.radius for wheel in vehicle.wheels if wheel.driven)
     half = 1.5 * radius * np.ceil(1.5 * LENGTH / (1.5 * radius))
     text = PROBLEM.format(

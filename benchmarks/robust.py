@@ -1,9 +1,9 @@
-"""Robust plans: share of drawn worlds on which a plan holds, before and after, and its cost.
+"""Measure robust plans: share of drawn worlds on which a plan holds, and change of cost.
 
 ``python benchmarks/robust.py`` plans ``problems/plan_crater_field.toml``, with a limit of the
 utilisation, and ``problems/plan_climb_ramp.toml``. The worlds have errors of the heights with a
-correlation length of 1 m, errors of the friction, and gains of the inputs that are not exact. Of
-each, 50 draws a round tighten the limits; 200 others, the same for both plans, give the shares.
+correlation length of 1 m, errors of the friction, and inexact gains of the inputs. In each round,
+50 draws tighten the limits; 200 other draws, equal for both plans, give the shares.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Whether random problems end as they should: done, stopped by name, or refused by name.
+"""Check that random problems end regularly: complete, at a named limit, or refused by name.
 
 ``python benchmarks/robustness.py`` draws 500 problems - ground, vehicle, start, inputs and
-tolerance - from seeds 0 to 499, each in a process of its own with a limit on its time, and prints
-what became of them. Everything that must not be is listed with its seed: a hang, a crash, another
-exception, a warning, a refusal without a cause, a run that breaks a law of geometry.
+tolerance - from seeds 0 to 499, each in a separate process with a time limit, and prints their
+outcomes. Every failure is listed with its seed: a hang, a crash, another exception, a warning, a
+refusal without a cause, or a run that violates a law of geometry.
 
-``python benchmarks/robustness.py --seed 17`` tells one; ``--set ground=flat tolerance=1e-6``
-changes it, to find out what matters.
+``python benchmarks/robustness.py --seed 17`` prints one case; ``--set ground=flat tolerance=1e-6``
+changes it, to isolate a cause.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ANSWER = "outcome: "  # what a line with an outcome begins with
 
 
 def one(case: Case) -> dict[str, Any]:
-    """Return what becomes of a case, in this process; warnings are faults."""
+    """Return the outcome of a case, run in this process; warnings are errors."""
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         try:
@@ -51,19 +51,19 @@ def one(case: Case) -> dict[str, Any]:
 
 
 def serve() -> None:
-    """Answer seeds, line by line, with outcomes."""
+    """Read seeds, line by line, and print their outcomes."""
     for seed in sys.stdin:
         print(ANSWER + json.dumps(one(draw(int(seed)))), flush=True)
 
 
 class Worker:
-    """A child process that solves case after case, and is replaced when one is the end of it."""
+    """Child process that solves one case after another, and is replaced after a crash."""
 
     def __init__(self, patience: float) -> None:
         self.patience, self.child = patience, None
 
     def ask(self, seed: int) -> dict[str, Any]:
-        """Return what becomes of a case; a hang or a crash is an outcome too."""
+        """Return the outcome of a case, which may be a hang or a crash."""
         if self.child is None:
             command = [sys.executable, "-u", __file__, "--serve"]
             pipe = subprocess.PIPE
@@ -97,7 +97,7 @@ class Worker:
 
 
 def every(seeds: range, patience: float) -> Iterator[dict[str, Any]]:
-    """Yield what becomes of many cases, in the order of their seeds."""
+    """Yield the outcomes of many cases, in the order of their seeds."""
     mine, workers = threading.local(), []
 
     def ask(seed: int) -> dict[str, Any]:
@@ -113,7 +113,7 @@ def every(seeds: range, patience: float) -> Iterator[dict[str, Any]]:
 
 
 def table(found: list[dict[str, Any]]) -> None:
-    """Print how many ended how, the extremes of what was measured, and every fault."""
+    """Print the number of cases by outcome, extremes of measured values, and all errors."""
     counts = Counter((each["kind"], each["cause"]) for each in found)
     print("\noutcome    cause                  cases")
     for (kind, cause), count in sorted(counts.items(), key=lambda item: (item[0][0], -item[1])):

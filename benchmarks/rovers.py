@@ -1,4 +1,4 @@
-"""The catalogue's rovers: how well conditioned, how exact, how fast, and a plan for one of them.
+"""Measure the catalogue's rovers: conditioning, accuracy, time, and a plan for one of them.
 
 ``python benchmarks/rovers.py`` prints
 
@@ -7,12 +7,12 @@
    tolerance, against the end at 1e-10, interpreted and compiled;
 3. seven cases on the hills of the tests, 20 s each, at a tolerance of 1e-6: error against 1e-10,
    CPU and real-time factor;
-4. what grounds with noise and steps do to it, raw and rolled;
-5. a plan over that grid, 2.3 m in 8 s: iterations, slip, what the simulation makes of it.
+4. the effect of grounds with noise and steps, raw and rolled;
+5. a plan over that grid, 2.3 m in 8 s: iterations, slip, and its simulation.
 
-CPU is that of `simulate`, the least of a few runs. Part of it prepares model and samples, whatever
-the duration; what the way itself takes is the difference to a run a tenth as long, made in turn
-with it.
+CPU time is that of `simulate`, the least of a few runs. Part of it prepares model and samples,
+independent of the duration; the time of the integration is the difference from a run a tenth as
+long, made in alternation.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ WEIGHTS = {"slip": 100.0, "effort": 0.01}
 
 
 def quickest(*tasks: Callable[[], Trajectory]) -> list[Trajectory]:
-    """Return the run of least CPU of each task, of several that are made in turn."""
+    """Return the run with the least CPU time of each task, of several alternating rounds."""
     runs = [[task() for task in tasks] for _ in range(TURNS)]
     return [
         min(each, key=lambda run: run.statistics["cpu_seconds"]) for each in zip(*runs, strict=True)
@@ -75,7 +75,7 @@ def quickest(*tasks: Callable[[], Trajectory]) -> list[Trajectory]:
 
 
 def cost(run: Trajectory, short: Trajectory) -> str:
-    """Return what a run takes in all, and on its way: more than one a tenth as long."""
+    """Return the CPU time of a run, and its excess over a run a tenth as long."""
     cpu = run.statistics["cpu_seconds"]
     way = (cpu - short.statistics["cpu_seconds"]) / 0.9
     told = (
@@ -125,7 +125,7 @@ def hills() -> None:
 
 
 def noise() -> None:
-    """Print what noise on the grid does."""
+    """Print the effect of noise on the grid."""
     grid = rover_ground()
     for size in NOISES:
         z = grid.z + np.random.default_rng(5).normal(0, size, grid.z.shape)

@@ -1,10 +1,10 @@
-"""Whether the motion of a vehicle depends on its size.
+"""Check that the motion of a vehicle does not depend on its size.
 
 ``python benchmarks/scales.py`` multiplies all lengths of kinematic problems - vehicle, ground,
 start, path, speeds - by 1e-6 to 1e6 and prints, for each scale, the largest difference of the
 scaled motion from that at scale 1, over all kinematic quantities and samples, in units of the
-tolerance, 1e-8. The tolerance of lengths counts in sizes of the vehicle, so that it is scaled too.
-``python benchmarks/scales.py 0.01 1000`` takes other scales.
+tolerance, 1e-8. The tolerance of lengths is relative to the size of the vehicle, so that it is
+scaled too. ``python benchmarks/scales.py 0.01 1000`` uses other scales.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ WIDTH = 9  # of a column
 
 
 def cell(first: Trajectory, name: str, scale: float) -> str:
-    """Return the difference of a case at a scale in words of one column."""
+    """Return the difference of a case at a scale as text of one column."""
     try:
         run = CASES[name](scale)
     except SlipfreeError:

@@ -1,10 +1,10 @@
-"""Random problems of all kinds, one after the other in one process, which must not grow.
+"""Solve random problems of all kinds in one process, and check that its memory does not grow.
 
 ``python benchmarks/soak.py --minutes 60 [--seed N]`` makes a new random ground every time,
-simulates, plans, climbs, writes, reads, draws and reports, and prints what the process holds:
-memory that is resident, open files and threads. At the end: the slope of memory by the hour, of a
-line fitted to the second half, and its standard error. It ends with exit code 1 if a problem ended
-in a traceback.
+simulates, plans, climbs, writes, reads, draws and reports, and prints the resources of the process:
+resident memory, open files and threads. At the end it prints the slope of memory per hour, from a
+line fitted to the second half, and its standard error. The exit code is 1 if a problem ended in a
+traceback.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ EVERY = 30.0  # between two lines [s]
 
 
 def drawn(kind: str, rng: Random) -> str:
-    """Return a problem on a ground of its own."""
+    """Return a problem on a new random ground."""
     data = dict(rng.choice(bases(kind)))
     if kind == "climb":
         data["profile"] = {"step": {"height": rng.uniform(0.02, 0.09)}}
@@ -74,7 +74,7 @@ def drawn(kind: str, rng: Random) -> str:
 
 
 def whole(text: str, folder: Path, rng: Random) -> str:
-    """Solve a problem, write, read and draw it; return how it ended."""
+    """Solve a problem, write, read and draw the result; return the outcome."""
     for name, content in SIDE.items():
         (folder / name).write_text(content)
     shutil.copy(ROOT / "problems" / "vehicles" / "trailer.toml", folder / "vehicle.toml")
@@ -99,7 +99,7 @@ def whole(text: str, folder: Path, rng: Random) -> str:
 
 
 def soak(minutes: float, seed: int) -> int:
-    """Do problems for a time, print what the process holds, and return 1 if one broke."""
+    """Solve problems for a time, print the resources of the process; return 1 after an error."""
     rng, ends, rows = Random(seed), Counter[str](), []
     process, begin, last = psutil.Process(), time.monotonic(), -EVERY
     print(f"{'minutes':>8}{'problems':>10}{'resident MB':>13}{'open files':>12}{'threads':>9}")
@@ -122,7 +122,7 @@ def soak(minutes: float, seed: int) -> int:
 
 
 def _row(process: psutil.Process, now: float, count: int) -> tuple[float, float, float]:
-    """Print what a process holds; return minutes, resident memory [MB] and open files."""
+    """Print the resources of the process; return minutes, resident memory [MB] and open files."""
     gc.collect()
     memory, files = process.memory_info().rss / 1e6, len([*Path("/proc/self/fd").iterdir()])
     print(

@@ -1,8 +1,8 @@
-"""Soil law against measured wheels, and its cost.
+"""Compare the soil law with measured wheels, and measure its cost.
 
 ``python benchmarks/soil.py`` compares `single_wheel` with the points in ``measured_wheels.csv``,
-and states the error of the eight Gauss points on each side of the largest stress, the operations of
-a wheel and the time of a motion in sand. No constant is fitted to the measured points.
+and prints the error of the eight Gauss points on each side of the largest stress, the number of
+operations per wheel, and the time of a motion in sand. No constant is fitted to these points.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a user waits for before anything happens: imports and help, in fresh processes.
+"""Measure the start-up time of imports and help, in fresh processes.
 
 ``python benchmarks/start_up.py``
 """

@@ -1,13 +1,13 @@
-"""Best of four starts against a single start, on hills and among obstacles: cost, slip and time.
+"""Compare the best of four starts with a single start, on hills and among obstacles.
 
 ``python benchmarks/starts.py [hills|obstacles]`` prints rows for ten seeds, and the medians.
 
 - ``hills``: the ground of ``problems/plan_rigid_hills.toml``, twice as rough and with a farther
   goal; no obstacles.
 - ``obstacles``: the three-wheeler of ``problems/plan_crater_field.toml`` over 20 m of hills with
-  eight discs to keep out of; the further starts are routes of other homotopy classes.
+  eight keep-out discs; the additional starts are routes of other homotopy classes.
 
-Slip is that of the simulation, its path per wheel and metre driven.
+Slip is the slip path in the simulation, per wheel and metre driven.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def solved(kind: str, seed: int, starts: int) -> Row:
 
 
 def words(row: Row) -> str:
-    """Return a plan in words."""
+    """Return a plan as text."""
     return (
         f"{row.outcome.name.lower()}, cost {row.cost:.4f}, slip {row.slip:.3f} mm/m, "
         f"{row.seconds:.0f} s"

@@ -1,4 +1,4 @@
-"""Least friction with which vehicles climb a step, in three dimensions, with inertia.
+"""Compute the least friction with which vehicles climb a step, in 3D and with inertia.
 
 ``python benchmarks/steps.py [VEHICLE ...]`` prints, for vehicles, heights and headings, the least
 coefficient of friction with which all wheels reach the top of a step. ``python benchmarks/steps.py
@@ -6,8 +6,8 @@ check`` repeats two rows at a finer tolerance, at lower speeds and with harder w
 
 The wheels turn at the rate of 0.2 m/s, the vehicle starts 50 mm before the step, and the friction
 is that of floor and step. Coefficients are tried upwards in steps of 0.16, and then by bisection to
-0.04; at a dash none of them up to 1.28 suffices. The result is that of simulations at one speed and
-with equal rates of all wheels, no guarantee: a climb is not monotonic in the coefficient.
+0.04; a dash means that none up to 1.28 suffices. The results are those of simulations at one speed
+with equal rates of all wheels, and no guarantee: success is not monotonic in the coefficient.
 
 The quasi-static value is the largest along the climb of the least coefficient that an optimal
 distribution of the torques needs, without inertia and with rigid wheels. For a rigid vehicle with
@@ -217,7 +217,7 @@ def demand(name: str, height: float) -> float | None:
 
 
 def words(value: float | None) -> str:
-    """Return a coefficient as text, a dash if there is none."""
+    """Return a coefficient as text, or a dash without one."""
     return "   -" if value is None else f"{value:4.2f}"
 
 

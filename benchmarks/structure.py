@@ -1,4 +1,4 @@
-"""Size of the sources and cycles of their imports.
+"""Measure the size of the sources, and list the cycles of their imports.
 
 ``python benchmarks/structure.py [FOLDER] [--against OTHER]`` counts modules, lines, AST nodes,
 ``# fmt: skip`` comments and import cycles below a source folder, ``src`` by default. An import

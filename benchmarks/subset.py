@@ -1,11 +1,11 @@
-"""Inverse kinematics of an over-actuated rover: slip, and how exactly its rates round-trip.
+"""Measure slip and round-trip errors of the inverse kinematics of an over-actuated rover.
 
-``python benchmarks/subset.py`` prints, for the Rocky 7 with its corner wheels steered, on level
-ground and on a rough one, the slip (rms over the wheels) and the round trip: how far the given
-rates are from those of the direct model under the wheel rates found. Columns are steering angles:
-locked straight ahead; those at which wheels slip least across (the guide), with the wheel rates of
-least slip alone and with the direct model's equations as constraints; those of least slip. Then a
-motion in time over the rough ground.
+``python benchmarks/subset.py`` prints, for Rocky 7 with steered corner wheels on level and on rough
+ground, the slip (rms over the wheels) and the round-trip error: the difference between the given
+rates and those of the direct model under the wheel rates found. Columns are steering angles: locked
+straight ahead; those of least slip across (the guide), with the wheel rates of least slip alone and
+with the direct model's equations as constraints; those of least slip. The last part is a motion
+over the rough ground.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ MOTION = ("velocity_x", "velocity_y", "heading_rate")
 
 
 def rough() -> Bicubic:
-    """Return the ground of the file: six header numbers, then heights, x fastest."""
+    """Return the ground of the file: six header numbers, then heights, with x varying fastest."""
     values = [float(each) for each in GROUND.read_text().split(",") if each.strip()]
     n_x, n_y = int(values[2]), int(values[5])
     x, y = np.linspace(*values[:2], n_x), np.linspace(*values[3:5], n_y)
@@ -76,7 +76,7 @@ def driven(direct: Any, stand: Trajectory, rates: dict[str, float], given: dict[
 
 
 def least(direct: Any, stand: Trajectory, given: dict[str, float]) -> dict[str, float]:
-    """Return wheel rates of least slip at the given rates, whatever the direct model makes of them.
+    """Return wheel rates of least slip at the given rates, without the direct model's equations.
 
     Joints are at rest.
     """
@@ -122,7 +122,7 @@ def row(terrain: Terrain, given: dict[str, float]) -> str:
 
 
 def in_time(terrain: Terrain) -> None:
-    """Print a motion over the ground: what it slips, misses and costs."""
+    """Print slip, errors and cost of a motion over the ground."""
     direct = direct_kinematics(ROVER, terrain)
     dae = inverse_kinematics(ROVER, terrain, given=("forward", "yaw_rate"))
     inputs, joints = dae.inputs(forward=0.1, yaw_rate=0.05), list(steering_effects(ROVER, direct))

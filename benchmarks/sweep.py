@@ -1,12 +1,12 @@
-"""Sweeps: what processes gain, and that a killed one loses nothing.
+"""Measure the gain of sweeps by processes, and check that a killed sweep loses no run.
 
 ``python benchmarks/sweep.py [RUNS]`` (200 by default) prints
 
-1. the wall time of a sweep over seeded random grounds by one process and by two, each of one
-   thread, and the ratio; beside it what the workers spend on the runs themselves, so that one sees
-   where the rest goes, and how much more two processes that share nothing get done here than one;
-2. the same sweep on two processes, killed with SIGKILL half-way and resumed: how many finished runs
-   were kept, how many were done twice, and whether the table is the same, byte by byte.
+1. the wall time of a sweep over seeded random grounds by one process and by two, each with one
+   thread, and their ratio; also the time that the workers spend on the runs themselves, and the
+   throughput of two independent processes on this machine relative to one;
+2. the same sweep on two processes, killed with SIGKILL half-way and resumed: the numbers of
+   finished runs that were kept and of runs done twice, and whether the tables are identical.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ def timed(folder: Path, processes: int, runs: int) -> tuple[float, float, float]
 
 
 def processor() -> float:
-    """Return the processor time of all processes that were started here and have ended. [s]."""
+    """Return the CPU time of all child processes that have ended [s]."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def apart() -> float:
-    """Return how much more two processes get done than one, of programs that share nothing."""
+    """Return the throughput of two independent processes relative to one."""
     code = f"from reference import rosenbrock\nfor _ in range({ALONE}): rosenbrock()"
 
     def wall(count: int) -> float:
@@ -84,7 +84,7 @@ def apart() -> float:
 
 
 def killed(folder: Path, runs: int) -> list[dict[str, object]]:
-    """Begin a sweep, kill it half-way, and return what it had finished."""
+    """Start a sweep, kill it half-way, and return its finished runs."""
     process = subprocess.Popen(command(folder, 2, runs), stdout=subprocess.DEVNULL)
     log = folder / "runs.jsonl"
     while not log.exists() or log.read_bytes().count(b"\n") <= runs // 2:
@@ -97,7 +97,7 @@ def killed(folder: Path, runs: int) -> list[dict[str, object]]:
 
 
 def main(runs: int) -> None:
-    """Print what the sweep takes, and what is left of a killed one."""
+    """Print the times of a sweep, and the remaining runs of a killed one."""
     heading()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

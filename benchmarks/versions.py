@@ -1,10 +1,10 @@
-"""Results and times of two versions of the package, beside each other.
+"""Compare results and times of two versions of the package.
 
 ``python benchmarks/versions.py results OUT [--against OTHER] [--compiled] [--only NAME ...]`` runs
 all shipped problems of motions, writes their results to the folder OUT and prints the exit code and
 the CPU time of each. With ``--against`` it prints the largest difference to the results of the same
 names in another folder, in units of the range of each variable (between 0.01 and 10). ``--no-run``
-compares what is there.
+compares existing results.
 
 ``python benchmarks/versions.py times --old PYTHON [--new PYTHON] [--cases NAME ...]`` times the
 cases below with the interpreters of two environments in which the package is installed. One
@@ -17,7 +17,7 @@ largest difference over the largest entry.
 
 ``python benchmarks/versions.py stations --old PYTHON [--new PYTHON]`` runs a small problem on a map
 and prints the functions between the problem and the integrator, and those that a height passes
-between the file of the map and the Jacobian that IDAS gets.
+between the map file and the Jacobian of IDAS.
 """
 
 from __future__ import annotations
@@ -497,7 +497,7 @@ def print_times(old: str, new: str, cases: list[str], repeats: int) -> None:
 
 
 def worker(python: str, case: str) -> Any:
-    """Start a process that times a case as often as it is asked to."""
+    """Start a process that times a case on request."""
     process = subprocess.Popen(
         [python, "-c", WORKER, case], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -507,7 +507,7 @@ def worker(python: str, case: str) -> Any:
 
 
 def asked(process: Any) -> float:
-    """Return one time [s]."""
+    """Return one measured time [s]."""
     process.stdin.write("\n")
     process.stdin.flush()
     return float(json.loads(process.stdout.readline()))

@@ -1,8 +1,8 @@
-"""Plans over kilometres in windows: time per kilometre, memory, and slip against `follow`.
+"""Measure plans over kilometres in windows: time and memory, and slip against `follow`.
 
 ``python benchmarks/windows.py`` plans ``problems/plan_long_dem.toml`` with goals 0.4, 1.3 and
-3.5 km away, each in a process of its own, and simulates the driving law along the same routes.
-Slip is that of the simulations, its path per wheel and metre driven.
+3.5 km away, each in a separate process, and simulates the driving law along the same routes. Slip
+is the slip path in the simulations, per wheel and metre driven.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ GOALS = {"0.4 km": (900.0, 2900.0), "1.3 km": (1400.0, 2000.0), "3.5 km": (2600.
 
 
 def words(run: Trajectory) -> str:
-    """Return slip and utilisation of a motion."""
+    """Return slip and utilisation of a motion as text."""
     slip = np.trapezoid(np.hypot(run["slip_along"], run["slip_across"]), run.t, axis=0).mean()
     slip = 1e3 * slip / path_length(run)
     return (

@@ -1,16 +1,15 @@
-"""Error against CPU time per metre driven, for both formulations and several integrators.
+"""Measure error against CPU time per metre, for both formulations and several integrators.
 
 ``python benchmarks/work_precision.py --plot work_precision.png``
 
 Two drives of the paper's three-wheeler: the reference motion (its rates, smooth ground), and a
-straight drive over a rough map of 0.1 m. Three formulations: closure with least slip, closure
-rolling, Montana's contact equations. Integrators: IDAS on the DAE as ``simulate`` runs it; IDAS
-with the algebraic unknowns the other way about in its error test, in if they are out and out if
-they are in; and CVODES on the differential equations that are left when the algebraic blocks are
-solved inside - rates by a linear solve, positions by Newton's method. ``simulate`` offers the
-first; the others say what would be gained. CPU time is that of the integrator's call alone, the
-least of a few; the error is the largest of any sample of pose and tilts, in m and rad, against
-closure at 1e-12.
+straight drive over a rough map with cells of 0.1 m. Three formulations: closure with least slip,
+closure with rolling, and Montana's contact equations. Three integrators: IDAS on the DAE as in
+``simulate``; IDAS with the opposite choice of algebraic unknowns in its error test; and CVODES on
+the differential equations with the algebraic blocks eliminated - rates by a linear solve, positions
+by Newton's method. ``simulate`` uses the first; the others show the possible gain. CPU time is that
+of the integrator's call alone, the least of a few; the error is the largest of any sample of pose
+and tilts, in m and rad, against closure at 1e-12.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ VEHICLE = three_wheeler(mass=0.0, wheel_mass=0.0)  # no forces: the motion alone
 
 
 class Drive(NamedTuple):
-    """A ground, a start on it, times, and what gives a model its inputs."""
+    """Ground, start, times, and a function that returns the inputs of a model."""
 
     ground: Bicubic
     start: dict[str, float]
@@ -98,7 +97,7 @@ def formulations(ground: Bicubic) -> dict[str, Any]:
 
 
 def cvodes(system: System) -> dict[str, ca.MX]:
-    """Return the differential equations with the algebraic blocks solved inside."""
+    """Return the differential equations with the algebraic blocks eliminated."""
     sizes = {name: system.core.size1_in(k) for k, name in enumerate("txzu") if name != "z"}
     symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     t, x, u = symbols.values()
@@ -131,7 +130,7 @@ INTEGRATORS = ("idas", "idas test", "cvodes")
 
 
 class Point(NamedTuple):
-    """What one integration took and how exact it was."""
+    """Cost and error of one integration."""
 
     tolerance: float
     error: float
@@ -140,7 +139,7 @@ class Point(NamedTuple):
 
 
 def line(kind: str, dae: Any, drive: Drive, stand: Trajectory, exact: Trajectory) -> list[Point]:
-    """Return the points of one line; a tolerance at which the integrator fails is left out."""
+    """Return the points of one curve; tolerances at which the integrator fails are omitted."""
     system = with_inputs(dae, drive.inputs(dae, VEHICLE, stand), drive.t.size - 1)
     x, u = dae.rows("x", stand, -1), system.u[:, 0]
     begin = {"x0": x, "u": u}
@@ -181,7 +180,7 @@ def _error(dae: Any, found: np.ndarray, exact: Trajectory) -> float:
 
 
 def at_equal_error(points: list[Point]) -> float:
-    """Return the CPU time at the error of the comparison, between the points of a line. [s]."""
+    """Return the CPU time at the common error, interpolated on a curve. [s]."""
     errors, times = (np.log([getattr(p, k) for p in points]) for k in ("error", "cpu"))
     order = np.argsort(errors)
     if not errors[order[0]] <= np.log(EQUAL) <= errors[order[-1]]:
@@ -190,7 +189,7 @@ def at_equal_error(points: list[Point]) -> float:
 
 
 def measure(name: str, drive: Drive) -> tuple[dict[tuple[str, str], list[Point]], float]:
-    """Return all lines of a drive and its length, and print them."""
+    """Return all curves of a drive and its length, and print them."""
     models, lines = formulations(drive.ground), {}
     closure, vehicle = models["closure least"], VEHICLE
     stand = settle(closure, **drive.start)
@@ -211,7 +210,7 @@ def measure(name: str, drive: Drive) -> tuple[dict[tuple[str, str], list[Point]]
 
 
 def gains(name: str, lines: dict[tuple[str, str], list[Point]]) -> str:
-    """Return, in words, the time of every line at equal error over that of the first."""
+    """Return as text the time of every curve at equal error divided by that of the first."""
     times = {key: at_equal_error(points) for key, points in lines.items() if points}
     first = next(iter(times.values()))
     ratios = [f"{' '.join(key)} {value / first:.2g}" for key, value in times.items()]
@@ -219,7 +218,7 @@ def gains(name: str, lines: dict[tuple[str, str], list[Point]]) -> str:
 
 
 def plot(found: dict[str, Any], file: Path) -> None:
-    """Draw all lines, a panel a drive; the titles say what is gained."""
+    """Draw all curves, one panel per drive, with ratios in the titles."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 

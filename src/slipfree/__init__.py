@@ -1,19 +1,21 @@
 """Simulation and planning of the motion of wheeled vehicles over uneven ground.
 
-Build a ground and a vehicle, then a model of both and a start; then simulate or plan the motion:
+Build a ground and a vehicle, then a model of both and an initial state; then simulate or plan the
+motion:
 
 Ground
     `Analytic`, a formula. `Bicubic`, the surface of a `Grid` of heights. `read_map`, heights from a
     file. `Solids`, steps, stairs and boxes on a ground.
 Vehicle
-    `catalog`, vehicles ready for use. `read_vehicle`, from a TOML or URDF file. `Vehicle`, made of
-    `Coordinate`, `Joint`, `Body` and `Wheel`, which a `Rate`, `Torque` or `Motor` drives; `planar`.
+    `catalog`, vehicles ready for use. `read_vehicle`, a vehicle from a TOML or URDF file.
+    `Vehicle`, a tree of `Coordinate`, `Joint`, `Body` and `Wheel` with the drives `Rate`, `Torque`
+    or `Motor`. `planar`, a vehicle that moves only in a vertical plane.
 Model, a `Dae`
     `direct_kinematics`, the motion at given wheel rates, with a slip law: `LeastSlip`, `Rolling`.
-    `inverse_kinematics`, the wheel rates of a given motion. `quasi_statics`, the motion by gravity
-    and friction, with a wheel-ground law: `Coulomb`, `Soil`. `dynamics`, the motion with inertia on
-    `Compliant` contacts or `Soil`. `rigid_dynamics`, the same for plans, with `LinearCreep` or
-    `Coulomb`.
+    `inverse_kinematics`, the wheel rates of a given motion. `quasi_statics`, the slow motion under
+    gravity and friction, with a wheel-ground law: `Coulomb`, `Soil`. `dynamics`, the motion with
+    inertia on `Compliant` contacts or `Soil`. `rigid_dynamics`, the motion with inertia on rigid
+    contacts, for plans, with `LinearCreep` or `Coulomb`.
     `montana_kinematics`, a second formulation of the direct kinematics.
 Start
     `settle`, the vehicle at rest on the ground.

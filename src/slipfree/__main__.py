@@ -15,7 +15,7 @@ def _leave_current_folder() -> None:
     """
     try:
         here = os.getcwd()  # noqa: PTH109  # a file pathlib.py there would be imported
-    except OSError:  # the folder was deleted, so that Python did not insert it
+    except OSError:  # the folder was deleted, so Python did not insert it
         return
     home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))  # noqa: PTH100, PTH120
     if not sys.flags.safe_path and sys.path[:1] == [here] and here != home:

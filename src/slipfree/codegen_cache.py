@@ -159,7 +159,7 @@ def folder() -> Path | None:
         return platformdirs.user_cache_path("slipfree") / "compiled"
     try:
         return Path(given).expanduser() if given else None
-    except RuntimeError as error:  # of ~NAME
+    except RuntimeError as error:  # "~NAME" without a home folder
         raise _UnavailableError(
             f"{FOLDER}: expected a folder, found {given!r} of a user without a home folder; set "
             f"{FOLDER} to another folder"

@@ -1,8 +1,8 @@
-"""Delay of forks of the process until no other thread computes.
+"""Postponement of process forks until no other thread is computing.
 
 A forked child has a single thread. Locks of CasADi, functools and the linear algebra library that
-other threads had acquired stay locked in it forever. OpenBLAS can even hang in ``fork`` itself,
-since it waits for threads that compute.
+other threads held at the fork stay locked in the child forever. OpenBLAS can even hang in ``fork``
+itself, since it waits for computing threads.
 """
 
 from __future__ import annotations

@@ -34,10 +34,10 @@ class ProcessDiedError(SlipfreeError):
 
 
 class Pool(Protocol[T_contra, D_co]):
-    """Interface of the pools, which execute several tasks at the same time."""
+    """Interface of a pool, which executes several tasks at the same time."""
 
     def room(self) -> int:
-        """Return the largest number of tasks that may be unfinished at a time, at least 1.
+        """Return the maximum number of unfinished tasks, at least 1.
 
         Raise SlipfreeError if the connection to the pool is lost.
         """
@@ -88,13 +88,13 @@ def finish_tasks(tasks: Iterable[T], pool: Pool[T, D], poll: Poll) -> Generator[
 class Processes(Generic[T, D]):
     """Pool of processes with one thread each.
 
-    Each process has a separate `ProcessPoolExecutor`. A process that dies breaks its executor and
-    all futures of the executor; here, this is only one task.
+    Each process has its own `ProcessPoolExecutor`. If a process dies, its executor and all futures
+    of this executor fail; with one process per executor, only one task is lost.
 
     Parameters
     ----------
     count : int
-        Largest number of processes; they start when they are needed.
+        Maximum number of processes; they start when they are needed.
     function : callable
         Function at module level; a process calls it with a task.
     """
@@ -105,13 +105,13 @@ class Processes(Generic[T, D]):
         self._busy: dict[Future[D], _Process] = {}
 
     def room(self) -> int:
-        """Return the largest number of processes; each has at most one unfinished task."""
+        """Return the maximum number of processes; each has at most one unfinished task."""
         return self._count
 
     def submit(self, task: T) -> Future[D]:
         """Start a task; return its future."""
         process = self._idle.pop() if self._idle else _Process()
-        if not process.process.is_alive():  # it was killed while it had nothing to do
+        if not process.process.is_alive():  # it was killed while idle
             process = _Process()
         future = process.executor.submit(self._function, task)
         self._busy[future] = process
@@ -161,7 +161,7 @@ def local_tasks(
     function : callable
         Function at module level that takes a task and returns its result.
     most : int
-        Largest number of processes; it is also limited to the number of available cores.
+        Maximum number of processes; it is also limited to the number of available cores.
     """
     count = min(available_cores(), most)
 
@@ -178,7 +178,10 @@ def local_tasks(
 
 
 class _SpawnOne(SpawnContext):
-    """Start method ``spawn`` that stores its process; CasADi is not safe in forked processes."""
+    """Context of the start method ``spawn`` that stores the process which it creates.
+
+    CasADi is not safe in forked processes.
+    """
 
     made: BaseProcess
 
@@ -188,7 +191,7 @@ class _SpawnOne(SpawnContext):
 
 
 class _Process:
-    """Executor with one process, which is started at once."""
+    """Executor with one process, which starts immediately."""
 
     def __init__(self) -> None:
         context = _SpawnOne()
@@ -235,9 +238,9 @@ def available_cores() -> int:
 
 
 def prepare_process() -> None:
-    """Prepare a new process: ignore Ctrl-C and warnings, print to stderr, end with the parent."""
+    """Prepare a new process: ignore Ctrl-C and warnings, print to stderr, exit with the parent."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal; the parent decides
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C in the terminal
     warnings.simplefilter("ignore")  # the parent reports them
     os.dup2(2, 1)  # output of solvers must not get into the summary
 

@@ -6,9 +6,9 @@ import re
 
 NO_START = "no consistent initial conditions were found"
 SINGULAR = "the Jacobian is singular"
-NOT_FINITE = "the equations have no finite value"
-RATES_NOT_FINITE = "the rates have no finite value"
-INTEGRAL_NOT_FINITE = "an integrated quantity has no finite value"
+NOT_FINITE = "the residuals of the equations are not finite"
+RATES_NOT_FINITE = "the rates are not finite"
+INTEGRAL_NOT_FINITE = "an integrated quantity is not finite"
 TOO_LONG = "the search reached its time limit"
 MALFORMED = "the nonlinear program is malformed: please report this as a bug in slipfree"
 
@@ -18,15 +18,15 @@ IPOPT_STATUSES = {
     "Feasible_Point_Found": "a motion that meets the constraints was found, but not the best one",
     "Infeasible_Problem_Detected": "the constraints contradict each other where the search ended",
     "Restoration_Failed": "the search could not return to motions that meet the constraints",
-    "Maximum_Iterations_Exceeded": "the search reached its largest number of iterations",
+    "Maximum_Iterations_Exceeded": "the search reached its maximum number of iterations",
     "Maximum_CpuTime_Exceeded": TOO_LONG,
     "Maximum_WallTime_Exceeded": TOO_LONG,
     "User_Requested_Stop": "the search was stopped",
     "Diverging_Iterates": "the unknowns grow without bound: add bounds to quantities in the cost",
-    "Search_Direction_Becomes_Too_Small": "the search made no more progress",
+    "Search_Direction_Becomes_Too_Small": "the search made no further progress",
     "Error_In_Step_Computation": "the next step of the search could not be computed",
     "Not_Enough_Degrees_Of_Freedom": "there are more equations than unknowns",
-    "Invalid_Number_Detected": "a function of the model has no finite value during the search",
+    "Invalid_Number_Detected": "a function of the model was not finite during the search",
     "Invalid_Problem_Definition": MALFORMED,
     "Invalid_Option": MALFORMED,
     "Insufficient_Memory": "there is not enough memory: use fewer intervals",
@@ -56,7 +56,7 @@ SUNDIALS_FLAGS = {  # flags of IDAS and CVODES without the prefixes IDA_ and CV_
     "REPTD_QRHSFUNC_ERR": INTEGRAL_NOT_FINITE,
     "LINESEARCH_FAIL": NO_START,
     "NO_RECOVERY": NO_START,
-    "BAD_EWT": "an unknown has no finite value",
+    "BAD_EWT": "an unknown is not finite",
     "ILL_INPUT": "an input of the integrator, such as an initial value, is invalid",
     "TOO_CLOSE": "consecutive sample times are too close for double precision",
     "MEM_FAIL": "there is not enough memory",

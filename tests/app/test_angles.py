@@ -1,4 +1,4 @@
-"""Angles and rates with a unit in problem and vehicle files, and angles that look like degrees."""
+"""Tests of angles and rates with units in files, and of bare numbers that look like degrees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line: what it prints and leaves behind, and its exit codes."""
+"""Tests of the command line: output, files and exit codes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Problems of climbs: what a file may ask, what is refused and where, what comes out."""
+"""Tests of climb problems: accepted keys, errors with their lines, and results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The axles that the paper compares: which can roll, and what the others slip."""
+"""Tests of the comparison of axles in the paper: which can roll, and the slip of the others."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Plans from guesses with cusps: parking, and settings that do not suit them."""
+"""Tests of plans from initial guesses with cusps: parking, and unsuitable settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said about a vehicle: of its file, of a problem, and of what is no vehicle yet."""
+"""Tests of the description of a vehicle: from its file, from a problem, and if incomplete."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The documentation leaves out no page, module or notebook, and names only what exists.
+"""Tests that the documentation covers all pages, modules and notebooks, and names only real ones.
 
 Pages are built, and notebooks executed, by `sphinx-build -W` (`.ci/run`).
 """

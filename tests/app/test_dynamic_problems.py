@@ -1,4 +1,4 @@
-"""Problems with ``model = "dynamics"`` at the shell."""
+"""Tests of problems with ``model = "dynamics"`` on the command line."""
 
 from pathlib import Path
 
@@ -176,7 +176,7 @@ def test_a_rover_meets_a_step(tmp_path):
     done = invoke("run", STEP, "-o", file, "--set", "time.duration=4", "--no-draw")
     assert done.exit_code == 0, done.output
     assert "not converged" not in done.output
-    assert "obstacles unfinished: until t = 4 s" in " ".join(done.output.split())
+    assert "obstacles unfinished: by t = 4 s" in " ".join(done.output.split())
     result = open_result(file)
     run = result.trajectory
     assert run["solid_load_1"].max() > 10

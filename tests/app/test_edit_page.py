@@ -1,4 +1,4 @@
-"""Planning by hand in a browser: handles are dragged, a plan found, and a search cancelled."""
+"""Tests of planning by hand in a browser: dragging handles, planning, and cancelling a search."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Problems with forces: what the command line makes of them, and of what is wrong."""
+"""Tests of problems with forces on the command line: results and errors."""
 
 from __future__ import annotations
 

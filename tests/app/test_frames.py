@@ -1,4 +1,4 @@
-"""Headings of a problem with frame = "rep103": as given, wherever they are printed or exported."""
+"""Tests of ``frame = "rep103"``: headings as given wherever they are printed or exported."""
 
 from __future__ import annotations
 

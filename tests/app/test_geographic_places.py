@@ -1,4 +1,4 @@
-"""Places in longitude and latitude: those of pyproj, in all tables with places; and errors."""
+"""Tests of positions in longitude and latitude: agreement with pyproj in all tables, and errors."""
 
 from __future__ import annotations
 

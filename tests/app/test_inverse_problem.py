@@ -1,4 +1,4 @@
-"""Problems of inverse kinematics: what the command line makes of them, and of what is wrong."""
+"""Tests of inverse problems on the command line: results and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``slipfree migrate``: files of version 0.1 rewritten with today's keys, and files it refuses."""
+"""Tests of ``slipfree migrate``: files of version 0.1 with current keys, and refused files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Problem files for plans with momentum."""
+"""Tests of problem files for plans with momentum."""
 
 from pathlib import Path
 from types import SimpleNamespace

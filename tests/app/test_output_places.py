@@ -1,4 +1,4 @@
-"""Places that a problem file names: nothing else of the user is written over."""
+"""Tests of output paths in problem files: no other file of the user is overwritten."""
 
 from __future__ import annotations
 

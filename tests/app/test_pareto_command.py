@@ -1,4 +1,4 @@
-"""``slipfree pareto``: fronts of a small plan, files, and errors."""
+"""Tests of ``slipfree pareto``: fronts of a small plan, files, and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Places of a planning problem: read, changed in the text of the file, asked for by a page."""
+"""Tests of editing a planning problem: values read, changed in the file, and sent by a page."""
 
 from __future__ import annotations
 

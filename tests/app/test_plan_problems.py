@@ -1,4 +1,4 @@
-"""Plans over real-sized ground: routes, places to keep out of, and what is wrong with them."""
+"""Tests of plans over ground of real size: routes, keep-out regions, and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Problems planned in windows: result, summary, continuation, and keys that do not suit them."""
+"""Tests of problems planned in windows: result, summary, continuation, and unsuitable keys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plots draw without a warning, say what they show, and say why a motion stopped."""
+"""Tests of figures: no warnings, the right contents, and the reason of a stop."""
 
 from __future__ import annotations
 
@@ -599,7 +599,7 @@ def test_the_ground_below_coloured_tracks_is_grey(loaded, grid, ax):
 
 
 def test_energy_lost_is_what_height_does_not_hold(loaded, ax):
-    assert labels(force_figures.energy(loaded, ax)) == ["drives", "potential energy", "lost"]
+    assert labels(force_figures.energy(loaded, ax)) == ["drives", "potential energy", "losses"]
     s = np.linspace(0, 1, loaded.t.size)
     for line, expected in zip(ax.lines, (9 * s, 4 * s, 5 * s), strict=False):
         np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-12)

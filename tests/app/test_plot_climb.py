@@ -1,4 +1,4 @@
-"""Figures of climbs show the motion they are given."""
+"""Tests of the figures of climbs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of plans: the map of costs, what blocks it, ways, and what was planned within bounds."""
+"""Tests of the figures of plans: cost map, blocked nodes, routes, and planned quantities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Problem files: lines, wording, all faults at once; and what is built from a valid one."""
+"""Tests of problem files: lines and wording of all errors, and objects built from a valid file."""
 
 from __future__ import annotations
 

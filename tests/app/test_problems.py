@@ -1,4 +1,4 @@
-"""Every problem file that is shipped runs, and does what it says."""
+"""Tests that every shipped problem file runs and has the described result."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Progress without a terminal: lines on stderr, few and far between."""
+"""Tests of the progress report without a terminal: a few lines on stderr."""
 
 from __future__ import annotations
 

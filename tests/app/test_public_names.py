@@ -1,4 +1,4 @@
-"""What `import slipfree` offers: names, the page of help, examples, and reprs of a few lines."""
+"""Tests of the public names: exports, help page, examples, and reprs of a few lines."""
 
 import doctest
 import inspect

@@ -1,4 +1,4 @@
-"""README is short, its examples run as printed, and what it names exists."""
+"""Tests of README: length, output of its examples, and existence of all names."""
 
 import re
 from pathlib import Path

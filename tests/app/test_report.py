@@ -1,4 +1,4 @@
-"""The report of a result: one page that holds everything, for all kinds of results."""
+"""Tests of the report of a result: one self-contained page for all kinds of results."""
 
 from __future__ import annotations
 

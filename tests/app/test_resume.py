@@ -1,4 +1,4 @@
-"""Plans that go on from a result file, and files of searches that were interrupted."""
+"""Tests of plans that continue from a result file, and of files of interrupted searches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Problems of rigid vehicles: summary of a drive, and plans by sharper and sharper load laws."""
+"""Tests of problems of rigid vehicles: summary of a drive, and plans with sharper load laws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robust plans of problem files: shares, tightening, outcomes, and keys that do not suit them."""
+"""Tests of robust plans in problem files: shares, tightening, outcomes, and unsuitable keys."""
 
 from __future__ import annotations
 

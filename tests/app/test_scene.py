@@ -1,4 +1,4 @@
-"""What there is to draw of a motion is where the motion was."""
+"""Tests of scenes: drawn objects are at the positions of the motion."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def test_arrows_are_slip_and_forces(drive: Driven) -> None:
     assert_allclose(force.vectors.sum(axis=1), weight, atol=2e-3)
     longest = np.linalg.norm(force.vectors, axis=-1).max() * scene.scales["force"]
     assert 0.4 * scene.reach < longest < 0.65 * scene.reach
-    assert scale_words(scene, "force") == "an arrow of length 1 m means 150 N"
+    assert scale_words(scene, "force") == "1 m of arrow length represents 150 N"
 
 
 def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
@@ -195,7 +195,7 @@ def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
     order = np.argsort(points[:, 2])
     lightness = by_name["height"].colors[order].astype(float) @ (0.3, 0.6, 0.1)
     assert (np.diff(lightness) > -2).all()  # viridis grows lighter, for every eye
-    assert scene.notes[0].startswith("Ground drawn: ")
+    assert scene.notes[0].startswith("Drawn ground: ")
     assert (
         f"{np.ptp(points[:, 0]):.4g} x {np.ptp(points[:, 1]):.4g} m of 12 x 12 m" in scene.notes[0]
     )
@@ -343,7 +343,7 @@ def test_arrows_have_colors_of_their_own(drive: Driven) -> None:
     page = with_legend("<body></body>", scene, "title", "height", [])
     for name, color in ARROWS.items():
         assert "background:rgb({},{},{})".format(*color) in page
-        assert f"</span>{name}: an arrow of length 1 m means" in page
+        assert f"</span>{name}: 1 m of arrow length represents" in page
 
 
 def test_the_origin_has_no_minus_zero(drive: Driven) -> None:

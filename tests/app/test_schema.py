@@ -1,4 +1,4 @@
-"""What the tables of problem files say about their keys."""
+"""Tests of the descriptions of keys in the schemas of problem files."""
 
 from __future__ import annotations
 

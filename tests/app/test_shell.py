@@ -1,4 +1,4 @@
-"""Habits of the shell: new problems, shipped ones, how much is told, JSON, completion, colours."""
+"""Tests of shell conventions: new and shipped problems, verbosity, JSON, completion, colours."""
 
 from __future__ import annotations
 

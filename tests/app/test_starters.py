@@ -1,4 +1,4 @@
-"""Starters: every other way that their comments name is taken as it stands."""
+"""Starters: each alternative in their comments is accepted literally."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ STARTERS = ROOT / "src" / "slipfree" / "starters"
 MAP = "terrain.synthetic=", "terrain.file=map.npz"
 TIMES = "[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]"
 RATES = "left_rate=0.4, steer_rate=0.1"
-WAYS = {  # kind, beginning of a comment: settings that do what it says, in each of its ways
+WAYS = {  # kind and beginning of a comment: settings of each alternative that it describes
     ("direct", "of both tables"): [MAP],
-    ("direct", "another one of the catalogue"): [
+    ("direct", "another vehicle of the catalogue"): [
         ('vehicle={catalog="rocky7"}',),
         ('vehicle={file="vehicle.toml"}',),
     ],
@@ -48,7 +48,7 @@ WAYS = {  # kind, beginning of a comment: settings that do what it says, in each
 
 
 def comments() -> list[tuple[str, str]]:
-    """Return the kind of a starter, and what a comment names as another way."""
+    """Return the kinds of the starters, and the alternatives in their comments."""
     pattern = re.compile(r"^# Instead:? (.*)", re.MULTILINE)
     files = sorted(STARTERS.glob("*.toml"))
     return [(file.stem, words) for file in files for words in pattern.findall(file.read_text())]

@@ -1,4 +1,4 @@
-"""Sweeps: what they run, keep, tell and draw."""
+"""Tests of sweeps: runs, log, messages and figures."""
 
 from __future__ import annotations
 

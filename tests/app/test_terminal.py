@@ -1,4 +1,4 @@
-"""Text of files reaches the terminal without control characters."""
+"""Tests that text from files reaches the terminal without control characters."""
 
 from __future__ import annotations
 

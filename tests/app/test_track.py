@@ -1,4 +1,4 @@
-"""``slipfree track``: a plan in a changed world, at the shell."""
+"""Tests of ``slipfree track``: a plan in a changed world, on the command line."""
 
 import json
 from pathlib import Path

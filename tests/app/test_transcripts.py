@@ -1,4 +1,4 @@
-"""Pages of commands print what the commands print (`docs/transcript.py` has the rules)."""
+"""Tests that pages show the current output of their commands (rules: `docs/transcript.py`)."""
 
 import importlib.util
 from pathlib import Path

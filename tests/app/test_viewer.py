@@ -1,4 +1,4 @@
-"""The page in a real browser: what it shows, that it moves, and that it asks nobody for anything.
+"""Tests of the page in a real browser: contents, motion, and absence of network requests.
 
 Without a graphics card a picture takes long, so there is one browser and one motion for all.
 """
@@ -240,7 +240,7 @@ def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
         finally:
             process.kill()
     assert "Over <hills> & back" in text
-    for words in ("height: ", "slip (an arrow of length 1 m means", "tilting", "fixed"):
+    for words in ("height: ", "slip (1 m of arrow length represents", "tilting", "fixed"):
         assert words in text
     addresses = {
         each.split("://")[1].split("/")[0]

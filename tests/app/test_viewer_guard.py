@@ -1,4 +1,4 @@
-"""The viewer answers its own page alone, and no value that reaches it ends it."""
+"""Tests of the viewer's guard: only its own page is answered, and invalid values are ignored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``slipfree wheel``: table, figure, measured points, and errors; soil in problem files."""
+"""Tests of ``slipfree wheel`` (table, figure, measured points, errors) and of soil in problems."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_measured_points_are_compared(file, tmp_path):
         (["test.slip=[0.5, 0.1]"], "test.slip: expected two slip ratios in ascending order"),
         (["test.points=90000"], "test.points: expected"),
         (["test.measured=none.csv"], "none.csv"),
-        (["wheel.load=1e5"], "expected that the wheel sinks less than its radius, 0.09 m"),
+        (["wheel.load=1e5"], "expected a sinkage smaller than the wheel's radius, 0.09 m"),
     ],
 )
 def test_errors_name_the_value(file, tmp_path, settings, words):

@@ -1,4 +1,4 @@
-"""CF metadata of result files: feature type, position on the map, reference system."""
+"""Tests of the CF metadata of result files: feature type, position on the map, reference system."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results for other programs: paths in the coordinates of their map, rates that a robot plays."""
+"""Tests of exports: paths in the coordinates of their map, and rates for a robot."""
 
 from __future__ import annotations
 

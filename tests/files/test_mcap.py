@@ -1,4 +1,4 @@
-"""MCAP files of ROS 2 messages: motions written, commands and paths read."""
+"""Tests of MCAP files of ROS 2 messages: exported motions, imported commands and paths."""
 
 from __future__ import annotations
 

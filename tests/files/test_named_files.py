@@ -1,4 +1,4 @@
-"""Names of files: only regular files are read, and every other name is an error in words."""
+"""Tests of file names: only regular files are read; every other name gives a clear error."""
 
 from __future__ import annotations
 

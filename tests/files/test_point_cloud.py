@@ -1,4 +1,4 @@
-"""Point clouds: heights of a known surface, holes, units, reference systems, refused files."""
+"""Tests of point clouds: heights of a known surface, holes, units, reference systems, errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Raster files: one ground from every format, and the message of each file that is refused."""
+"""Tests of raster files: equal grounds from all formats, and the error of each refused file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Result files: exact round trip, what other programs see, and every way a file can be bad."""
+"""Tests of result files: exact round trip, other readers, and damaged files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scattered points on a grid: exact where the surface is linear, and what each bad file is told."""
+"""Tests of scattered points on a grid: exact on linear surfaces, and errors of invalid files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of comma-separated values: what is written can be read."""
+"""Tests of tables of comma-separated values: written tables can be read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading elevation models: layout, orientation, and what each bad file is told."""
+"""Tests of reading elevation models: layout, orientation, and errors of invalid files."""
 
 from __future__ import annotations
 

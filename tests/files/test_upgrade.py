@@ -1,4 +1,4 @@
-"""Results of version 0.1 under the keys of today."""
+"""Tests of results of version 0.1 under current keys."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""URDF becomes the vehicle that another program sees in it; what cannot become one is refused."""
+"""Tests of URDF files: equal vehicles in another program, and refused files."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Vehicle files that change a URDF: new and released joints, springs, masses, drives, forward."""
+"""Tests of vehicle files that change a URDF: joints, springs, masses, drives, forward axis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""URDFs that do not say everything: guesses, their notes, and the vehicle file that has them."""
+"""Tests of incomplete URDFs: guesses, their notes, and the vehicle file that contains them."""
 
 from __future__ import annotations
 

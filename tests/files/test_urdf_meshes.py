@@ -1,4 +1,4 @@
-"""Wheels whose links have meshes: radius, middle and tube from the points of the mesh."""
+"""Tests of wheels whose links have meshes: radius, middle and tube from the points of the mesh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses of the links of random URDFs against an independent library."""
+"""Tests of link poses of random URDFs against an independent library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Xacro files are expanded; packages are found in the folders above them."""
+"""Tests of xacro files: expansion, and search for packages in the folders above them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vehicle files: what they hold is the vehicle that is meant; what is wrong is named by line."""
+"""Tests of vehicle files: the described vehicle, and errors with their lines."""
 
 import re
 from dataclasses import dataclass

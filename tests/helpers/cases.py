@@ -1,4 +1,4 @@
-"""Grounds, vehicles and runs that several tests use."""
+"""Grounds, vehicles and motions shared by several tests."""
 
 from __future__ import annotations
 

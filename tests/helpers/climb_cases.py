@@ -1,4 +1,4 @@
-"""Climbs that tests and benchmarks use: the lab's ramp and step, its controllers, its friction."""
+"""Climbs shared by tests and benchmarks: ramp and step of the study, controllers, friction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Climbs drawn at random: vehicle, ground, contact and control, sampled ones too."""
+"""Random climbs: vehicle, ground, contact and control, including sampled control."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Rigid time stepping of the seven-wheeler onto a ramp or step: a second way to the same motion.
+"""Rigid time stepping of the seven-wheeler on a ramp or step, as an independent solution.
 
 Impulses of rigid contacts with Coulomb friction, found by projected Gauss-Seidel sweeps in every
 step of fixed length; contacts have no stiffness or damping. It shares no equation with the package:
-inertia and arms are worked out by hand.
+inertia and lever arms are derived by hand.
 """
 
 from __future__ import annotations

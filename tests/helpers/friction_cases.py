@@ -1,4 +1,4 @@
-"""Motions with friction and their limits, shared by tests and benchmark."""
+"""Motions with friction and their limits, shared by tests and benchmarks."""
 
 from __future__ import annotations
 

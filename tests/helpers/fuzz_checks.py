@@ -1,4 +1,4 @@
-"""What becomes of drawn files: they are read and used as commands do, and that is judged."""
+"""Checks of random files: each is read and used as by the commands, and the outcome is judged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may be wrong with files: odd numbers and words, bytes that are missing, flipped or too many.
+"""Damage to files: odd numbers and words, and missing, flipped or superfluous bytes.
 
 Every function takes a ``random.Random``.
 """

@@ -1,6 +1,6 @@
-"""Files that users should not have, drawn at random: valid, nearly valid, and damaged.
+"""Random input files: valid, nearly valid, and damaged.
 
-Every function takes a ``random.Random``, be it one of hypothesis, which can shrink what it drew.
+Every function takes a ``random.Random``, for example one of hypothesis, which can shrink examples.
 """
 
 from __future__ import annotations

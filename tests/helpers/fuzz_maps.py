@@ -1,4 +1,4 @@
-"""Maps of heights, drawn at random: valid ones, nearly valid ones, and damaged ones."""
+"""Random height maps: valid, nearly valid, and damaged."""
 
 from __future__ import annotations
 

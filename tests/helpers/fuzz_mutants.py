@@ -1,7 +1,7 @@
 """Robots and rasters with a few mutations, and a process that reads them.
 
 ``python -m helpers.fuzz_mutants KIND BEGIN END`` prints each seed before its file is read, and then
-what became of the file, as lines of JSON.
+the outcome, as lines of JSON.
 """
 
 from __future__ import annotations

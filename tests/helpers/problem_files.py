@@ -1,4 +1,4 @@
-"""Problem files that several tests read."""
+"""Problem files shared by several tests."""
 
 from pathlib import Path
 

@@ -1,9 +1,9 @@
-"""Random grounds, vehicles and inputs, and what may become of them.
+"""Random grounds, vehicles and inputs, and the possible outcomes of their motions.
 
-A case is drawn from its seed as a handful of words and numbers, so that it can be told and
-changed; ``outcome`` builds it, drives, and lists everything that is not as it must be. What a run
-says of itself (residuals, limits) is looked at, and facts that follow from the saved poses alone:
-joints and rotations are put together here anew, with SciPy, and speeds are finite differences.
+A case is drawn from its seed as a few words and numbers, so that it can be printed and changed;
+``outcome`` builds it, drives, and lists all violated expectations. It checks the residuals and
+limits that a run reports, and facts that follow from the saved poses alone: joints and rotations
+are composed here again, with SciPy, and speeds are finite differences.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Motions of vehicles of any size: all lengths of a problem times a scale."""
+"""Motions of vehicles of any size: all lengths of a problem are multiplied by a scale."""
 
 from __future__ import annotations
 

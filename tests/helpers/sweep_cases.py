@@ -1,4 +1,4 @@
-"""Sweeps that tests share: a small problem, its grid, and how to begin, kill and read a sweep."""
+"""Sweeps shared by tests: a small problem, its grid, and functions to start, kill and read it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""URDFs as text, and in the form that an independent library accepts."""
+"""URDFs as text, and in the form accepted by an independent library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vehicles that several tests drive."""
+"""Vehicles shared by several tests."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The certificate of one contact agrees with a brute search and with closed forms."""
+"""Tests of the single-contact certificate against brute force and closed forms."""
 
 import casadi as ca
 import numpy as np

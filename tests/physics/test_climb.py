@@ -1,9 +1,9 @@
-"""Up a ramp that friction does not let the vehicle climb straight: what is refused, and the plan.
+"""Tests of a ramp that friction does not allow to climb straight: errors, and the plan.
 
-The ramp, 20 degrees between two terraces, and its figures are those of an independent study, a
-search for paths alone with its own equations of contact and equilibrium: straight up, the friction
-that is needed is 1.123 times that of the ground in the best distribution; the shortest way within
-95 % that it found is 13.13 m long. Lengths are those of the way of the axle's middle.
+The ramp, 20 degrees between two terraces, and its reference values are those of an independent
+study, a path search with its own equations of contact and equilibrium: straight up, the required
+friction is 1.123 times that of the ground with the best distribution of forces; the shortest path
+that it found within 95 % is 13.13 m long. Lengths are those of the path of the axle's middle.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Motion of the seven-wheeler up a ramp and a step, against the lab's figures.
+"""Tests of the seven-wheeler on a ramp and a step against the results of a separate study.
 
-Those are of a prototype with its own equations; their tolerances are fixed with them. True slip and
-the paper's, (20), are means of the three axles, in percent.
+The study used a prototype with its own equations and also fixed the tolerances. True slip and the
+slip (20) of the paper are means over the three axles, in percent.
 """
 
 from dataclasses import replace
@@ -320,7 +320,7 @@ def test_held_inputs_are_checked():
     with pytest.raises(ModelError, match="contains an input given by an expression"):
         simulate_sampled(dae, start, dae.inputs(speed=0.2, **laws), t)
     laws = zeros | {HELD[0]: ca.SX.sym("stranger")}
-    with pytest.raises(ModelError, match="the foreign symbol stranger"):
+    with pytest.raises(ModelError, match="the unknown symbol stranger"):
         simulate_sampled(dae, start, dae.inputs(speed=0.2, **laws), t)
 
 
@@ -388,7 +388,7 @@ def test_falling_over_is_named():
         options=SolverOptions(tolerance=1e-6),
     )
     assert run.stop.name == "rear_overturned"
-    assert "the rear body overturns: its tilt: -1.4" in run.stop.words
+    assert "the rear body overturns (tilt): -1.4" in run.stop.words
     assert run.stop.t < 0.3
 
 

@@ -1,4 +1,4 @@
-"""Averages over a climb, from samples worked out by hand."""
+"""Tests of averages over a climb, with samples computed by hand."""
 
 import numpy as np
 import pytest

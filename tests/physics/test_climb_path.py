@@ -1,7 +1,7 @@
-"""Planned climbs: equations of motion, least friction and least time, limits.
+"""Tests of planned climbs: equations of motion, least friction, least time, and limits.
 
-Figures with three digits are those of a separate study with its own code, whose climbs begin and
-end 0.2 % of the height from floor and plateau, with wheels that do not resist being spun up.
+Values with three digits are those of a separate study with its own code, whose climbs begin and
+end 0.2 % of the height from floor and plateau, with wheels without rotational inertia.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The ground of a climb: distances to convex solids."""
+"""Tests of climb profiles: distances to convex solids."""
 
 import casadi as ca
 import numpy as np

@@ -1,7 +1,7 @@
-"""Slow climbs: where the vehicle can be, what holds it there, and how much friction that needs.
+"""Tests of slow climbs: configurations, contact forces, and friction demand.
 
-Figures with three digits are those of a separate study with its own code, which samples the climb
-at fewer places and bisects.
+Values with three digits are those of a separate study with its own code, which samples the climb
+at fewer points and uses bisection.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How climbs end: from samples worked out by hand, and of some drawn at random."""
+"""Tests of the endings of climbs: samples computed by hand, and random climbs."""
 
 import numpy as np
 import pytest

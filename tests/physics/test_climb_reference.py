@@ -1,4 +1,4 @@
-"""Reference speeds of the axles: without slip in every phase, and the laws as printed."""
+"""Tests of the axles' reference speeds: no slip in any phase, and the laws as printed."""
 
 import casadi as ca
 import numpy as np

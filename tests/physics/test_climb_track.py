@@ -1,4 +1,4 @@
-"""Planned climbs driven, on the 90 mm step, and what noisy sensors change."""
+"""Tests of tracked climb plans on the 90 mm step, and of sensor noise."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""Commands of robots: steering angles and wheel rates for rates of the platform, with errors."""
+"""Tests of robot commands: steering angles and wheel rates for platform rates, with errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Direct kinematics against a reference motion, closed forms and invariances."""
+"""Tests of direct kinematics against a reference motion, closed forms and invariances."""
 
 import casadi as ca
 import numpy as np

@@ -1,4 +1,4 @@
-"""Contact forces of least utilisation: closed forms, independent bounds, odd cases."""
+"""Tests of contact forces of least utilisation: closed forms, bounds, and special cases."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Dynamics against closed forms, invariants, quasi-statics and a second formulation."""
+"""Tests of dynamics: closed forms, invariants, quasi-statics and a second formulation."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Dynamics where kinematics ends: tip-over, flight, spinning wheels; and where it agrees."""
+"""Tests of dynamics beyond kinematics (tip-over, flight, spinning wheels), and of agreement."""
 
 from dataclasses import replace
 

@@ -1,7 +1,7 @@
-"""Where the three-wheeler paper's print does not hold, each shown by numbers.
+"""Tests of the errata of the three-wheeler paper, each by numbers.
 
-Chakraborty and Ghosal, "Kinematics of wheeled mobile robots on uneven terrain". Its curvature and
-torsion forms and the non-orthogonality of height maps are in ``test_montana.py``.
+Chakraborty and Ghosal, "Kinematics of wheeled mobile robots on uneven terrain". Tests of its
+curvature and torsion forms and of the non-orthogonality of height maps are in ``test_montana.py``.
 """
 
 import casadi as ca

@@ -1,4 +1,4 @@
-"""Driving laws keep a vehicle on its path and its wheels up."""
+"""Tests of driving laws: they keep a vehicle on its path and its wheels upright."""
 
 import casadi as ca
 import numpy as np

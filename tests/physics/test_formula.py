@@ -1,4 +1,4 @@
-"""Formulas of joints: what they may hold, and what is refused by name."""
+"""Tests of joint formulas: allowed contents, and the errors of refused formulas."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Inverse kinematics against the direct model, known conditions, and what it must refuse."""
+"""Tests of inverse kinematics: direct model, known condition numbers, and refused problems."""
 
 from dataclasses import replace
 from itertools import combinations

@@ -1,4 +1,4 @@
-"""Drives of commanded coordinates in dynamics: closed forms, energy, stiff motors, refusals."""
+"""Tests of drives of commanded coordinates in dynamics: closed forms, energy, motors, errors."""
 
 from dataclasses import replace
 

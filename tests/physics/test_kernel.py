@@ -1,4 +1,4 @@
-"""The compiled evaluator of grounds against the expressions that it stands for."""
+"""Tests of the compiled evaluator of grounds against the expressions that it replaces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slip laws and wheel-ground laws as models know them."""
+"""Tests of slip laws and wheel-ground laws: their protocols and registry."""
 
 from __future__ import annotations
 

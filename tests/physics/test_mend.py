@@ -1,4 +1,4 @@
-"""What is done to maps: holes filled, smoothing, scale, errors; each against a closed form."""
+"""Tests of map operations against closed forms: holes, smoothing, scale, errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Montana's equations for whole vehicles, against the closure model and closed forms.
+"""Tests of Montana's equations of whole vehicles against the closure model and closed forms.
 
 Angles may differ by whole turns; positions are compared in metres and angles in rad.
 """

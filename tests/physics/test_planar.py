@@ -1,4 +1,4 @@
-"""Vehicles locked to a plane, and models with a controller."""
+"""Tests of vehicles locked to a plane, and of models with a controller."""
 
 from dataclasses import replace
 from typing import NamedTuple

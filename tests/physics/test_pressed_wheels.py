@@ -1,4 +1,4 @@
-"""Vehicles whose wheels cannot all touch: loads, limits, motion and refusals."""
+"""Tests of vehicles whose wheels cannot all touch the ground: loads, limits, motion, errors."""
 
 from __future__ import annotations
 

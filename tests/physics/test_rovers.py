@@ -1,4 +1,4 @@
-"""The catalogue's rovers: textbook motion, counts, published end points, poor starts, noise."""
+"""Tests of the catalogue's rovers: textbook motion, published end points, poor starts, noise."""
 
 from __future__ import annotations
 

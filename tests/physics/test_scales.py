@@ -1,4 +1,4 @@
-"""The same motion at any size of vehicle and ground."""
+"""Tests that motions are equal at any size of vehicle and ground."""
 
 from dataclasses import replace
 from functools import lru_cache

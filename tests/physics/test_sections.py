@@ -1,4 +1,4 @@
-"""Cross-sections of wheels: normals, curvature and drawings against closed forms."""
+"""Tests of wheel cross-sections: normals, curvature and drawings against closed forms."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""Solids on a ground: distances, contacts of wheels, and climbs in three dimensions."""
+"""Tests of solids on a ground: distances, wheel contacts, and climbs in three dimensions."""
 
 from dataclasses import replace
 

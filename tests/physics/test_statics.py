@@ -1,7 +1,7 @@
-"""Forces against balances of free bodies that are set up here, closed forms and invariances.
+"""Tests of forces against balances of free bodies, closed forms and invariances.
 
-What a sample bears is checked with nothing but the recorded coordinates and contact points: places
-and axes of all parts are found anew, every part is cut free, and its forces and moments are summed.
+Forces are checked only with the recorded coordinates and contact points: positions and axes of all
+parts are computed again, every part is cut free, and its forces and moments are summed.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Given rates of the platform come back from the direct model, whatever the vehicle."""
+"""Tests that the direct model reproduces given platform rates of any vehicle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forms of surfaces, and how a wheel's contact moves, against geometry and closed forms."""
+"""Tests of surface forms and contact rates against geometry and closed forms."""
 
 import casadi as ca
 import numpy as np

@@ -1,8 +1,8 @@
-"""The bicubic ground against scipy's spline and against polynomials it must reproduce.
+"""Tests of the bicubic ground against SciPy's spline and exactly reproduced polynomials.
 
 Errors are relative to the largest magnitude of the derivative they belong to. Rounding alone
-leaves about 1e-14; 1e-10 leaves room for other processors. Offsets of 1e3 m in height and 4e6 m in
-position cost the data 3 and 7 digits before the spline sees them: 1e-8.
+leaves about 1e-14; 1e-10 allows for other processors. Offsets of 1e3 m in height and 4e6 m in
+position cost the data 3 and 7 digits before they reach the spline: 1e-8.
 """
 
 from __future__ import annotations

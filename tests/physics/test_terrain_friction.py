@@ -1,7 +1,7 @@
-"""The coefficient of friction of a ground: numbers, formulas and maps.
+"""Tests of the coefficient of friction of a ground: numbers, formulas and maps.
 
-Rounding leaves about 1e-16 of a coefficient of about one; 1e-14 leaves room for other processors.
-An offset of 4e6 m costs a coordinate ten digits before a map sees it: 1e-8.
+Rounding leaves about 1e-16 of a coefficient of about one; 1e-14 allows for other processors. An
+offset of 4e6 m costs a coordinate ten digits before it reaches a map: 1e-8.
 """
 
 from __future__ import annotations

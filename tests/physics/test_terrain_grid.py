@@ -1,4 +1,4 @@
-"""The checked grid, and grounds given by a formula."""
+"""Tests of the validated grid, and of grounds given by a formula."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ground as a wheel feels it."""
+"""Tests of rolled ground, on which hollows narrower than a wheel are filled."""
 
 from __future__ import annotations
 

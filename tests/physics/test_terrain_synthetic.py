@@ -1,4 +1,4 @@
-"""Synthetic grounds: seeds, stated sizes, independence of the spacing."""
+"""Tests of synthetic grounds: seeds, stated sizes, independence of the spacing."""
 
 from __future__ import annotations
 

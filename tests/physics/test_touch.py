@@ -1,4 +1,4 @@
-"""The search for the ground point nearest to a wheel: compiled code against the graph."""
+"""Tests of the search for the nearest ground point: compiled code against the graph."""
 
 import casadi as ca
 import numpy as np

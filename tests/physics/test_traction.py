@@ -1,4 +1,4 @@
-"""Friction that decides the motion: creep in closed form, limits, stops by name."""
+"""Tests of motion determined by friction: creep in closed form, limits, named stops."""
 
 from dataclasses import replace
 

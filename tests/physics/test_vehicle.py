@@ -1,4 +1,4 @@
-"""Vehicles are checked when they are built; frames agree with textbook rotations."""
+"""Tests of vehicles: validation at construction, and frames against textbook rotations."""
 
 import re
 from dataclasses import replace
@@ -338,7 +338,7 @@ def test_rollers_bear_no_force_across_them_on_a_side_slope():
 
 def test_rollers_are_refused_where_they_are_not_modelled():
     flat = Analytic(lambda x, _: 0 * x)
-    with pytest.raises(ModelError, match="'omni_cart' has wheels with rollers"):
+    with pytest.raises(ModelError, match="'omni_cart': expected wheels without rollers"):
         direct_kinematics(omni_cart(rollers=True), flat, slip=Rolling())
     with pytest.raises(ModelError, match="montana_kinematics: expected wheels without rollers"):
         montana_kinematics(omni_cart(rollers=True), flat)

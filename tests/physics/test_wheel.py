@@ -1,4 +1,4 @@
-"""The wheel: what is in it, and that it works where the sources are not."""
+"""Tests of the wheel file of the package: contents, and use without the sources."""
 
 from __future__ import annotations
 

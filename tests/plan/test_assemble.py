@@ -1,4 +1,4 @@
-"""Elements evaluated for all places at a time: the same numbers as one after the other."""
+"""Tests of elements evaluated at all points at once: equal to one evaluation after the other."""
 
 import casadi as ca
 import numpy as np

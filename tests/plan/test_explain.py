@@ -1,4 +1,4 @@
-"""Why there is no plan: conflicts by name before solving, violations and relaxations after."""
+"""Tests of infeasible plans: conflicts found before solving, violations and relaxations after."""
 
 from dataclasses import replace
 
@@ -207,7 +207,7 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     stuck = solve_program(program, np.array([1.0, 0.0]), first, iterations=0)
     told = explanation(program, stuck, first).words
     assert told.startswith(
-        "the search reached its largest number of iterations (IPOPT: Maximum_Iterations"
+        "the search reached its maximum number of iterations (IPOPT: Maximum_Iterations"
     )
     assert "no bound has to be relaxed" in told
 

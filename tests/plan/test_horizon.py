@@ -1,4 +1,4 @@
-"""Windows that go ahead of a vehicle along a plan: they keep to it, and lead back to it."""
+"""Tests of moving horizons along a plan: they keep to the plan, and return to it."""
 
 from __future__ import annotations
 

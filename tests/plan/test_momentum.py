@@ -1,4 +1,4 @@
-"""Plans with inertia: rigid model, initial guess, and the simulation that verifies plans."""
+"""Tests of plans with inertia: rigid model, initial guess, and simulation of the plans."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Second-order conditions at a solution, and prices of limits as derivatives of the least cost."""
+"""Tests of second-order conditions, and of prices of limits as derivatives of the least cost."""
 
 from __future__ import annotations
 

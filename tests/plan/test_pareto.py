@@ -1,4 +1,4 @@
-"""Pareto fronts whose points have closed forms, convex or not, with local optima or failures."""
+"""Tests of Pareto fronts with closed forms: convex or not, with local optima or failures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plans: least slip over hills, limits, goals, what a file asks for, and how it ends early."""
+"""Tests of plans: least slip over hills, limits, goals, keys of files, and early ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Optima of plans against an independent transcription: Hermite-Simpson by ``casadi.Opti``."""
+"""Tests of plans against an independent transcription: Hermite-Simpson by ``casadi.Opti``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a plan is worth: its simulation, its mesh, what lies between, and another start from it."""
+"""Tests of the verification of plans: simulation, mesh, points between, and warm start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several starts of a plan: further guesses, local optima, the best verified one, processes."""
+"""Tests of several starts of a plan: guesses, local optima, best verified plan, processes."""
 
 from __future__ import annotations
 

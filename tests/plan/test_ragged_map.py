@@ -1,4 +1,4 @@
-"""A route and a plan around a hole of a ragged map, and a drive on it, all without a window."""
+"""Tests of a route, a plan and a drive around a hole in a ragged map without a window."""
 
 from __future__ import annotations
 
@@ -80,5 +80,5 @@ def test_a_drive_ends_at_the_hole(folder: Path) -> None:
     found = _solved(folder, DRIVE)
     run = found.trajectory
     assert run.outcome is Outcome.LIMIT
-    assert "reaches a hole of the map" in run.stop.words
+    assert "reaches a hole in the map" in run.stop.words
     assert 0 < _clearance(found)[-1] < 0.25  # a cell

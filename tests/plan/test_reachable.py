@@ -1,4 +1,4 @@
-"""What is wrong with places of a map is told by name before anything is sought."""
+"""Tests that invalid positions on a map are reported by name before a search."""
 
 from __future__ import annotations
 
@@ -199,7 +199,7 @@ def test_routes_keep_out_of_holes():
     layers = traversability(Bicubic(Grid(grid.x, grid.y, grid.z, holes=holes)), ROVER)
     ((place, words, sure),) = told(layers, START, ("goal", 15.0, 19.5))
     assert (place, sure) == ("goal", False)
-    assert "m from a hole of the map, where heights are missing, and wheels reach" in words
+    assert "m from a hole in the map, where heights are missing, and wheels reach" in words
     points = route(layers, (5, 5), (25, 25))
     assert np.hypot(*(points - 15).T).min() > 4 + layers.limits.reach - 0.25
 

@@ -1,4 +1,4 @@
-"""Paths with cusps: lengths in closed form, end poses, symmetries, and inputs that drive them."""
+"""Tests of paths with cusps: lengths in closed form, end poses, symmetries, and inputs."""
 
 from __future__ import annotations
 

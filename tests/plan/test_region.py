@@ -1,4 +1,4 @@
-"""Keep-out regions: distances against independent references."""
+"""Tests of keep-out regions: distances against independent references."""
 
 from __future__ import annotations
 

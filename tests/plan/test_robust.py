@@ -1,4 +1,4 @@
-"""Robust plans: tightening of limits by replay, on a plan that is a number."""
+"""Tests of robust plans: tightening of limits by replay, with a scalar as plan."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,4 +1,4 @@
-"""Traversability and routes, against geometry that is known."""
+"""Tests of traversability and routes against known geometry."""
 
 from __future__ import annotations
 

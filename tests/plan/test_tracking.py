@@ -1,4 +1,4 @@
-"""Closed loop along a plan: on its own ground, on a wrong one, and with wrong arguments."""
+"""Tests of the closed loop along a plan: correct ground, wrong ground, and invalid arguments."""
 
 from __future__ import annotations
 

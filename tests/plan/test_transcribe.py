@@ -1,4 +1,4 @@
-"""Collocation: exact derivatives, its order on a known solution, optima known in closed form."""
+"""Tests of collocation: exact derivatives, order on a known solution, known optima."""
 
 import casadi as ca
 import numpy as np

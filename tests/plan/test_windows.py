@@ -1,4 +1,4 @@
-"""Long plans in windows: hand-overs, agreement with one plan, interruption and failure."""
+"""Tests of long plans in windows: transitions, agreement with one plan, interruption, failure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random climbs: each completes, ends at a named limit, or is refused; energy balances.
+"""Random climbs: each completes, ends at a named limit, or is refused; energy balances hold.
 
 The energy balance errs by less than 100 x tolerance x energy. All of climbs 0 to 124 were run: 47
 climb, 12 stall, 15 end at a limit of a joint and 51 are unfinished when the drive ends. The test

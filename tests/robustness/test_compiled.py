@@ -1,4 +1,4 @@
-"""Elements that look up, compiled and interpreted: one program; what is kept of the former."""
+"""Tests of compiled and interpreted elements with lookups: equal programs, and the cache."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Disks that are full or read-only, Ctrl-C, kills: what was there stays, what is new is whole."""
+"""Tests of full or read-only disks, Ctrl-C and kills: old files stay, new files are complete."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forks of a process in which another thread computes."""
+"""Tests of forks of a process in which another thread computes."""
 
 from __future__ import annotations
 

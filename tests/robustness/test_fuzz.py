@@ -1,4 +1,4 @@
-"""Files that are damaged, giant or meant ill: every one is read, or refused by a clear error."""
+"""Tests of damaged, giant or malicious files: each is read, or refused with a clear error."""
 
 from __future__ import annotations
 

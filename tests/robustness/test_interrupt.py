@@ -1,4 +1,4 @@
-"""Ctrl-C at chosen moments in which an exception would get lost."""
+"""Tests of Ctrl-C at moments at which the exception could be lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""2000 mutated URDFs and rasters: each is read, or refused by a clear error, without a hang."""
+"""Tests of 2000 mutated URDFs and rasters: each is read or refused without a hang."""
 
 from __future__ import annotations
 

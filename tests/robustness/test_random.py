@@ -1,6 +1,6 @@
-"""Random problems end as they should; ``benchmarks/robustness.py`` does the same to 500.
+"""Tests that random problems end regularly; ``benchmarks/robustness.py`` runs 500.
 
-``python benchmarks/robustness.py --seed N`` tells a case in full and lets its words be changed.
+``python benchmarks/robustness.py --seed N`` prints a case in full and allows changes to it.
 """
 
 import pytest

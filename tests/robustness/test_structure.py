@@ -1,4 +1,4 @@
-"""The sources have no import cycles, by the script that reports their structure."""
+"""Tests that the sources have no import cycles, by the script that reports their structure."""
 
 import runpy
 from pathlib import Path

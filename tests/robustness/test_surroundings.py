@@ -1,4 +1,4 @@
-"""Surroundings of the command: streams, current folder, matplotlib's settings, modules nearby."""
+"""Tests of the environment: streams, current folder, Matplotlib settings, nearby modules."""
 
 from __future__ import annotations
 

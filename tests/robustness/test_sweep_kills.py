@@ -1,4 +1,4 @@
-"""Sweeps that are killed, whose processes, workers or disks fail: what is finished is kept."""
+"""Tests of sweeps with killed processes, lost workers or full disks: finished runs are kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Models without algebraic unknowns: CVODES, and controllers that hold their outputs."""
+"""Tests of models without algebraic unknowns: CVODES, and sampled controllers."""
 
 import casadi as ca
 import numpy as np

@@ -1,4 +1,4 @@
-"""Models whose symbols change places: labels, guesses, numbers and checks follow."""
+"""Tests of rearranged models: labels, guesses, numbers and checks."""
 
 import casadi as ca
 import numpy as np

@@ -1,4 +1,4 @@
-"""Settling finds the vehicle standing on the ground, or says why it cannot."""
+"""Tests of settling: the pose of the vehicle on the ground, or the reason of a failure."""
 
 import casadi as ca
 import numpy as np

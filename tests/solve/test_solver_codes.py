@@ -1,4 +1,4 @@
-"""Codes of solvers are printed with their meaning."""
+"""Tests that solver codes are printed with their meaning."""
 
 import casadi as ca
 import pytest
@@ -14,7 +14,7 @@ CASADI = "casadi/interfaces/sundials/idas_interface.cpp:620: IDASolve returned "
         ("IDA_CONV_FAIL", "the equations of a step could not be solved"),
         ("IDA_ILL_INPUT", "an input of the integrator, such as an initial value, is invalid"),
         ("CV_CONV_FAILURE", "the equations of a step could not be solved"),
-        ("CV_REPTD_RHSFUNC_ERR", "the rates have no finite value"),
+        ("CV_REPTD_RHSFUNC_ERR", "the rates are not finite"),
         ("IDA_UNHEARD_OF", "the integrator failed"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Starts from the contact of a wheel, from any unknown of the pose, and nearest to a pose."""
+"""Tests of starts from a wheel contact, from an unknown of the pose, and near a given pose."""
 
 import numpy as np
 import pytest
@@ -125,6 +125,6 @@ def test_poses_are_checked():
     with pytest.raises(ModelError, match="weight of at least 0 for 'z', found -1"):
         settle_nearest(dae, z=2.0, weights={"z": -1.0})
     names = ("x", "y", "z", "heading", "roll", "pitch")
-    words = "was found near x = 0, y = 0, .* = 0: .*; give .*, or fewer coordinates with"
+    words = "at rest near x = 0, y = 0, .* = 0, found none .*; give .*, or fewer coordinates with"
     with pytest.raises(ModelError, match=words):
         settle_nearest(dae, **dict.fromkeys(names, 0.0), weights=dict.fromkeys(names, np.inf))

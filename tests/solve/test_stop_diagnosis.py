@@ -1,4 +1,4 @@
-"""Stops of models with a continuation are told from failures of the solver."""
+"""Tests that stops of models with a continuation are distinguished from solver failures."""
 
 from dataclasses import replace
 

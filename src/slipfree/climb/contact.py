@@ -1,4 +1,4 @@
-"""Numbers of the compliant contacts of a step climber."""
+"""Parameters of the compliant contacts of a step climber."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class CompliantContact:
         return load / self.stiffness
 
     def law(self, load: float) -> Compliant:
-        """Return the wheel-ground law of wheels whose equal share of the weight is a load [N]."""
+        """Return the wheel-ground law of wheels that each carry a load [N]."""
         return Compliant(
             damping_ratio=self.damping * sqrt(GRAVITY * self.depth(load)) / 2,
             creep=self.creep,

@@ -155,7 +155,7 @@ def rotate_nose_up(vectors: Array) -> Array:
 
 
 def _speed_jacobian(directions: Array, arms: Array) -> Array:
-    """Return the derivatives of the axles' speeds in the rates of q, shape (n, 3, 4).
+    """Return the derivatives of the axles' speeds with respect to the rates of q, shape (n, 3, 4).
 
     The speeds are components along unit vectors, shape (n, 3, 2).
     """
@@ -296,7 +296,7 @@ def _march(
 def _other_gaps(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array]:
-    """Return the gaps between axles' wheels and solids [m], and their derivatives in s [1].
+    """Return the gaps between axles and solids [m], and their derivatives with respect to s [1].
 
     Both have shape (3, n_solids). The gap of a wheel to the solid on which it stands is infinite.
     """

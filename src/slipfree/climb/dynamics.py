@@ -49,9 +49,9 @@ def climbing(
 ) -> Dae:
     """Return the dynamic model of a climbing vehicle with controlled wheels.
 
-    It is `slipfree.dynamics` of a planar vehicle: two bodies on a joint and three axles, on the
-    solids of the profile. Every wheel has a compliant contact with every solid, so that impacts and
-    the transition from floor to wall need no events.
+    It is `slipfree.dynamics` of a planar vehicle, two bodies connected by a joint on three axles,
+    on the solids of the profile. Every wheel has a compliant contact with every solid, so that
+    impacts and the transition from floor to wall need no events.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def climbing(
     control : Control or Tracking
         Controller of the wheel rates by reference speeds, or controller that tracks a plan.
     contact : CompliantContact
-        Numbers of the contacts.
+        Parameters of the contacts.
     period : float, optional
         Sample time of the controller. The torques of the axles are then inputs that hold the values
         of `held_torques` between samples, as in `slipfree.solve.zero_order_hold`. [s]
@@ -90,7 +90,7 @@ def climbing(
     vehicle = side_view(climber, contact.depth(share))
     model = dynamics(vehicle, _ground(profile, contact.static), law=contact.law(share))
     controller = _controller(climber, profile, control, model)
-    # other limits do not apply: wheels are upright, and their contacts defined at any depth
+    # other limits do not apply: wheels are upright, and their contacts are defined at any depth
     model = replace(model, limits=_limits(controller.y.tilts))
     return controlled(model, controller, sampled=period is not None)
 
@@ -155,7 +155,7 @@ def _controller(
 
 
 def _as_measured(noise: Noise | None, t: ca.SX, true: Measured) -> Measured:
-    """Return the quantities as the sensors of the controller measure them."""
+    """Return the quantities measured by the controller's sensors."""
     return true if noise is None else Measured(*measured(noise, t, *true))
 
 
@@ -194,7 +194,7 @@ def _commands(
 def _limits(tilts: Tilts) -> tuple[Limit, ...]:
     return tuple(
         Limit(
-            Label(f"{name}_overturned", "rad", f"the {name} body overturns: its tilt"),
+            Label(f"{name}_overturned", "rad", f"the {name} body overturns (tilt)"),
             tilt,
             -MAX_TILT,
             MAX_TILT,

@@ -13,7 +13,7 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.climber import Climber
 
 Ending = Literal["climbs", "stalls", "slides back", "tips over", "unfinished"]
-STALL_TIME, STALL_PROGRESS = 1.0, 5e-3  # a smaller final progress in this time is a stall [s, m]
+STALL_TIME, STALL_PROGRESS = 1.0, 5e-3  # less progress in this final interval is a stall [s, m]
 SLIDE_BACK = 0.03  # a vehicle this far behind its farthest position has slid back [m]
 
 
@@ -28,7 +28,7 @@ class ClimbEnding(NamedTuple):
     t : float
         Time at which the rear axle reaches the top, the vehicle stalls, or the motion ends. [s]
     words : str
-        Sentence on the reason, with time and position.
+        Explanation of the ending, with time and position.
     """
 
     name: Ending
@@ -70,7 +70,7 @@ def climb_ending(run: Trajectory, climber: Climber, profile: Profile) -> ClimbEn
     if up.any():
         t = float(run.t[up.argmax()])
         return ClimbEnding(
-            "climbs", t, f"at t = {t:.3g} s the rear axle is on top, or behind the obstacle"
+            "climbs", t, f"at t = {t:.3g} s the rear axle is on top of the obstacle, or behind it"
         )
     progress = (run["center_y"] + run["center_z"]).mean(axis=1)
     return _ending_below_top(run, progress, end)

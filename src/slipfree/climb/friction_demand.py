@@ -2,12 +2,12 @@
 
 The ground acts on an axle with the normal force N and the tangential force T, positive forward.
 Equilibrium has four equations: both components of force, and for each body with its wheels the
-moment about the joint, in which motor torques are internal. Six contact forces leave two degrees of
-freedom. The least coefficient of friction is the minimum of the largest ``|T| / N``. It follows
-from a Newton iteration on linear programs (Dinkelbach's algorithm for several ratios): for
+moment about the joint, in which motor torques are internal. With six contact forces, two degrees of
+freedom remain. The least coefficient of friction is the minimum of the largest ``|T| / N``. It
+follows from a Newton iteration on linear programs (Dinkelbach's algorithm for several ratios): for
 a coefficient mu, the program maximises the smallest reserve ``mu N - |T|``, relative to the last N;
 the largest ratio of these forces is the next mu. The iteration ends when no reserve is left. It is
-slow where wheels nearly jam; bisection then finishes it. The programs of all configurations are
+slow where wheels nearly jam; bisection then completes it. The programs of all configurations are
 solved as one block-diagonal program.
 """
 
@@ -32,7 +32,7 @@ MAX_FRICTION = 10.0  # climbs that need a larger coefficient count as impossible
 MIN_NORMAL_FORCE = 1e-9  # smaller normal forces count as zero in a ratio [weight]
 MAX_NORMAL_FORCE = 1e3  # makes the optimum of jammed wheels bounded [weight]
 MIN_RESERVE = 1e-9  # smaller relative reserves of friction count as zero
-MAX_NEWTON_STEPS = 20  # 5 to 9 are usual
+MAX_NEWTON_STEPS = 20  # usual numbers are 5 to 9
 BISECTIONS = 34  # bisections after Newton steps that do not converge
 REFINEMENTS = 5  # refinements of the sampling around the worst configuration, often at an edge
 REFINED_POINTS = 3  # new points between two samples
@@ -48,7 +48,7 @@ class HoldingForces(NamedTuple):
     mu : ndarray, shape (n,)
         Least coefficient of friction; ``inf`` where no forces hold the vehicle. [1]
     normal, tangential : ndarray, shape (n, 3)
-        Normal and tangential (forward positive) forces of the ground on the rear, middle and front
+        Normal and tangential (positive forward) forces of the ground on the rear, middle and front
         axle; NaN where no forces hold the vehicle. [N]
     """
 
@@ -112,7 +112,7 @@ def equilibrium(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
     A : ndarray, shape (n, 4, 6)
         Rows are forward force, upward force, and the nose-up moments of the rear and the front
         body with their wheels about the joint. Columns are the normal forces on the rear, middle
-        and front axle, and the tangential forces on them, forward positive. [1, m]
+        and front axle, and the tangential forces on them, positive forward. [1, m]
     b : ndarray, shape (n, 4)
         Negative load of gravity. [N, N m]
     """
@@ -178,7 +178,7 @@ def least_friction_forces(matrix: Array, load: Array) -> HoldingForces:
 
 
 def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Array, Array]:
-    """Return the contact forces whose smallest friction reserve is largest, and that reserve.
+    """Return the contact forces that maximise the smallest friction reserve, and this reserve.
 
     The forces (n, 6) [N] satisfy ``matrix @ f = load``. The reserve of an axle, shape (n,), is
     ``(mu N - |T|) / relative``, with the normal force N and the tangential force T.

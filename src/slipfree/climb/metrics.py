@@ -1,7 +1,7 @@
-"""Metrics of a climb: slip and disturbance of the paper, true slip, shares of the load.
+"""Metrics of a climb: slip and disturbance as in Chugo et al. (2009), true slip, load shares.
 
-They are averages of absolute values over a time window around the climb; the paper of Chugo et al.
-(2009) does not define its window. The samples of a motion must be equally spaced.
+They are averages of absolute values over a time window around the climb; that paper does not define
+its window. The samples of a motion must be equally spaced.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from slipfree.vehicle.climber import AXLES, FOLD, Climber
 
 LEAD_TIME, TRAIL_TIME = 0.05, 0.1  # parts of the window before first contact and after climb [s]
 EDGE_MARGIN, MAX_SINKAGE = 0.02, 0.003  # distance behind the edge, depth below the top level [m]
-MIN_WHEEL_RATE = 0.4  # ratios to smaller wheel rates are not meaningful [rad/s]
+MIN_WHEEL_RATE = 0.4  # ratios with smaller wheel rates are ignored [rad/s]
 MIN_LOAD = 1.0  # contacts with a smaller normal force are ignored [N]
 
 
@@ -155,7 +155,7 @@ def has_reached_top(run: Trajectory, climber: Climber, profile: Profile) -> Mask
 
 
 def slip_ratio(run: Trajectory, climber: Climber) -> Array:
-    """Return the slip ratio ``(r w - v) / (r w)``, (20), shape (n, 3); NaN for wheels near rest.
+    """Return the slip ratios ``(r w - v) / (r w)`` by (20), shape (n, 3); NaN for wheels near rest.
 
     ``r`` and ``w`` are the radius and the rate of a wheel, ``v`` is the speed of the middle axle.
     """
@@ -186,7 +186,7 @@ def _turning_rates(run: Trajectory) -> Array:
 
 
 def _mean_size(ratios: Array) -> Array:
-    """Return the means of absolute values clipped to one, without NaN; NaN if all are NaN."""
+    """Return the means of absolute values clipped to one, ignoring NaN; NaN if all are NaN."""
     sizes = np.minimum(np.abs(ratios), 1)
     known: Mask = ~np.isnan(sizes)
     with np.errstate(invalid="ignore"):

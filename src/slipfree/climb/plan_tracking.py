@@ -1,15 +1,15 @@
 """Tracking of planned climbs: feedforward of the torques and feedback of the wheel rates.
 
-The plan is a function of the progress of the vehicle, not of time: a vehicle that is late receives
-the torques planned for its position. The progress is
+The plan is a function of the progress of the vehicle, not of time: a delayed vehicle receives the
+torques planned for its position. The progress is
 
     p = mean over the axles of x + z.
 
-It increases along every path that does not lead steeply down, at least as fast as the mean axle
-moves. The feedforward torques are those of the plan, which distribute the friction among the wheels
-better than control of the rates could. Feedback corrects the rate of each wheel; its reference is
-that of the plan, but at most slightly more than the speed of its axle. A wheel that slips thus
-regains its grip, even if it rolls back.
+It increases along every path that does not descend steeply, at least as fast as the axles move on
+average. The feedforward torques are those of the plan, which distribute the friction among the
+wheels better than control of the rates could. Feedback corrects the rate of each wheel; its
+reference is that of the plan, but at most slightly more than the speed of its axle. A wheel that
+slips thus regains its grip, even if it rolls back.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from slipfree.errors import ModelError
 from slipfree.records import Array
 from slipfree.vehicle.climber import Climber
 
-MIN_SPEED = 0.01  # smallest reference, so that the vehicle leaves points of rest [m/s]
-ACCELERATION = 0.3  # braking before the plan and acceleration behind it [m/s2]
+MIN_SPEED = 0.01  # smallest reference speed, so that the vehicle leaves points of rest [m/s]
+ACCELERATION = 0.3  # deceleration before the plan's start, acceleration after its end [m/s2]
 LEG_DISTANCE = 1e-7  # distance between consecutive legs, whose torques differ where they meet [m]
 
 
@@ -198,7 +198,7 @@ def tracked(
     axles, velocities : PerAxle of SX, shape (2, 1)
         Positions and velocities of the axles. [m, m/s]
     speed : SX
-        Largest speed of the vehicle before and behind the plan. [m/s]
+        Largest speed of the vehicle before the start and after the end of the plan. [m/s]
     """
     p = sum(place[0] + place[1] for place in axles) / 3 + control.lead
     at = _plan_at(control.plan, p)

@@ -6,10 +6,10 @@ With s' the speed along a leg of the path, ``a = s''`` and ``b = s'^2``, acceler
     A f = load + G a + H b
 
 with the contact forces f. A and the load are those of equilibrium; G and H are the inertia of the
-bodies and of the wheels. On every interval a is constant, so that b is linear
-in s; equations and limits hold at its midpoint. A leg begins at rest where a wheel meets a solid,
-often the point of the largest friction demand; therefore the intervals are short there. The contact
-forces satisfy Coulomb's law ``|T| <= mu N``, and the motors their torque limit.
+bodies and of the wheels. On every interval a is constant, so that b is linear in s; equations and
+limits hold at its midpoint. A leg begins at rest where a wheel meets a solid, which is often the
+point of the largest friction demand; therefore the intervals are short there. The contact forces
+satisfy Coulomb's law ``|T| <= mu N``, and the motors their torque limit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from slipfree.vehicle.tree import GRAVITY
 
 COSTS = ("time", "friction", "slip")
 TIME_WEIGHT = 1e-4  # weight of the time in costs that do not determine the speed [1/s]
-ROOT_OFFSET = 1e-8  # in roots of squared speeds, for finite derivatives at rest [largest b]
+ROOT_OFFSET = 1e-8  # added to b under roots, for finite derivatives at rest [largest b]
 MIN_ACCELERATION = 1e-3  # slope of the lower bound of b near points of rest [m/s2]
 MAX_LOWER_BOUND = 1e-4  # largest lower bound of b between points of rest [largest b]
 LOAD_OFFSET = 1e-3  # added to N in the cost of slip, for finite derivatives without load [weight]
@@ -54,9 +54,9 @@ LABELS = (
     Label("path_acceleration", "m s-2", "second derivative of the path parameter"),
     Label("y", "m", "forward position of the joint"),
     Label("z", "m", "height of the joint"),
-    Label("tilt_rear", "rad", "tilt of the rear body, nose up positive"),
-    Label("tilt_front", "rad", "tilt of the front body, nose up positive"),
-    Label("wheel_rate", "rad s-1", "rate of the wheels over the ground, forward positive"),
+    Label("tilt_rear", "rad", "tilt of the rear body, positive with the nose up"),
+    Label("tilt_front", "rad", "tilt of the front body, positive with the nose up"),
+    Label("wheel_rate", "rad s-1", "rate of the wheels over the ground, positive forward"),
     Label("torque", "N m", "torque of a wheel's motor"),
     Label("load", "N", "normal force of the ground on the axle's wheels"),
     Label("friction", "N", "tangential force of the ground on the axle's wheels, forward"),

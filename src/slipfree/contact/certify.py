@@ -19,7 +19,7 @@ from slipfree.vehicle.wheel import Wheel
 
 RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # about the axle, from the contact [rad]
 SPACING = np.deg2rad(3.0)  # distance of neighbouring points on the tread [rolling radii]
-CHUNK = 256  # samples evaluated together; limits the memory
+CHUNK = 256  # number of samples evaluated together, which limits the memory
 TOLERANCE = 1e-7  # penetration that counts as contact [size]
 
 

@@ -61,7 +61,7 @@ def has_exact_closure(vehicle: Vehicle) -> bool:
 
 
 def support_fault(vehicle: Vehicle) -> str:
-    """Return an error text if contacts and springs do not determine a vehicle's pose, else "".
+    """Return an error message if contacts and springs do not determine a vehicle's pose, else "".
 
     The text follows the word "expected" in messages.
     """

@@ -6,10 +6,10 @@ the disc and the solid, less ``r1``. The nearest point ``P`` of the disc minimis
 distance from the solid, which is convex and piecewise quadratic if the disc is outside the solid,
 that is, if the wheel is pressed in by less than ``r1``. Newton's method minimises it exactly in the
 disc, for one quadratic piece after another. At the minimum the normal is the gradient of the gap;
-elsewhere the contact would do work that is not the change of its elastic energy.
+at any other point, the work of the contact would differ from the change of its elastic energy.
 
-A disc has no tube: on solids, its edge is rounded with a tenth of its radius. The radius in its
-plane is unchanged.
+A disc has no tube: on solids, its edge is rounded with a tenth of its radius. Its outer radius is
+unchanged.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism
 from slipfree.vehicle.wheel import Wheel
 
-ROUNDS = 6  # of Newton's method for the nearest point
-MULTIPLIER_STEPS = 4  # of Newton's method for the multiplier of the radius, in each round
+ROUNDS = 6  # number of Newton steps for the nearest point
+MULTIPLIER_STEPS = 4  # number of Newton steps for the multiplier of the radius, in each round
 MIN_MULTIPLIER = 1e-9  # smallest multiplier [1]
 DISTANCE_TOLERANCE = 1e-12  # a step may increase the distance by this, due to rounding [m]
 MAX_DISTANCE = 1e9  # larger than every distance [m]
@@ -105,14 +105,14 @@ def _nearest_on_disc(prism: Prism, origin: ca.DM, carrier: Pose, circle: float) 
     center, plane = carrier.origin, carrier.rotation[:, 1:]
     if not circle:
         return center
-    best, trial, step = ca.SX.zeros(2), ca.SX.zeros(2), ca.SX.zeros(2)  # in the plane
+    best, trial, step = ca.SX.zeros(2), ca.SX.zeros(2), ca.SX.zeros(2)  # in the disc's plane
     least, slack = ca.SX(MAX_DISTANCE), ca.SX(DISTANCE_TOLERANCE)
     for _ in range(ROUNDS):
         distance, normal, hessian = prism.expansion(center + plane @ trial + origin, plane)
         linear = hessian @ trial - distance * (plane.T @ normal)
         newton = _minimum_in_disc(hessian, linear, circle)
         is_better = distance < least + slack
-        is_first = ca.logic_and(ca.logic_not(is_better), slack > 0)  # rejection
+        is_first = ca.logic_and(ca.logic_not(is_better), slack > 0)  # first rejection
         best, least = ca.if_else(is_better, trial, best), ca.if_else(is_better, distance, least)
         step = ca.if_else(is_better, newton - trial, ca.if_else(is_first, step, step / 2))
         trial = ca.if_else(is_first, newton, best + step)

@@ -26,13 +26,13 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections.base import Section
 from slipfree.vehicle.wheel import Wheel
 
-STEPS = 3  # of Newton's method, from the wheel's lowest point
-DAMPED_STEPS = 30  # if these do not converge
-LONGEST_STEP = 0.2  # of damped steps [rolling radii]
+STEPS = 3  # number of Newton steps from the wheel's lowest point
+DAMPED_STEPS = 30  # number of damped Newton steps if the former do not converge
+LONGEST_STEP = 0.2  # largest length of a damped step [rolling radii]
 TOLERANCE = 1e-9  # residual of a converged search [m]
 CLEARLY_ABOVE = 0.1  # vertical gap above which a search need not converge [rolling radii]
-LARGE = 1e9  # any residual is smaller [m^2]
-DIRECTIONS = np.deg2rad([0, -20, 20, -40, 40, -60, 60])  # of a wheel's lower normals [rad]
+LARGE = 1e9  # larger than every squared residual [m^2]
+DIRECTIONS = np.deg2rad([0, -20, 20, -40, 40, -60, 60])  # tread normals, from the vertical [rad]
 
 
 class Plane(NamedTuple):
@@ -112,7 +112,7 @@ def touch(
 
 
 class _Miss(NamedTuple):
-    """Residual (2, 1) of the nearest point [m], ground normal, wheel's point [m] and gap [m]."""
+    """Trial of the contact search: residual (2, 1) [m], ground normal, tread point and gap [m]."""
 
     residual: ca.SX
     normal: ca.SX
@@ -174,7 +174,7 @@ def plane_of(terrain: Terrain) -> Plane | None:
 
 
 def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Function:
-    """Return the search as a graph; for maps and tori, `nearest` of `kernel.c` does the same."""
+    """Return the search as a CasADi graph, equivalent to `nearest` of `kernel.c` for maps."""
     jet, newton = _jet_function(terrain), _newton_function(section)
     symbol: Any = ca.SX if jet.is_a("SXFunction") else ca.MX
     asked, begin, gap = symbol.sym("asked", 6), symbol.sym("begin", 2), symbol.sym("gap")
@@ -202,7 +202,7 @@ def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Funct
 
 
 def _lowest_point(section: Section, jet: ca.Function, asked: Any) -> list[Any]:
-    """Return the tread point that is lowest above the ground: its x and y, and its height above it.
+    """Return x and y of the tread point nearest to the ground below, and its height above it.
 
     The tread points compared have normals in the vertical plane along the direction of travel, at
     the angles `DIRECTIONS` from the vertical.

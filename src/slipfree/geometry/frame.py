@@ -27,7 +27,8 @@ def unit_vector(axis: Axis) -> Vector:
     size = hypot(*given) if given is not None and len(given) == 3 else 0.0
     if given is None or not 0 < size < inf:
         raise ModelError(
-            f"expected 'x', 'y', 'z' or a nonzero vector of three finite numbers, found {axis!r}"
+            f"expected 'x', 'y', 'z' or a nonzero vector of three finite numbers, found {axis!r}; "
+            "correct the axis"
         )
     x, y, z = (each / size for each in given)
     return x, y, z
@@ -36,7 +37,7 @@ def unit_vector(axis: Axis) -> Vector:
 def check_vector(name: str, vector: Sequence[float]) -> None:
     """Raise ModelError, with ``name`` in the message, if a vector is not three finite numbers."""
     if len(vector) != 3 or not all(map(isfinite, vector)):
-        raise ModelError(f"{name}: expected three finite numbers, found {vector}")
+        raise ModelError(f"{name}: expected three finite numbers, found {vector}; correct them")
 
 
 class Twist(NamedTuple):
@@ -113,7 +114,7 @@ def platform(
 def rotation_of(attitude: ca.SX) -> ca.SX:
     """Return the rotation matrix of a quaternion ``(w, x, y, z)`` of any norm, shape (3, 3).
 
-    A norm that integration changes slightly therefore does not change lengths.
+    The result is orthogonal even if numerical integration has changed the norm of the quaternion.
     """
     w, x, y, z = ca.vertsplit(attitude)
     s = 2 / ca.sumsqr(attitude)

@@ -37,7 +37,7 @@ class PathPoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Cubic spline through way-points, parametrised by arc length; a line through two of them.
+    """Cubic spline through way-points, parametrised by arc length; two points give a straight line.
 
     Beyond its ends the path continues straight.
 

@@ -1,8 +1,8 @@
 """Coulomb friction, regularised by a creep speed.
 
 A wheel that transmits a tangential force slips; the slip grows as the force approaches the friction
-limit. The used fraction of the friction is an unknown of its own, which keeps the equations well
-conditioned at any small slip. Beyond the friction limit there is no equilibrium.
+limit. The used fraction of the friction is a separate unknown, which keeps the equations well
+conditioned at arbitrarily small slip. Beyond the friction limit there is no equilibrium.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
-MAX_CREEP = 0.3  # friction is nearly viscous here, so that Newton's method converges [m/s]
+MAX_CREEP = 0.3  # creep speed at which friction is nearly viscous: Newton's method converges [m/s]
 CREEP_RATIO = 0.2  # ratio of consecutive creep speeds of the continuation
-MAX_EXCESS_SLIP = 1.0  # slip beyond ten times the fastest rim speed that ends a motion [m/s]
+MAX_EXCESS_SLIP = 1.0  # a motion ends if slip exceeds ten times the rim speed by this [m/s]
 
 
 class FrictionUnknowns(NamedTuple):
@@ -120,7 +120,7 @@ class Coulomb:
 
 
 def creep_continuation(creep: float) -> Continuation:
-    """Return the continuation from nearly viscous friction to a creep speed, by creep speeds."""
+    """Return the continuation in the creep speed, from nearly viscous friction to a given value."""
     values = [MAX_CREEP]
     while values[-1] > creep:
         values.append(max(values[-1] * CREEP_RATIO, creep))

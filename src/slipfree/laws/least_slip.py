@@ -78,7 +78,7 @@ def _multiplier(constraint: Label) -> Label:
 
 
 def slip_unit(unit: str) -> str:
-    """Return the unit of the derivative of squared slip velocity by a variable of a given unit."""
+    """Return the unit of the derivative of squared slip velocity, for the unit of a variable."""
     return {
         "m s-1": "m s-1",
         "rad s-1": "m2 s-1",

@@ -1,9 +1,9 @@
-"""Linear creep: friction of wheels that roll, up to the friction limit.
+"""Linear creep: friction of rolling wheels up to the friction limit.
 
 The slip of a wheel is proportional to the used fraction of the friction. This is the law of
-`slipfree.laws.coulomb` at small slip; wheels that slide are outside its validity. The equations are
-linear in slip and used friction, and determine the friction also where the wheels share it in
-several ways, as the side forces of a rigid axle.
+`slipfree.laws.coulomb` at small slip; it is not valid for sliding wheels. The equations are linear
+in slip and used friction. They determine the friction even where equilibrium alone does not, as
+for the side forces of a rigid axle.
 """
 
 from __future__ import annotations

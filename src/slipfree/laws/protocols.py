@@ -17,8 +17,8 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-ALONG = "force_along", "N", "force of the ground on the wheel along it, forward positive"
-ACROSS = "force_across", "N", "force of the ground on the wheel across it, to the right positive"
+ALONG = "force_along", "N", "force of the ground on the wheel along it, positive forward"
+ACROSS = "force_across", "N", "force of the ground on the wheel across it, positive to the right"
 NORMAL = "force_normal", "N", "force of the ground on the wheel along the normal"
 
 
@@ -110,7 +110,7 @@ class SlidingContacts(NamedTuple):
     driven : tuple of SX
         Rates of the driven wheels. [rad/s]
     spins : tuple of SX
-        Angular velocities of all wheels about their axles relative to fixed axes, forward positive.
+        Angular velocities of all wheels about their axles relative to fixed axes, positive forward.
         [rad/s]
     diagnose : callable
         ``diagnose(x, z)`` returns the reason why a state has no equilibrium, as text; empty if
@@ -185,7 +185,7 @@ class WheelContact(NamedTuple):
     slip : SX, shape (3, 1)
         Velocity of the wheel's material point at the contact, in fixed axes. [m/s]
     spin : SX, shape (1, 1)
-        Angular velocity about the axle relative to fixed axes, forward positive. [rad/s]
+        Angular velocity about the axle relative to fixed axes, positive forward. [rad/s]
     center : SX, shape (3, 1)
         Centre of the wheel. [m]
     share : float
@@ -230,7 +230,7 @@ class ContactLaw(Protocol):
         """Raise ModelError if the law cannot be used with the vehicle or the ground."""
 
     def static_depth(self, wheel: Wheel, load: float) -> float:
-        """Return the depth of a wheel at rest under a load [m]; the wheel has a static depth."""
+        """Return the depth of a wheel at rest under a load [m]; `Wheel.static_depth` is set."""
 
     def max_depth(self, wheel: Wheel) -> float:
         """Return the depth up to which the law is valid; infinity without limit [m]."""
@@ -265,7 +265,10 @@ def check_law(law: object, protocol: type, expected: str) -> None:
 
 
 def check_bounds(law: Any) -> None:
-    """Raise ModelError if a field of a law, which has a default, violates an annotated bound."""
+    """Raise ModelError if a field of a law violates its annotated bound.
+
+    Each field must have a default, which the message contains.
+    """
     hints = get_type_hints(type(law), include_extras=True)
     for field in fields(law):
         value, annotation = getattr(law, field.name), hints[field.name]

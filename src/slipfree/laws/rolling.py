@@ -17,17 +17,18 @@ from slipfree.vehicle.tree import Vehicle
 class Rolling:
     """No slip at any wheel.
 
-    The law suits vehicles without rollers whose wheels can all touch a rigid ground, and whose
-    passive joints and free wheels are as many as the rolling conditions, ``2 n_wheels - 3``, such
-    as the tilting three-wheeler.
+    The law suits vehicles without rollers whose wheels can all touch a rigid ground, and that have
+    as many passive joints and free wheels as rolling conditions, ``2 n_wheels - 3``, such as the
+    tilting three-wheeler.
     """
 
     def check(self, vehicle: Vehicle) -> None:
         """Raise ModelError if the vehicle cannot roll without slip."""
         if any(wheel.rollers for wheel in vehicle.wheels):
             raise ModelError(
-                f"{vehicle.name!r} has wheels with rollers, which cannot roll without slip; use "
-                "least slip: LeastSlip(), or slip = 'least' in a problem file"
+                f"{vehicle.name!r}: expected wheels without rollers, found wheels with rollers, "
+                "which slip sideways; use least slip: LeastSlip(), or slip = 'least' in a "
+                "problem file"
             )
         check_exact_closure(vehicle, "Rolling()")
         found, needed = rolling_counts(vehicle)

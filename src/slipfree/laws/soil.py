@@ -1,9 +1,9 @@
-"""Soil: forces on a rigid wheel in loose soil, by Bekker, Wong and Reece.
+"""Terramechanics: forces on a rigid wheel in loose soil by Bekker, Wong and Reece.
 
 The wheel presses and shears the soil along its rim. With the depth ``h`` of the wheel, its radius
 ``r`` and width ``b``, and the angle ``theta`` from its lowest point forward, the normal stress
 follows from the pressure-sinkage relation of Bekker and Reece, with its peak at ``theta_m`` (Wong
-and Reece); the shear stress follows from the path that the rim has made in the soil (Janosi and
+and Reece); the shear stress follows from the shear displacement of the soil at the rim (Janosi and
 Hanamoto). Shear deformation moduli grow with the slip angle (Ishigami):
 
 - Entry and exit: ``theta_f = acos(1 - h / r)`` and ``theta_r = -acos(1 - lambda h / r)`` (1).
@@ -11,24 +11,25 @@ Hanamoto). Shear deformation moduli grow with the slip angle (Ishigami):
 - Normal stress: ``sigma = (k_c / b + k_phi) (r (cos theta_e - cos theta_f))^n`` (3), where
   ``theta_e`` is ``theta`` ahead of the peak; behind the peak it runs from ``theta_m`` to
   ``theta_f`` as ``theta`` runs from ``theta_m`` to ``theta_r``.
-- Shear path: ``j_x = r_s (theta_f - theta - (1 - s) (sin theta_f - sin theta))`` and
+- Shear displacement: ``j_x = r_s (theta_f - theta - (1 - s) (sin theta_f - sin theta))`` and
   ``j_y = r_s (1 - s) (theta_f - theta) tan beta`` (4), for the slip angle ``beta`` and the shear
   radius ``r_s = r + h_g`` with the effective height ``h_g`` of grousers.
-- Shear stress: ``tau_x = (c + sigma tan phi) (1 - exp(-j_x / k_x))``, and ``tau_y`` alike (5), with
+- Shear stress: ``tau_x = (c + sigma tan phi) (1 - exp(-j_x / k_x))``, likewise ``tau_y`` (5), with
   ``k_x = k_x0 + k_x1 abs(beta)`` and ``k_y = k_y0 + k_y1 abs(beta)`` (6).
 - Bulldozing at the side of the wheel: ``R_b = D_1 (c h' + D_2 w h'^2 / 2)`` (7), with
-  ``h' = r (cos theta - cos theta_f)``, the weight ``w`` of the soil per volume,
+  ``h' = r (cos theta - cos theta_f)``, the unit weight ``w`` of the soil,
   ``D_1 = cot X + tan(X + phi)``, ``D_2 = cot X + cot^2 X tan phi`` and ``X = pi/4 - phi/2``.
 - Normal force ``r b int(sigma cos + tau_x sin)``, drawbar pull ``r b int(tau_x cos - sigma sin)``,
   side force ``int(r b tau_y + R_b (r - h' cos))`` and resistance torque ``r r_s b int(tau_x)`` (8).
 
-Each integral is the sum over eight Gauss points ahead of the peak and eight behind it.
+Each integral is computed with eight Gauss points ahead of the peak and eight behind it.
 
-The formulas apply to a wheel that is driven forward. Here they are written in the rim speed
-``u = r_s sigma`` and the speeds ``v_x``, ``v_y`` of the wheel's centre, where ``1 - s = v_x / u``
-and ``(1 - s) tan beta = v_y / u``. They then hold for braked and locked wheels, wheels that spin in
-place, sideways and backward motion. A wheel that changes its direction exchanges entry and exit
-smoothly; near standstill, shear paths are those of a rim speed ``creep``.
+The published formulas apply to a wheel that is driven forward. Here they are expressed by the rim
+speed ``u = r_s omega``, for the angular velocity ``omega`` of the wheel, and the speeds ``v_x``,
+``v_y`` of its centre, where ``1 - s = v_x / u`` and ``(1 - s) tan beta = v_y / u``. They then also
+hold for braked and locked wheels, wheels that spin in place, and sideways and backward motion. If
+a wheel reverses, entry and exit change places smoothly; near standstill, the shear displacement is
+that of the rim speed ``creep``.
 """
 
 from __future__ import annotations
@@ -61,11 +62,11 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # on -1 to 1, for each side of the peak
-SMALLEST_DEPTH = 1e-9  # of a wheel in soil; angles have no derivative at depth zero [radii]
-STEADY_CREEP = 1e-8  # regularisation of steady motion [speeds of the wheel]
-ANGLE_SMOOTHING = 0.01  # slip angle at which its sign, for (6) and (7), is 0.76 [rad]
-STATIC_STEPS = 60  # of bisection for the static sinkage
+POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # Gauss points on each side of the peak
+SMALLEST_DEPTH = 1e-9  # of a wheel; angles have no derivative at zero depth [wheel radii]
+STEADY_CREEP = 1e-8  # creep speed in steady motion [larger of rim and forward speed]
+ANGLE_SMOOTHING = 0.01  # slip angle whose smoothed sign in (6) and (7) is 0.76 [rad]
+STATIC_STEPS = 60  # number of bisection steps for the static sinkage
 
 
 class SoilUnknowns(NamedTuple):
@@ -83,16 +84,16 @@ class WheelSize(NamedTuple):
 
 
 class SoilForces(NamedTuple):
-    """Forces of the soil on a wheel, of the type of the arguments they were computed from.
+    """Forces of the soil on a wheel, of the same type as the arguments of the computation.
 
     Attributes
     ----------
     normal : SX or float
         Force along the normal of the ground. [N]
     pull : SX or float
-        Drawbar pull: force along the wheel, forward positive. [N]
+        Drawbar pull: force along the wheel, positive forward. [N]
     side : SX or float
-        Force across the wheel, to the right positive; against the sideways motion. [N]
+        Force across the wheel, positive to the right; it opposes the sideways motion. [N]
     torque : SX or float
         Resistance torque about the axle: the drive torque that keeps the rate constant. [N m]
     """
@@ -130,10 +131,10 @@ class Soil:
         Shear deformation modulus across the wheel, ``k_y0`` [m], and its increase per slip angle,
         ``k_y1`` [m/rad].
     peak, peak_rate : float
-        Angle of the largest stress over the entry angle at slip zero, ``a_0``, and its increase per
-        slip ratio, ``a_1``. [1]
+        Ratio of the angle of largest stress to the entry angle at slip zero, ``a_0``, and its
+        increase per slip ratio, ``a_1``. [1]
     exit_depth : float
-        Depth at which the soil leaves the wheel, over its depth: ``lambda``. [1]
+        Ratio ``lambda`` of the depth at which the soil leaves the wheel to the wheel's depth. [1]
     density : float
         Density, for bulldozing. [kg/m^3]
     grouser_height : float
@@ -165,22 +166,22 @@ class Soil:
         float, Gt(0), Lt(inf), Unit("m"), doc("shear deformation modulus along the wheel")
     ] = 0.036
     shear_along_rate: Annotated[
-        float, Ge(0), Lt(inf), Unit("m/rad"), doc("its increase with the slip angle")
+        float, Ge(0), Lt(inf), Unit("m/rad"), doc("increase of 'shear_along' with the slip angle")
     ] = 0.043
     shear_across: Annotated[
         float, Gt(0), Lt(inf), Unit("m"), doc("shear deformation modulus across the wheel")
     ] = 0.013
     shear_across_rate: Annotated[
-        float, Ge(0), Lt(inf), Unit("m/rad"), doc("its increase with the slip angle")
+        float, Ge(0), Lt(inf), Unit("m/rad"), doc("increase of 'shear_across' with the slip angle")
     ] = 0.020
     peak: Annotated[
-        float, Gt(0), Lt(1), Unit("1"), doc("angle of the largest stress over the entry angle")
+        float, Gt(0), Lt(1), Unit("1"), doc("ratio of the angle of largest stress to that of entry")
     ] = 0.4
     peak_rate: Annotated[
         float, Ge(0), Lt(1), Unit("1"), doc("increase of 'peak' with the slip ratio")
     ] = 0.15
     exit_depth: Annotated[
-        float, Ge(0), Le(1.5), Unit("1"), doc("depth at which soil leaves the wheel over its depth")
+        float, Ge(0), Le(1.5), Unit("1"), doc("ratio of the soil's exit depth to the wheel's depth")
     ] = 0.9
     density: Annotated[
         float, Ge(0), Lt(inf), Unit("kg/m^3"), doc("density of the soil, for bulldozing")
@@ -291,7 +292,7 @@ class Soil:
 
 def _equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
     """Return the labels of the equations of contact and sinkage, one of each kind per wheel."""
-    words = "normal force of the soil minus that of the equilibrium, over the weight"
+    words = "soil's normal force minus that of the equilibrium, divided by the weight"
     return (
         *wheel_labels(vehicle, "touching", "m s-1", "normal velocity of the contact point"),
         *wheel_labels(vehicle, "bearing", "1", words),
@@ -300,14 +301,14 @@ def _equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
 
 def _no_equilibrium(contacts: SlidingContacts) -> Limit:
     """Return the limit of the slip velocity, beyond which the soil cannot hold the vehicle."""
-    words = "no quasi-static equilibrium: the soil does not hold the vehicle"
+    words = "no quasi-static equilibrium: the soil cannot hold the vehicle"
     return no_equilibrium(contacts._replace(diagnose=lambda _x, _z: words))
 
 
 def _sunk(vehicle: Vehicle, sinkage: tuple[ca.SX, ...]) -> Iterator[Limit]:
     """Yield the limit of the sinkage of each wheel: its radius."""
     for wheel, depth in zip(vehicle.wheels, sinkage, strict=True):
-        words = f"wheel {wheel.name} is in the soil to its axle (sinkage)"
+        words = f"wheel {wheel.name} has sunk to its axle (sinkage)"
         yield Limit(Label("sunk", "m", words, wheel.name), depth, -inf, wheel.radius)
 
 
@@ -322,15 +323,15 @@ def wheel_size(wheel: Wheel) -> WheelSize:
     tube, circle = wheel.section.torus_radii or (0.0, 0.0)
     if not (tube and circle):
         raise ModelError(
-            f"wheel {wheel.name!r}: expected a torus, whose tube is as wide as the wheel, since "
-            f"soil bears a wheel by its width; found {wheel.section}; set the section to "
+            f"wheel {wheel.name!r}: expected a torus as section, since the forces of soil depend "
+            f"on the wheel's width, found {wheel.section}; set the section to "
             "Torus(r1, r2) with r1 half the width and r1 + r2 the radius"
         )
     return WheelSize(wheel.radius, 2 * tube)
 
 
 def forces_at_slip(soil: Soil, size: WheelSize, depth: Any, slip: Any, angle: Any) -> SoilForces:
-    """Return the forces on a wheel in steady motion, by depth, slip ratio and slip angle.
+    """Return the forces on a wheel in steady motion for a depth, slip ratio and slip angle.
 
     Parameters
     ----------
@@ -353,7 +354,7 @@ def forces_at_slip(soil: Soil, size: WheelSize, depth: Any, slip: Any, angle: An
 def forces_at_speeds(
     soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, sideways: Any, creep: Any
 ) -> SoilForces:
-    """Return the forces on a wheel by depth and speeds (8).
+    """Return the forces on a wheel for a depth and speeds (8).
 
     Parameters
     ----------
@@ -362,14 +363,14 @@ def forces_at_speeds(
     size : WheelSize
         Radius and width of the wheel.
     depth : SX or float
-        Depth of the lowest point; the forces are those at the radius for a greater depth. [m]
+        Depth of the lowest point; a depth beyond the radius counts as the radius. [m]
     rim : SX or float
-        Speed of the rim at the shear radius, relative to the wheel's centre; forward positive.
+        Speed of the rim at the shear radius, relative to the wheel's centre; positive forward.
         [m/s]
     forward, sideways : SX or float
         Speed of the wheel's centre along the wheel, and across it to the right. [m/s]
     creep : SX or float
-        Rim speed below which shear paths are reduced, positive. [m/s]
+        Rim speed below which the shear displacement is reduced, positive. [m/s]
     """
     contact = _contact(soil, size, depth, rim, forward, creep)
     motion = _shear_motion(soil, rim, forward, sideways, creep)
@@ -408,9 +409,9 @@ def static_sinkage(soil: Soil, size: WheelSize, load: float) -> float:
     low, high = 0.0, size.radius
     if float(normal(high)) < load:
         raise ModelError(
-            f"soil: expected that the wheel sinks less than its radius, {size.radius:g} m, found "
-            f"{float(normal(high)):.4g} N of {load:.4g} N at that depth; reduce the load, or "
-            "increase the wheel's width or radius"
+            f"soil: expected a sinkage smaller than the wheel's radius, {size.radius:g} m, found "
+            f"that the soil bears only {float(normal(high)):.4g} N of {load:.4g} N at that depth; "
+            "reduce the load, or increase the wheel's width or radius"
         )
     for _ in range(STATIC_STEPS):
         middle = (low + high) / 2
@@ -428,9 +429,9 @@ class _ContactArc(NamedTuple):
     front, rear, peak : SX or float
         Angles of the edges, and of the largest stress, from the lowest point forward. [rad]
     share : SX or float
-        Angle of the largest stress over the entry angle. [1]
+        Ratio of the angle of largest stress to the entry angle. [1]
     ahead, behind : SX or float
-        Weights of the front and of the rear edge as the entry; their sum is one. [1]
+        Weights with which the front and the rear edge act as entry; their sum is one. [1]
     """
 
     entry: Any
@@ -448,7 +449,7 @@ class _ShearMotion(NamedTuple):
     Attributes
     ----------
     rolling, forward, sideways : SX or float
-        Rim speed, and speeds of the wheel's centre, over the size of the rim speed. [1]
+        Rim speed, and speeds of the wheel's centre, divided by the magnitude of the rim speed. [1]
     along, across : SX or float
         Shear deformation moduli. [m]
     side : SX or float

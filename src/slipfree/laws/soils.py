@@ -1,8 +1,7 @@
-"""Soils with sources.
+"""Published parameters of soils.
 
-Sources give the constants of sinkage and strength, and the shear deformation modulus. Constants
-that a source does not give are those of `Soil`: angles of the largest stress, exit depth and
-density.
+Each source gives the parameters of sinkage and strength, and the shear deformation modulus. All
+other parameters have the defaults of `Soil`: angles of largest stress, exit depth and density.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from slipfree.laws.soil import Soil
 
 
 class KnownSoil(NamedTuple):
-    """A soil, and the publication with its constants."""
+    """A soil and the publication of its parameters."""
 
     soil: Soil
     source: str

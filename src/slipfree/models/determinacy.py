@@ -183,7 +183,7 @@ def samples_first(part: ca.DM, count: int) -> Array:
 
 
 def _dominant_names(vector: Array, names: Sequence[str]) -> list[str]:
-    """Return the names of the dominant entries of a vector, the largest first."""
+    """Return the names of the dominant entries of a vector, in descending order."""
     size = np.abs(vector)
     return [names[k] for k in np.argsort(-size) if size[k] >= MIN_NAMED_SHARE * size.max()]
 

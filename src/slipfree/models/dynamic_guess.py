@@ -26,14 +26,14 @@ def dynamic_guess(model: Dae, vehicle: Vehicle, start: Trajectory, run: Trajecto
     start : Trajectory
         Trajectory of ``model`` whose last sample is the start of the plan.
     run : Trajectory
-        Motion of a kinematic model of the vehicle, from the same place.
+        Motion of a kinematic model of the vehicle, from the same position.
 
     Returns
     -------
     Trajectory
         States, unknowns and inputs of ``model`` at the times of ``run``. A motion that begins at
-        rest gains speed steadily. Speeds are finite differences; torques of driven wheels share the
-        force that inertia and gravity need along the path equally.
+        rest accelerates gradually. Speeds are finite differences. The driven wheels share equally
+        the force along the path that inertia and gravity require.
     """
     t = run.t - run.t[0]
     at_rest = not any(start.of(label)[-1] for label in model.labels.x.velocity)
@@ -93,7 +93,7 @@ def _states(
 
 
 def _inputs(model: Dae, vehicle: Vehicle, run: Trajectory, pace: Array) -> dict[str, Array]:
-    """Return the inputs by name: rates of the motion, or torques that bear it."""
+    """Return the inputs by name: rates of the motion, or the torques that it requires."""
     place = np.stack([run[name] for name in "xyz"])
     path = np.cumsum(np.append(0.0, np.linalg.norm(np.diff(place), axis=0)))
     speed = np.gradient(path, run.t)

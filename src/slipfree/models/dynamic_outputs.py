@@ -36,7 +36,7 @@ from slipfree.records import Label, leaves, unpack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 
-LEAST_SPEED = 1e-6  # of a wheel or its rim, below which a slip ratio is reduced [m/s]
+LEAST_SPEED = 1e-6  # speed of a wheel and its rim below which the slip ratio is reduced [m/s]
 
 
 class Contact(NamedTuple):
@@ -49,7 +49,7 @@ class Contact(NamedTuple):
     slip : SX, shape (3, 1)
         Velocity of the wheel's material point at the contact. [m/s]
     spin : SX, shape (1, 1)
-        Angular velocity about the axle relative to fixed axes, forward positive. [rad/s]
+        Angular velocity about the axle relative to fixed axes, positive forward. [rad/s]
     force : GroundForce
         Force and moment of the ground on the wheel.
     """
@@ -83,7 +83,7 @@ class Contact(NamedTuple):
 
 
 def deepest(contacts: Sequence[Contact]) -> Contact:
-    """Return the contact with the least gap, of the contacts of one wheel."""
+    """Return the contact of a wheel that has the smallest gap."""
     found, *others = contacts
     for other in others:
         pairs = zip(leaves(found), leaves(other), strict=True)
@@ -249,8 +249,8 @@ def solid_limits(vehicle: Vehicle, contacts: Sequence[tuple[Contact, ...]]) -> I
     for wheel, (_, *on_solids) in zip(vehicle.wheels, contacts, strict=True):
         if on_solids:
             words = (
-                f"wheel {wheel.name} is deeper in a solid than its tube, where its contact is not "
-                "defined; a start must not be inside a solid (gap)"
+                f"wheel {wheel.name} has penetrated a solid by more than the radius of its tube, "
+                "where its contact is not defined; a start must not be inside a solid (gap)"
             )
             gap = ca.mmin(ca.vertcat(*(each.touch.gap for each in on_solids)))
             label = Label("solid_gap", "m", words, wheel.name)
@@ -260,11 +260,11 @@ def solid_limits(vehicle: Vehicle, contacts: Sequence[tuple[Contact, ...]]) -> I
 def depth_limits(
     vehicle: Vehicle, law: ContactLaw, contacts: Sequence[tuple[Contact, ...]]
 ) -> Iterator[Limit]:
-    """Yield the limit of the depth of each wheel up to which a law is valid, if there is one."""
+    """Yield the limit of each wheel's depth up to which a law is valid, if the law has one."""
     for wheel, touching in zip(vehicle.wheels, contacts, strict=True):
         most = law.max_depth(wheel)
         if most < np.inf:
-            words = f"wheel {wheel.name} is in the ground to its axle (depth)"
+            words = f"wheel {wheel.name} has sunk to its axle (depth)"
             depth = -ca.mmin(ca.vertcat(*(each.touch.gap for each in touching)))
             yield Limit(Label("sunk", "m", words, wheel.name), depth, -np.inf, most)
 

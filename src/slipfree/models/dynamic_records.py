@@ -104,7 +104,7 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0) -> Labels:
 
 def _wheel_input(wheel: Wheel) -> Label:
     """Return the label of the input of a driven wheel."""
-    words = f"wheel {wheel.name}, forward positive"
+    words = f"wheel {wheel.name}, positive forward"
     if wheel.drive.takes_effort:
         return Label(f"{wheel.name}_torque", "N m", f"torque on {words}")
     return Label(f"{wheel.name}_rate", "rad s-1", f"rate of {words}")
@@ -187,7 +187,7 @@ def _solid_labels(vehicle: Vehicle, k: int) -> OnSolid:
 
 
 def output_efforts(vehicle: Vehicle, efforts: Sequence[T]) -> tuple[T, ...]:
-    """Return the efforts of commanded coordinates that are outputs, since they are not inputs."""
+    """Return the efforts of those commanded coordinates whose efforts are outputs, not inputs."""
     pairs = zip(vehicle.of("commanded"), efforts, strict=True)
     return tuple(effort for c, effort in pairs if not c.drive.takes_effort)
 

@@ -114,11 +114,11 @@ def dynamics(
     A wheel may touch the base and several solids at once. Its outputs are those of the contact with
     the least gap; the outputs of solid ``k`` are ``solid_gap_k``, ``solid_load_k`` and others.
 
-    A planar vehicle starts at given states.
+    The start of a planar vehicle consists of given states; its equilibrium is not computed.
 
     Examples
     --------
-    A vehicle accelerates from rest on level ground.
+    Accelerate a vehicle from rest on level ground:
 
     >>> import numpy as np
     >>> from slipfree import Analytic, catalog, dynamics, settle, simulate
@@ -182,7 +182,7 @@ def dynamics(
 
 
 def check_dynamic(vehicle: Vehicle) -> None:
-    """Raise ModelError if a vehicle does not suit dynamics."""
+    """Raise ModelError if a vehicle cannot be used in dynamics."""
     if not vehicle.mass:
         raise ModelError(
             f"dynamics: expected a vehicle with mass, found none in {vehicle.name!r}; give its "
@@ -203,8 +203,8 @@ def check_inertia(vehicle: Vehicle, labels: Labels, x: DynamicState, matrix: ca.
     for c, value in zip(vehicle.coordinates, values, strict=True):
         if not (c.acting_drive.prescribed or value > MIN_INERTIA):
             raise ModelError(
-                f"dynamics: coordinate {c.name!r}: expected that it moves a part or a wheel with "
-                "mass, found none; give a part or a wheel that it carries a mass"
+                f"dynamics: coordinate {c.name!r}: expected a part or a wheel with mass that it "
+                "moves, found none; give a part or a wheel that it carries a mass"
             )
 
 
@@ -242,7 +242,7 @@ def moving_bodies(vehicle: Vehicle, x: DynamicState) -> Multibody:
 
 
 def _in_space(vehicle: Vehicle, x: DynamicState) -> DynamicState:
-    """Return states with all components of position and speeds; a plane fixes three of them."""
+    """Return states with all components of position and speeds; a planar vehicle lacks some."""
     if not vehicle.planar:
         return x
     zero = ca.SX(0)
@@ -404,7 +404,7 @@ def _accelerations(
 
 
 def _attitude_rate(x: DynamicState) -> ca.SX:
-    """Return the rate of a quaternion (w, x, y, z), with a return of its norm to one [1/s]."""
+    """Return the rate of a quaternion (w, x, y, z), with stabilisation of its norm at one [1/s]."""
     attitude, omega = ca.vertcat(*x.attitude), ca.vertcat(*x.omega)
     scalar, vector = attitude[0], attitude[1:]
     turning = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2

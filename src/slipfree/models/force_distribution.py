@@ -1,4 +1,4 @@
-"""Distribute contact forces with the least utilisation, where equilibrium leaves them free."""
+"""Distribute contact forces with least utilisation where equilibrium does not determine them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ NORMAL_FORCE_ROUNDING = 1e-9  # smaller negative normal forces count as zero [we
 RANK_TOLERANCE = 1e-9  # smaller singular values count as zero [largest singular value]
 BALANCE_TOLERANCE = 1e-8  # largest residual of an equilibrium that has a solution [weight]
 MAX_INTERNAL_FORCE = 1e3  # makes the optimum of a jammed vehicle bounded [weight]
-PHASE_ONE_FORCE = 0.02  # friction times normal force at which phase one ends [weight]
+PHASE_ONE_FORCE = 0.02  # friction times normal force at which the search for a start ends [weight]
 MAX_UTILISATION = 1e6  # beyond it, a wheel without normal force would have to bear a force
 CENTRAL_DECREMENT = 0.7  # Newton decrement below which full steps converge and the level may move
-MAX_NEWTON_STEPS = 400  # 50 to 130 are usual
+MAX_NEWTON_STEPS = 400  # usual numbers are 50 to 130
 ABSOLUTE, RELATIVE = 1e-9, 1e-8  # tolerances of the least utilisation
-STEPS = np.array([8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.03, 0.01])  # trial steps off the centre
+STEPS = np.array([8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.03, 0.01])  # trial steps to the centre
 ADVANCES = 1 - np.array([0.02, 0.04, 0.08, 0.15, 0.3, 0.5, 0.7, 0.85, 0.93, 0.97, 0.99, 1.0])
 RETREAT = 0.9  # used fraction of the farthest feasible advance
 
@@ -126,8 +126,8 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
     can hold the vehicle by Coulomb friction. A minimum below one means only that a suitable
     distribution exists, not that it occurs. The forces at a fixed utilisation form a convex set.
     Newton's method follows its analytic centre while the utilisation decreases [1]_, for all
-    samples at once. Internal forces are bounded by a thousand weights: a vehicle that can brace
-    itself between walls has a minimum only under that bound.
+    samples at once. Internal forces are bounded by a thousand weights: for a vehicle braced between
+    two walls, the minimum exists only under this bound.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def _check(matrix: Array, load: Array, friction: Array) -> None:
     if 0 in friction.shape:
         raise ModelError(
             "friction: expected at least one sample and one wheel, found shape "
-            f"{friction.shape} (samples, wheels)"
+            f"{friction.shape} (samples, wheels); use a motion with samples"
         )
     n, m = friction.shape
     w = matrix.shape[1] if matrix.ndim == 3 else 0
@@ -246,7 +246,7 @@ def _contacts(particular: Array, free: Array, friction: Array) -> _Contacts:
 
 
 def _feasible_unknowns(contacts: _Contacts, y: Array) -> Array:
-    """Return unknowns (n, k) with positive normal forces, where these exist (phase one)."""
+    """Return unknowns (n, k) with positive normal forces, where these exist, to start from."""
     none = np.zeros_like(contacts.along)
     flat = np.zeros_like(contacts.along_slope)
     upright = contacts._replace(along=none, across=none, along_slope=flat, across_slope=flat)
@@ -309,7 +309,7 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
     solved = np.linalg.solve(r, np.stack([first, second], -1))
     step = solved[..., 0]
     decrement = np.sqrt(np.maximum(-(gradient * step).sum(1), 0.0))
-    gap = 2 * m / (weight * radius_rate).sum(1)  # the barrier's parameter over its rate
+    gap = 2 * m / (weight * radius_rate).sum(1)  # parameter of the barrier divided by its rate
     return _Newton(step, solved[..., 1], decrement, gap)
 
 
@@ -411,7 +411,7 @@ def _utilisation(contacts: _Contacts, y: Array) -> Array:
 
 
 def _normal(contacts: _Contacts, y: Array) -> Array:
-    """Return friction times normal force, shape (n, m) in weights."""
+    """Return friction times normal force, shape (n, m) [weight]."""
     return contacts.normal + _apply(contacts.normal_slope, y)
 
 

@@ -89,7 +89,7 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
 
 
 def _equilibrium_terms(parts: Mechanics) -> list[ca.SX]:
-    """Return the equilibrium's matrix, its load over the weight, and the wheels' friction."""
+    """Return the equilibrium's matrix, its load divided by the weight, and the wheels' friction."""
     return [parts.free.T, parts.load / parts.weight, ca.vertcat(*parts.friction)]
 
 

@@ -185,7 +185,7 @@ def check_rates(given: Sequence[str]) -> None:
 
 
 def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = True) -> None:
-    """Raise ModelError if a vehicle cannot take the given commands.
+    """Raise ModelError if a vehicle cannot follow the given commands.
 
     Commands must be known, different and, if ``exact``, no more than the driven wheels. ``right``
     must be among them if all driven wheels have rollers.

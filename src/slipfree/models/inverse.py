@@ -138,21 +138,21 @@ def inverse_kinematics(
         Its inputs are the given rates. A motion ends where the wheels can no longer impose exact
         commands, or where three rates do not determine the unknowns: see
         `slipfree.models.determinacy.Determinacy`. With ``solve_for="angles"`` and three rates it
-        also ends where the vehicle stands.
+        also ends where the vehicle stands still.
 
     Raises
     ------
     ModelError
         If no rate is given, or a rate is unknown or given twice; if commands and rates in map axes,
         or both kinds of angular rates, are mixed; if there are more exact commands than driven
-        wheels, or ``right`` is missing though all driven wheels have rollers; if rates in map axes
-        are given that are not three, or to a vehicle that cannot roll without slip or does not have
-        three inputs; if ``solve_for`` does not suit the rates or the vehicle; or if
+        wheels, or ``right`` is missing though all driven wheels have rollers; if the number of
+        rates in map axes is not three, or the vehicle cannot roll without slip or does not have
+        three inputs for them; if ``solve_for`` does not suit the rates or the vehicle; or if
         ``least_margin`` is negative or NaN.
 
     Examples
     --------
-    Wheel rates of a differential drive that turns as it drives.
+    Compute the wheel rates of a differential drive in a turn:
 
     >>> import numpy as np
     >>> from slipfree import Analytic, catalog, inverse_kinematics, settle, simulate
@@ -312,7 +312,7 @@ def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> D
     equations = (ca.vertcat(closure, imposed.rows), (*names, *imposed.labels)), forces
     dae = rearrange(still, x, (motion, z.forces), imposed.inputs, equations)
     slow = Label(
-        "steering_speed", "m s-1", "the vehicle stands, and its steering angles are arbitrary"
+        "steering_speed", "m s-1", "the vehicle stands still: its steering angles are arbitrary"
     )
     speed = ca.sqrt(direct.z.rates.x**2 + direct.z.rates.y**2)
     limit = Limit(slow, speed, MIN_STEERABLE_SPEED * direct.size, np.inf)

@@ -23,8 +23,8 @@ from slipfree.records import Label, leaves
 from slipfree.vehicle.tree import Coordinate, Vehicle
 
 HEADING = Label("heading", "rad", "counter-clockwise angle of the right axis from the x axis")
-ROLL = Label("roll", "rad", "angle about the forward axis, right side down positive")
-PITCH = Label("pitch", "rad", "angle about the right axis, nose up positive")
+ROLL = Label("roll", "rad", "angle about the forward axis, positive with the right side down")
+PITCH = Label("pitch", "rad", "angle about the right axis, positive with the nose up")
 
 
 def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels:
@@ -61,7 +61,7 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     )
     driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
     u = Inputs(
-        tuple(_turning(name, f"the driven wheel {name}, forward positive") for name in driven),
+        tuple(_turning(name, f"the driven wheel {name}, positive forward") for name in driven),
         tuple(_rate(vehicle, c) for c in vehicle.of("commanded")),
     )
     words = "angle through which the wheel has turned"
@@ -79,7 +79,7 @@ def pressed_labels(vehicle: Vehicle) -> dict[str, tuple[Label, ...]]:
     return {
         "depth": wheel_labels(vehicle, "depth", "m", "depth below the ground; negative in the air"),
         "load_share": wheel_labels(
-            vehicle, "load_share", "1", "normal force times number of wheels over the weight"
+            vehicle, "load_share", "1", "normal force divided by an equal share of the weight"
         ),
         "force_normal": wheel_labels(vehicle, *NORMAL) if vehicle.mass else (),
     }
@@ -142,7 +142,7 @@ def equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
         Label(
             f"equilibrium_{label.name.removesuffix('_rate')}",
             "1" if label.unit == "m s-1" else "m",
-            f"{'force' if label.unit == 'm s-1' else 'moment'} over weight, equilibrium with "
+            f"{'force' if label.unit == 'm s-1' else 'moment'} divided by weight, equilibrium with "
             f"respect to {label.words.removeprefix('rate of ')}",
         )
         for label in leaves(rates.motion)
@@ -159,8 +159,8 @@ def _output_labels(vehicle: Vehicle, *, follow: bool) -> Outputs:
         each("center_y", "m", "northing of the wheel's centre"),
         each("center_z", "m", "height of the wheel's centre"),
         each("slip_along", "m s-1", "slip along the wheel, negative if it turns too fast"),
-        each("slip_across", "m s-1", "slip across the wheel, to the right positive"),
-        each("wheel_rate", "rad s-1", "rate of the wheel, forward positive"),
+        each("slip_across", "m s-1", "slip across the wheel, positive to the right"),
+        each("wheel_rate", "rad s-1", "rate of the wheel, positive forward"),
         each(
             "wheel_u", "rad", "contact coordinate u of the wheel, pi/2 at the middle of the tread"
         ),
@@ -187,10 +187,10 @@ def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
         () if follow else wheel_labels(vehicle, *ACROSS),
         wheel_labels(vehicle, "friction_needed", "1", "ratio of tangential to normal force"),
         wheel_labels(
-            vehicle, "utilisation", "1", "friction needed over the ground's friction coefficient"
+            vehicle, "utilisation", "1", "friction needed divided by the friction coefficient"
         ),
         wheel_labels(
-            vehicle, "drive_torque", "N m", "torque of the wheel's drive, forward positive"
+            vehicle, "drive_torque", "N m", "torque of the wheel's drive, positive forward"
         ),
         tuple(effort_label(vehicle, c) for c in vehicle.of("commanded")),
         Label("power", "W", "power of the drives and actuators"),

@@ -60,7 +60,7 @@ def hole_margin(q: Quantities) -> Iterator[Limit]:
         margin = q.terrain.hole_margin(contact.point[0], contact.point[1], q.lookups)
         if margin is not None:
             words = (
-                f"wheel {wheel.name} reaches a hole of the map, where heights are missing "
+                f"wheel {wheel.name} reaches a hole in the map, where heights are missing "
                 "(distance to it, less a third of a cell)"
             )
             yield Limit(Label("hole_margin", "m", words, wheel.name), margin, 0.0, np.inf)

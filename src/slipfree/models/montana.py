@@ -220,7 +220,7 @@ def montana_kinematics(
         ),
         labels=labels._replace(alg=(law.labels, labels.alg[1])),
         limits=(
-            *_drift_limits(vehicle, rolls),  # first: other limits need wheels without drift
+            *_drift_limits(vehicle, rolls),  # first, since other limits assume wheels without drift
             *limits_of(q),
         ),
         checks=tuple(
@@ -419,7 +419,7 @@ def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]
 
     Examples
     --------
-    Closure and Montana's equations move the three-wheeler alike.
+    The closure model and Montana's equations give the same motion of the three-wheeler:
 
     >>> import numpy as np
     >>> from slipfree import Analytic, catalog, cross_check, settle, simulate

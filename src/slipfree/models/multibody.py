@@ -101,7 +101,7 @@ class WheelMotion(NamedTuple):
         Moment of inertia of the drive about the axle, added to `axial` in the equation of the
         wheel's spin. [kg m^2]
     speed : SX, shape (1, 1)
-        Generalised speed of the wheel, forward positive: its rate relative to the carrier if that
+        Generalised speed of the wheel, positive forward: its rate relative to the carrier if that
         is prescribed, otherwise its spin relative to fixed axes. [rad/s]
     prescribed : bool
         Whether the rate is prescribed; the axial inertia then belongs to the carrier.
@@ -126,12 +126,12 @@ class WheelMotion(NamedTuple):
 
     @property
     def rate(self) -> ca.SX:
-        """Rate of the wheel relative to its carrier, forward positive [rad/s]."""
+        """Rate of the wheel relative to its carrier, positive forward [rad/s]."""
         return self.speed if self.prescribed else self.speed + self.turning
 
     @property
     def spin(self) -> ca.SX:
-        """Rate of the wheel relative to fixed axes, forward positive [rad/s]."""
+        """Rate of the wheel relative to fixed axes, positive forward [rad/s]."""
         return self.rate - self.turning
 
 
@@ -277,7 +277,7 @@ def generalised_forces(system: Multibody, loads: Iterable[Load]) -> ca.SX:
 
 
 def bias_forces(system: Multibody) -> ca.SX:
-    """Return the generalised inertial forces at constant speeds, less those of gravity.
+    """Return the generalised inertial forces at constant speeds, minus the forces of gravity.
 
     The equations of motion are ``M u' + bias = Q``, with the generalised forces ``Q`` of drives,
     springs and ground. The shape is (6 + n_coordinates, 1).
@@ -291,7 +291,7 @@ def bias_forces(system: Multibody) -> ca.SX:
         arm = motion.pose.origin - system.origin
         loads.append(Load(body.part, force, moment + ca.cross(arm, force)))
     for wheel in system.wheels:
-        # the moment of momentum -axial speed a of the wheel turns with its carrier
+        # the wheel's angular momentum, -axial * speed * axle, turns with its carrier
         moment = -wheel.axial * wheel.speed * ca.cross(wheel.motion.omega, wheel.axle)
         loads.append(Load(wheel.wheel.parent, ca.SX.zeros(3), moment))
     return generalised_forces(system, loads)

@@ -14,9 +14,9 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 Ending = Literal["climbs", "stalls", "tips over", "unfinished"]
-TOP_SHARE = 0.8  # height of a wheel's centre over the top of a solid on which it stands [radii]
-STALL_TIME = 1.0  # interval at the end in which a stalled vehicle does not advance [s]
-STALL_DISTANCE = 5e-3  # largest displacement of a stalled vehicle in it [m]
+TOP_SHARE = 0.8  # height of a wheel's centre above the top of a solid that it has climbed [radii]
+STALL_TIME = 1.0  # final interval in which a stalled vehicle does not advance [s]
+STALL_DISTANCE = 5e-3  # largest displacement of a stalled vehicle in this interval [m]
 STALL_SHARE = 0.05  # or, if larger, this share of the distance that the rims travel [1]
 
 
@@ -30,7 +30,7 @@ class ObstacleEnding(NamedTuple):
     t : float
         Time at which the last wheel reaches the top, or the motion ends. [s]
     words : str
-        Sentence on the reason.
+        Explanation of the ending.
     """
 
     name: Ending
@@ -48,9 +48,9 @@ def obstacle_ending(
     """Return the ending of a motion over solids; None without solids.
 
     The vehicle tips over if the motion ends at the limit of the platform's inclination. It climbs
-    if, after the first contact with a solid, each wheel reaches the highest top of the solids that
-    a wheel touches; later it may leave it. It stalls if the platform is displaced by less than 5 mm
-    in the last second, or by less than 5 % of the distance that the rims travel.
+    if, after the first contact with a solid, each wheel reaches the highest top among the solids
+    touched by any wheel; the wheel may leave it later. It stalls if the platform is displaced by
+    less than 5 mm in the last second, or by less than 5 % of the distance that the rims travel.
 
     Parameters
     ----------
@@ -88,10 +88,10 @@ def obstacle_ending(
     up = _reached(run, vehicle, top) & (np.cumsum(np.any(touched, axis=0)) > 0)[:, None]
     if up.any(axis=0).all():
         t = float(run.t[up.argmax(axis=0).max()])
-        words = f"until t = {t:.3g} s every wheel reached the top, z = {top:.3g} m"
+        words = f"by t = {t:.3g} s every wheel had reached the top, z = {top:.3g} m"
         return ObstacleEnding("climbs", t, words)
-    count = f"{up.any(axis=0).sum()} of {len(vehicle.wheels)} wheels reached the top"
-    words = f"until t = {end:.3g} s {count}, z = {top:.3g} m{_stop_words(run)}"
+    count = f"{up.any(axis=0).sum()} of {len(vehicle.wheels)} wheels had reached the top"
+    words = f"by t = {end:.3g} s {count}, z = {top:.3g} m{_stop_words(run)}"
     return ObstacleEnding("stalls" if _has_stalled(run, vehicle) else "unfinished", end, words)
 
 

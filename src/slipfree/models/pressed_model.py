@@ -3,8 +3,8 @@
 A rigid vehicle stands on three wheels; a fourth one over-determines its pose. Here, each wheel
 presses on the ground with a load that grows with its depth below the ground, and the height and
 inclination of the platform and the suspension are states that relax to the equilibrium of these
-loads. As the depths tend to zero, the motion of a vehicle that exact closure can place tends to
-that of `slipfree.models.closure_model`.
+loads. As the depths tend to zero, the motion tends to that of `slipfree.models.closure_model` if
+the wheels of the vehicle can all touch a rigid ground.
 
 With the depth ``delta_i`` of a wheel, its static depth ``d0``, the weight ``W`` and ``n`` wheels:
 
@@ -15,8 +15,8 @@ With the depth ``delta_i`` of a wheel, its static depth ``d0``, the weight ``W``
 - The unbalanced force ``F`` on height, inclination and suspension moves them against viscous
   contacts: ``J' diag(c) s_n = F``, with the normal velocities ``s_n = J r`` of the wheels for
   relaxing rates ``r``, and the viscosities ``c``; springs of the suspension have viscosities with
-  the same time constant. Under an unbalanced force ``W / n``, a wheel on
-  the ground moves at `CONTACT_SPEED` and a wheel in the air at `AIR_SPEED`.
+  the same time constant. Under an unbalanced force ``W / n``, a wheel on the ground moves at
+  `CONTACT_SPEED` and a wheel in the air at `AIR_SPEED`.
 
 A vehicle rocks where the wheel with the least load changes. There the equilibrium has folds, and
 the relaxation from one equilibrium to the next takes a finite time.
@@ -81,7 +81,7 @@ class Press(NamedTuple):
     depth : SX
         Depth below the ground, along its normal; negative in the air. [m]
     load : SX
-        Normal force over the weight of the vehicle. [1]
+        Normal force divided by the weight of the vehicle. [1]
     touch : SX
         Degree of contact: derivative of the load with respect to the depth, divided by its value
         at large depths; one under load, zero in the air. [1]
@@ -97,7 +97,7 @@ class Press(NamedTuple):
 
 
 class Balance(NamedTuple):
-    """Friction forces under given loads, and the remaining unbalanced force, over the weight.
+    """Friction forces under given loads and the remaining unbalanced force, per unit weight.
 
     Attributes
     ----------
@@ -357,7 +357,7 @@ def _dae(
 
 
 def _first_pose(q: Quantities) -> ca.SX:
-    """Return height, attitude and suspension of a level pose that presses all wheels in."""
+    """Return height, attitude and suspension of a level pose with all wheels in the ground."""
     heights, _ = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
     lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.wheels)
     return ca.vertcat(lowest, ca.SX.zeros(2 + len(q.position.suspension)))

@@ -60,7 +60,7 @@ from slipfree.records import Label, leaves, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
-RELAXATION_RATE = 10.0  # at which depths follow the loads [1/s]
+RELAXATION_RATE = 10.0  # rate at which depths follow the loads [1/s]
 
 
 class RigidUnknowns(NamedTuple):
@@ -222,7 +222,7 @@ def _without_unknowns(y: DynamicOutputs) -> DynamicOutputs:
 def _touches(
     terrain: Terrain, body: Multibody, points: Sequence[ContactPoint], lookups: LookupTable
 ) -> list[Touch]:
-    """Return the contacts of the wheels at given ground points; their points are the wheels'."""
+    """Return the contacts of the wheels at given ground points, with the points of the wheels."""
     found = list[Touch]()
     for each, at in zip(body.wheels, points, strict=True):
         wheel, pose = each.wheel, each.motion.pose
@@ -287,7 +287,7 @@ def _sliding(
 
 
 def _check_torques(law: GroundLaw, reaction: Reaction) -> None:
-    """Raise ModelError for a law whose torques are not those of its forces."""
+    """Raise ModelError for a law whose torques differ from the moments of its forces."""
     if reaction.torques:
         raise ModelError(
             "rigid_dynamics: expected a law whose forces act at the contact points, such as "

@@ -58,8 +58,8 @@ def rocks(run: Trajectory) -> list[Rock]:
 def lightest_wheel(run: Trajectory, sample: int) -> tuple[str, float, float]:
     """Return the name, load share and depth of the wheel with the least load at a sample.
 
-    The load share is the load times the number of wheels over the weight [1]. The depth is negative
-    in the air [m].
+    The load share is the load times the number of wheels, divided by the weight [1]. The depth is
+    negative in the air [m].
     """
     loads = run["load_share"][sample]
     k = int(loads.argmin())

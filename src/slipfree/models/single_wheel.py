@@ -12,7 +12,7 @@ from slipfree.errors import ModelError
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
 from slipfree.records import Array
 
-STEPS = 60  # of bisection for the sinkage; the interval is the radius / 2^60
+STEPS = 60  # number of bisection steps for the sinkage
 
 
 class WheelCurves(NamedTuple):
@@ -31,7 +31,7 @@ class WheelCurves(NamedTuple):
     pull : ndarray
         Drawbar pull. [N]
     side : ndarray
-        Side force against the sideways motion, positive. [N]
+        Side force, positive against the sideways motion. [N]
     torque : ndarray
         Resistance torque. [N m]
     """
@@ -64,7 +64,7 @@ def single_wheel(
     slips : sequence of float
         Slip ratios, -1 to 1. [1]
     angles : sequence of float
-        Slip angles, each less than pi/2 in size. [rad]
+        Slip angles, each of magnitude less than pi/2. [rad]
 
     Raises
     ------
@@ -91,9 +91,10 @@ def single_wheel(
     if borne.min() < load:
         k = borne.argmin()
         raise ModelError(
-            f"single_wheel: expected that the wheel sinks less than its radius, {size.radius:g} m, "
-            f"found {borne.min():.4g} N of {load:.4g} N at that depth, at slip {s[0, k]:g} and "
-            f"slip angle {beta[0, k]:g} rad; reduce the load, or use a larger wheel"
+            "single_wheel: expected a sinkage smaller than the wheel's radius, "
+            f"{size.radius:g} m, found that the soil bears only {borne.min():.4g} N of "
+            f"{load:.4g} N at that depth, at slip {s[0, k]:g} and slip angle {beta[0, k]:g} rad; "
+            "reduce the load, or use a larger wheel"
         )
     for _ in range(STEPS):
         middle = (low + high) / 2
@@ -113,13 +114,13 @@ def _check(load: float, slip: Array, angle: Array) -> None:
         )
     if not (slip.size and np.all(np.abs(slip) <= 1)):
         raise ModelError(
-            f"single_wheel: slips: expected slip ratios from -1 to 1, found {slip.tolist()}; leave "
-            "out the others"
+            f"single_wheel: slips: expected slip ratios from -1 to 1, found {slip.tolist()}; "
+            "remove the others"
         )
     if not (angle.size and np.all(np.abs(angle) < np.pi / 2)):
         raise ModelError(
-            "single_wheel: angles: expected slip angles of less than pi/2 in size, in radians, "
-            f"found {angle.tolist()}; leave out the others"
+            "single_wheel: angles: expected slip angles between -pi/2 and pi/2, in radians, found "
+            f"{angle.tolist()}; remove the others"
         )
 
 

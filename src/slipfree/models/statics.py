@@ -94,7 +94,7 @@ def _damping(vehicle: Vehicle, rates: Rates, u: Inputs) -> ca.SX:
 
 
 def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:
-    """Return the residual of the equilibrium over the weight, shape (n_rates, 1) [1, m]."""
+    """Return the equilibrium residual divided by the weight, shape (n_rates, 1) [1, m]."""
     return (parts.free.T @ forces + parts.load) / parts.weight
 
 

@@ -51,8 +51,8 @@ def steering_effects(
     """Return the effects of coordinates of a kind on the directions of wheels.
 
     The result maps names of coordinates to effects by wheel number, the derivatives of the wheel's
-    direction: its angle about the platform's up axis, left positive. Coordinates without effect are
-    omitted. [rad/rad, rad/m]
+    direction: its angle about the platform's up axis, positive to the left. Coordinates without
+    effect are omitted. [rad/rad, rad/m]
     """
     values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
     poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)

@@ -342,7 +342,7 @@ def _ground_reasons(layers: Traversability, i: int, j: int) -> dict[str, str]:
     used = 0.0 if layers.friction is None else float(layers.friction[i, j])
     if layers.to_hole[i, j] < limits.reach:
         words["hole"] = (
-            f"{max(layers.to_hole[i, j], 0):.3g} m from a hole of the map, where heights are "
+            f"{max(layers.to_hole[i, j], 0):.3g} m from a hole in the map, where heights are "
             f"missing, and wheels reach {limits.reach:.3g} m"
         )
     if used >= 1:

@@ -84,7 +84,7 @@ def strobe(
 
 
 def _pose(run: Trajectory, climber: Climber, k: int, ax: Axes, color: Any) -> None:
-    """Draw wheels, links and centers of mass at a sample."""
+    """Draw wheels, links and centres of mass at a sample."""
     links, centers = _skeleton(run, climber, k)
     ax.plot(*links, color=color, lw=1.3, zorder=3, solid_joinstyle="round")
     ax.plot(*centers, "+", color=color, ms=4, mew=0.8, zorder=3)
@@ -93,7 +93,7 @@ def _pose(run: Trajectory, climber: Climber, k: int, ax: Axes, color: Any) -> No
 
 
 def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
-    """Return rear axle, joint and front axle, and the centers of mass, both of shape (2, n)."""
+    """Return rear axle, joint and front axle, and the centres of mass, both of shape (2, n)."""
     joint = np.array([run["y"][k], run["z"][k]])
     ends = [
         np.array([run[name, axle][k] for name in ("center_y", "center_z")])
@@ -130,7 +130,7 @@ def references(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
 
 def slip(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
     """Draw the slip ratio of every axle over time, equation (20) of Chugo et al. (2009)."""
-    return _ratios(run, slip_ratio(run, climber), "slip (20) [%]", ax)
+    return _ratios(run, slip_ratio(run, climber), "slip, eq. (20) [%]", ax)
 
 
 def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> Axes:
@@ -150,7 +150,7 @@ def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> 
 
 def disturbance(run: Trajectory, ax: Axes) -> Axes:
     """Draw the relative rate error of each axle over time, equation (21) of Chugo et al. (2009)."""
-    return _ratios(run, disturbance_ratio(run), "disturbance (21) [%]", ax)
+    return _ratios(run, disturbance_ratio(run), "disturbance, eq. (21) [%]", ax)
 
 
 def _ratios(run: Trajectory, ratios: Array, words: str, ax: Axes) -> Axes:
@@ -211,10 +211,10 @@ def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes
 
 
 def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Axes) -> Axes:
-    """Draw the planned used friction over the progress, and the actual one as thin lines.
+    """Draw the planned friction ratio over the progress, and the actual one as thin lines.
 
-    Used friction is the tangential over the normal force. The actual one is that of the contact
-    with the largest load.
+    The ratio is the tangential force divided by the normal force. The actual ratio is that of the
+    contact with the largest load.
 
     Parameters
     ----------
@@ -302,8 +302,8 @@ def climb_plots(
                 Panel(partial(true_slip, run, climber, profile), has_legend=False),
                 Panel(partial(disturbance, run), has_legend=False),
             ],
-            f"Values are cut off at {HIGHEST:g} %. Equation (20) uses the speed of the middle axle "
-            f"for all wheels. {left_out}",
+            f"Values are cut off at {HIGHEST:g} %. Equation numbers of Chugo et al. (2009); (20) "
+            f"uses the speed of the middle axle for all wheels. {left_out}",
         ),
         "forces": (
             "Normal forces and torques of every axle.",
@@ -334,7 +334,7 @@ def _strobe(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
     note = (
         f"Dots every {EVERY:g} s, the vehicle every {POSES * EVERY:g} s, from violet to green; + "
     )
-    note += "centers of mass."
+    note += "centres of mass."
     return style.finished(figure, run, [], note + _outcome(run))
 
 

@@ -26,7 +26,7 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.climber import AXLES, Body, Climber
 from slipfree.vehicle.sections.torus import Torus
 
-TRACK = 3.5  # half of the track [wheel radius]
+TRACK = 3.5  # half of the track width [wheel radius]
 WIDTH = 2.0  # half of the width of the ground [half track]
 TUBE = 0.35  # radius of the wheels' tube [wheel radius]
 ROOM = 4.0  # margin of the ground around a climb [wheel radius]
@@ -88,7 +88,9 @@ def climb_scene(climbs: Sequence[Climbed]) -> Scene:
             actors.append(
                 _actor(each, each.plan, f"{each.name}: plan", k + len(climbs), origin, ghost=True)
             )
-    notes = ["A climb is computed in a plane: the width of ground and vehicle is only drawn."]
+    notes = [
+        "A climb is computed in a plane: the widths of ground and vehicle are only for display."
+    ]
     return scene.framed(ground, actors, origin, reach, _backdrop(climbs, origin, reach), notes)
 
 

@@ -49,7 +49,7 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-SIDE = 161  # largest number of nodes of the drawn ground along an axis: 51 200 faces
+SIDE = 161  # maximum number of nodes of the drawn ground along an axis: 51 200 faces
 MARGIN = 0.35  # margin of the drawn ground around the paths [extent of the paths]
 NEXT = 3.0  # smallest margin [reach of the vehicle]
 FINE = 0.125  # distance of nodes near the paths [reach of the vehicle]
@@ -322,7 +322,7 @@ def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body
 
 
 def _hidden(bodies: Iterable[Body], drive: Driven) -> Iterable[Body]:
-    """Yield the simple bodies that no mesh of a link replaces; the platform is without meshes."""
+    """Yield the simple bodies that no mesh of the URDF replaces; the platform has no mesh."""
     shown = {wheel_name(joint.name) for joint in _joints_with_visuals(drive)}
     names = {wheel.name for wheel in drive.vehicle.wheels} - shown
     for body in bodies:
@@ -363,7 +363,7 @@ def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> li
 
 
 def ground_normals(terrain: Bicubic, points: Array) -> Array:
-    """Return the upward unit normals of a ground at map points of shape (..., 3), same shape."""
+    """Return the upward unit normals of a ground at map points; both have the shape (..., 3)."""
     slopes = []
     for axis, cell in enumerate(terrain.grid.spacing):
         step = 1e-3 * cell
@@ -380,10 +380,10 @@ def ground_normals(terrain: Bicubic, points: Array) -> Array:
 def _cropped(grid: Grid, fine: Refined) -> str:
     (h_x, h_y), (d_x, d_y) = grid.spacing, fine.grid.spacing
     sizes = [f"{np.ptp(each.x):.4g} x {np.ptp(each.y):.4g} m" for each in (fine.grid, grid)]
-    near = f", near the paths every {fine.spacing:.3g} m" if fine.parts > 1 else ""
+    near = f" ({fine.spacing:.3g} m near the paths)" if fine.parts > 1 else ""
     return (
-        f"Ground drawn: {sizes[0]} of {sizes[1]}, a node every {d_x:.3g} x {d_y:.3g} m{near}; "
-        f"the map has a node every {h_x:.3g} x {h_y:.3g} m."
+        f"Drawn ground: {sizes[0]} of {sizes[1]}, node spacing {d_x:.3g} x {d_y:.3g} m{near}; "
+        f"node spacing of the map {h_x:.3g} x {h_y:.3g} m."
     )
 
 

@@ -25,11 +25,11 @@ from slipfree.show.style import MM, PAGE, STYLE
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")
-MOST = 400  # largest number of frames of a film; longer motions are accelerated
-ROWS = {"height_ratios": (2, 3)}  # of the axes in a film of a section, which is wide
-HEIGHTS = (130.0, 86.0)  # of a film of a section, and of one in plan view [mm]
+MOST = 400  # maximum number of frames of a film; longer motions are shown faster
+ROWS = {"height_ratios": (2, 3)}  # heights of the two axes in a film of a section
+HEIGHTS = (130.0, 86.0)  # heights of a film of a section, and of one in plan view [mm]
 HEIGHT = 0.6  # height of the 3D view [its width]
-WIDTH = 150  # characters in a line below the film
+WIDTH = 150  # number of characters in a line below the film
 T = TypeVar("T")
 
 
@@ -140,7 +140,7 @@ def animate(scene: Scene, file: str | Path, title: str = "") -> str:
         figure.set_layout_engine("none")  # axes must not move between frames
         times = np.linspace(first, last, count).tolist()
         write_film(writer, figure, Path(file), film.show, times)
-    return f"{speed:.3g} times the real speed"
+    return f"{speed:.3g} times real speed"
 
 
 class Film:
@@ -155,7 +155,7 @@ class Film:
         self.title = title
         self.head = figure.suptitle("", x=0.98, ha="right", fontsize=8, parse_math=False)
         told = [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
-        told += [f"{speed:.3g} times the real speed"] if speed > 1 else []
+        told += [f"{speed:.3g} times real speed"] if speed > 1 else []
         lines = ["; ".join(told), *scene.warnings]
         lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
         words = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
@@ -238,5 +238,5 @@ def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
 
 
 def _shares(color: Color) -> tuple[float, ...]:
-    """Return red, green and blue, from 0 to 1, of a color with components from 0 to 255."""
+    """Return red, green and blue, from 0 to 1, of a colour with components from 0 to 255."""
     return tuple(part / 255 for part in color)

@@ -71,8 +71,8 @@ def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
 def utilisation(run: Trajectory, ax: Axes) -> Axes:
     """Draw the utilisation of friction of every wheel over time, and its largest value.
 
-    Values above 3 are not drawn; a remark says so. On a ground without a friction coefficient, the
-    coefficient needed is drawn.
+    Values above 3 are not drawn; a remark in the figure states this. On a ground without a friction
+    coefficient, the coefficient needed is drawn.
     """
     values = run["utilisation"]
     for k, wheel in enumerate(run.wheels):
@@ -156,9 +156,9 @@ def energy(run: Trajectory, ax: Axes) -> Axes:
         ax.plot(run.t, moving, label="kinetic energy", color=PALETTE[3])
         lost = run["lost_energy"] - run["lost_energy"][0]
     ax.plot(run.t, work, label="drives", color=PALETTE[0])
-    # long gaps, as it covers the work of the drives where nothing is lost
+    # long gaps: without losses this line would hide that of the drives
     ax.plot(run.t, height, label="potential energy", color=PALETTE[2], ls=(0, (6, 6)))
-    ax.plot(run.t, lost, label="lost", color=PALETTE[1])
+    ax.plot(run.t, lost, label="losses", color=PALETTE[1])
     ax.set_ylabel("energy since the start [J]")
     return style.time_axis(run, _with_zero(ax))
 
@@ -166,7 +166,7 @@ def energy(run: Trajectory, ax: Axes) -> Axes:
 def power(run: Trajectory, ax: Axes) -> Axes:
     """Draw the power of the drives and the losses over time, coloured as in `energy`."""
     ax.plot(run.t, run["power"], label="drives", color=PALETTE[0])
-    ax.plot(run.t, run["dissipation"], label="lost", color=PALETTE[1])
+    ax.plot(run.t, run["dissipation"], label="losses", color=PALETTE[1])
     ax.set_ylabel("power [W]")
     return style.time_axis(run, _with_zero(ax))
 
@@ -208,7 +208,7 @@ def depth(run: Trajectory, ax: Axes) -> Axes:
 def slip_ratio(run: Trajectory, ax: Axes) -> Axes:
     """Draw the slip ratio of every wheel over time, while the wheel is on the ground."""
     _by_wheel(run, np.where(run["depth"] > 0, run["slip_ratio"], np.nan), ax)
-    ax.set_ylabel("slip ratio")
+    ax.set_ylabel("slip ratio [1]")
     return style.time_axis(run, _with_zero(ax))
 
 

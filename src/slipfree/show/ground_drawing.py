@@ -60,7 +60,7 @@ def brightness(drawn: Grid) -> Array:
     """Return the factors of brightness of the nodes of a ground in a hillshade, shape (n, 1).
 
     Light comes from the north-west. Heights are exaggerated so that gentle relief is visible: the
-    steep parts appear at about 35 degrees. Flat ground has the factor `LEVEL`.
+    steep parts appear to slope by about 35 degrees. Flat ground has the factor `LEVEL`.
     """
     slopes = np.gradient(drawn.z, *drawn.spacing)
     steep = float(np.percentile(np.hypot(*slopes), 95))

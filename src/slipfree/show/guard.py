@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"  # not reachable from the network
 NAMES = (HOST, "localhost", "[::1]")  # names of this machine
 DEFAULT_PORT = 80  # port of http, which browsers omit
-MOST = 20  # largest number of warnings
-LONGEST = 60  # largest number of characters of a value in a warning
+MOST = 20  # maximum number of warnings
+LONGEST = 60  # maximum number of characters of a value in a warning
 
 
 class Guard:
@@ -153,7 +153,7 @@ def _with_script(response: Any, script: bytes) -> Any:
 
 
 def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> bool:
-    """Return whether a request is for a name of this machine, and from no foreign page.
+    """Return whether a request addresses this machine and comes from its own page.
 
     Parameters
     ----------
@@ -169,7 +169,10 @@ def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> b
 
 
 def refusal_words(hosts: Sequence[str], origins: Sequence[str], port: int) -> tuple[str, str]:
-    """Return what was expected of a refused request, and what was found."""
+    """Return the expected request and the refused one as texts of a message.
+
+    Parameters are those of `is_own_request`.
+    """
     found = ", ".join(hosts).lower(), ", ".join(origins).lower()
     return (
         f"expected a request for http://{HOST}:{port} from the page itself",

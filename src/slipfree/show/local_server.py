@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from slipfree.errors import DataError, SlipfreeError
 from slipfree.show.guard import HOST, is_own_request, refusal_words
 
-MOST = 1_000_000  # largest size of a request [bytes]
+MOST = 1_000_000  # maximum size of a request [bytes]
 TIMEOUT = 20.0  # longest wait for the rest of a request [s]
 POLICY = (
     "default-src 'none'; img-src 'self' data:; connect-src 'self'; style-src 'unsafe-inline'; "
@@ -32,7 +32,7 @@ Post = Callable[[object], object]
 def start_server(
     port: int, get: Mapping[str, Get], post: Mapping[str, Post], warn: Callable[[str], None]
 ) -> ThreadingHTTPServer:
-    """Return a server that answers requests of its own page, in threads; it is not yet serving.
+    """Return an HTTP server for the requests of its own page; the caller must start it.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def start_server(
             except SlipfreeError as error:
                 self._send(400, _text(str(error)))
             except (ValueError, RecursionError):
-                self._send(400, _text("expected JSON, found another text; reload the page"))
+                self._send(400, _text("expected JSON, found invalid JSON; reload the page"))
 
         def _is_refused(self) -> bool:
             hosts, origins = (self.headers.get_all(each) or [] for each in ("Host", "Origin"))

@@ -15,7 +15,7 @@ from slipfree.show.style import FLAT, LARGE
 from slipfree.terrain.base import Grid, Terrain
 
 LIFT = 0.01  # height of lines above the ground, so that it does not hide them [reach]
-CONTOURS, CELLS = 12, 8  # largest number of contours, and of grid cells along the longer side
+CONTOURS, CELLS = 12, 8  # maximum number of contours, and of grid cells along the longer side
 STEPS = (1, 2, 5, 10)  # round numbers, times a power of ten
 SAMPLES = 240  # samples of a grid line
 ARROW = 0.09  # length of the arrow to the north [longer side of the drawn ground]
@@ -108,7 +108,7 @@ def _grid_and_north(drawn: Grid, terrain: Terrain, window: Window) -> Iterable[L
 
 
 def _coordinate(name: str, value: float) -> str:
-    """Return the label of a grid line; of large coordinates only the last three digits."""
+    """Return the label of a grid line; large coordinates are shortened to the last three digits."""
     is_large = abs(value) >= LARGE
     return f"{name} ...{value % 1000:03g} m" if is_large else f"{name} {value + 0.0:g} m"
 

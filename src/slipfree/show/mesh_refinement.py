@@ -15,7 +15,7 @@ from slipfree.records import Array
 from slipfree.show.meshes import joined
 from slipfree.terrain.base import Grid, Terrain
 
-MOST = 60_000  # largest number of added nodes
+MOST = 60_000  # maximum number of added nodes
 
 
 class Refined(NamedTuple):
@@ -124,7 +124,7 @@ class Refined(NamedTuple):
         return heights
 
     def _cells(self, x: Array, y: Array) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
-        """Return the indices along x and y of the cells nearest to points, equal shapes."""
+        """Return the indices, along x and along y, of the cells nearest to points."""
         h_x, h_y = self.grid.spacing
         i, j = np.floor((x - self.grid.x[0]) / h_x), np.floor((y - self.grid.y[0]) / h_y)
         n, m = self.near.shape

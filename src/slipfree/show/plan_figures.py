@@ -35,7 +35,7 @@ MIN_SCALE_END = 1.1  # smallest end of the scale, for uniform costs [1]
 BLOCKED = {  # colour and description of blocked nodes by reason, in order of priority
     "keep_out": ("0.4", "keep-out region"),
     "edge": ("0.8", "edge of the map"),
-    "hole": ("0.95", "hole of the map"),
+    "hole": ("0.95", "hole in the map"),
     "friction": ("#D55E00", "too steep for friction"),
     "slope": ("#CC79A7", "too steep"),
     "roughness": ("#F0E442", "too rough"),

@@ -43,7 +43,7 @@ class PlanMap(NamedTuple):
 
 
 def page_content(plan_map: PlanMap) -> Content:
-    """Return the page."""
+    """Return the HTML page for planning by hand."""
     x_min, x_max, y_min, y_max = whole(plan_map.grid)
     data = {
         "domain": [x_min, x_max, y_min, y_max],
@@ -52,7 +52,7 @@ def page_content(plan_map: PlanMap) -> Content:
         "file": plan_map.file,
     }
     text = files("slipfree.show").joinpath("plan_page.html").read_text("utf-8")
-    script_safe = json.dumps(data).replace("<", "\\u003c")  # no end of the script in a file name
+    script_safe = json.dumps(data).replace("<", "\\u003c")  # file names may contain </script>
     html = text.replace("@TITLE@", escape(plan_map.title)).replace("@DATA@", script_safe)
     return Content(html.encode("utf-8", errors="backslashreplace"), "text/html; charset=utf-8")
 

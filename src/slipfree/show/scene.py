@@ -28,7 +28,7 @@ TYRE = (90, 90, 90)
 BLOCKED = (120, 120, 120)  # colour of blocked nodes
 LONGEST = 0.6  # length of the longest arrows [reach of the vehicle]
 ROUND = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)  # round scales of arrows, times a power of ten
-NOTABLE = 0.01  # slip that the longest arrows stand for at least [largest speed of a vehicle]
+NOTABLE = 0.01  # smallest slip that the longest arrows represent [largest speed of a vehicle]
 LEAST = {"slip": 1e-6, "force": 1e-3}  # arrows of smaller vectors are omitted [m/s, N]
 UNITS = {"slip": "m/s", "force": "N"}
 MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
@@ -288,7 +288,7 @@ def framed(
 
 
 def stopped(run: Trajectory) -> str:
-    """Return a stop in words, as in `Actor`; empty without a stop."""
+    """Return the message of a stop, as in `Actor`; empty without a stop."""
     return stop_words(run)
 
 
@@ -379,6 +379,6 @@ def _reason_without_arrows(name: str, actors: Iterable[Actor]) -> str:
 
 
 def scale_words(scene: Scene, name: str) -> str:
-    """Return the scale of the arrows of a quantity in words; empty without arrows."""
+    """Return the scale of the arrows of a quantity as text; empty without arrows."""
     scale = scene.scales[name]
-    return f"an arrow of length 1 m means {1 / scale:.4g} {UNITS[name]}" if scale else ""
+    return f"1 m of arrow length represents {1 / scale:.4g} {UNITS[name]}" if scale else ""

@@ -73,7 +73,7 @@ def finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str
 
 
 def _columns(labels: list[str], room: int) -> int:
-    """Return the largest number of columns of a legend within a number of characters."""
+    """Return the largest number of legend columns that fits a width in characters."""
     for columns in range(len(labels), 1, -1):
         parts = np.array_split(np.array([len(label) for label in labels]), columns)
         if sum(int(part.max()) + 8 for part in parts) <= room:

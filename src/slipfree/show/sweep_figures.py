@@ -25,8 +25,8 @@ from slipfree.show.sweep_results import Swept, Varied
 
 COLOURS = "viridis"
 NOTHING = "0.85"  # colour of cells without a run
-MOST_WORDS = 8  # largest number of cells per side with numbers
-ROOM = 7  # largest number of horizontal texts at an axis
+MOST_WORDS = 8  # maximum number of cells per side with numbers
+ROOM = 7  # maximum number of horizontal texts at an axis
 
 
 def distribution(swept: Swept, ax: Axes) -> Axes:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 RATE = 25.0  # frames per second
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x", "50x")
-LONGEST = 60.0  # duration of a saved page; longer motions are accelerated [s]
-MOST = 400  # largest number of points of a track
+LONGEST = 60.0  # maximum duration of a saved page; longer motions are shown faster [s]
+MOST = 400  # maximum number of points of a track
 LIFT = 0.006  # height of the first track above the ground; others are higher [reach]
 SPREAD = 1.8  # distance of motions side by side [reach]
 STEP = 0.02  # step of the arrow keys [duration]
@@ -113,7 +113,7 @@ def page(scene: Scene, title: str, color: str) -> str:
         html = recording.as_html()
     finally:
         stop(server)
-    words = [f"Played at {speed:.3g} times the real speed."] if speed > 1 else []
+    words = [f"Played at {speed:.3g} times real speed."] if speed > 1 else []
     words += [f"The view follows {scene.actors[0].name}."] if scene.is_far else []
     return with_legend(html, scene, title, color, words)
 
@@ -171,7 +171,7 @@ class Stage:
         self.follow(scene.is_far)
 
     def spread(self, enabled: bool) -> None:
-        """Move the motions sideways, so that vehicles at one place are visible, or back.
+        """Move the motions apart sideways, so that coincident vehicles are visible, or back.
 
         A plan stays with the motion that simulates it.
         """
@@ -428,7 +428,7 @@ class _Panel:
         gui, (first, last) = server.gui, scene.span
         gui.configure_theme(
             show_logo=False, show_share_button=False
-        )  # it would contact another host
+        )  # sharing would contact another host
         gui.main_panel.dock_right()
         gui.set_panel_label(title)
         self.stage, self.color, self.ends = stage, color, (first, last)
@@ -471,7 +471,7 @@ class _Panel:
         self.time.value = float(np.clip(self.time.value + move, first, last))
 
     def hurry(self, steps: int) -> None:
-        """Select a speed that many places further in the list of speeds."""
+        """Select the speed that is ``steps`` places further in the list of speeds."""
         k = SPEEDS.index(self.speed.value) + steps
         self.speed.value = SPEEDS[min(max(k, 0), len(SPEEDS) - 1)]
 

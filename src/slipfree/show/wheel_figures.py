@@ -46,7 +46,7 @@ class DrawnWheel(NamedTuple):
 
 
 def wheel_plot(name: str, test: DrawnWheel) -> Plot:
-    """Return the figure of a single-wheel test, to be drawn later, with the name of its file."""
+    """Return the undrawn figure of a single-wheel test, with the name of its file."""
     words = "Drawbar pull, side force, torque and sinkage over the slip ratio."
     return Plot(name, words, partial(wheel_figure, test))
 

@@ -4,7 +4,7 @@ The equations contain the rate of such a state, for example of a steering angle,
 may be small and may change sign. The effect of an initial value then vanishes at once or grows
 without bound; the path determines the state instead. On every element, these states are polynomials
 without an initial value. The other states are continuous between elements, so that the elements are
-solved one after the other. The difference between the solutions of two degrees measures the error.
+solved one after the other. The error is estimated from the solutions of two polynomial degrees.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from slipfree.solve.system import System, with_inputs
 from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
-TRIED_DEGREES = (8, 10, 12, 14)  # of an element, tried in this order
+TRIED_DEGREES = (8, 10, 12, 14)  # degrees of the polynomials, tried in this order
 MAX_ELEMENTS = 4096
 NOISE_GROWTH = 3.0  # growth of the difference of degrees that shows amplified noise
-MAX_VAIN_REFINEMENTS = 2  # refinements without improvement
-MAX_NEWTON_STEPS = 20  # per element
+MAX_VAIN_REFINEMENTS = 2  # maximum number of consecutive refinements without improvement
+MAX_NEWTON_STEPS = 20  # maximum number of Newton steps per element
 CONVERGED_RESIDUAL = 1e-13  # residual of an element's equations, without unit
 ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not halve it
 WEAK_SINGULAR_VALUE = (
@@ -243,10 +243,10 @@ def drive(
 ) -> Drive:
     """Return the motion of a model with states that have no initial value.
 
-    Elements are shortened until the solutions of two degrees agree on these states within the
-    tolerance. If they never do, the solution with the best agreement is returned, since short
-    elements of high degree amplify noise of the path. The motion ends before the first sample that
-    violates a limit.
+    Elements are shortened until the solutions of two polynomial degrees agree on these states
+    within the tolerance. If they never do, the solution with the best agreement is returned, since
+    short elements of high degree amplify noise of the path. The motion ends before the first sample
+    that violates a limit.
 
     Parameters
     ----------
@@ -301,9 +301,10 @@ def drive(
 def _refine_elements(
     system: System, free_states: Mask, start: Trajectory, t: Array, tolerance: float
 ) -> tuple[CollocationScheme, list[CollocationElement], float]:
-    """Return the scheme and elements for which two degrees agree best, and their difference.
+    """Return the scheme and elements at which two degrees agree best, and their difference.
 
-    The difference is the largest difference of the free states, divided by their sizes.
+    The degrees are those of the polynomials on the elements. The difference is the largest one of
+    the free states, divided by their sizes.
     """
     x = system.dae.rows("x", start, -1)
     z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[
@@ -329,7 +330,7 @@ def _refine_elements(
             if former is not None:
                 error = float(np.abs(values - former[2]).max(initial=0.0))
                 if best is None or error < best[2]:
-                    best, vain = (former[0], former[1], error), 0  # it amplifies noise less
+                    best, vain = (former[0], former[1], error), 0  # lower degree, less noise
                 if error < tolerance:
                     return best
                 if error > NOISE_GROWTH * least:

@@ -112,7 +112,7 @@ def motion_equations(
         "is_diff_in": [False, True, True, False],
         "never_inline": True,
     }
-    names = ["jac_ode_x", "jac_alg_x", "jac_ode_z", "jac_alg_z"]  # CasADi's
+    names = ["jac_ode_x", "jac_alg_x", "jac_ode_z", "jac_alg_z"]  # CasADi's names
     parameters = [*given[:3], ca.MX.sym("p", 0), given[3]]
     return MotionEquations(
         ca.Function("core", given, [ode, alg], options),

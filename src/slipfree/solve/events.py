@@ -75,7 +75,7 @@ def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
         known = [*symbols, found_column(dae.lookups)]
         if free := ca.Function("event", known, [expression], {"allow_free": True}).free_sx():
             raise ModelError(
-                f"event {name!r}: {free[0]} is not a symbol of the model; use "
+                f"event {name!r}: expected symbols of the model, found {free[0]}; use "
                 "the symbols of its Dae"
             )
         watched.append(WatchedEvent(event, dae.function("event", symbols, [expression])))

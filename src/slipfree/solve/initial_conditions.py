@@ -13,7 +13,7 @@ from slipfree.solve.system import Block, System
 
 MAX_STEP = 0.25  # largest Newton step of an unknown [typical size]
 MAX_STEPS = 100
-MAX_DIVISIONS = 3  # largest number of bisections of a stage of the continuation
+MAX_DIVISIONS = 3  # maximum depth of bisections of a stage of the continuation
 CONVERGED_RESIDUAL = 1e-13  # residual without unit
 MIN_SINGULAR_VALUE = 1e-10  # smallest singular value of a block, relative to the largest
 
@@ -112,7 +112,7 @@ def _solve_block(
                 break
             damping /= 2
         else:
-            break  # no descent: rounding, or a dead end
+            break  # no descent: rounding, or a local minimum of the residual
         z, now = trial, new
     if not now < 1e3 * CONVERGED_RESIDUAL:
         raise UnsolvedError(_failure_message(system, block, (t, x, z, u, continuation), first), z)

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from slipfree.errors import ModelError
 
-MIN_TOLERANCE = 1e-14  # below which rounding dominates
+MIN_TOLERANCE = 1e-14  # rounding dominates below it
 Method = Literal["idas", "cvodes"]
 
 
@@ -44,8 +44,8 @@ class SolverOptions:
     def __post_init__(self) -> None:
         if not MIN_TOLERANCE <= self.tolerance < 1:
             raise ModelError(
-                f"tolerance: expected a number from {MIN_TOLERANCE:g} to below 1, found "
-                f"{self.tolerance}; choose a number in this range"
+                f"tolerance: expected a number of at least {MIN_TOLERANCE:g} and less than 1, "
+                f"found {self.tolerance}; choose a number in this range"
             )
         if self.method is not None and self.method not in get_args(Method):
             raise ModelError(

@@ -46,7 +46,7 @@ class RadauBasis(NamedTuple):
 def radau_basis(degree: int) -> RadauBasis:
     """Return the collocation polynomials for ``degree`` Radau points."""
     difference = np.zeros(degree + 1)
-    difference[-2:] = 1.0, -1.0  # of Legendre polynomials: its roots are Radau's points
+    difference[-2:] = 1.0, -1.0  # the roots of this Legendre series are the Radau points
     points = np.append((1 + legendre.legroots(difference)[:-1].real) / 2, 1.0)
     nodes = np.append(0.0, points)
     return RadauBasis(points, _lagrange_derivatives(nodes)[1:], _lagrange_derivatives(points))

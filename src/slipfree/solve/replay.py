@@ -18,7 +18,7 @@ from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
 from slipfree.trajectory import Trajectory, joined
 
-SPLINE_DEGREE = 5  # of the spline through the inputs
+SPLINE_DEGREE = 5  # degree of the spline through the inputs
 
 
 class Replay(NamedTuple):

@@ -92,7 +92,7 @@ def _solve_from_neighbours(system: System, samples: Samples, z: Array, astray: M
             try:
                 z[:, k] = solve_initial_conditions(system, *point, continuation=False)
                 break
-            except ModelError:  # the reported residual shows it
+            except ModelError:  # the report contains the large residual
                 continue
     return z
 
@@ -131,8 +131,8 @@ def complete_samples(
     finite = np.isfinite(jac).all(axis=(1, 2))
     if not finite.any():
         raise SolverError(
-            "the equations of the motion have no finite value at any sample; "
-            "check the start and the inputs"
+            "the equations of the motion are not finite at any sample; check the start and the "
+            "inputs"
         )
     report = {"singular_value": np.full(count, np.nan)}
     report["singular_value"][finite] = np.linalg.svd(jac[finite], compute_uv=False)[:, -1]

@@ -22,8 +22,8 @@ from slipfree.solve.system import with_inputs
 from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.trajectory import SolverError, Trajectory
 
-RELAXATION_TIME = 20.0  # of the states that relax to an equilibrium at a start [s]
-RELAXATION_TOLERANCE = 1e-4  # of their integration
+RELAXATION_TIME = 20.0  # duration of the relaxation to the equilibrium of a start [s]
+RELAXATION_TOLERANCE = 1e-4  # integration tolerance of the relaxation
 INCLINATIONS = (("roll", 0.2), ("roll", -0.2), ("pitch", 0.2), ("pitch", -0.2))  # [rad]
 DIFFERENT_ANGLE = 1e-4  # smallest difference of roll or pitch of two stable poses [rad]
 SPEED = "speed"  # name of the initial speed of a dynamic model
@@ -115,7 +115,7 @@ def stable_poses(
     """Return the different poses in which a vehicle can stand at a position.
 
     A rigid vehicle with more than three wheels may stand on different sets of wheels. It relaxes
-    from a level pose and from poses inclined to four sides; some stable poses may not be found.
+    from a level pose and from poses inclined in four directions; other stable poses may exist.
 
     Parameters
     ----------
@@ -179,7 +179,8 @@ def _settle_by_relaxation(
             return _one_sample(dae, at, model.rows("z", run, -1), options)
         except SolverError as error:
             failure = ModelError(
-                f"the vehicle finds no equilibrium at the start: {error}; choose another start"
+                f"no equilibrium of the vehicle was found at the start: {error}; choose another "
+                "start"
             )
         except ModelError as error:
             failure = error

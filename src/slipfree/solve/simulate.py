@@ -1,4 +1,4 @@
-"""Integrate a DAE by SUNDIALS, IDAS or CVODES, through CasADi."""
+"""Integrate a DAE with IDAS or CVODES of SUNDIALS, through CasADi."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ SUBINTERVALS = 64  # parts of an interval with a crossing, in each refinement
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 RESIDUAL_FACTOR = 100.0  # residual allowed at samples of models with a continuation [tolerance]
 LIMIT_TOLERANCE = 1e-6  # tolerated violation of a limit [unit or scale of the limit]
-MAX_STEPS = 10_000  # of the integrator between two samples
-NEWTON_SHARE = 0.01  # of the error allowed in a step of CVODES, at which Newton's method ends
-MAX_RESTARTS = 20  # after failures of the integrator, per interval of the inputs
+MAX_STEPS = 10_000  # maximum number of steps of the integrator between two samples
+NEWTON_SHARE = 0.01  # fraction of a step's allowed error at which CVODES ends Newton's method
+MAX_RESTARTS = 20  # maximum number of restarts after failures, per interval of the inputs
 ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
 CHUNK_SIZE = 2000  # samples checked together, to bound the memory
 Progress = Callable[[float], bool | None]
@@ -92,8 +92,8 @@ def simulate(
     Raises
     ------
     ModelError
-        If times, method, events or inputs are invalid, or if under the inputs the start has no
-        solution or violates a limit.
+        If times, method, events or inputs are invalid, or if the start has no solution or violates
+        a limit under the inputs.
     SolverError
         If the integrator fails; ``trajectory`` is the motion up to the failure.
 
@@ -124,7 +124,7 @@ def simulate(
         whole, samples, found = _check_samples(solver, samples, stops)
         left = t > samples.t[-1]
         if isinstance(end, _LimitError) and found is None and left.any():
-            observer.guarded = False  # the limit was only grazed
+            observer.guarded = False  # no sample violates the limit
             rest = np.append(samples.t[-1], t[left])
             at, u = _select(samples, [-1]), system.u[:, 1 - rest.size :]
             more, cost, end = _integrate(solver, observer, at, rest, u)
@@ -591,7 +591,7 @@ def _locate_crossing(
             solver, _StepObserver(solver.guard), _select(samples, [k - 1]), t, u
         )
         fine, finer, nearer = _check_samples(solver, refined, watched, limited=limited)
-        if nearer is None or nearer.k == 0:  # it lies on one of the two samples
+        if nearer is None or nearer.k == 0:  # the crossing is at one of the two samples
             past = nearer is not None
             if event is not None and nearer is None:
                 last = event_values(event, solver.system, finer)[-1]

@@ -246,7 +246,7 @@ def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
         if not counts.all():
             remedy += ", or fewer coordinates with an infinite weight"
         raise ModelError(
-            "settle_nearest: no pose in which the vehicle stands was found near "
-            f"{place or 'the given pose'}: {ipopt_words(status)}; {remedy}"
+            "settle_nearest: expected a pose of the vehicle at rest near "
+            f"{place or 'the given pose'}, found none ({ipopt_words(status)}); {remedy}"
         )
     return np.array(found["x"]).ravel()

@@ -12,10 +12,10 @@ from slipfree.solve.sampling import Samples
 from slipfree.solve.system import System
 from slipfree.trajectory import Stop
 
-PREDICTION_TIME = 1e-3  # after the last sample that the integrator reached [s]
+PREDICTION_TIME = 1e-3  # time of prediction after the last sample of the integrator [s]
 SHARE = 0.1  # fraction of the prediction time after which a small jump is tested again
 MIN_JUMP = 0.05  # smallest jump of an unknown in the prediction time [its typical size]
-MIN_LASTING_JUMP = 5e-3  # the same, if at least half of it happens in the fraction `SHARE`
+MIN_LASTING_JUMP = 5e-3  # the same, if at least half of the jump occurs in the fraction `SHARE`
 
 
 def diagnose_stop(system: System, samples: Samples, violation: int | None) -> Stop | None:
@@ -44,7 +44,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
     try:
         found = solve_initial_conditions(system, t, soon, z, u)
     except ModelError as error:
-        reached = error.z if isinstance(error, UnsolvedError) else z  # else they are singular
+        reached = error.z if isinstance(error, UnsolvedError) else z  # z if a block is singular
         for limit in system.dae.limits:
             words = limit.describe(soon, reached) if limit.describe else ""
             if words:

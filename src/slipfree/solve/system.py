@@ -15,7 +15,7 @@ from slipfree.records import Array, Label, leaves, pack
 from slipfree.solve.equations import model_function, motion_equations
 from slipfree.solve.options import SolverOptions
 
-MAX_NEWTON_STEPS = 25  # for blocks that depend on the motion
+MAX_NEWTON_STEPS = 25  # limit for blocks that depend on the motion
 
 
 class Block(NamedTuple):
@@ -26,8 +26,8 @@ class Block(NamedTuple):
     span : slice
         Indices of its unknowns in ``z``.
     residual, jacobian : casadi Function
-        Functions of ``(t, x, z, u, continuation)``: the residual without unit, and its Jacobian by
-        the unknowns of the block.
+        Functions of ``(t, x, z, u, continuation)``: the residual without unit, and its Jacobian
+        with respect to the unknowns of the block.
     linear : bool
         Whether the block is linear in its unknowns.
     stages : tuple of float
@@ -253,7 +253,7 @@ def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:
     other = ca.vertcat(z_0, unknown, ca.MX.zeros(rest.numel()))
     at = (t_0, x_0, other, u_0, block.stages[-1])
     motion_equations = block.residual(*at)
-    # Its own Jacobian would be that by everything that is given as well.
+    # CasADi's own Jacobian would also contain the derivatives with respect to `symbol`.
     slopes = ca.Function("slopes", [unknown, symbol], [block.jacobian(*at), motion_equations])
     problem: dict[str, Any] = {"x": unknown, "p": symbol, "g": motion_equations}
     options: dict[str, Any] = {
@@ -296,7 +296,7 @@ def _check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
     ).free_sx()
     if free:
         raise ModelError(
-            f"input {label.full}: {free[0]} is not a symbol of the model; use the "
+            f"input {label.full}: expected symbols of the model, found {free[0]}; use the "
             "symbols of its Dae"
         )
     return law

@@ -18,7 +18,7 @@ from slipfree.solve.system import Block, System, with_inputs
 from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.trajectory import Trajectory
 
-MAX_EVALUATIONS = 50  # per state to find
+MAX_EVALUATIONS = 50  # maximum number of evaluations per state to find
 TRIM_TOLERANCE = 1e-13  # relative change at which states count as found
 
 

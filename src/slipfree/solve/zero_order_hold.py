@@ -41,9 +41,9 @@ def simulate_sampled(
 ) -> Trajectory:
     """Return the motion under inputs that are constant between samples.
 
-    CVODES restarts at every sample. At periods of 10 and 20 ms, dynamics of a vehicle takes 3 to 40
-    times as long as under continuous inputs. The motion ends with the first sample that violates a
-    limit of the model.
+    CVODES restarts at every sample. With periods of 10 and 20 ms, a simulation of a dynamic model
+    takes 3 to 40 times as long as with continuous inputs. The motion ends with the first sample
+    that violates a limit of the model.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def _split_inputs(
     known = [dae.t, x, u, found_column(dae.lookups)]
     if free := ca.Function("law", known, [column], {"allow_free": True}).free_sx():
         raise ModelError(
-            "inputs: expected expressions in the symbols of the model, found the foreign symbol "
+            "inputs: expected expressions in the symbols of the model, found the unknown symbol "
             f"{free[0]}; use dae.t and the fields of dae.x"
         )
     return system, dae.function("law", known[:3], [column])
