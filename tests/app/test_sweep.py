@@ -429,7 +429,7 @@ def test_a_summary_tells_of_ten_values_a_key(file: Path) -> None:
             log.append(ROW._replace(run=k, figures={"end_x": (float(k), "m")}))
     told = sweep_facts(sweep, log.rows, grids(sweep, log.rows, ["end_x"]), ["end_x"])
     assert len(told) == 13
-    assert told[-1] == ("  ...", "20 more values; table.csv has all")
+    assert told[-1] == ("  ...", "20 more values; table.csv lists all")
 
 
 def test_places_of_figures_are_checked_before_anything_runs(file: Path) -> None:

@@ -16,7 +16,7 @@ from slipfree.records import leaves, pack, unpack
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """Controller of a model, in the model's symbols and its own.
+    """Controller of a model, as expressions of symbols of the model and of the controller.
 
     Attributes
     ----------

@@ -256,7 +256,7 @@ def _elastic_functions(
 
 
 def _start_bounds(program: Program, bounds: Array, free: float) -> Array:
-    """Return bounds of the unknowns; those of start and duration are kept, all others ``free``."""
+    """Return bounds of the unknowns: kept for start and duration, ``free`` for all others."""
     kept = np.full(bounds.size, free)
     for where in (program.layout.first, program.layout.duration):
         kept[where] = bounds[where]

@@ -122,7 +122,7 @@ def pareto_front(
             )
         if not point.second > 0:
             raise ModelError(
-                "pareto_front: expected a positive second objective at the solution of least "
+                "pareto_front: expected a positive second objective at the minimum of the "
                 f"{name} objective, found {point.second:g}; choose another second objective"
             )
     lowest = (1 + SLACK) * least.second

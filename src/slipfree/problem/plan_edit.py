@@ -41,7 +41,7 @@ class Region(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Places of a planning problem in map coordinates.
+    """Start, goal and keep-out regions of a planning problem, in map coordinates.
 
     Attributes
     ----------

@@ -200,7 +200,7 @@ class Profile:
 
     @property
     def summit(self) -> Point:
-        """First highest point of the solids that stand on the floor, (x, z) [m]."""
+        """Highest point of the solids that stand on the floor, the first if several, (x, z) [m]."""
         points = [point for solid in self.standing for point in solid.points]
         top = max(z for _, z in points)
         return min(x for x, z in points if z > top - HEIGHT_TOLERANCE), top

@@ -247,7 +247,7 @@ def _two_digits(value: float) -> float:
 
 
 def _axis(places: Array, cell: float) -> Axis:
-    """Return nodes at multiples of the width of a cell, whose cells contain all places."""
+    """Return the axis of nodes at multiples of the cell width whose cells contain all points."""
     first, last = round(places.min() / cell), round(places.max() / cell)
     return Axis(first * cell, cell, last - first + 1)
 

@@ -210,7 +210,7 @@ def friction_words(run: Trajectory) -> str:
 def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str, str]]:
     """Yield the facts about residuals, conditioning and the contact certificate.
 
-    For a dynamic motion, yield those about the balance of energy instead. Diagnostics that did not
+    For a dynamic motion, yield those about the energy balance instead. Diagnostics that did not
     converge are listed for all motions.
 
     Parameters
@@ -240,7 +240,7 @@ def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str,
 
 
 def _energy_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the facts about the balance of energy of a dynamic motion."""
+    """Yield the facts about the energy balance of a dynamic motion."""
     energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
     work, lost = (run[name] - run[name][0] for name in ("work", "lost_energy"))
     yield (

@@ -331,7 +331,7 @@ def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, A
 
 
 def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
-    """Return the vehicle at its start, moving at the first given rates.
+    """Return the vehicle at its start, with the first given rates.
 
     Under commands, steering angles that are absent from ``[start]`` are those that the first
     commands require. If collocation determines the steering, the vehicle is at rest, since the

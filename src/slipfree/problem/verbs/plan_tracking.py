@@ -235,7 +235,7 @@ def _followed(
     step: float,
     options: SolverOptions,
 ) -> Followed:
-    """Return the attempt of the driving law to follow the plan's path at its mean speed."""
+    """Return the motion of the driving law along the plan's path at its mean speed."""
     run, name = found.replay, "follow"
     points = np.column_stack([run["x"], run["y"]])
     points = np.concatenate([points[:-1:PATH_SPACING], points[-1:]])
