@@ -187,7 +187,7 @@ def climb(
 
 
 def _mesh(leg: Leg, count: int, *, halt: bool) -> Array:
-    """Return nodes along a leg, at smaller intervals near the points of rest.
+    """Return nodes along a leg, more closely spaced near the points of rest.
 
     The leg begins at rest; with ``halt`` it also ends at rest.
     """

@@ -245,7 +245,7 @@ def wheel_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[La
 
 
 def component_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
-    """Return the labels of the x, y and z component of a vector of each wheel, wheel by wheel."""
+    """Return labels of the x, y and z components of a vector of each wheel, wheel by wheel."""
     return tuple(
         Label(name, unit, f"{axis} component of the {words}", wheel.name)
         for wheel in vehicle.wheels

@@ -209,7 +209,7 @@ def _check(matrix: Array, load: Array, friction: Array) -> None:
 
 
 def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
-    """Return the least-norm forces, a basis of the internal forces, and the mask of solvability.
+    """Return least-norm forces, a basis of internal forces, and a mask of solvable samples.
 
     The basis has at least one column, and as many as the largest null space of any sample has
     dimensions; columns beyond the null space of a sample are zero.
