@@ -355,12 +355,11 @@ def _held_inertia(
     contacts: Sequence[tuple[Contact, ...]],
 ) -> HeldTerms:
     """Return the rates of the states with symbols for ``terms``: mass matrix and bias forces."""
-    held = [ca.SX.sym("held", each.sparsity()) for each in terms]
-    ode, _ = equations_of_motion(vehicle, x, u, body, *held, contacts)
-    columns = (
-        ca.vertcat(*(entry for each in part for entry in each.nonzeros())) for part in (held, terms)
-    )
-    return HeldTerms(ode, *columns)
+    matrix, bias = (ca.SX.sym("held", each.sparsity()) for each in terms)
+    ode, _ = equations_of_motion(vehicle, x, u, body, matrix, bias, contacts)
+    pairs = (matrix, bias), terms
+    symbols, values = (ca.vertcat(*(each.nz[:] for each in pair)) for pair in pairs)
+    return HeldTerms(ode, symbols, values)
 
 
 def _free_speeds(vehicle: Vehicle) -> Sequence[int]:
