@@ -148,6 +148,25 @@ class Replay(NamedTuple):
     limits: tuple[Limit, ...]
 
 
+class HeldTerms(NamedTuple):
+    """Terms of the rates whose derivatives the Jacobian of a simulation neglects.
+
+    The Jacobian only serves Newton's method in the integrator, which converges as fast without
+    derivatives of terms that change slowly.
+
+    Attributes
+    ----------
+    ode : SX, shape (n_x, 1)
+        Rates of the states, with symbols in the place of the terms.
+    symbols, values : SX, shape (k, 1)
+        The symbols, and the terms in the symbols of the model.
+    """
+
+    ode: ca.SX
+    symbols: ca.SX
+    values: ca.SX
+
+
 class Labels(NamedTuple):
     """Labels of the variables and equations of a `Dae`.
 
@@ -236,6 +255,8 @@ class Dae:
         them.
     replay : Replay or None
         Model whose simulation verifies plans on this model, if it is not this model.
+    held : HeldTerms or None
+        Terms of ``ode`` whose derivatives the Jacobian of a simulation neglects, if any.
 
     Raises
     ------
@@ -287,6 +308,7 @@ class Dae:
     standing: Standing | None = None
     lookups: tuple[Lookup, ...] = ()
     replay: Replay | None = None
+    held: HeldTerms | None = None
 
     def __post_init__(self) -> None:
         blocks: Any = self.z

@@ -119,6 +119,7 @@ def rearrange(
         z=symbols[1],
         u=symbols[2],
         ode=pack(_each(x, "rate")),
+        held=None,
         alg=tuple(rows for rows, _ in equations),
         labels=dae.labels._replace(
             x=labels[0],
@@ -148,6 +149,7 @@ def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> D
     return replace(
         dae,
         ode=new(dae.ode),
+        held=None,
         alg=tuple(new(rows) for rows in dae.alg),
         quad=new(dae.quad),
         y=unpack(dae.y, [new(each) for each in leaves(dae.y)]),

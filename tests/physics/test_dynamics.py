@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from helpers.dynamics import FLAT, center_height, four_wheels, moved, slope, states
 from slipfree import (
@@ -23,6 +24,7 @@ from slipfree.laws.coulomb import Coulomb
 from slipfree.models.dynamics import dynamics
 from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
+from slipfree.solve.system import with_inputs
 from slipfree.vehicle.drives import Motor, Torque
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
@@ -78,11 +80,11 @@ def test_a_tumbling_vehicle_keeps_its_energy_and_falls_freely():
     assert exchanged > 1000
     assert np.abs(energy(run) - energy(run)[0]).max() < 1e-8 * exchanged
     norm = sum(run[f"attitude_{axis}"] ** 2 for axis in "wxyz")
-    assert np.abs(norm - 1).max() < 1e-9
+    assert np.abs(norm - 1).max() < 2e-9  # 20 tolerances
     # the centre of mass is in free fall: potential energy is that of a parabola
     height = run["potential_energy"] / (3.5 * GRAVITY)
     fall = np.polyfit(t, height, 2)
-    assert fall[0] == pytest.approx(-GRAVITY / 2, rel=1e-9)
+    assert fall[0] == pytest.approx(-GRAVITY / 2, rel=2e-9)  # 20 tolerances
     assert np.abs(height - np.polyval(fall, t)).max() < 1e-8
 
 
@@ -211,6 +213,32 @@ def test_the_energy_ledger_of_a_rover_on_waves_balances():
         gain = energy(run) - energy(run)[0] - run["work"] + run["lost_energy"]
         assert run["work"][-1] > 1
         assert np.abs(gain).max() < 100 * tolerance * (run["work"][-1] + run["lost_energy"][-1])
+
+
+def test_a_jacobian_without_inertial_terms_changes_neither_motion_nor_cost():
+    """Derivatives of mass matrix and bias forces are left out of the Jacobian, no others."""
+    waves = Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
+    held = dynamics(four_wheels(spring=4e3), waves)
+    exact = replace(held, held=None)
+    rates = {label.full: 1.0 / 0.15 for label in held.labels.u.wheels}
+    start, t = settle(held), np.linspace(0, 1, 11)
+    runs = [moved(model, start, t, 1e-8, **rates) for model in (held, exact)]
+    for name in ("x", "y", "z"):
+        assert np.abs(runs[0][name] - runs[1][name]).max() < 1e-7
+    counts = [[run.statistics[name] for name in ("steps", "residuals")] for run in runs]
+    assert_allclose(counts[0], counts[1], rtol=0.15)
+
+    systems = [with_inputs(model, model.inputs(**rates), 1) for model in (held, exact)]
+    x = held.rows("x", runs[0], -1)
+    u = systems[0].u[:, 0]
+    found, full = (np.array(each.jacobian(0, x, [], [], u)[0]) for each in systems)
+    terms = held.held
+    symbols = [*held.columns()[::2], terms.symbols]
+    constant = held.function("constant", symbols[:2], [terms.values])(x, u)
+    by_state = ca.jacobian(terms.ode, symbols[0])
+    slopes = np.array(held.function("slopes", symbols, [by_state])(x, u, constant))
+    assert_allclose(found, slopes, rtol=1e-9, atol=1e-9 * np.abs(slopes).max())
+    assert np.abs(full - found).max() > 1
 
 
 def test_a_slow_turn_is_that_of_quasi_statics():

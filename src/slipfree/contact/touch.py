@@ -26,8 +26,8 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections.base import Section
 from slipfree.vehicle.wheel import Wheel
 
-STEPS = 3  # number of Newton steps from the wheel's lowest point
-DAMPED_STEPS = 30  # number of damped Newton steps if the former do not converge
+STEPS = 2  # number of Newton steps from the wheel's lowest point; doubled if these do not converge
+DAMPED_STEPS = 30  # number of damped Newton steps if the previous ones do not converge
 LONGEST_STEP = 0.2  # largest length of a damped step [rolling radii]
 TOLERANCE = 1e-9  # residual of a converged search [m]
 CLEARLY_ABOVE = 0.1  # vertical gap above which a search need not converge [rolling radii]
@@ -179,12 +179,12 @@ def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Funct
     symbol: Any = ca.SX if jet.is_a("SXFunction") else ca.MX
     asked, begin, gap = symbol.sym("asked", 6), symbol.sym("begin", 2), symbol.sym("gap")
     place, above = _lowest_point(section, jet, asked)
-    spot = place
-    for _ in range(STEPS):
-        spot = spot + newton(spot, asked, jet(spot))[0][:2]
-    found = _result(jet, newton, spot, asked)
+    found = _result(jet, newton, _newton_steps(jet, newton, place, asked), asked)
     results = [place, above, found[:13], _converged(found)]
     first = ca.Function("first", [asked], results, {"cse": True})
+
+    found = _result(jet, newton, _newton_steps(jet, newton, begin, asked), asked)
+    second = ca.Function("second", [begin, asked], [found[:13], _converged(found)], {"cse": True})
 
     found = _result(jet, newton, _damped_steps(jet, newton, begin, asked, radius), asked)
     in_air = ca.vertcat(begin, ca.DM.zeros(4), jet(begin))
@@ -192,10 +192,16 @@ def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Funct
     result = ca.if_else(_converged(found), found[:13], missing)
     kept = symbol.sym("kept", 13)
     given = [begin, gap, asked, kept]
-    second = ca.Function("second", given, [result], {"cse": True})
+    damped = ca.Function("damped", given, [result], {"cse": True})
     # not `ca.if_else`, whose branches would evaluate `first` again
-    choose = ca.Function.if_else("choose", ca.Function("keep", given, [kept]), second)
+    keep = ca.Function("keep", given, [kept])
+    last = ca.Function.if_else("last", keep, damped)
 
+    place, above, question, kept = keep.mx_in()
+    found, done = second(kept[:2], question)
+    result = last(done, place, above, question, found)
+    more = ca.Function("more", [place, above, question, kept], [result])
+    choose = ca.Function.if_else("choose", keep, more)
     question = ca.MX.sym("asked", 6)
     place, above, found, done = first(question)
     return ca.Function("search", [question], [choose(done, place, above, question, found)])
@@ -221,6 +227,13 @@ def _lowest_point(section: Section, jet: ca.Function, asked: Any) -> list[Any]:
             best = ca.if_else(height < least, point[:2], best)
             least = ca.fmin(height, least)
     return [best, least]
+
+
+def _newton_steps(jet: ca.Function, newton: ca.Function, spot: Any, asked: Any) -> Any:
+    """Return the point after `STEPS` steps of Newton's method."""
+    for _ in range(STEPS):
+        spot = spot + newton(spot, asked, jet(spot))[0][:2]
+    return spot
 
 
 def _result(jet: ca.Function, newton: ca.Function, spot: Any, asked: Any) -> Any:

@@ -95,6 +95,9 @@ def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> 
     limits: tuple[Limit, ...] = tuple(limit._replace(expression=each) for limit, each in pairs)
     rates = ca.vertcat(ca.SX(0, 1), *controller.rates)
     labels, own = model.labels, np.zeros(rates.numel())
+    held = model.held
+    if held is not None:
+        held = held._replace(ode=ca.vertcat(*driven([held.ode]), rates))
     return replace(
         model,
         x=WithController(model.x, controller.x),
@@ -114,4 +117,5 @@ def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> 
         limits=limits,
         shift=(np.concatenate([model.shift[0], own]), model.shift[1]),
         standing=None,
+        held=held,
     )

@@ -24,7 +24,7 @@ from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import has_exact_closure, support_fault
 from slipfree.contact.solid_touch import solid_touch
 from slipfree.contact.touch import Touch, plane_of, search_function, touch
-from slipfree.dae import Dae, Labels, Limit, Standing
+from slipfree.dae import Dae, HeldTerms, Labels, Limit, Standing
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.geometry.frame import Pose, platform, quaternion, rotation_of, turn
@@ -137,9 +137,9 @@ def dynamics(
     x, u, lookups = symbols(labels.x), symbols(labels.u), LookupTable()
     body = moving_bodies(vehicle, x)
     contacts = _contacts(vehicle, terrain, prisms, law, body, lookups)
-    matrix = mass_matrix(body)
+    matrix, bias = mass_matrix(body), bias_forces(body)
     check_inertia(vehicle, labels, x, matrix)
-    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, contacts)
+    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, bias, contacts)
     shown = [deepest(each) for each in contacts]
     q = quantities(vehicle, terrain, _in_space(vehicle, x), u, body, shown, lookups)
     forces = dynamic_forces(q, contacts, x, effort)
@@ -178,6 +178,7 @@ def dynamics(
         if support_fault(vehicle)
         else standing_start(vehicle, terrain, prisms, labels),
         lookups=lookups.lookups,
+        held=_held_inertia(vehicle, x, u, body, (matrix, bias), contacts),
     )
 
 
@@ -317,11 +318,15 @@ def equations_of_motion(
     u: Inputs,
     body: Multibody,
     matrix: ca.SX,
+    bias: ca.SX,
     contacts: Sequence[tuple[Contact, ...]],
 ) -> tuple[ca.SX, Effort]:
-    """Return the rates of the states, and the efforts of drives and actuators."""
+    """Return the rates of the states, and the efforts of drives and actuators.
+
+    ``matrix`` is the mass matrix, ``bias`` are the inertial forces at constant speeds less gravity.
+    """
     wheels = _wheels(x, u, body, contacts)
-    forces = generalised_forces(body, (each.load for each in wheels)) - bias_forces(body)
+    forces = generalised_forces(body, (each.load for each in wheels)) - bias
     accelerations, actuators, joint_integrals = _accelerations(vehicle, x, u, matrix, forces)
     spins, torques, integrals = list[ca.SX](), list[ca.SX](), list[ca.SX]()
     for wheel, on in zip(body.wheels, wheels, strict=True):
@@ -339,6 +344,22 @@ def equations_of_motion(
     free = accelerations[[*_free_speeds(vehicle), *range(6, accelerations.numel())]]
     ode = ca.vertcat(*speeds, free, *spins, *integrals, *joint_integrals)
     return ode, Effort(tuple(torques), actuators)
+
+
+def _held_inertia(
+    vehicle: Vehicle,
+    x: DynamicState,
+    u: Inputs,
+    body: Multibody,
+    terms: tuple[ca.SX, ca.SX],
+    contacts: Sequence[tuple[Contact, ...]],
+) -> HeldTerms:
+    """Return the rates of the states with symbols for ``terms``: mass matrix and bias forces."""
+    matrix, bias = (ca.SX.sym("held", each.sparsity()) for each in terms)
+    ode, _ = equations_of_motion(vehicle, x, u, body, matrix, bias, contacts)
+    pairs = (matrix, bias), terms
+    symbols, values = (ca.vertcat(*(each.nz[:] for each in pair)) for pair in pairs)
+    return HeldTerms(ode, symbols, values)
 
 
 def _free_speeds(vehicle: Vehicle) -> Sequence[int]:

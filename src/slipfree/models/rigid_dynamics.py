@@ -53,7 +53,7 @@ from slipfree.models.dynamics import (
     with_depths,
 )
 from slipfree.models.limits import limits_of
-from slipfree.models.multibody import Multibody, mass_matrix
+from slipfree.models.multibody import Multibody, bias_forces, mass_matrix
 from slipfree.models.records import ContactPoint
 from slipfree.outcome import Outcome
 from slipfree.records import Label, leaves, symbols
@@ -138,7 +138,7 @@ def rigid_dynamics(
     )
     contacts = [Contact(*each) for each in zip(touches, slips, spins, forces_on, strict=True)]
     alone = [(each,) for each in contacts]
-    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, alone)
+    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, bias_forces(body), alone)
     q = quantities(vehicle, terrain, x, u, body, contacts, lookups)
     forces = dynamic_forces(q, alone, x, effort)
     y = dynamic_outputs(q, body, contacts, alone, forces)

@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.codegen_cache import compiled_functions, library, source
 from slipfree.dae import Dae
@@ -124,6 +125,8 @@ def motion_equations(
 def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.Function:
     """Return the Jacobian for states and unknowns that are divided by their sizes.
 
+    Entries are multiplied by one number each, since products with diagonal matrices take longer.
+
     Parameters
     ----------
     jacobian : casadi Function
@@ -132,12 +135,16 @@ def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.F
         Sizes of the states and of the unknowns.
     """
     t, x, m, p, u = jacobian.mx_in()
-    by_x, by_m = ca.DM(x_size), ca.DM(m_size)
-    ode_x, alg_x, ode_m, alg_m = jacobian(t, x * by_x, m * by_m, p, u)
-    ode_x, alg_x = (part @ ca.diag(by_x) for part in (ca.diag(1 / by_x) @ ode_x, alg_x))
-    ode_m, alg_m = (part @ ca.diag(by_m) for part in (ca.diag(1 / by_x) @ ode_m, alg_m))
+    one = np.ones(m_size.size)  # residuals have no unit
+    sizes = [(x_size, x_size), (one, x_size), (x_size, m_size), (one, m_size)]
+    parts = [
+        part * ca.project(ca.DM(np.outer(1 / row, column)), part.sparsity())
+        for part, (row, column) in zip(
+            jacobian(t, x * ca.DM(x_size), m * ca.DM(m_size), p, u), sizes, strict=True
+        )
+    ]
     names = jacobian.name_in(), jacobian.name_out()
-    return ca.Function("jacF", [t, x, m, p, u], [ode_x, alg_x, ode_m, alg_m], *names)
+    return ca.Function("jacF", [t, x, m, p, u], parts, *names)
 
 
 def _core_jacobian(
@@ -167,11 +174,21 @@ def _model_equations(dae: Dae, count: int, *, compiled: bool) -> _ModelEquations
     parts = ca.vertsplit(rows, [0, x.numel(), rows.numel()])
     values = ca.Function("values", given, parts, {"cse": True})
 
-    def make() -> list[ca.Function]:
-        slopes = ca.jacobian(rows, ca.vertcat(*given[1:4]), FORWARD)
-        return [values, ca.Function("slopes", given, [slopes], {"cse": True})]
+    held, key = dae.held, values
+    if held is not None:
+        differentiated = ca.cse(ca.densify(ca.vertcat(held.ode, alg)))
+        key = ca.Function("key", [*given, held.symbols], [*parts, differentiated, held.values])
 
-    functions = compiled_functions(values, ("values", "slopes"), make, compiled=compiled)
+    def make() -> list[ca.Function]:
+        point = ca.vertcat(*given[1:4])
+        if held is None:
+            slopes = ca.jacobian(rows, point, FORWARD)
+        else:
+            slopes = ca.jacobian(differentiated, point, FORWARD)
+            slopes = ca.substitute(slopes, held.symbols, held.values)
+        return [values, ca.Function("slopes", given, [slopes])]
+
+    functions = compiled_functions(key, ("values", "slopes"), make, compiled=compiled)
     lookups = _compiled_lookups(lookups) if compiled else lookups
     inputs = ca.vertsplit(v) if v.numel() else []
     return _ModelEquations(tuple(ca.depends_on(rows, each) for each in inputs), lookups, *functions)

@@ -193,7 +193,7 @@ def _relaxation_model(dae: Dae) -> Dae:
     moving = dae.rest.numel()
     still = ca.SX.zeros(dae.ode.numel() - moving)
     ode = ca.vertcat(still, dae.ode[still.numel() :])
-    return replace(dae, ode=ode, limits=(), checks=(), rest=ca.SX(0, 1))
+    return replace(dae, ode=ode, held=None, limits=(), checks=(), rest=ca.SX(0, 1))
 
 
 def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:

@@ -443,10 +443,10 @@ def _integrator(
         "max_num_steps": MAX_STEPS,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
+        "cache": {"jacF": scaled_jacobian(system.jacobian, x_size, m_size)},
     }
     if solver.method == "idas":
         options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
-        options |= {"cache": {"jacF": scaled_jacobian(system.jacobian, x_size, m_size)}}
     else:
         # CVODES infers the error of Newton's method from an earlier rate of convergence, and mostly
         # ends it after one iteration. With an old Jacobian, CVODES's default share of 0.1 then

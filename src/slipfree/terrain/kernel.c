@@ -117,7 +117,7 @@ static int polynomial(const Ground *g, const double **arg, double *res) {
 }
 
 /* Constants of the search for the nearest point; the same as in contact/touch.py. */
-#define STEPS 3
+#define STEPS 2
 #define DAMPED_STEPS 30
 #define LONGEST_STEP 0.2
 #define TOLERANCE 1e-9
@@ -224,6 +224,16 @@ static int converged(const Nearest *at) {
   return fabs(at->residual[0]) < TOLERANCE && fabs(at->residual[1]) < TOLERANCE;
 }
 
+static void newton_steps(const Ground *g, const Wheel *w, Nearest *at) {
+  double step[2];
+  int k;
+  for (k = 0; k < STEPS; k++) {
+    newton(g, w, at, step);
+    at->spot[0] += step[0], at->spot[1] += step[1];
+  }
+  newton(g, w, at, NULL);
+}
+
 /* Steps of limited length, halved until they reduce the residual. */
 static void damped(const Ground *g, const Wheel *w, Nearest *at) {
   double best[2] = {at->spot[0], at->spot[1]}, step[2] = {0, 0}, full[2], least = LARGE, size, part;
@@ -247,16 +257,13 @@ static void damped(const Ground *g, const Wheel *w, Nearest *at) {
 static int nearest(const Ground *g, const double **arg, double *res) {
   const Wheel *w = (const Wheel *)arg[0];
   Nearest at;
-  double place[2] = {0, 0}, above, step[2];
+  double place[2] = {0, 0}, above;
   int k;
   if (!res || refused(g, arg, 9, res, 13)) return 0;
   above = lowest(g, w, place);
   at.spot[0] = place[0], at.spot[1] = place[1];
-  for (k = 0; k < STEPS; k++) {
-    newton(g, w, &at, step);
-    at.spot[0] += step[0], at.spot[1] += step[1];
-  }
-  newton(g, w, &at, NULL);
+  newton_steps(g, w, &at);
+  if (!converged(&at)) newton_steps(g, w, &at);
   if (!converged(&at)) {
     at.spot[0] = place[0], at.spot[1] = place[1];
     damped(g, w, &at);
