@@ -325,8 +325,8 @@ def test_the_least_friction_takes_no_coefficient():
         (
             "kinetic = 0.675",
             "kinetic = 1",
-            "p.toml:16: friction: contact: expected a damping of at "
-            "least 0 and a static friction not below the kinetic friction",
+            "p.toml:18: friction.kinetic: expected at most friction.static, 0.9, found 1; "
+            "reduce it",
         ),
         (
             "speed = 0.25",

@@ -16,12 +16,12 @@ from helpers.climb_cases import (
     SPEED,
     STEP,
     TABLE_I,
+    Grip,
     climb,
     planned,
     tracking,
 )
 from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.contact import CompliantContact
 from slipfree.climb.contact_path import legs
 from slipfree.climb.dynamics import climbing
 from slipfree.climb.ending import climb_ending
@@ -51,7 +51,7 @@ def plans():
 
 
 def driven(control, mu, part=0.75, **options):
-    return climb(STEP, control, CompliantContact(static=mu, dynamic=part * mu), **options)
+    return climb(STEP, control, Grip(mu, part * mu), **options)
 
 
 def ending(control, mu, **options):
