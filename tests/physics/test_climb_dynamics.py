@@ -382,7 +382,7 @@ def test_falling_over_is_named():
         np.linspace(0, 1, 101),
         options=SolverOptions(tolerance=1e-6),
     )
-    assert run.stop.name == "rear_overturned"
+    assert run.stop.name == "rear_upright"
     assert "the rear body overturns: its tilt: -1.4" in run.stop.words
     assert run.stop.t < 0.3
 

@@ -30,6 +30,7 @@ from slipfree.control.step_climbing import Commands, Control, check_period, torq
 from slipfree.dae import Dae, Limit
 from slipfree.laws.compliant import Compliant
 from slipfree.models.dynamics import dynamics
+from slipfree.models.limits import UPRIGHT
 from slipfree.records import Array, Label, symbols
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.solids import Prism, Profile, Solids
@@ -89,7 +90,9 @@ def climbing(
     """
     if period is not None:
         check_period(period, control, climber)
-    model = dynamics(side_view(climber), _ground(profile, friction), law=law)
+    bottom = min(z for solid in profile.solids for _, z in solid.points)
+    base = Analytic(lambda x, _y: bottom + 0 * x, mu=friction)
+    model = dynamics(side_view(climber), Solids(base, prisms(profile)), law=law)
     controller = _controller(climber, profile, control, model)
     # other limits do not apply: wheels are upright, and their contacts defined at any depth
     model = replace(model, limits=_limits(controller.y.tilts))
@@ -105,11 +108,9 @@ def held_torques(climber: Climber, model: Dae) -> dict[str, ca.SX]:
     }
 
 
-def _ground(profile: Profile, friction: float) -> Solids:
-    """Return the solids of a profile along the map's y, on a plane at their lowest corner."""
-    bottom = min(z for solid in profile.solids for _, z in solid.points)
-    base = Analytic(lambda x, _y: bottom + 0 * x, mu=friction)
-    return Solids(base, tuple(Prism(solid) for solid in profile.solids))
+def prisms(profile: Profile) -> tuple[Prism, ...]:
+    """Return the solids of a profile along the map's y."""
+    return tuple(Prism(solid) for solid in profile.solids)
 
 
 def _controller(
@@ -195,7 +196,7 @@ def _commands(
 def _limits(tilts: Tilts) -> tuple[Limit, ...]:
     return tuple(
         Limit(
-            Label(f"{name}_overturned", "rad", f"the {name} body overturns: its tilt"),
+            Label(f"{name}_{UPRIGHT}", "rad", f"the {name} body overturns: its tilt"),
             tilt,
             -MAX_TILT,
             MAX_TILT,

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.dynamics import climbing, floor_loads, held_torques, standing
-from slipfree.climb.ending import climb_ending
+from slipfree.climb.dynamics import climbing, floor_loads, held_torques, prisms, standing
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import climb_window, metrics
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
@@ -23,6 +22,7 @@ from slipfree.files.tables import read_columns
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.source_lines import Place
 from slipfree.laws.compliant import Compliant
+from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.problem.build_common import SampledTimes, sampled_times, samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_solids import OBSTACLES
@@ -55,7 +55,7 @@ from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import Profile, Solid
 from slipfree.trajectory import SolverError, Trajectory
-from slipfree.vehicle.climber import AXLES, Climber
+from slipfree.vehicle.climber import AXLES, Climber, side_view
 from slipfree.vehicle.tree import GRAVITY
 
 if TYPE_CHECKING:
@@ -534,11 +534,10 @@ def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
 
     The samples are reduced to those of the result if a sampled controller has more steps.
     """
-    end = climb_ending(run, setup.climber, setup.profile)
-    words = f"{end.name}: {end.words}"
+    end = obstacle_ending(run, side_view(setup.climber), prisms(setup.profile))
     slow = _slow(setup)
     statistics = {**run.statistics, **_averages(run, setup), **slow[0]}
-    attributes = {**run.attributes, ENDING: words, "slow_climb": slow[1]}
+    attributes = {**run.attributes, ENDING: str(end), "slow_climb": slow[1]}
     if setup.every:
         run = run.part(slice(0, None, setup.every), run.stop)
     return replace(run, statistics=statistics, attributes=attributes)
