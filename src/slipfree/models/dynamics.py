@@ -13,6 +13,7 @@ effort on a wheel or a coordinate that is free.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -63,7 +64,7 @@ from slipfree.models.records import Inputs
 from slipfree.records import Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism, Solids
-from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.tree import GRAVITY, Vehicle
 
 SPACE, PLANE = range(6), (1, 2, 3)  # free speeds of the platform: velocity, angular velocity
 MIN_INERTIA = 1e-15  # smaller generalised masses count as zero [kg, kg m^2]
@@ -174,11 +175,17 @@ def dynamics(
         scale=scale,
         shift=shift,
         size=size,
+        longest_step=_time_of_contact(vehicle) if prisms else math.inf,
         standing=None
         if support_fault(vehicle)
         else standing_start(vehicle, terrain, prisms, labels),
         lookups=lookups.lookups,
     )
+
+
+def _time_of_contact(vehicle: Vehicle) -> float:
+    """Return the time constant of the vertical oscillation on the least static depth [s]."""
+    return math.sqrt(min(wheel.depth for wheel in vehicle.wheels) / GRAVITY)
 
 
 def check_dynamic(vehicle: Vehicle) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -452,6 +453,8 @@ def _integrator(
         # ends it after one iteration. With an old Jacobian, CVODES's default share of 0.1 then
         # leaves errors of many tolerances, which its error test misses.
         options |= {"quad_err_con": True, "nonlin_conv_coeff": NEWTON_SHARE}
+    if math.isfinite(dae.longest_step):
+        options["max_step_size"] = dae.longest_step
     return ca.integrator("motion", solver.method, problem, float(t[0]), t, options)
 
 
