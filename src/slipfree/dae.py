@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -221,9 +220,10 @@ class Dae:
     size : float
         Unit of length of the solvers, usually the extent of the vehicle. Tolerances, residuals and
         rank decisions do not change if all lengths of a problem are scaled with it. [m]
-    longest_step : float
-        Longest step of the integrator; infinite by default. The error test of an integrator does
-        not see an event, such as a contact, that begins and ends within one step. [s]
+    pace : SX, shape (1, 1)
+        Speed over the ground, divided by the distance that a step of the integrator may cover; zero
+        for no bound. The error test of an integrator does not see a bump or a contact that begins
+        and ends within one step. [1/s]
     suppress_algebraic : bool
         Whether the integrator's error test ignores ``z``, as for models whose ``z`` contains
         stabilisation terms.
@@ -285,7 +285,7 @@ class Dae:
     scale: Array
     shift: tuple[Array, Array]
     size: float = 1.0
-    longest_step: float = math.inf
+    pace: ca.SX = ca.SX(0)  # noqa: RUF009 - never changed
     suppress_algebraic: bool = False
     continuation: Continuation | None = None
     rest: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
