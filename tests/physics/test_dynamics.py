@@ -25,7 +25,7 @@ from slipfree.laws.coulomb import Coulomb
 from slipfree.models.dynamics import dynamics
 from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
-from slipfree.vehicle.drives import Motor, Torque
+from slipfree.vehicle.drives import Motor, Rate, Torque
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
@@ -203,16 +203,16 @@ def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
     assert np.abs(loads[0] - loads[1]).max() < 0.1
 
 
-@pytest.mark.parametrize("drive", [None, Torque()], ids=["rate", "torque"])
+@pytest.mark.parametrize("drive", [Rate(), Torque()], ids=["rate", "torque"])
 def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over(drive):
     """In steady motion steps would grow until one covers the whole ridge, with an error of 18 J."""
     crest, vehicle = 6.0, catalog.rigid_skid_steer()
     vehicle = replace(vehicle, wheels=tuple(replace(w, drive=drive) for w in vehicle.wheels))
     ground = Analytic(lambda x, y: 0.02 * ca.exp(-(((y - crest) / 0.1) ** 2)) + 0 * x, mu=0.8)
     model = dynamics(vehicle, ground)
-    value = 1.0 / vehicle.wheels[0].radius if drive is None else 0.5
+    value = 1.0 / vehicle.wheels[0].radius if drive == Rate() else 0.5
     inputs = model.inputs(**{label.full: value for label in model.labels.u.wheels})
-    t = np.linspace(0, 7.5 if drive is None else 9.0, 301)
+    t = np.linspace(0, 7.5 if drive == Rate() else 9.0, 301)
     run = simulate(model, settle(model), inputs, t, options=SolverOptions(1e-6))
     assert run["y"][-1] > crest + 0.5
     assert np.ptp(run["z"]) > 0.009  # half the height of the ridge, under two of four wheels

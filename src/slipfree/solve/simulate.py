@@ -537,7 +537,7 @@ class _StepObserver(ca.Callback):
             while steps and steps[-1][0] >= step[0]:
                 steps.pop()
             steps.append(step)
-        t, paces = np.array(steps).T
+        t, paces = np.array(steps).reshape(-1, 2).T
         covered = np.diff(t) * np.maximum(paces[1:], paces[:-1])
         return float(paces.max()) if (covered >= MAX_COVERED).any() else 0.0
 
