@@ -22,8 +22,7 @@ from reference import heading
 
 from slipfree import SolverOptions
 from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.contact import CompliantContact
-from slipfree.climb.dynamics import climbing, floor_loads, held_torques, standing
+from slipfree.climb.dynamics import floor_loads, held_torques, standing
 from slipfree.climb.friction_demand import least_friction
 from slipfree.control.reference_speeds import PerAxle, Tilts, motors, odometry, ratios, reference
 from slipfree.control.step_climbing import Control
@@ -56,8 +55,10 @@ from helpers.climb_cases import (
     STEP,
     TABLE_I,
     TWICE,
+    Grip,
     begin,
     climb,
+    gripped,
 )
 
 CONTROLS = {
@@ -89,8 +90,8 @@ SETS = {  # friction and torque on ramp and step, and the lab's slip/true/distur
         },
     ),
     "B": (
-        (CompliantContact(static=1.0, dynamic=0.75), 5.0),
-        (CompliantContact(static=1.0, dynamic=0.75), 5.0),
+        (Grip(1.0, 0.75), 5.0),
+        (Grip(1.0, 0.75), 5.0),
         {
             "fixed": (4.7, 2.6, 3.1),
             "exact": (3.9, 0.1, 1.2),
@@ -131,7 +132,7 @@ class Means(NamedTuple):
     climbed: bool
 
 
-def means(profile: Profile, control: Control, contact: CompliantContact, **options: Any) -> Means:
+def means(profile: Profile, control: Control, contact: Grip, **options: Any) -> Means:
     """Return the means of a climb."""
     found = climb(profile, control, contact, **options).metrics
     return Means(
@@ -166,9 +167,8 @@ def kinematics() -> None:
 
 def statics() -> None:
     """Print loads and rest after a drop of a millimetre."""
-    climber, contact = step_climber(), CompliantContact()
-    dae = climbing(climber, flat(), FIXED, contact)
-    values = standing(climber, contact, 0.0)
+    climber, dae = gripped(step_climber(), flat(), FIXED, TABLE_I)
+    values = standing(climber, 0.0)
     start = settle(dae, **values | {"z": values["z"] + 1e-3})
     run = simulate(dae, start, dae.inputs(speed=0.0), np.linspace(0, 1, 11))
     loads, hand = run["solid_load_1"][-1, ::-1], np.array([67.07, 93.83, 51.00])
@@ -213,7 +213,7 @@ def accuracy() -> None:
         moved = 100 * abs(rough.metrics.slip.mean() - fine.metrics.slip.mean())
         row(f"{name}: slip moves by [points]", "< .02", f"{moved:.4f}", moved < 0.02)
     for control in ("fixed", "exact"):
-        sharp = replace(TABLE_I, creep=1e-4)
+        sharp = TABLE_I._replace(creep=1e-4)
         moved = abs(
             means(RAMP, CONTROLS[control], sharp).slip
             - means(RAMP, CONTROLS[control], TABLE_I).slip
@@ -225,7 +225,7 @@ def accuracy() -> None:
             moved < 0.15,
         )
     for stiffness in (5e5, 1e6, 2e6):
-        contact = replace(TABLE_I, stiffness=stiffness, damping=20.0)
+        contact = TABLE_I._replace(stiffness=stiffness, damping=20.0)
         found = means(RAMP, EXACT, contact).slip / means(RAMP, FIXED, contact).slip
         row(
             f"ramp exact: ratio at {stiffness:.0e} N/m, c = 20",
@@ -274,7 +274,7 @@ def acceptance() -> None:
         ("step", STEP, 1.5, 9.2, 0.5),
     ):
         for mu in (1.0, 2.0):
-            found = means(profile, stiff, CompliantContact(static=mu, dynamic=mu), torque=np.inf)
+            found = means(profile, stiff, Grip(mu, mu), torque=np.inf)
             within(f"{name}, mu {mu:g}, kp 32, exact: true slip", found.true, 0, most)
             within(
                 f"{name}, mu {mu:g}, kp 32, exact: slip", found.slip, floor - apart, floor + apart
@@ -316,7 +316,7 @@ def sets() -> None:
 def rigid() -> None:
     """Print the comparison of stiff contacts with rigid time stepping."""
     for name, profile, contact in (("ramp", RAMP, TABLE_I), ("step", STEP, TWICE)):
-        stiff = replace(contact, stiffness=1e7, damping=50.0, creep=2e-4)
+        stiff = contact._replace(stiffness=1e7, damping=50.0, creep=2e-4)
         for exact in (False, True):
             law = Control("projective" if exact else "fixed", "contact", share=0.9, cap=2.0)
             mine = means(profile, law, stiff, torque=np.inf).slip
@@ -346,7 +346,7 @@ def critical(case: Case, between: np.ndarray) -> float:
     low, high = between
     while high - low > FINE:
         mu = (low + high) / 2
-        contact = CompliantContact(static=mu, dynamic=case.part * mu)
+        contact = Grip(mu, case.part * mu)
         up = climbed(case.profile, case.control, contact, **case.options)
         low, high = (low, mu) if up else (mu, high)
     return float(low + high) / 2

@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slipfree.climb.contact import CompliantContact
 from slipfree.climb.plan_tracking import Tracking
 from slipfree.control.sensor_noise import Noise
 from slipfree.control.step_climbing import Control
@@ -31,6 +30,7 @@ from helpers.climb_cases import (
     STEP,
     TABLE_I,
     TWICE,
+    Grip,
     climb,
     planned,
     tracking,
@@ -85,16 +85,14 @@ def holds(case: Threshold, mu: float) -> bool:
         control = case.driver(mu, case.speed)
     except SolverError:  # no plan
         return False
-    contact = CompliantContact(static=mu, dynamic=case.part * mu)
+    contact = Grip(mu, case.part * mu)
     # With little left at the wall, the exact law climbs at a fraction of the speed.
     until = 1.0 / case.speed + 14 if isinstance(control, Tracking) else 4.0 / case.speed
     return climbed(STEP, control, contact, speed=case.speed, until=until, every=0.01)
 
 
-def climbed(
-    profile: Profile, control: Control | Tracking, contact: CompliantContact, **how: Any
-) -> bool:
-    """Return whether a run climbs; a failure of the integrator counts as no."""
+def climbed(profile: Profile, control: Control | Tracking, contact: Grip, **how: Any) -> bool:
+    """Return whether it climbs; what the integrator gives up on does not."""
     try:
         return climb(profile, control, contact, **how).metrics.window.climbed
     except SolverError:
@@ -131,7 +129,7 @@ def robustness() -> None:
 def _line(what: str, cases: Iterable[tuple[float, Tracking, Profile, float, Climber]]) -> None:
     ends: dict[bool, list[str]] = {True: [], False: []}
     for value, control, profile, mu, climber in cases:
-        contact = CompliantContact(static=mu, dynamic=0.75 * mu)
+        contact = Grip(mu, 0.75 * mu)
         up = climbed(profile, control, contact, climber=climber, until=16.0, every=0.01)
         ends[up].append(f"{value:g}")
     print(f"  {what:48} {' '.join(ends[True]):36} not {' '.join(ends[False]) or '-'}", flush=True)

@@ -39,8 +39,8 @@ import numpy as np
 import slipfree
 from slipfree import SolverOptions
 from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.ending import climb_ending
 from slipfree.climb.friction_demand import highest_obstacle, least_friction
+from slipfree.climb.metrics import climb_window
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.show import climb_figures as show
@@ -247,7 +247,7 @@ def gets_up(mu, *settings):
     motion = simulate(
         setup.dae, setup.start, setup.inputs, setup.t, options=SolverOptions(tolerance=1e-6)
     )
-    return climb_ending(motion, setup.climber, setup.profile).name == "climbs"
+    return climb_window(motion, setup.climber, setup.profile).climbed
 
 
 def bisected(most, *settings):

@@ -239,6 +239,10 @@ class Dae:
     size : float
         Unit of length of the solvers, usually the extent of the vehicle. Tolerances, residuals and
         rank decisions do not change if all lengths of a problem are scaled with it. [m]
+    pace : SX, shape (1, 1)
+        Speed over the ground, divided by the distance that a step of the integrator may cover; zero
+        for no bound. The error test of an integrator does not see a bump or a contact that begins
+        and ends within one step. [1/s]
     suppress_algebraic : bool
         Whether the integrator's error test ignores ``z``, as for models whose ``z`` contains
         stabilisation terms.
@@ -302,6 +306,7 @@ class Dae:
     scale: Array
     shift: tuple[Array, Array]
     size: float = 1.0
+    pace: ca.SX = ca.SX(0)  # noqa: RUF009 - never changed
     suppress_algebraic: bool = False
     continuation: Continuation | None = None
     rest: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed

@@ -150,6 +150,7 @@ def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> D
         dae,
         ode=new(dae.ode),
         held=None,
+        pace=new(dae.pace),
         alg=tuple(new(rows) for rows in dae.alg),
         quad=new(dae.quad),
         y=unpack(dae.y, [new(each) for each in leaves(dae.y)]),

@@ -88,7 +88,7 @@ def test_stops_that_are_explained_exist():
     rows = re.findall(r"^\| (`.*?) \|", text_of("howto/stops.md"), re.MULTILINE)
     names = re.findall(r"`(\w+)(?:\[WHEEL\])?`", " ".join(rows))
     assert len(names) > 15
-    composed = {"NAME_stop", "tilt_right_stop", "rear_overturned", "front_overturned"}
+    composed = {"NAME_stop", "tilt_right_stop", "rear_upright", "front_upright"}
     for name in set(names) - composed:
         assert f'"{name}"' in code, name
 

@@ -415,9 +415,9 @@ def test_a_climb_is_drawn_with_a_width(climb_file: Path) -> None:
     (actor,), run = scene.actors, found.run
     bodies = {body.name: body for body in actor.bodies}
     assert len(bodies) == 2 + sum(axle.wheels for axle in found.climber.axles)
-    assert_allclose(bodies["front 1"].origins[:, 0] + scene.origin[0], run["center_y", "front"])
+    assert_allclose(bodies["front_1"].origins[:, 1] + scene.origin[1], run["center_y", "front"])
     tilt = run["tilt_rear"]
-    assert_allclose(bodies["rear body"].rotations[:, 2, 1], np.sin(tilt), atol=1e-12)
+    assert_allclose(bodies["platform"].rotations[:, 2, 1], np.sin(tilt), atol=1e-12)
     contacts = actor.contacts + scene.origin
     touching = np.isfinite(contacts).all(axis=-1)
     assert touching.any(axis=1).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -9,35 +10,46 @@ import numpy as np
 
 from slipfree import SolverOptions
 from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.contact import CompliantContact
 from slipfree.climb.contact_path import legs
 from slipfree.climb.dynamics import climbing, standing
 from slipfree.climb.metrics import Metrics, metrics
 from slipfree.climb.plan_tracking import TrackedPlan, Tracking, tracked_plan
 from slipfree.climb.time_scaling import climb as program
 from slipfree.control.step_climbing import Control
+from slipfree.laws.compliant import Compliant
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.solids import Profile, ramp, step
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.climber import Climber
+from slipfree.vehicle.tree import GRAVITY
 
 AMPLE = 8.0  # torque of the lab's motors that "never" limits; on the step it does, 1 % of the time
 SPEED, HEIGHT, EVERY, AHEAD = 0.25, 0.09, 2e-3, 0.05
 CLIMBER = step_climber(torque=AMPLE)
 MARGIN = 0.96  # part of the friction that a plan may use
 RAMP, STEP = ramp(np.pi / 4, HEIGHT), step(HEIGHT)
-TABLE_I, TWICE = (
-    CompliantContact(static=0.4, dynamic=0.3),
-    CompliantContact(static=0.9, dynamic=0.675),
-)
 FIXED = Control("fixed")
 EXACT, EXACT_95 = Control(directions="contact"), Control(directions="contact", share=0.95)
 SENSED = Control()
 PRINTED_6_8 = Control("printed_6_8", directions="contact")
 PRINTED_14 = Control("printed_14", directions="contact")
 PRINTED_16 = Control("printed_16", directions="contact")
+
+
+class Grip(NamedTuple):
+    """Friction and contacts in the lab's numbers [1, 1, N/m, s/m, m/s, m/s]."""
+
+    static: float = 0.4
+    dynamic: float = 0.3
+    stiffness: float = 1.5e5
+    damping: float = 10.0
+    creep: float = 5e-4
+    stribeck: float = 0.01
+
+
+TABLE_I, TWICE = Grip(), Grip(0.9, 0.675)
 
 
 class Climb(NamedTuple):
@@ -68,10 +80,18 @@ def foot(profile):
     return -AHEAD - radius * np.tan(angle / 2)
 
 
-def begin(climber, profile, control, contact, speed=SPEED, **options):
+def gripped(climber, profile, control, grip, **options):
+    """The vehicle with the stiffness of its contacts, and its model."""
+    climber = replace(climber, stiffness=grip.stiffness)
+    ratio = grip.damping * np.sqrt(GRAVITY * climber.static_depth) / 2
+    law = Compliant(ratio, grip.creep, grip.dynamic / grip.static, grip.stribeck)
+    return climber, climbing(climber, profile, control, law, friction=grip.static, **options)
+
+
+def begin(climber, profile, control, grip, speed=SPEED, **options):
     """The model, and its start rolling towards the climb."""
-    dae = climbing(climber, profile, control, contact, **options)
-    return dae, settle(dae, **standing(climber, contact, foot(profile), speed))
+    climber, dae = gripped(climber, profile, control, grip, **options)
+    return dae, settle(dae, **standing(climber, foot(profile), speed))
 
 
 @lru_cache(maxsize=32)

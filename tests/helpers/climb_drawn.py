@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
+from helpers.climb_cases import Grip, gripped
 from slipfree import SolverOptions
 from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.contact import CompliantContact
-from slipfree.climb.dynamics import climbing, held_torques, standing
+from slipfree.climb.dynamics import held_torques, standing
 from slipfree.control.reference_speeds import Law
 from slipfree.control.sensor_noise import Noise
 from slipfree.control.step_climbing import Control, largest_period
@@ -31,7 +31,7 @@ class Drawn(NamedTuple):
 
     climber: Climber
     profile: Profile
-    contact: CompliantContact
+    contact: Grip
     control: Control
     speed: float
     period: float | None
@@ -50,9 +50,11 @@ def drawn(seed: int) -> Drawn:
 
 def drive(case: Drawn) -> Trajectory:
     """Return its motion."""
-    dae = climbing(case.climber, case.profile, case.control, case.contact, period=case.period)
+    climber, dae = gripped(
+        case.climber, case.profile, case.control, case.contact, period=case.period
+    )
     front = -case.climber.radius - AHEAD
-    start = settle(dae, **standing(case.climber, case.contact, front, case.speed))
+    start = settle(dae, **standing(climber, front, case.speed))
     until = WAY / case.speed + EXTRA
     if case.period is None:
         t = np.linspace(0, until, round(until / EVERY) + 1)
@@ -113,9 +115,9 @@ def _profile(rng: np.random.Generator) -> Profile:
     return kinds[rng.choice(list(kinds))]()
 
 
-def _contact(rng: np.random.Generator) -> CompliantContact:
+def _contact(rng: np.random.Generator) -> Grip:
     static = rng.uniform(0.3, 1.2)
-    return CompliantContact(
+    return Grip(
         stiffness=_between(rng, 5e4, 2e6),
         damping=_between(rng, 1.0, 30.0),
         static=static,

@@ -16,15 +16,14 @@ from helpers.climb_cases import (
     SPEED,
     STEP,
     TABLE_I,
+    Grip,
     climb,
     planned,
     tracking,
 )
 from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.contact import CompliantContact
 from slipfree.climb.contact_path import legs
-from slipfree.climb.dynamics import climbing
-from slipfree.climb.ending import climb_ending
+from slipfree.climb.dynamics import climbing, prisms
 from slipfree.climb.metrics import axle_speeds
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
 from slipfree.climb.time_scaling import climb as program
@@ -32,8 +31,10 @@ from slipfree.climb.time_scaling import history, in_sequence
 from slipfree.control.reference_speeds import PerAxle, Tilts
 from slipfree.control.sensor_noise import Noise, measured
 from slipfree.errors import ModelError
+from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.trajectory import SolverError
+from slipfree.vehicle.climber import side_view
 
 CLIMBER = step_climber(torque=AMPLE)
 UNTIL = 13.0
@@ -51,12 +52,12 @@ def plans():
 
 
 def driven(control, mu, part=0.75, **options):
-    return climb(STEP, control, CompliantContact(static=mu, dynamic=part * mu), **options)
+    return climb(STEP, control, Grip(mu, part * mu), **options)
 
 
 def ending(control, mu, **options):
     motion = driven(control, mu, **options)
-    return climb_ending(motion.run, motion.climber, motion.profile).name
+    return obstacle_ending(motion.run, side_view(motion.climber), prisms(motion.profile)).name
 
 
 def progress(run):

@@ -13,10 +13,12 @@ from slipfree import (
     Bicubic,
     Grid,
     ModelError,
+    SolverOptions,
     catalog,
     direct_kinematics,
     quasi_statics,
     settle,
+    simulate,
 )
 from slipfree.geometry.frame import Pose, rotation_of
 from slipfree.laws.compliant import Compliant
@@ -25,7 +27,7 @@ from slipfree.models.dynamics import dynamics
 from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
 from slipfree.solve.system import with_inputs
-from slipfree.vehicle.drives import Motor, Torque
+from slipfree.vehicle.drives import Motor, Rate, Torque
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
@@ -201,6 +203,23 @@ def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
     assert abs(yaw_rates[0]) > 0.5
     assert yaw_rates[0] == pytest.approx(yaw_rates[1], rel=1e-3)
     assert np.abs(loads[0] - loads[1]).max() < 0.1
+
+
+@pytest.mark.parametrize("drive", [Rate(), Torque()], ids=["rate", "torque"])
+def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over(drive):
+    """In steady motion steps would grow until one covers the whole ridge, with an error of 18 J."""
+    crest, vehicle = 6.0, catalog.rigid_skid_steer()
+    vehicle = replace(vehicle, wheels=tuple(replace(w, drive=drive) for w in vehicle.wheels))
+    ground = Analytic(lambda x, y: 0.02 * ca.exp(-(((y - crest) / 0.1) ** 2)) + 0 * x, mu=0.8)
+    model = dynamics(vehicle, ground)
+    value = 1.0 / vehicle.wheels[0].radius if drive == Rate() else 0.5
+    inputs = model.inputs(**{label.full: value for label in model.labels.u.wheels})
+    t = np.linspace(0, 7.5 if drive == Rate() else 9.0, 301)
+    run = simulate(model, settle(model), inputs, t, options=SolverOptions(1e-6))
+    assert run["y"][-1] > crest + 0.5
+    assert np.ptp(run["z"]) > 0.009  # half the height of the ridge, under two of four wheels
+    gain = energy(run) - energy(run)[0] - run["work"] + run["lost_energy"]
+    assert np.abs(gain).max() < 1e-2
 
 
 def test_the_energy_ledger_of_a_rover_on_waves_balances():

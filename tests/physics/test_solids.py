@@ -260,7 +260,7 @@ def test_with_too_little_friction_it_stays_below():
     assert ending.name == "stalls"
     assert "0 of 6 wheels reached the top, z = 0.09 m" in ending.words
     early = obstacle_ending(run.part(slice(0, 5)), catalog.rocky7(), ground.prisms)
-    assert (early.name, early.words) == ("unfinished", "no wheel touched a solid")
+    assert (early.name, early.words) == ("unfinished", "no wheel touched an obstacle")
     words = "the platform overturns (cosine of its inclination)"
     over = replace(run, stop=Stop("upright", 4.0, words, Outcome.LIMIT))
     ending = obstacle_ending(over, catalog.rocky7(), ground.prisms)

@@ -94,10 +94,11 @@ def test_linear_creep_is_coulomb_friction_at_small_slip():
     np.testing.assert_allclose(linear, coulomb, rtol=2 * used**2, atol=1e-2)
 
 
-def test_model_refuses_wheels_that_cannot_stay_on_the_ground():
+def test_model_refuses_what_it_cannot_plan():
     ground = Analytic(lambda x, y: 0 * x * y, mu=0.8)
-    with pytest.raises(ModelError, match="suspension coordinate for each wheel beyond three"):
-        rigid_dynamics(catalog.rigid_skid_steer(), ground)
+    two = replace(catalog.rigid_skid_steer(), wheels=catalog.rigid_skid_steer().wheels[:2])
+    with pytest.raises(ModelError, match="expected at least 3 wheels, found 2"):
+        rigid_dynamics(two, ground)
     with pytest.raises(ModelError, match="linear creep: expected a ground with a coefficient"):
         LinearCreep().check(car(), Analytic(lambda x, y: 0 * x * y))
     with pytest.raises(ModelError, match="expected a ground with a coefficient of friction"):
@@ -146,6 +147,44 @@ def test_plan_with_momentum_agrees_with_compliant_contact(crossing):
     used = np.hypot(found.run["friction_used_along"], found.run["friction_used_across"])
     assert used.max() < 1 + 1e-6
     assert "kinetic_energy" in found.replay
+    assert found.replay.stop is None
+
+
+def test_rigid_four_wheeler_stands_on_soft_contacts():
+    """At the same depths, loads of the soft contact follow from those of the compliant one."""
+    vehicle = catalog.rigid_skid_steer()
+    share = vehicle.weight / 4
+    for slope in (0.0, 0.1):
+        ground = Analytic(lambda x, y, s=slope: s * (x + y), mu=0.8)
+        loads, compliant = (
+            settle(make(vehicle, ground))["force_normal"] for make in (rigid_dynamics, dynamics)
+        )
+        pressed = compliant / share - 1 / 4
+        np.testing.assert_allclose(loads, share * (pressed + np.hypot(pressed, 1)) / 2, rtol=1e-3)
+
+
+def test_plan_of_a_rigid_four_wheeler_with_momentum():
+    vehicle = catalog.rigid_skid_steer()
+    wheels = tuple(replace(wheel, drive=Torque()) for wheel in vehicle.wheels)
+    vehicle, ground, most = replace(vehicle, wheels=wheels), ridge(0.06), 4.0
+    model = rigid_dynamics(vehicle, ground)
+    guess, start = straight_guess(model, vehicle, ground, 0.9, 1.9)
+    found = plan(
+        model,
+        start,
+        guess,
+        goal={"y": (1.5, 2.0)},
+        costs={"time": 1.0},
+        duration=(0.5, 5.0),
+        smooth=1e-4,
+        continuous=False,
+        inputs={label.full: (-most, most) for label in model.labels.u.wheels},
+        intervals=12,
+        accuracy=5e-3,
+    )
+    assert found.success
+    assert found.accurate
+    assert max(found.difference[axis] for axis in "xyz") < 5e-3
     assert found.replay.stop is None
 
 

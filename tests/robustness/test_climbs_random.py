@@ -12,7 +12,7 @@ import pytest
 from helpers.random_climbs import GROUP, draw, ending
 
 COUNT, BATCH = 120, 2 * GROUP
-OPEN = 114  # its balance exceeds the bound; the cause is not known
+GRAZING = 114  # a wheel touches the side of a ramp for 0.4 s, between steady motions
 COMPLETE = ("climbs", "stalls", "tips over", "unfinished")
 
 
@@ -26,10 +26,9 @@ def check(index):
 @pytest.mark.parametrize("begin", range(BATCH, COUNT, 2 * BATCH))
 def test_random_climbs_end_as_they_should(begin):
     for index in range(begin, begin + BATCH):
-        if index != OPEN:
-            check(index)
+        check(index)
 
 
-@pytest.mark.xfail(strict=True, reason="energy balance errs by twice the bound")
-def test_the_open_climb():
-    check(OPEN)
+def test_a_contact_between_steady_motions_is_not_missed():
+    """Without a bound, one step of the integrator passes over the contact."""
+    check(GRAZING)

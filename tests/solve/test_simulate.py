@@ -436,12 +436,12 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
     plain = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-6))
     integrator, first = module._integrator, []
 
-    def rejecting(solver, observer, t, given):
+    def rejecting(solver, observer, t, given, pace):
         def fail(**start):
             first.append(start)
             raise RuntimeError("IDA_LINESEARCH_FAIL")
 
-        return integrator(solver, observer, t, given) if given else fail
+        return integrator(solver, observer, t, given, pace) if given else fail
 
     monkeypatch.setattr(module, "_integrator", rejecting)
     shifted = module._initial_sample(module.with_inputs(dae, inputs, 5), start, 0.0)

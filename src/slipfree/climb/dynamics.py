@@ -8,7 +8,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from slipfree.climb.contact import CompliantContact
 from slipfree.climb.plan_tracking import Tracking, tracked
 from slipfree.control.climb_records import (
     INPUTS,
@@ -29,7 +28,9 @@ from slipfree.control.reference_speeds import (
 from slipfree.control.sensor_noise import Noise, measured
 from slipfree.control.step_climbing import Commands, Control, check_period, torques
 from slipfree.dae import Dae, Limit
+from slipfree.laws.compliant import Compliant
 from slipfree.models.dynamics import dynamics
+from slipfree.models.limits import UPRIGHT
 from slipfree.records import Array, Label, symbols
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.solids import Prism, Profile, Solids
@@ -43,8 +44,9 @@ def climbing(
     climber: Climber,
     profile: Profile,
     control: Control | Tracking = Control(),  # noqa: B008 - a frozen record
-    contact: CompliantContact = CompliantContact(),  # noqa: B008
+    law: Compliant = Compliant(),  # noqa: B008
     *,
+    friction: float = 0.4,
     period: float | None = None,
 ) -> Dae:
     """Return the dynamic model of a climbing vehicle with controlled wheels.
@@ -61,8 +63,10 @@ def climbing(
         The ground. Its x is the map's y.
     control : Control or Tracking
         Controller of the wheel rates by reference speeds, or controller that tracks a plan.
-    contact : CompliantContact
-        Parameters of the contacts.
+    law : Compliant
+        Wheel-ground law.
+    friction : float
+        Static coefficient of friction. [1]
     period : float, optional
         Sample time of the controller. The torques of the axles are then inputs that hold the values
         of `held_torques` between samples, as in `slipfree.solve.zero_order_hold`. [s]
@@ -86,9 +90,9 @@ def climbing(
     """
     if period is not None:
         check_period(period, control, climber)
-    share = climber.mass * GRAVITY / len(AXLES)
-    vehicle = side_view(climber, contact.depth(share))
-    model = dynamics(vehicle, _ground(profile, contact.static), law=contact.law(share))
+    bottom = min(z for solid in profile.solids for _, z in solid.points)
+    base = Analytic(lambda x, _y: bottom + 0 * x, mu=friction)
+    model = dynamics(side_view(climber), Solids(base, prisms(profile)), law=law)
     controller = _controller(climber, profile, control, model)
     # other limits do not apply: wheels are upright, and their contacts are defined at any depth
     model = replace(model, limits=_limits(controller.y.tilts))
@@ -104,11 +108,9 @@ def held_torques(climber: Climber, model: Dae) -> dict[str, ca.SX]:
     }
 
 
-def _ground(profile: Profile, friction: float) -> Solids:
-    """Return the solids of a profile along the map's y, on a plane at their lowest corner."""
-    bottom = min(z for solid in profile.solids for _, z in solid.points)
-    base = Analytic(lambda x, _y: bottom + 0 * x, mu=friction)
-    return Solids(base, tuple(Prism(solid) for solid in profile.solids))
+def prisms(profile: Profile) -> tuple[Prism, ...]:
+    """Return the solids of a profile along the map's y."""
+    return tuple(Prism(solid) for solid in profile.solids)
 
 
 def _controller(
@@ -194,7 +196,7 @@ def _commands(
 def _limits(tilts: Tilts) -> tuple[Limit, ...]:
     return tuple(
         Limit(
-            Label(f"{name}_overturned", "rad", f"the {name} body overturns (tilt)"),
+            Label(f"{name}_{UPRIGHT}", "rad", f"the {name} body overturns (tilt)"),
             tilt,
             -MAX_TILT,
             MAX_TILT,
@@ -203,24 +205,20 @@ def _limits(tilts: Tilts) -> tuple[Limit, ...]:
     )
 
 
-def standing(
-    climber: Climber, contact: CompliantContact, front: float, speed: float = 0.0
-) -> dict[str, float]:
+def standing(climber: Climber, front: float, speed: float = 0.0) -> dict[str, float]:
     """Return the states of a vehicle on a level floor at height zero, at rest or rolling, by name.
 
     Parameters
     ----------
     climber : Climber
         The vehicle.
-    contact : CompliantContact
-        The contact law, which determines the penetration depth of the wheels.
     front : float
         Position of the front axle. [m]
     speed : float
         Forward speed of the vehicle; its wheels roll without slip. [m/s]
     """
     rear, middle, ahead = (
-        climber.radius - load / contact.stiffness for load in floor_loads(climber)
+        climber.radius - load / climber.stiffness for load in floor_loads(climber)
     )
     link = climber.middle.ahead - climber.rear.ahead
     tilt_rear = math.asin((middle - rear) / link)

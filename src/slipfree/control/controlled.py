@@ -115,6 +115,7 @@ def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> 
             labels.alg,
         ),
         limits=limits,
+        pace=driven([model.pace])[0],
         shift=(np.concatenate([model.shift[0], own]), model.shift[1]),
         standing=None,
         held=held,

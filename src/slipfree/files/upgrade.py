@@ -21,6 +21,8 @@ CLIMBS = {  # current names of quantities of climbs
     "axle_z": "center_z",
     "wheel_rate": "spin",
     "torque": "motor_torque",
+    "rear_overturned": "rear_upright",
+    "front_overturned": "front_upright",
 }
 CLIMB_SUMS = {
     "lost_energy": {"rubbed": 1.0, "damped": 1.0},

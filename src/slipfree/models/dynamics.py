@@ -70,6 +70,7 @@ MIN_INERTIA = 1e-15  # smaller generalised masses count as zero [kg, kg m^2]
 LAG = 1e-3  # time constant of prescribed rates [s]
 NORMALISATION = 1.0  # rate at which the norm of the quaternion returns to one [1/s]
 STANDING_SMOOTHING = 0.01  # width of the load law of the vehicle at rest [static depths]
+STEP_SHARE = 1 / 8  # largest distance that a wheel travels in a step of the integrator [radii]
 EXACT_DEPTH = 1 / 250  # default static depth of vehicles with exact closure [rolling radii]
 
 
@@ -174,12 +175,28 @@ def dynamics(
         scale=scale,
         shift=shift,
         size=size,
+        pace=ca.SX(0) if plane_of(terrain) and not prisms else _pace(body, u),
         standing=None
         if support_fault(vehicle)
         else standing_start(vehicle, terrain, prisms, labels),
         lookups=lookups.lookups,
         held=_held_inertia(vehicle, x, u, body, (matrix, bias), contacts),
     )
+
+
+def _pace(body: Multibody, u: Inputs) -> ca.SX:
+    """Return the number of `STEP_SHARE` radii that the fastest wheel travels per second [1/s].
+
+    The wanted rates of drives count as well, so that the pace is known at a start from rest.
+    """
+    inputs, fastest = iter(u.wheels), ca.SX(0)
+    for each in body.wheels:
+        wheel = each.wheel
+        speed = ca.norm_2(each.motion.velocity) / wheel.radius
+        wanted = next(inputs) if wheel.driven else ca.SX(0)
+        rate = ca.SX(0) if wheel.acting_drive.takes_effort else ca.fabs(wanted)
+        fastest = ca.fmax(fastest, ca.fmax(speed, rate))
+    return fastest / STEP_SHARE
 
 
 def check_dynamic(vehicle: Vehicle) -> None:

@@ -26,7 +26,7 @@ class ObstacleEnding(NamedTuple):
     Attributes
     ----------
     name : {"climbs", "stalls", "tips over", "unfinished"}
-        ``"unfinished"`` if the vehicle still moves when the motion ends, or touched no solid.
+        ``"unfinished"`` if the vehicle still moves when the motion ends, or touched no obstacle.
     t : float
         Time at which the last wheel reaches the top, or the motion ends. [s]
     words : str
@@ -47,15 +47,16 @@ def obstacle_ending(
 ) -> ObstacleEnding | None:
     """Return the ending of a motion over solids; None without solids.
 
-    The vehicle tips over if the motion ends at the limit of the platform's inclination. It climbs
-    if, after the first contact with a solid, each wheel reaches the highest top among the solids
-    touched by any wheel; the wheel may leave it later. It stalls if the platform is displaced by
-    less than 5 mm in the last second, or by less than 5 % of the distance that the rims travel.
+    The vehicle tips over if the motion ends at the limit of a body's inclination. It climbs if,
+    after the first contact with an obstacle, each wheel reaches the highest top of the obstacles
+    that a wheel touches; later it may leave it. Obstacles are the solids on which the vehicle does
+    not stand at the start. It stalls if the platform is displaced by less than 5 mm
+    in the last second, or by less than 5 % of the distance that the rims travel.
 
     Parameters
     ----------
     run : Trajectory
-        A motion of `slipfree.dynamics` on `slipfree.Solids`.
+        A motion of `slipfree.dynamics` on `slipfree.Solids`, or of a climb.
     vehicle : Vehicle
         Vehicle of the motion.
     prisms : sequence of Prism
@@ -78,12 +79,13 @@ def obstacle_ending(
     if not prisms:
         return None
     end = float(run.t[-1])
-    if run.stop is not None and run.stop.name == UPRIGHT:
+    if run.stop is not None and run.stop.name.endswith(UPRIGHT):
         return ObstacleEnding("tips over", end, f"at t = {end:.3g} s {run.stop.words}")
-    touched = [(run[f"solid_load_{k}"] > 0).any(axis=1) for k in range(1, len(prisms) + 1)]
+    loads = [run[f"solid_load_{k}"] > 0 for k in range(1, len(prisms) + 1)]
+    touched = [load.any(axis=1) & ~load[0].all() for load in loads]  # all wheels stand on a floor
     tops = [prism.z + max(z for _, z in prism.section.points) for prism in prisms]
     if not np.any(touched):
-        return ObstacleEnding("unfinished", end, f"no wheel touched a solid{_stop_words(run)}")
+        return ObstacleEnding("unfinished", end, f"no wheel touched an obstacle{_stop_words(run)}")
     top = max(top for top, met in zip(tops, touched, strict=True) if met.any())
     up = _reached(run, vehicle, top) & (np.cumsum(np.any(touched, axis=0)) > 0)[:, None]
     if up.any(axis=0).all():

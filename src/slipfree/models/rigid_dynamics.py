@@ -1,4 +1,4 @@
-"""Rigid dynamics: motion with inertia of a vehicle whose wheels stay on the ground, for plans.
+"""Rigid dynamics: motion with inertia of a vehicle on rigid ground, for plans.
 
 The equations of motion are those of `slipfree.models.dynamics`. The normal forces are multipliers
 of the contact constraints instead of functions of the depths, so that a plan need not resolve the
@@ -14,6 +14,15 @@ exact derivatives of every order, unlike the searches of `slipfree.contact.touch
 
 A plan is valid while no wheel lifts off, ``N >= 0``. It is verified by the simulation of the
 compliant model (``Dae.replay``).
+
+A vehicle with fewer suspension coordinates than wheels beyond three, such as a rigid four-wheeler,
+rocks: its wheels leave uneven ground. Its normal forces are statically indeterminate on a rigid
+ground, but not with static depths. With ``r`` the left-hand side of the constraint, less
+``d_0 / 4``, they are those of a soft contact that only presses,
+
+    ``(r + sqrt(r^2 + d_0^2)) / 2 = d_0 N / (W / n)``,
+
+with the same load at the static depth. There is no limit on lift-off.
 """
 
 from __future__ import annotations
@@ -78,13 +87,13 @@ def rigid_dynamics(
     law: GroundLaw = LinearCreep(),  # noqa: B008 - a frozen record
     contact: Compliant = Compliant(),  # noqa: B008 - a frozen record
 ) -> Dae:
-    """Return the dynamic model of a vehicle whose wheels stay on the ground, for plans.
+    """Return the dynamic model of a vehicle on rigid ground, for plans.
 
     Parameters
     ----------
     vehicle : Vehicle
-        The vehicle, with mass. For each wheel beyond three it has a suspension coordinate, so that
-        all wheels can touch the ground.
+        The vehicle, with mass. If it has a suspension coordinate for each wheel beyond three, all
+        wheels stay on the ground; otherwise wheels may lift off.
     terrain : Terrain
         The ground, with friction.
     law : GroundLaw
@@ -97,13 +106,14 @@ def rigid_dynamics(
     -------
     Dae
         Model with the states and inputs of `dynamics`, which is its ``replay``. Plans on this model
-        contain its limits on normal forces (``lift_off``) and of the law from the beginning.
+        contain its limits on normal forces (``lift_off``, if all wheels stay on the ground) and of
+        the law from the beginning.
 
     Raises
     ------
     ModelError
-        If not all wheels can touch a rigid ground, or the vehicle, the ground or the law does not
-        suit dynamics.
+        If the vehicle has fewer than three wheels or is locked to a plane, or the vehicle, the
+        ground or the law does not suit dynamics.
 
     Examples
     --------
@@ -117,7 +127,7 @@ def rigid_dynamics(
     check_dynamic(vehicle)
     contact.check(vehicle, terrain)
     law.check(vehicle, terrain)
-    _check_suspension(vehicle)
+    _check_wheels(vehicle)
     vehicle = with_depths(vehicle)
     labels = _labels(vehicle, law)
     x, z, u, lookups = symbols(labels.x), symbols(labels.z), symbols(labels.u), LookupTable()
@@ -182,26 +192,23 @@ def rigid_dynamics(
     )
 
 
-def _check_suspension(vehicle: Vehicle) -> None:
-    """Raise ModelError if not all wheels of a vehicle can stay on an uneven rigid ground."""
+def _check_wheels(vehicle: Vehicle) -> None:
+    """Raise ModelError if a vehicle is locked to a plane or has fewer than three wheels."""
     if vehicle.planar:
         raise ModelError(
             f"rigid_dynamics: {vehicle.name!r}: expected a vehicle that moves in space, found one "
             "locked to a plane; use dynamics"
         )
-    needed, given = len(vehicle.wheels) - 3, len(vehicle.of("suspension"))
-    if needed < 0 or given < needed:
-        expected = (
-            "at least 3 wheels"
-            if needed < 0
-            else f"a suspension coordinate for each wheel beyond three ({needed})"
-        )
-        found = f"{len(vehicle.wheels)} wheels" if needed < 0 else str(given)
+    if len(vehicle.wheels) < 3:
         raise ModelError(
-            f"rigid_dynamics: {vehicle.name!r}: expected {expected}, so that all wheels can stay "
-            f"on the ground, found {found}; add {'wheels' if needed < 0 else 'suspension'}, or "
-            "plan without inertia"
+            f"rigid_dynamics: {vehicle.name!r}: expected at least 3 wheels, found "
+            f"{len(vehicle.wheels)}; add wheels"
         )
+
+
+def _stays_on_ground(vehicle: Vehicle) -> bool:
+    """Return whether all wheels of a vehicle can stay on an uneven rigid ground."""
+    return len(vehicle.of("suspension")) >= len(vehicle.wheels) - 3
 
 
 def _labels(vehicle: Vehicle, law: GroundLaw) -> Labels:
@@ -269,10 +276,13 @@ def _sliding(
 ) -> SlidingContacts:
     """Return the contacts for the law, with the contact constraints as normal velocities."""
     share = vehicle.weight / len(vehicle.wheels)
-    constraints = tuple(
-        ca.dot(each.frame.normal, slip) + RELAXATION_RATE * (wheel.depth * n / share + each.gap)
-        for wheel, each, slip, n in zip(vehicle.wheels, touches, slips, normal, strict=True)
-    )
+    constraints = list[ca.SX]()
+    for wheel, each, slip, n in zip(vehicle.wheels, touches, slips, normal, strict=True):
+        pressed = -each.gap - ca.dot(each.frame.normal, slip) / RELAXATION_RATE
+        if not _stays_on_ground(vehicle):
+            pressed -= wheel.depth / 4  # the load at the static depth is the share of the weight
+            pressed = (pressed + ca.sqrt(pressed**2 + wheel.depth**2)) / 2
+        constraints.append(RELAXATION_RATE * (wheel.depth * n / share - pressed))
     along, across = (
         tuple(ca.dot(axis, slip) for axis, slip in zip(axes, slips, strict=True))
         for axes in (
@@ -282,7 +292,7 @@ def _sliding(
     )
     friction = tuple(each.friction for each in touches)
     return SlidingContacts(
-        vehicle, along, across, constraints, friction, driven, spins, lambda _x, _z: ""
+        vehicle, along, across, tuple(constraints), friction, driven, spins, lambda _x, _z: ""
     )
 
 
@@ -296,7 +306,9 @@ def _check_torques(law: GroundLaw, reaction: Reaction) -> None:
 
 
 def _lift_off(vehicle: Vehicle, normal: Sequence[ca.SX]) -> Iterator[Limit]:
-    """Yield the lower limit, zero, of each wheel's normal force."""
+    """Yield the lower limit, zero, of each wheel's normal force, if all stay on the ground."""
+    if not _stays_on_ground(vehicle):
+        return
     for wheel, force in zip(vehicle.wheels, normal, strict=True):
         words = f"wheel {wheel.name} lifts off: the ground would have to pull it (normal force)"
         yield Limit(Label("lift_off", "N", words, wheel.name), force, 0.0, np.inf)

@@ -269,12 +269,11 @@ def _actor(
 ) -> Actor:
     """Return body and wheels of a vehicle with their motion, as an actor of the scene."""
     vehicle, color = drive.vehicle, color_of(k)
-    parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
-    bodies = [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
+    bodies = vehicle_bodies(vehicle, run, color)
     if drive.robot is not None and drive.visuals and not ghost:
         bodies = [*_hidden(bodies, drive), *_link_bodies(drive, drive.robot, color)]
-    axles = wheels.rotations[..., 0]
+    axles = wheel_poses(vehicle, run).rotations[..., 0]
     arrows = [] if ghost else _arrows(run, drive, contacts, axles)
     return Actor(
         name,
@@ -286,6 +285,22 @@ def _actor(
         ghost,
         stopped(run),
     )
+
+
+def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[Body]:
+    """Return the bodies of a vehicle and its wheels, with their motion in map coordinates.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    run : Trajectory
+        Motion with the platform's pose, every coordinate and the wheel angles.
+    color : tuple of 3 ints
+        Colour of the vehicle.
+    """
+    parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
+    return [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
 
 
 def _part_bodies(

@@ -124,7 +124,7 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
     return ax
 
 
-def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
+def terrain(run: Trajectory, grid: Grid, ax: Any, prisms: Sequence[Prism] = ()) -> Any:
     """Draw the ground around the path as a surface, with platform and contact tracks.
 
     Parameters
@@ -136,9 +136,13 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
     ax : Axes3D
         Axes from ``figure.add_subplot(projection="3d")``. Heights of low relief are drawn enlarged;
         the label of the height axis contains the factor.
+    prisms : sequence of Prism
+        Solids on the ground.
     """
     window = ground_drawing.around(run, grid, pad=0.4)
     x, y, z = ground_drawing.patch(grid, window, MESH)
+    for prism in prisms:
+        z = np.fmax(z, prism.top(x[:, None], y))
     ax.computed_zorder = False
     ax.plot_surface(
         *np.meshgrid(x, y, indexing="ij"),
@@ -380,7 +384,7 @@ def loci_plot(drive: Drive) -> Plot | None:
 def terrain_plot(drive: Drive) -> Plot:
     """Return the view of the ground around the path."""
     caption = "Ground around the path, platform and tracks of the contact points."
-    return Plot("terrain", caption, lambda: _terrain(drive.run, drive.grid))
+    return Plot("terrain", caption, lambda: _terrain(drive))
 
 
 FIGURES: tuple[Callable[[Drive], Plot | None], ...] = (
@@ -431,10 +435,10 @@ def _tracks_differ(run: Trajectory, width: float) -> bool:
     return bool(np.hypot(*away).max() > DISTINCT * width)
 
 
-def _terrain(run: Trajectory, grid: Grid) -> Figure:
+def _terrain(drive: Drive) -> Figure:
     figure = Figure(figsize=(COLUMN, 80 * MM))
-    ax = terrain(run, grid, figure.add_subplot(projection="3d"))
-    style.finished(figure, run, [ax])
+    ax = terrain(drive.run, drive.grid, figure.add_subplot(projection="3d"), drive.prisms)
+    style.finished(figure, drive.run, [ax])
     return _filled(figure, ax)
 
 

@@ -34,7 +34,7 @@ UNITS = {"slip": "m/s", "force": "N"}
 MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # different from the colours of runs
 FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
-PLAN, SECTION = (0, 1), (0, 2)  # indices of the coordinates drawn to the right and up
+PLAN, SECTION = (0, 1), (1, 2)  # indices of the coordinates drawn to the right and up
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
 

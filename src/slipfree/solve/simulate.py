@@ -38,6 +38,7 @@ LIMIT_TOLERANCE = 1e-6  # tolerated violation of a limit [unit or scale of the l
 MAX_STEPS = 10_000  # maximum number of steps of the integrator between two samples
 NEWTON_SHARE = 0.01  # fraction of a step's allowed error at which CVODES ends Newton's method
 MAX_RESTARTS = 20  # maximum number of restarts after failures, per interval of the inputs
+MAX_COVERED = 2.0  # a step that covers more causes a repetition [allowed distances]
 ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
 CHUNK_SIZE = 2000  # samples checked together, to bound the memory
 Progress = Callable[[float], bool | None]
@@ -272,6 +273,7 @@ def _integrate_between_jumps(
     last step that it reached and, if the integrator fails again, up to earlier steps.
     """
     observer.times.clear()
+    observer.paces.clear()
     try:
         return *_call_integrator(solver, observer, at, t, u), None
     except (SolverError, _LimitError, _ProgressError) as error:
@@ -295,17 +297,24 @@ def _call_integrator(
 
     IDAS may fail to compute a consistent start if the given start already is consistent to rounding
     accuracy. Newton's method then computes the start, and IDAS skips its own computation.
+
+    Steps are bounded by the pace at the start under all inputs. If the motion becomes faster and a
+    step covers too large a distance, the call is repeated with the largest pace.
     """
-    system, given = solver.system, dict[str, Any]()
+    system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, u)
     x_size, m_size = (size[:, None] for size in _motion_scales(system))
     while True:
-        integrator = _integrator(solver, observer, t, given)
+        integrator = _integrator(solver, observer, t, given, pace)
+        first = len(observer.times)
         states = {"x0": at.x / x_size, "z0": at.z[: system.motion_size] / m_size}
         try:
             # one column for each output time, that of the interval which it ends
             with suppress_messages():
                 found = integrator(**states, u=np.column_stack([u[:, :1], u]))
-            break
+            faster = observer.pace_of_long_steps(first)
+            if not faster:
+                break
+            pace = faster
         except RuntimeError as error:
             solver.guard.check()
             words, start = sundials_words(str(error)), None
@@ -323,6 +332,15 @@ def _call_integrator(
     counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
     inputs = np.column_stack([u, u[:, -1:]])
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
+
+
+def _pace_at_start(system: System, at: Samples, u: Array) -> float:
+    """Return the largest pace of a sample under the inputs of all intervals [1/s]."""
+    if system.dae.pace.is_zero():
+        return 0.0
+    inputs = np.unique(u, axis=1)
+    m = at.z[: system.motion_size, 0]
+    return float(np.array(system.watch(at.t[0], at.x[:, 0], m, inputs)[2]).max())
 
 
 def _scaled_rates(system: System, at: Samples) -> list[float]:
@@ -423,9 +441,12 @@ def _check_samples(
 
 
 def _integrator(
-    solver: _Solver, observer: _StepObserver, t: Array, given: dict[str, Any]
+    solver: _Solver, observer: _StepObserver, t: Array, given: dict[str, Any], pace: float
 ) -> ca.Function:
-    """Return the integrator over ``t``, for states and unknowns divided by their sizes."""
+    """Return the integrator over ``t``, for states and unknowns divided by their sizes.
+
+    Steps last at most one over the pace, unless it is zero.
+    """
     system, dae = solver.system, solver.system.dae
     x_size, m_size = _motion_scales(system)
     counts = [x_size.size, m_size.size, system.u.shape[0]]
@@ -433,8 +454,8 @@ def _integrator(
     t_0, x, m, u = symbols
     point = [t_0, x * ca.DM(x_size), m * ca.DM(m_size), u]
     ode, alg = system.core(*point)
-    quad, margin = system.watch(*point)
-    quad = ca.vertcat(quad, observer(ca.vertcat(t_0, margin)))
+    quad, *observed = system.watch(*point)
+    quad = ca.vertcat(quad, observer(ca.vertcat(t_0, *observed)))
     problem = dict(zip("txzu", symbols, strict=True))
     problem |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
     options: dict[str, Any] = {
@@ -452,6 +473,8 @@ def _integrator(
         # ends it after one iteration. With an old Jacobian, CVODES's default share of 0.1 then
         # leaves errors of many tolerances, which its error test misses.
         options |= {"quad_err_con": True, "nonlin_conv_coeff": NEWTON_SHARE}
+    if pace > 0:
+        options["max_step_size"] = 1 / pace
     return ca.integrator("motion", solver.method, problem, float(t[0]), t, options)
 
 
@@ -486,12 +509,13 @@ class _StepObserver(ca.Callback):
         ca.Callback.__init__(self)
         self.guard, self.progress, self.guarded = guard, progress, guarded
         self.times: list[float] = []
+        self.paces: list[float] = []
         self.reported = -np.inf
         self.construct("observer", {})
 
     def get_sparsity_in(self, _index: int) -> ca.Sparsity:
-        """Return the shape of the argument: time, and least distance to a limit."""
-        return ca.Sparsity.dense(2, 1)
+        """Return the shape of the argument: time, least distance to a limit, and pace."""
+        return ca.Sparsity.dense(3, 1)
 
     def has_eval_buffer(self) -> bool:
         """Return True: arguments are passed as memory buffers, which is five times as fast."""
@@ -503,8 +527,23 @@ class _StepObserver(ca.Callback):
         _doubles(results[0])[0] = 0.0
         return 0
 
-    def _observe(self, t: float, margin: float) -> None:
+    def pace_of_long_steps(self, first: int) -> float:
+        """Return the largest pace if a step covers twice the allowed distance or more, else zero.
+
+        ``first`` is the index of the first observation. Steps that were rejected do not count.
+        """
+        steps = list[tuple[float, float]]()
+        for step in zip(self.times[first:], self.paces[first:], strict=True):
+            while steps and steps[-1][0] >= step[0]:
+                steps.pop()
+            steps.append(step)
+        t, paces = np.array(steps).reshape(-1, 2).T
+        covered = np.diff(t) * np.maximum(paces[1:], paces[:-1])
+        return float(paces.max()) if (covered >= MAX_COVERED).any() else 0.0
+
+    def _observe(self, t: float, margin: float, pace: float) -> None:
         self.times.append(t)
+        self.paces.append(pace)
         if self.progress is not None and t > self.reported:
             self.reported = t
             answer = self.progress(t)

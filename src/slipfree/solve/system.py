@@ -61,8 +61,8 @@ class System(NamedTuple):
     core : casadi Function
         ``(t, x, m, u) -> (ode, alg)``, the equations of the motion; ``alg`` is without unit.
     watch : casadi Function
-        ``(t, x, m, u) -> (rates of the quadratures, least distance to a limit of the motion)``; the
-        distance is negative beyond a limit, with lengths in sizes of the vehicle.
+        ``(t, x, m, u) -> (rates of the quadratures, least distance to a limit of the motion,
+        pace)``; the distance is negative beyond a limit, with lengths in sizes of the vehicle.
     blocks, dependent_blocks : tuple of Block
         The algebraic equations of the motion, and those that are solved after it.
     newton : casadi Function
@@ -161,7 +161,7 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     continued = [dae.ode, pack(dae.y), limits, inputs, *dae.residuals]
     continued = ca.substitute(continued, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
     end = ca.SX(dae.continuation.values[-1] if dae.continuation else 0.0)
-    watched = [dae.quad, limits]
+    watched = [dae.quad, limits, dae.pace]
     if dae.continuation:
         watched = ca.substitute(watched, [continuation], [end])
     ode, y, bounds, driven, *parts = (
@@ -208,9 +208,10 @@ def _watch_function(
     *,
     compiled: bool,
 ) -> ca.Function:
-    """Return the function of quadrature rates and margin, which solves the dependent blocks.
+    """Return the function of quadrature rates, margin and pace; it solves the dependent blocks.
 
-    ``watched`` are the rates of the quadratures and the limits, in the symbols of the model.
+    ``watched`` are the rates of the quadratures, the limits and the pace, in the symbols of the
+    model.
     """
     x, z, inputs = dae.columns()
     count = dependent[0].span.start if dependent else z.numel()
@@ -233,7 +234,7 @@ def _watch_function(
             found = _solve_symbolically(block, [t_0, x_0, found, u_0])
     laws = dae.function("law", [dae.t, x, unknowns, u], [ca.vertcat(ca.SX(0, 1), *law)])
     symbols = [dae.t, x, unknowns, inputs]
-    values = model_function(dae, "watch", symbols, [quad, margin], compiled=compiled)
+    values = model_function(dae, "watch", symbols, [quad, margin, watched[2]], compiled=compiled)
     at = t_0, x_0, found
     return ca.Function("watch", given, list(values(*at, laws(*at, u_0))))
 

@@ -15,7 +15,7 @@ from slipfree.errors import ModelError
 from slipfree.vehicle import tree
 from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.tree import Coordinate, Joint, Vehicle, planar
+from slipfree.vehicle.tree import GRAVITY, Coordinate, Joint, Vehicle, planar
 from slipfree.vehicle.wheel import Wheel
 
 AXLES = ("rear", "middle", "front")
@@ -73,12 +73,15 @@ class Climber:
         The axles; rear and middle on the rear body, front on the front body.
     torque : float
         Largest torque of a wheel's motor; infinite for no limit. [N m]
+    stiffness : float
+        Stiffness of the contacts of an axle's wheels with the ground. [N/m]
 
     Raises
     ------
     ModelError
-        If a mass, inertia, radius, torque or number of wheels is not positive, the radius is not
-        below the distance of front and rear axle, or axles and joint are not in their order.
+        If a mass, inertia, radius, torque, stiffness or number of wheels is not positive, the
+        radius is not below the distance of front and rear axle, or axles and joint are not in their
+        order.
     """
 
     radius: float
@@ -88,9 +91,10 @@ class Climber:
     middle: Axle
     front: Axle
     torque: float = math.inf
+    stiffness: float = 1.5e5
 
     def __post_init__(self) -> None:
-        sizes = {"radius": self.radius, "torque": self.torque}
+        sizes = {name: getattr(self, name) for name in ("radius", "torque", "stiffness")}
         for name in ("rear_body", "front_body"):
             body = getattr(self, name)
             sizes |= {f"{name}.mass": body.mass, f"{name}.inertia": body.inertia}
@@ -126,8 +130,13 @@ class Climber:
         """Mass of the vehicle [kg]."""
         return self.rear_body.mass + self.front_body.mass
 
+    @property
+    def static_depth(self) -> float:
+        """Depth of an axle's wheels in the ground under a third of the weight [m]."""
+        return self.mass * GRAVITY / len(AXLES) / self.stiffness
 
-def side_view(climber: Climber, static_depth: float) -> Vehicle:
+
+def side_view(climber: Climber) -> Vehicle:
     """Return a step climber as a planar vehicle with one driven disc per axle.
 
     The platform is the rear body; its origin is the joint. The inputs in dynamics are the total
@@ -137,8 +146,6 @@ def side_view(climber: Climber, static_depth: float) -> Vehicle:
     ----------
     climber : Climber
         The step climber.
-    static_depth : float
-        Depth of an axle's wheels in the ground under a third of the weight. [m]
     """
     parts = ("platform", "platform", "front_body")
     wheels = tuple(
@@ -149,7 +156,7 @@ def side_view(climber: Climber, static_depth: float) -> Vehicle:
             Disc(climber.radius),
             driven=True,
             drive=Torque(),
-            static_depth=static_depth,
+            static_depth=climber.static_depth,
             inertia=(axle.inertia, axle.inertia),  # the second has no effect in the plane
         )
         for name, part, axle in zip(AXLES, parts, climber.axles, strict=True)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import groupby
-from math import degrees, isfinite
+from math import degrees, isfinite, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.contact import CompliantContact
-from slipfree.climb.dynamics import climbing, floor_loads, held_torques, standing
-from slipfree.climb.ending import climb_ending
+from slipfree.climb.dynamics import climbing, floor_loads, held_torques, prisms, standing
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import climb_window, metrics
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
@@ -23,6 +21,8 @@ from slipfree.errors import ModelError
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.source_lines import Place
+from slipfree.laws.compliant import Compliant
+from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.problem.build_common import SampledTimes, sampled_times, samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_solids import OBSTACLES
@@ -55,7 +55,8 @@ from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import Profile, Solid
 from slipfree.trajectory import SolverError, Trajectory
-from slipfree.vehicle.climber import AXLES, Climber
+from slipfree.vehicle.climber import AXLES, Climber, side_view
+from slipfree.vehicle.tree import GRAVITY
 
 if TYPE_CHECKING:
     from slipfree.plan.warm_start import SavedPlan
@@ -79,8 +80,8 @@ class Climbing:
 
     Attributes
     ----------
-    climber, profile, contact : Climber, Profile, CompliantContact
-        Vehicle, ground and contact law.
+    climber, profile : Climber, Profile
+        Vehicle and ground.
     control : Control or Tracking
         Controller of the wheels.
     dae : Dae
@@ -101,7 +102,6 @@ class Climbing:
 
     climber: Climber
     profile: Profile
-    contact: CompliantContact
     control: Control | Tracking
     dae: Dae
     start: Trajectory
@@ -132,12 +132,7 @@ class ClimbVerb(MotionVerb):
         spec = problem.spec
         profile = _profile(problem)
         with at(problem, ("vehicle",)):
-            climber = _climber(spec.vehicle)
-        with at(problem, ("friction",)):
-            given = spec.contact.model_dump(exclude_none=True)
-            contact = CompliantContact(
-                static=spec.friction.static, dynamic=spec.friction.kinetic, **given
-            )
+            climber = _climber(spec)
         with at(problem, ("control",)):
             options = spec.control.model_dump(
                 exclude_none=True, exclude={"speed", "period", "noise"}
@@ -148,20 +143,19 @@ class ClimbVerb(MotionVerb):
         if spec.plan is not None:
             _check_tracking(problem)
         times = _times(problem, control, climber)
-        dae = climbing(climber, profile, control, contact, period=spec.control.period)
-        start = _start(problem, dae, climber, profile, contact)
+        dae = _model(problem, climber, profile, control)
+        start = _start(problem, dae, climber, profile)
         held = {} if spec.control.period is None else held_torques(climber, dae)
         inputs = dae.inputs(speed=spec.control.speed, **held)
         return Climbing(
             climber,
             profile,
-            contact,
             control,
             dae,
             start,
             inputs,
             *times,
-            _facts(spec, climber, contact, control),
+            _facts(spec, climber, control),
         )
 
     def solve(
@@ -185,7 +179,7 @@ class ClimbVerb(MotionVerb):
             return Solution(_judged(_simulated(spec, setup, watch), setup), setup)
         with at(problem, ("plan",)):
             plan = plan_climb(
-                setup.climber, setup.profile, spec.plan, setup.contact.static, spec.control.speed
+                setup.climber, setup.profile, spec.plan, spec.friction.static, spec.control.speed
             )
         setup = _tracking(problem, setup, plan)
         run = _judged(_simulated(spec, setup, watch), setup)
@@ -260,7 +254,7 @@ def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
         return result.setup.climber, result.setup.profile
     problem = result.problem
     with at(problem, ("vehicle",)):
-        return _climber(problem.spec.vehicle), _profile(problem)
+        return _climber(problem.spec), _profile(problem)
 
 
 def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
@@ -353,14 +347,45 @@ def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, 
     return tuple(found)
 
 
-def _climber(spec: climb_schema.Climber) -> Climber:
-    """Return the vehicle of the catalogue, with the dimensions that the problem gives."""
-    plain = step_climber(spec.joint, spec.torque)
+def _climber(spec: climb_schema.Climb) -> Climber:
+    """Return the vehicle of the catalogue, with the numbers that the problem gives."""
+    given = spec.vehicle
+    plain = step_climber(given.joint, given.torque)
     parts = {
-        name: getattr(plain, name)._replace(**getattr(spec, name).model_dump(exclude_none=True))
+        name: getattr(plain, name)._replace(**getattr(given, name).model_dump(exclude_none=True))
         for name in ("rear_body", "front_body", *AXLES)
     }
-    return replace(plain, radius=spec.radius or plain.radius, **parts)
+    radius = given.radius or plain.radius
+    return replace(plain, radius=radius, stiffness=spec.contact.stiffness, **parts)
+
+
+def _model(
+    problem: Problem[climb_schema.Climb],
+    climber: Climber,
+    profile: Profile,
+    control: Control | Tracking,
+) -> Dae:
+    """Return the dynamic model of a climb.
+
+    Raises
+    ------
+    ProblemError
+        If the kinetic friction exceeds the static friction, or a number of the law is out of range.
+    """
+    friction, numbers = problem.spec.friction, problem.spec.contact
+    if friction.kinetic > friction.static:
+        expected = f"at most friction.static, {friction.static:g}"
+        found = f"{friction.kinetic:g}; reduce it"
+        raise problem_error(problem.source, [Fault(("friction", "kinetic"), expected, found)])
+    with at(problem, ("contact",)):
+        law = Compliant(
+            damping_ratio=numbers.damping * sqrt(GRAVITY * climber.static_depth) / 2,
+            creep=numbers.creep,
+            sliding=friction.kinetic / friction.static,
+            stribeck_speed=numbers.stribeck,
+        )
+    period = problem.spec.control.period
+    return climbing(climber, profile, control, law, friction=friction.static, period=period)
 
 
 def _start(
@@ -368,7 +393,6 @@ def _start(
     dae: Dae,
     climber: Climber,
     profile: Profile,
-    contact: CompliantContact,
 ) -> Trajectory:
     """Return the vehicle on the floor, its front wheels at the given distance from the obstacle.
 
@@ -379,7 +403,7 @@ def _start(
         contacts are too soft.
     """
     spec = problem.spec.start
-    sunk = _sunk(problem, climber, contact)
+    sunk = _sunk(problem, climber)
     with at(problem, ("profile",)):
         front = _first_contact(climber, profile) - spec.distance
     speed = problem.spec.control.speed if spec.speed is None else spec.speed
@@ -388,7 +412,7 @@ def _start(
             dae,
             guess=None,
             options=problem.spec.solver.options,
-            **standing(climber, contact, front, speed),
+            **standing(climber, front, speed),
         )
     faults = [
         fault
@@ -400,9 +424,7 @@ def _start(
     return start
 
 
-def _sunk(
-    problem: Problem[climb_schema.Climb], climber: Climber, contact: CompliantContact
-) -> Array:
+def _sunk(problem: Problem[climb_schema.Climb], climber: Climber) -> Array:
     """Return the depths to which wheels at rest sink into a level floor, by axle [m].
 
     Raises
@@ -421,15 +443,15 @@ def _sunk(
                 f"{loads[axle]:.3g} N on the {AXLES[axle]} axle; move the centres of mass",
             )
         )
-    elif contact.stiffness < softest:
+    elif climber.stiffness < softest:
         expected = (
             f"at least {softest:.3g} N/m, so that wheels sink in by at most {1e3 * SUNK:g} mm"
         )
-        found = f"{contact.stiffness:g}; increase it"
+        found = f"{climber.stiffness:g}; increase it"
         faults.append(Fault(("contact", "stiffness"), expected, found))
     if faults:
         raise problem_error(problem.source, faults)
-    return loads / contact.stiffness
+    return loads / climber.stiffness
 
 
 def _first_contact(climber: Climber, profile: Profile) -> float:
@@ -501,8 +523,8 @@ def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Plann
     given = problem.spec.control.model_dump(exclude_none=True, include={"proportional"})
     with at(problem, ("plan",)):
         control = Tracking(tracked_plan(plan.parts), **given)
-    dae = climbing(setup.climber, setup.profile, control, setup.contact)
-    start = _start(problem, dae, setup.climber, setup.profile, setup.contact)
+    dae = _model(problem, setup.climber, setup.profile, control)
+    start = _start(problem, dae, setup.climber, setup.profile)
     inputs = dae.inputs(speed=problem.spec.control.speed)
     return replace(setup, control=control, dae=dae, start=start, inputs=inputs, plan=plan.run)
 
@@ -512,11 +534,10 @@ def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
 
     The samples are reduced to those of the result if a sampled controller has more steps.
     """
-    end = climb_ending(run, setup.climber, setup.profile)
-    words = f"{end.name}: {end.words}"
+    end = obstacle_ending(run, side_view(setup.climber), prisms(setup.profile))
     slow = _slow(setup)
     statistics = {**run.statistics, **_averages(run, setup), **slow[0]}
-    attributes = {**run.attributes, ENDING: words, "slow_climb": slow[1]}
+    attributes = {**run.attributes, ENDING: str(end), "slow_climb": slow[1]}
     if setup.every:
         run = run.part(slice(0, None, setup.every), run.stop)
     return replace(run, statistics=statistics, attributes=attributes)
@@ -584,14 +605,13 @@ def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
     return {"slow_climb_friction": need.mu}, words
 
 
-def _facts(
-    spec: climb_schema.Climb, climber: Climber, contact: CompliantContact, control: Control
-) -> Facts:
+def _facts(spec: climb_schema.Climb, climber: Climber, control: Control) -> Facts:
     """Return the facts about ground, vehicle and laws of a climb."""
     axles = ", ".join(
         f"{name} {axle.wheels} x {climber.radius:g} m at {axle.ahead + 0:g} m"
         for name, axle in zip(AXLES, climber.axles, strict=True)
     )
+    contact = spec.contact
     limit = f"{climber.torque:g} N m per wheel" if isfinite(climber.torque) else "no torque limit"
     return [
         ("profile", _profile_words(spec.profile)),
@@ -603,8 +623,8 @@ def _facts(
         ("motors", limit),
         (
             "friction",
-            f"{contact.static:g} at rest, {contact.dynamic:g} at speed; full at a slip of "
-            f"{contact.creep:g} m/s",
+            f"{spec.friction.static:g} at rest, {spec.friction.kinetic:g} at speed; full at a "
+            f"slip of {contact.creep:g} m/s",
         ),
         ("contact", f"stiffness {contact.stiffness:g} N/m, damping {contact.damping:g} s/m"),
         ("control", _control_words(spec, control)),

@@ -23,6 +23,7 @@ from slipfree.files.toml.types import (
 from slipfree.problem.schema import TOLERANCE, VERB, Runnable, Solver
 from slipfree.problem.schema_solids import Incline, Kerb, Stairs, Step
 from slipfree.solve.options import MIN_TOLERANCE, Method
+from slipfree.vehicle import climber as vehicle
 
 
 class Solid(Record):
@@ -101,17 +102,19 @@ class Friction(Record):
 
 
 class Compliance(Record):
-    """Contact law; the defaults are those of `slipfree.climb.contact.CompliantContact`."""
+    """Numbers of the law `slipfree.laws.compliant.Compliant` and of its static depth."""
 
-    stiffness: Positive | None = Field(default=None, description="stiffness of a contact [N/m]")
-    damping: NonNegative | None = Field(
-        default=None, description="damping factor of the Hunt-Crossley contact law [s/m]"
+    stiffness: Positive = Field(
+        default=vehicle.Climber.stiffness, description="stiffness of a contact [N/m]"
     )
-    creep: Positive | None = Field(
-        default=None, description="slip speed at which friction is almost fully developed [m/s]"
+    damping: NonNegative = Field(
+        default=10.0, description="damping of Hunt and Crossley: share of the force per speed [s/m]"
     )
-    stribeck: Positive | None = Field(
-        default=None,
+    creep: Positive = Field(
+        default=5e-4, description="slip speed at which friction is almost fully developed [m/s]"
+    )
+    stribeck: Positive = Field(
+        default=0.01,
         description="slip speed over which friction decreases from static to kinetic [m/s]",
     )
 
