@@ -118,9 +118,7 @@ def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
     return ax
 
 
-def hatch(
-    grid: Grid, nodes: Mask | None, window: Window, words: str, color: str, ax: Axes
-) -> Axes:
+def hatch(grid: Grid, nodes: Mask | None, window: Window, words: str, color: str, ax: Axes) -> Axes:
     """Hatch the cells of a ground that touch marked nodes, with an entry for the legend.
 
     Parameters
