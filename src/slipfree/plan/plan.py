@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -64,7 +64,7 @@ from slipfree.plan.verification import (
     verify_plan,
 )
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
-from slipfree.records import Array, field_overview, leaves, overview
+from slipfree.records import Array, Record, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
 from slipfree.trajectory import PLAN, Stop, Trajectory
 
@@ -147,7 +147,7 @@ class Plan:
     """
 
     run: Trajectory
-    inputs: Any
+    inputs: Record
     motion: PolynomialMotion
     replay: Trajectory
     difference: dict[str, float]
