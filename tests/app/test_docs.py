@@ -59,6 +59,15 @@ def test_every_public_name_is_described_once():
     assert len(set(objects)) == len(objects)
 
 
+def test_the_gallery_shows_every_picture_that_its_command_draws():
+    drawn = set(re.findall(r'Picture\("(\w+)"', text_of("gallery.py")))
+    files = [*(DOCS / "figures" / "gallery").iterdir()]
+    assert drawn == {file.stem for file in files}
+    shown = re.findall(r"figures/gallery/(\S+)", text_of("gallery.md"))
+    assert sorted(shown) == sorted(file.name for file in files)
+    assert sum(file.stat().st_size for file in files) < 1e6
+
+
 def test_no_public_signature_has_a_value_of_any_type():
     pages = "".join(page.read_text() for page in (DOCS / "reference").glob("*.md"))
     listed = re.findall(r"<!-- names: ([\w.,\s]+?) -->", pages)

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import slipfree as sf
+from slipfree.plan.convergence import Convergence, convergence_arrays, convergence_from
 from slipfree.routing.regions import Region
 from slipfree.routing.traversability import blocked_by, traversability
 from slipfree.show import ground_drawing, plan_figures, plots
@@ -109,6 +110,20 @@ def test_an_initial_guess_is_drawn_under_the_plan(run, grid, layers):
     np.testing.assert_array_equal(lines["initial guess"].get_xydata(), guess)
     assert lines["initial guess"].zorder < lines["planned motion"].zorder
     assert lines["initial guess"].get_linewidth() < lines["planned motion"].get_linewidth()
+
+
+def test_searches_of_one_name_have_one_colour(ax):
+    zeros = np.zeros(3)
+    searches = [Convergence(zeros + k, zeros, zeros, zeros) for k in range(3)]
+    searches[1] = Convergence(*np.zeros((4, 0)))  # stopped before its first iterate
+    found = convergence_from(convergence_arrays(searches))
+    assert [*found] == [0, 2]
+    plan_figures.convergence("violation", found, ["window", "other", "window"], ax)
+    first, second = (line for line in ax.lines if line.get_label() == "window")
+    assert first.get_color() == second.get_color()
+    np.testing.assert_array_equal(second.get_xdata(), [3, 4, 5])
+    ax.figure.draw_without_rendering()  # zeros on a logarithmic axis
+    assert convergence_from({}) == {}
 
 
 def test_every_reason_has_words_and_a_colour_of_its_own(layers):

@@ -294,18 +294,19 @@ def convergence(
     name : str
         Field of `Convergence`.
     searches : mapping of int to Convergence
-        Searches by index; values that are not positive are omitted on a logarithmic axis.
+        Searches by index; on a logarithmic axis, values are at least `motion_figures.TINY`.
     names : sequence of str
         Names of all searches.
     ax : Axes
         The axes.
     """
     label, scale = CONVERGENCE[name]
-    first = 0
-    for color, (k, search) in enumerate(searches.items()):
+    first, colors = 0, dict[str, int]()  # searches of the same name have the same colour
+    for k, search in searches.items():
         values = getattr(search, name)
-        values = np.where(values > 0, values, np.nan) if scale == "log" else values
-        words = textwrap.shorten(names[k], SEARCH_WORDS) if k < len(names) else f"search {k + 1}"
+        values = np.maximum(values, motion_figures.TINY) if scale == "log" else values
+        words = textwrap.shorten(names[k], SEARCH_WORDS)
+        color = colors.setdefault(words, len(colors))
         number = first + np.arange(values.size)
         ax.plot(number, values, marker=".", ms=3, label=words, **style.look(color))
         if first:
