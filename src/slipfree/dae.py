@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Generic, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
+from typing_extensions import TypeVar  # with a default
 
 from slipfree.errors import ModelError
 from slipfree.lookups import Lookup, lookup_function
@@ -19,6 +20,7 @@ from slipfree.outcome import Outcome
 from slipfree.records import (
     Array,
     Label,
+    Record,
     field_overview,
     leaves,
     overview,
@@ -75,6 +77,13 @@ class PiecewiseLinear:
 
     base: Array
     slope: Array
+
+
+InputValue = float | Array | PiecewiseLinear | ca.SX
+X = TypeVar("X", default=Any)  # types of the records of a model: states, unknowns, inputs, outputs
+Z = TypeVar("Z", default=Any)
+U = TypeVar("U", default=Any)
+Y = TypeVar("Y", default=Any)
 
 
 class Continuation(NamedTuple):
@@ -201,7 +210,7 @@ class Sizes(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Dae:
+class Dae(Generic[X, Z, U, Y]):
     """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
 
     Without ``z`` and ``alg`` the model is an ordinary differential equation. The algebraic
@@ -291,14 +300,14 @@ class Dae:
     """
 
     t: ca.SX
-    x: Any
-    z: Any
-    q: Any
-    u: Any
+    x: X
+    z: Z
+    q: Record
+    u: U
     ode: ca.SX
     alg: tuple[ca.SX, ...]
     quad: ca.SX
-    y: Any
+    y: Y
     labels: Labels
     limits: tuple[Limit, ...]
     checks: tuple[SampledCheck, ...]
@@ -379,7 +388,7 @@ class Dae:
         sizes = [self.sizes.alg[begin:end] for begin, end in pairwise(ends)]
         return tuple(rows / ca.DM(size) for rows, size in zip(self.alg, sizes, strict=True))
 
-    def inputs(self, **values: Any) -> Any:
+    def inputs(self, **values: InputValue) -> Record:
         """Return the record of inputs from values by name.
 
         Parameters
@@ -402,7 +411,9 @@ class Dae:
         """
         names = [label.full for label in leaves(self.labels.u)]
         _same_names("inputs", names, values)
-        return unpack(self.u, [values[name] for name in names])
+        record: Any = self.u
+        found: Record = unpack(record, [values[name] for name in names])
+        return found
 
     def rows(self, record: str, run: Trajectory, index: int) -> Array:
         """Return one sample of a trajectory as a vector in local coordinates.
@@ -478,7 +489,7 @@ class Dae:
         name: str,
         symbols: Sequence[ca.SX],
         expressions: Sequence[ca.SX],
-        options: dict[str, Any] | None = None,
+        options: dict[str, object] | None = None,
     ) -> ca.Function:
         """Return expressions of the model as a function of some of its symbols.
 

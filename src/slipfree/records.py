@@ -10,13 +10,16 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from typing_extensions import TypeVar  # with a default
 
 R = TypeVar("R")
+T = TypeVar("T", default=Any)  # type of the scalars of a record: symbols, labels or values
+Record = tuple[object, ...]  # a named tuple of scalars or records, such as the inputs of a model
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 LINE_WIDTH, MAX_LINES = 92, 5  # largest width and number of lines of a repr

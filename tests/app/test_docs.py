@@ -4,6 +4,7 @@ Pages are built, and notebooks executed, by `sphinx-build -W` (`.ci/run`).
 """
 
 import ast
+import inspect
 import re
 from importlib import import_module
 from pathlib import Path
@@ -56,6 +57,42 @@ def test_every_public_name_is_described_once():
     parts = [f"slipfree.{name}".rpartition(".") for name in names]
     objects = [id(getattr(import_module(home), name)) for home, _, name in parts]
     assert len(set(objects)) == len(objects)
+
+
+def test_the_gallery_shows_every_picture_that_its_command_draws():
+    drawn = set(re.findall(r'Picture\("(\w+)"', text_of("gallery.py")))
+    files = [*(DOCS / "figures" / "gallery").iterdir()]
+    assert drawn == {file.stem for file in files}
+    shown = re.findall(r"figures/gallery/(\S+)", text_of("gallery.md"))
+    assert sorted(shown) == sorted(file.name for file in files)
+    assert sum(file.stat().st_size for file in files) < 1e6
+
+
+def test_no_public_signature_has_a_value_of_any_type():
+    pages = "".join(page.read_text() for page in (DOCS / "reference").glob("*.md"))
+    listed = re.findall(r"<!-- names: ([\w.,\s]+?) -->", pages)
+    parts = [f"slipfree.{name}".rpartition(".") for name in re.split(r"[,\s]+", ",".join(listed))]
+    objects = [getattr(import_module(home), name) for home, _, name in parts]
+    untyped = [
+        f"{owner.__name__}: {name}: {annotation}"
+        for each in objects
+        for owner in (each, *signatures(each))
+        for name, annotation in inspect.get_annotations(owner).items()
+        if re.search(r"\bAny\b", str(annotation))
+    ]
+    assert untyped == []
+
+
+def signatures(thing):
+    """Yield the functions behind a public function, or behind the public members of a class."""
+    if not isinstance(thing, type):
+        yield inspect.unwrap(thing)
+        return
+    for name, member in vars(thing).items():
+        parts = (getattr(member, key, None) for key in ("fget", "func", "__func__"))
+        found = next((part for part in parts if part is not None), member)
+        if inspect.isfunction(found) and (name == "__init__" or name[0] != "_"):
+            yield found
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)

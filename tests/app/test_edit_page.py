@@ -169,6 +169,34 @@ def test_dragged_handles_change_values_and_the_saved_file(page: Any) -> None:
     assert severe == []
 
 
+def test_polygons_are_added_and_saved_and_way_points_are_shown(
+    browser: Any, tmp_path: Path
+) -> None:
+    way = "[[way_points]]\nat = 0.5\nx = 0.4\ny = [-0.6, -0.4]\n\n[[keep_out]]"
+    with served(browser, tmp_path / "poly.toml", PROBLEM.replace("[[keep_out]]", way)) as page:
+        assert page.find_element("id", "way-name-0").text == "way-point at 0.5"
+        metre = pixels_per_metre(page)
+        page.find_element("id", "polygon").click()
+        drag(page, "keep-1-3-new", -round(metre), 0)
+        assert page.find_elements("id", "handle-keep-1-4")
+        page.find_element("id", "undo").click()
+        assert not page.find_elements("id", "handle-keep-1-4")
+        drag(page, "keep-1-1-new", round(metre), 0)  # the side to the east gets a corner
+        page.find_element("id", "save").click()
+        until(lambda: line(page) == "saved poly.toml")
+        text = page.file.read_text(encoding="utf-8")
+        disc, polygon = tomllib.loads(text)["keep_out"]
+        assert disc["radius"] == 0.5
+        points = polygon["points"]
+        assert len(points) == 5
+        east = max(x for x, _ in points)
+        (corner,) = (point for point in points if point[0] == east)
+        assert points.index(corner) == 2
+        assert east == pytest.approx(points[1][0] + 1.0, abs=2 / metre)
+        severe = [each for each in page.get_log("browser") if each["level"] == "SEVERE"]
+        assert severe == []
+
+
 def test_a_cancelled_search_ends_at_once_and_the_page_goes_on(browser: Any, tmp_path: Path) -> None:
     text = PROBLEM.replace("intervals = 6", "intervals = 400")
     with served(browser, tmp_path / "long.toml", text) as page:

@@ -7,12 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slipfree.files.netcdf import write
 from slipfree.files.toml.errors import ProblemError
 from slipfree.outcome import Outcome
 from slipfree.plan import plan as planning
+from slipfree.plan.convergence import convergence_from
+from slipfree.plan.ipopt import IPOPT_TOLERANCE
 from slipfree.problem.load import load_problem
+from slipfree.problem.result import open_result
 from slipfree.problem.solve import build, run_problem
-from slipfree.problem.verbs.plan import figure_options
+from slipfree.problem.verbs.plan import PlanVerb, figure_options
 from slipfree.problem.verbs.plan_goals import regions
 from slipfree.show.plan_figures import plan_plots
 from slipfree.show.plots import draw
@@ -211,3 +215,31 @@ def test_limits_of_the_model_and_of_its_outputs_have_names(name):
     ).trajectory
     assert motion.stop is None
     assert motion[name].min() > lower - 1e-3 * abs(lower)
+
+
+def test_convergence_and_initial_guess_are_stored_and_drawn(tmp_path):
+    found = run_problem(load_problem(HILLS, QUICK))
+    write(tmp_path / "hills.nc", found.trajectory, found.arrays)
+    result = open_result(tmp_path / "hills.nc", HILLS.parent)
+    run, searches = result.trajectory, convergence_from(result.arrays)
+    names = run.attributes["plan_searches"].splitlines()
+    assert names[:2] == ["without slip cost", "with slip cost"]
+    assert len(names) == len(searches)
+    # the initial guess of each search counts as an iterate
+    iterations = sum(each.cost.size - 1 for each in searches.values())
+    assert iterations == run.statistics["plan_iterations"]
+    for search in searches.values():
+        assert max(search.violation[-1], search.dual_infeasibility[-1]) <= IPOPT_TOLERANCE
+    cost = 1e3 * run.statistics["plan_cost_slip"] + 0.01 * run.statistics["plan_cost_effort"]
+    cost += 0.002 * run.statistics["plan_cost_smoothness"]
+    assert searches[len(names) - 1].cost[-1] == pytest.approx(cost, rel=1e-6)
+    figures = {plot.name: plot for plot in PlanVerb().figures(result)}
+    assert [*figures][-1] == "convergence"
+    drawn = draw([figures["convergence"], figures["traversability"]])
+    panels = drawn["convergence"].axes
+    assert [ax.get_yscale() for ax in panels] == ["linear", "log", "log", "log"]
+    assert panels[0].get_legend_handles_labels()[1] == names
+    lines = {line.get_label(): line for line in drawn["traversability"].axes[0].lines}
+    guess = lines["initial guess"].get_xydata()
+    np.testing.assert_allclose(guess[0], [run["x"][0], run["y"][0]], atol=1e-9)
+    assert np.hypot(*(guess[-2] - guess[0])) > 1.0

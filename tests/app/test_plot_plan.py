@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import slipfree as sf
+from slipfree.plan.convergence import Convergence, convergence_arrays, convergence_from
 from slipfree.routing.regions import Region
 from slipfree.routing.traversability import blocked_by, traversability
 from slipfree.show import ground_drawing, plan_figures, plots
@@ -80,12 +81,49 @@ def test_the_legend_names_only_what_blocks_in_the_part_that_is_drawn(layers, gri
     plan_figures.cost_map(layers, grid, ax, ground_drawing.whole(grid))
     masks = blocked_by(layers)
     assert "too steep for friction" in labels(ax)
-    assert labels(ax)[:2] == ["keep-out region", "edge of the map"]
+    assert "keep-out region" in labels(ax)
+    blocked = [each for each in labels(ax) if each.startswith("too close")]
+    assert blocked == ["too close to a keep-out region", "too close to the edge of the map"]
     assert "too concave for wheels" not in labels(ax)
     assert not masks["hollow"].any()
     away = Figure().subplots()
     plan_figures.cost_map(layers, grid, away, (20.0, 24.0, 4.0, 8.0))
     assert labels(away) == []
+
+
+def test_missing_heights_are_hatched_in_the_part_that_is_drawn(grid, ax):
+    holes = np.zeros(grid.z.shape, dtype=bool)
+    holes[40:44, 40:44] = True  # at x, y from 20 to 21.5 m
+    ragged = sf.Grid(grid.x, grid.y, grid.z, holes=holes)
+    found = traversability(sf.Bicubic(ragged, mu=0.5), sf.catalog.three_wheeler(axle="fixed"))
+    plan_figures.cost_map(found, ragged, ax, (15.0, 25.0, 15.0, 25.0))
+    assert {"no heights", "too close to a hole of the map"} <= {*labels(ax)}
+    away = Figure().subplots()
+    plan_figures.cost_map(found, ragged, away, (25.0, 30.0, 25.0, 30.0))
+    assert "no heights" not in labels(away)
+
+
+def test_an_initial_guess_is_drawn_under_the_plan(run, grid, layers):
+    guess = np.array([[6.0, 8.0], [9.0, 12.0], [np.nan, np.nan], [6.0, 8.0], [8.0, 12.0]])
+    ax = figures(run, grid, layers, guess=guess)["traversability"].axes[0]
+    lines = {line.get_label(): line for line in ax.lines}
+    np.testing.assert_array_equal(lines["initial guess"].get_xydata(), guess)
+    assert lines["initial guess"].zorder < lines["planned motion"].zorder
+    assert lines["initial guess"].get_linewidth() < lines["planned motion"].get_linewidth()
+
+
+def test_searches_of_one_name_have_one_colour(ax):
+    zeros = np.zeros(3)
+    searches = [Convergence(zeros + k, zeros, zeros, zeros) for k in range(3)]
+    searches[1] = Convergence(*np.zeros((4, 0)))  # stopped before its first iterate
+    found = convergence_from(convergence_arrays(searches))
+    assert [*found] == [0, 2]
+    plan_figures.convergence("violation", found, ["window", "other", "window"], ax)
+    first, second = (line for line in ax.lines if line.get_label() == "window")
+    assert first.get_color() == second.get_color()
+    np.testing.assert_array_equal(second.get_xdata(), [3, 4, 5])
+    ax.figure.draw_without_rendering()  # zeros on a logarithmic axis
+    assert convergence_from({}) == {}
 
 
 def test_every_reason_has_words_and_a_colour_of_its_own(layers):

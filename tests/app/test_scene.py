@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from slipfree.problem.verbs.plan import poses_of_plan
 from slipfree.show import motion_figures
 from slipfree.show.climb_scene import climb_scene
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
-from slipfree.show.film import Film, film_writer
+from slipfree.show.film import Film, arrow_lines, film_writer
 from slipfree.show.ground_drawing import brightness
 from slipfree.show.html_page import with_legend
 from slipfree.show.map_lines import CONTOURS, LIFT, round_step
@@ -614,15 +615,30 @@ def test_the_time_of_a_film_lies_beside_its_legend(drive: Driven) -> None:
     figure = Figure(figsize=(7, 3.2), layout="constrained")
     FigureCanvasAgg(figure)
     film = Film(figure, drive_scene(drives), "hills", 1.0)
-    film.show(0.5)
     figure.draw_without_rendering()
+    film.show(0.5)
     legend = figure.axes[0].get_legend()
     assert legend is not None
-    assert not film.head.get_window_extent().overlaps(legend.get_window_extent())
+    boxes = [each.get_window_extent() for each in (film.head, film.clock, legend)]
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    assert (film.head.get_text(), film.clock.get_text()) == ("hills", "t = 0.50 s")
     told = {handle.get_label(): handle.get_color() for handle in legend.legend_handles}
     for name, color in ARROWS.items():
         assert_allclose(np.array(told[f"{name} (arrows)"]) * 255, color)
     assert "hills stopped at t = 1 s: a wheel has no grip" in figure.get_supxlabel()
+
+
+def test_arrows_have_heads_across_the_line_of_sight() -> None:
+    starts = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [np.nan, 0.0, 0.0]])
+    vectors = np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    shaft, *sides = arrow_lines(starts, vectors, np.array([0.0, -1.0, 0.0]))
+    assert_allclose(shaft, [[0, 0, 0], [0, 0, 2]])
+    for side in sides:
+        assert_allclose(side[0], [0, 0, 2])
+        assert side[1, 1] == 0  # in the plane of the picture
+        assert_allclose(side[1, 2], 1.4)
+    assert_allclose(sides[0][1] + sides[1][1], [0, 0, 2.8])
+    assert np.isfinite(arrow_lines(starts[:1], vectors[:1], vectors[0])).all()
 
 
 @pytest.mark.skipif(not FFMpegWriter.isAvailable(), reason="needs the program ffmpeg")

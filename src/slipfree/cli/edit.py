@@ -47,7 +47,7 @@ def _serve(problem: Problem[Any], port: int, *, browser: bool) -> None:
     """Serve the page of a problem until Ctrl-C."""
     from slipfree.problem.build_common import build_vehicle
     from slipfree.problem.build_ground import at, build_ground
-    from slipfree.problem.plan_edit import places_in
+    from slipfree.problem.plan_edit import places_in, way_points_in
     from slipfree.problem.plan_session import Desk, open_session, state_of
     from slipfree.show.guard import HOST
     from slipfree.show.local_server import json_content, start_server
@@ -57,7 +57,9 @@ def _serve(problem: Problem[Any], port: int, *, browser: bool) -> None:
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
     title = problem.spec.title or source.path.stem
-    plan_map = PlanMap(title, source.path.name, problem.spec.frame, ground.grid, vehicle)
+    plan_map = PlanMap(
+        title, source.path.name, problem.spec.frame, ground.grid, vehicle, way_points_in(problem)
+    )
     image, html = map_image(ground.grid), page_content(plan_map)
     desk = Desk(open_session(source.path, source.text, places_in(problem)))
     get = {

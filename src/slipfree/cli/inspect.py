@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -108,7 +108,8 @@ def compare(file: File, settings: Settings = None) -> None:
             detail(f"vehicle {name}")
 
         refuse_result(file)
-        ground, rows = solve(load_problem(file, settings or [], command="compare"), print_progress)
+        problem: Any = load_problem(file, settings or [], command="compare")
+        ground, rows = solve(problem, print_progress)
         print_facts(ground_facts(ground))
         add_json("vehicles", lambda: [row_json(row) for row in rows])
         width = max(len(row.name) for row in rows)

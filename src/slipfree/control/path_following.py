@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -12,7 +12,7 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.path import Path
-from slipfree.records import Array, leaves, unpack
+from slipfree.records import Array, Record, leaves, unpack
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -74,7 +74,7 @@ class _PlanarGeometry(NamedTuple):
     gain: float
 
 
-def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> Any:
+def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> Record:
     """Return inputs that drive a vehicle straight along its heading at the start.
 
     The law, its parameters and its errors are those of `follow`. The path is the line ahead of the
@@ -86,7 +86,7 @@ def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> 
     return follow(dae, vehicle, Path(np.array([(x, y), ahead])), speed=speed)
 
 
-def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
+def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     """Return inputs that keep the platform's centre on a path.
 
     A reference point moves along the path at the given speed, from its beginning at t = 0. The

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
@@ -11,7 +9,7 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.models.given_rates import PLANAR
 from slipfree.rearrange import with_outputs
-from slipfree.records import Array, Label, leaves
+from slipfree.records import Array, Label, Record, leaves
 from slipfree.trajectory import Trajectory
 
 GAIN = 1.0  # decay rate of the errors of position and heading [1/s]
@@ -22,13 +20,13 @@ MAX_START_DISTANCE = 1e-6  # largest distance of the path from the start [vehicl
 def path_inputs(
     dae: Dae,
     start: Trajectory,
-    x: Any,
-    y: Any,
-    heading: Any,
+    x: ca.SX | Array,
+    y: ca.SX | Array,
+    heading: ca.SX | Array,
     *,
     t: Array | None = None,
     begin: float = 0.0,
-) -> Any:
+) -> Record:
     """Return the inputs of an inverse model along a timed path.
 
     Parameters
@@ -92,7 +90,7 @@ def path_inputs(
     return dae.inputs(**dict(zip(PLANAR, ca.vertsplit(velocity), strict=True)))
 
 
-def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[Dae, Any]:
+def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[Dae, Record]:
     """Return a model with tracking errors as outputs, and the commands that track a path.
 
     Commands are the velocity of the path in the platform's heading frame plus `GAIN` times the
@@ -137,7 +135,9 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     return with_outputs(dae, [(apart, ca.hypot(east, north)), (turned, turn)]), inputs
 
 
-def _checked_points(t: Any, x: Any, y: Any, heading: Any) -> tuple[Array, Array]:
+def _checked_points(
+    t: Array, x: ca.SX | Array, y: ca.SX | Array, heading: ca.SX | Array
+) -> tuple[Array, Array]:
     """Return times and values of way-points, shapes (n,) and (3, n).
 
     Raises ModelError if `path_inputs` cannot interpolate them.

@@ -68,12 +68,12 @@ DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
 MAX_VALUE = 1e100  # larger numbers in a result file mean that it is damaged
 BLOCK = 65536  # number of samples processed at once
 SIZE = "_size"  # suffix of the dimension of a further array
-NOTHING: Mapping[str, npt.NDArray[Any]] = {}
+NOTHING: Mapping[str, Array] = {}
 Attribute = str | float
 
 
 def write(
-    path: str | os.PathLike[str], run: Trajectory, arrays: Mapping[str, npt.NDArray[Any]] = NOTHING
+    path: str | os.PathLike[str], run: Trajectory, arrays: Mapping[str, Array] = NOTHING
 ) -> None:
     """Write a trajectory as a netCDF file.
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple
 
-from slipfree.dae import Labels
+import casadi as ca
+
+from slipfree.dae import Dae, Labels
 from slipfree.laws.protocols import wheel_labels
 from slipfree.models.labels import effort_label, labels_of, pressed_labels
 from slipfree.models.records import Inputs, Outputs
-from slipfree.records import Label
+from slipfree.records import Label, T
 from slipfree.vehicle.tree import Coordinate, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-T = TypeVar("T")
 
-
-class DynamicState(NamedTuple):
+class DynamicState(NamedTuple, Generic[T]):
     """Differential states: pose and speeds of platform, joints and wheels.
 
     ``attitude`` is the unit quaternion (w, x, y, z) of the platform. A planar vehicle has no ``x``,
@@ -28,63 +28,66 @@ class DynamicState(NamedTuple):
     [m, rad, m/s, rad/s, N m, N]
     """
 
-    x: Any
-    y: Any
-    z: Any
-    attitude: tuple[Any, ...]
-    joints: tuple[Any, ...]
-    velocity: tuple[Any, ...]
-    omega: tuple[Any, ...]
-    joint_speeds: tuple[Any, ...]
-    spins: tuple[Any, ...]
-    drives: tuple[Any, ...]
-    joint_drives: tuple[Any, ...]
+    x: T
+    y: T
+    z: T
+    attitude: tuple[T, ...]
+    joints: tuple[T, ...]
+    velocity: tuple[T, ...]
+    omega: tuple[T, ...]
+    joint_speeds: tuple[T, ...]
+    spins: tuple[T, ...]
+    drives: tuple[T, ...]
+    joint_drives: tuple[T, ...]
 
 
-class DynamicTotals(NamedTuple):
+class DynamicTotals(NamedTuple, Generic[T]):
     """Quadratures: rotation angles of the wheels [rad], work of the drives and lost energy [J].
 
     The sum of kinetic, potential and contact energy, minus ``work`` and plus ``lost``, is constant.
     """
 
-    wheels: tuple[Any, ...]
-    work: Any
-    lost: Any
+    wheels: tuple[T, ...]
+    work: T
+    lost: T
 
 
-class OnSolid(NamedTuple):
+class OnSolid(NamedTuple, Generic[T]):
     """Contacts of all wheels with one solid.
 
     Gap [m], normal force, friction force along the direction of travel [N], and slip velocity along
     it [m/s].
     """
 
-    gap: tuple[Any, ...]
-    load: tuple[Any, ...]
-    friction: tuple[Any, ...]
-    slip: tuple[Any, ...]
+    gap: tuple[T, ...]
+    load: tuple[T, ...]
+    friction: tuple[T, ...]
+    slip: tuple[T, ...]
 
 
-class DynamicOutputs(NamedTuple):
+class DynamicOutputs(NamedTuple, Generic[T]):
     """Outputs of a dynamic model; positions are map coordinates.
 
     ``x`` is empty if it is a state, and ``pitch`` if it is a state, that is, for planar vehicles.
     """
 
-    x: Any
-    heading: Any
-    roll: Any
-    pitch: Any
-    heading_rate: Any
-    roll_rate: Any
-    pitch_rate: Any
-    contact_x: tuple[Any, ...]
-    contact_y: tuple[Any, ...]
-    common: Outputs
-    slip_ratio: tuple[Any, ...]
-    kinetic_energy: Any
-    contact_energy: Any
-    solids: tuple[OnSolid, ...]
+    x: T
+    heading: T
+    roll: T
+    pitch: T
+    heading_rate: T
+    roll_rate: T
+    pitch_rate: T
+    contact_x: tuple[T, ...]
+    contact_y: tuple[T, ...]
+    common: Outputs[T]
+    slip_ratio: tuple[T, ...]
+    kinetic_energy: T
+    contact_energy: T
+    solids: tuple[OnSolid[T], ...]
+
+
+DynamicDae = Dae[DynamicState[ca.SX], tuple[()], Inputs[ca.SX], DynamicOutputs[ca.SX]]
 
 
 def dynamic_labels(vehicle: Vehicle, solids: int = 0) -> Labels:

@@ -44,7 +44,7 @@ from slipfree.models.dynamic_outputs import (
     quantities,
     solid_limits,
 )
-from slipfree.models.dynamic_records import DynamicState, dynamic_labels
+from slipfree.models.dynamic_records import DynamicDae, DynamicState, dynamic_labels
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import (
@@ -80,7 +80,7 @@ def dynamics(
     ground: Terrain | Solids,
     *,
     law: ContactLaw = Compliant(),  # noqa: B008 - a frozen record
-) -> Dae:
+) -> DynamicDae:
     """Return the dynamic model of a vehicle on a ground.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from slipfree.contact.closure import has_exact_closure
-from slipfree.dae import Dae, Labels
+from slipfree.dae import Labels
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.laws.least_slip import LeastSlip
@@ -14,6 +14,7 @@ from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.labels import labels_of
 from slipfree.models.pressed_model import SMOOTHING, pressed_dae
 from slipfree.models.quantities import Quantities
+from slipfree.models.records import KinematicDae
 from slipfree.models.statics import following_forces
 from slipfree.records import Label, leaves, pack
 from slipfree.terrain.base import Terrain
@@ -27,7 +28,7 @@ def direct_kinematics(
     *,
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
     smoothing: float = SMOOTHING,
-) -> Dae:
+) -> KinematicDae:
     """Return the kinematic model of a vehicle on a ground for given rates.
 
     Positions follow from closure: every wheel touches the ground, which gives three equations in

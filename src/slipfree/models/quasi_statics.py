@@ -9,7 +9,6 @@ from __future__ import annotations
 import casadi as ca
 
 from slipfree.contact.closure import check_exact_closure
-from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.laws.coulomb import Coulomb
@@ -18,7 +17,7 @@ from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import diagnosis
 from slipfree.models.labels import equilibrium_labels, labels_of
 from slipfree.models.quantities import Mechanics, Quantities
-from slipfree.models.records import Algebraic, Forces
+from slipfree.models.records import Algebraic, Forces, KinematicDae
 from slipfree.models.slip import absolute_spins
 from slipfree.models.statics import equilibrium
 from slipfree.records import pack
@@ -32,7 +31,7 @@ def quasi_statics(
     terrain: Terrain,
     *,
     law: GroundLaw = Coulomb(),  # noqa: B008 - a frozen record
-) -> Dae:
+) -> KinematicDae:
     """Return the quasi-static model of a vehicle at given rates of its wheels and joints.
 
     Parameters

@@ -2,105 +2,106 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple
 
 import casadi as ca
 
+from slipfree.dae import Dae
 from slipfree.laws.rolling import rolling_counts
-from slipfree.records import pack
+from slipfree.records import T, pack
 from slipfree.vehicle.tree import Vehicle
 
 
-class Configuration(NamedTuple):
+class Configuration(NamedTuple, Generic[T]):
     """Differential states in exact contact: position, heading, and joints except suspension.
 
     ``x`` and ``y`` are local coordinates [m], ``heading`` is an angle [rad]; ``joints`` are the
     commanded and the passive coordinates in the vehicle's order [rad or m].
     """
 
-    x: Any
-    y: Any
-    heading: Any
-    joints: tuple[Any, ...]
+    x: T
+    y: T
+    heading: T
+    joints: tuple[T, ...]
 
 
-class RelaxedState(NamedTuple):
+class RelaxedState(NamedTuple, Generic[T]):
     """Differential states of a vehicle with pressed wheels: platform, joints and suspension.
 
     Lengths are in m, angles in rad; ``joints`` are the commanded and the passive coordinates.
     """
 
-    x: Any
-    y: Any
-    heading: Any
-    joints: tuple[Any, ...]
-    z: Any
-    roll: Any
-    pitch: Any
-    suspension: tuple[Any, ...]
+    x: T
+    y: T
+    heading: T
+    joints: tuple[T, ...]
+    z: T
+    roll: T
+    pitch: T
+    suspension: tuple[T, ...]
 
 
-class PressedContacts(NamedTuple):
+class PressedContacts(NamedTuple, Generic[T]):
     """Unknowns at position level of a model with pressed wheels: the contact points [m]."""
 
-    contacts: tuple[ContactPoint, ...]
+    contacts: tuple[ContactPoint[T], ...]
 
 
-class ContactPoint(NamedTuple):
+class ContactPoint(NamedTuple, Generic[T]):
     """Local coordinates of a contact point on the ground, ``u_g`` and ``v_g`` [m]."""
 
-    x: Any
-    y: Any
+    x: T
+    y: T
 
 
-class Dependent(NamedTuple):
+class Dependent(NamedTuple, Generic[T]):
     """Coordinates that contact with the ground determines for a given configuration [m, rad].
 
     These are height, attitude and suspension of the vehicle, and the contact points of the wheels.
     """
 
-    z: Any
-    roll: Any
-    pitch: Any
-    suspension: tuple[Any, ...]
-    contacts: tuple[ContactPoint, ...]
+    z: T
+    roll: T
+    pitch: T
+    suspension: tuple[T, ...]
+    contacts: tuple[ContactPoint[T], ...]
 
 
-class Rates(NamedTuple):
+class Rates(NamedTuple, Generic[T]):
     """Rates that are not commanded, and the unknowns of the slip law or wheel-ground law.
 
     ``passive`` are the rates of the passive coordinates, ``free`` the rates of the wheels without
     drive. ``law`` is the record of the law's unknowns, empty if it has none. [m/s, rad/s]
     """
 
-    x: Any
-    y: Any
-    z: Any
-    heading: Any
-    roll: Any
-    pitch: Any
-    suspension: tuple[Any, ...]
-    passive: tuple[Any, ...]
-    free: tuple[Any, ...]
+    x: T
+    y: T
+    z: T
+    heading: T
+    roll: T
+    pitch: T
+    suspension: tuple[T, ...]
+    passive: tuple[T, ...]
+    free: tuple[T, ...]
     law: Any
 
     @property
-    def motion(self) -> tuple[Any, ...]:
+    def motion(self) -> tuple[T | tuple[T, ...], ...]:
         """Rates of the coordinates and free wheels, without the unknowns of the law."""
         return tuple(self[:-1])
 
 
-class Forces(NamedTuple):
+class Forces(NamedTuple, Generic[T]):
     """Forces of the ground on the wheels, one per wheel; empty without mass [N].
 
     If equilibrium alone does not determine the forces, ``virtual`` are the virtual rates that
     distribute them (`slipfree.models.statics.following_forces`). [1, 1/m]
     """
 
-    along: tuple[Any, ...] = ()
-    across: tuple[Any, ...] = ()
-    normal: tuple[Any, ...] = ()
-    virtual: tuple[Any, ...] = ()
+    along: tuple[T, ...] = ()
+    across: tuple[T, ...] = ()
+    normal: tuple[T, ...] = ()
+    virtual: tuple[T, ...] = ()
 
     @property
     def column(self) -> ca.SX:
@@ -109,73 +110,79 @@ class Forces(NamedTuple):
         return pack(tuple(wheels))
 
 
-class Algebraic(NamedTuple):
+class Algebraic(NamedTuple, Generic[T]):
     """Algebraic unknowns, grouped by the equations that determine them."""
 
     position: Any  # Dependent in exact contact, else PressedContacts
-    rates: Rates
-    forces: Forces
+    rates: Rates[T]
+    forces: Forces[T]
 
 
-class Inputs(NamedTuple):
+class Inputs(NamedTuple, Generic[T]):
     """Rates of the driven wheels and commanded coordinates, in vehicle order [rad/s, m/s]."""
 
-    wheels: tuple[Any, ...]
-    joints: tuple[Any, ...]
+    wheels: tuple[T, ...]
+    joints: tuple[T, ...]
 
 
-class Totals(NamedTuple):
+class Totals(NamedTuple, Generic[T]):
     """Quadratures: rotation angles of the wheels [rad], work of drives and actuators [J].
 
     ``work`` is empty if the vehicle has no mass.
     """
 
-    wheels: tuple[Any, ...]
-    work: tuple[Any, ...]
+    wheels: tuple[T, ...]
+    work: tuple[T, ...]
 
 
-class ForceOutputs(NamedTuple):
+class ForceOutputs(NamedTuple, Generic[T]):
     """Forces, powers and stability margin of a vehicle with mass.
 
     ``along`` and ``across`` are the tangential forces, empty if these are unknowns of the model.
     Units are those of the labels (`slipfree.models.labels`).
     """
 
-    along: tuple[Any, ...]
-    across: tuple[Any, ...]
-    friction_needed: tuple[Any, ...]
-    utilisation: tuple[Any, ...]
-    drive_torque: tuple[Any, ...]
-    joint_effort: tuple[Any, ...]
-    power: Any
-    dissipation: Any
-    potential_energy: Any
-    tip_over_margin: Any
+    along: tuple[T, ...]
+    across: tuple[T, ...]
+    friction_needed: tuple[T, ...]
+    utilisation: tuple[T, ...]
+    drive_torque: tuple[T, ...]
+    joint_effort: tuple[T, ...]
+    power: T
+    dissipation: T
+    potential_energy: T
+    tip_over_margin: T
 
 
-class Outputs(NamedTuple):
+class Outputs(NamedTuple, Generic[T]):
     """Outputs of a model along a motion; positions in map coordinates.
 
     ``quaternion`` (x, y, z, w) and ``yaw`` describe the platform by axes x forward, y left, z up.
     Units are those of the labels (`slipfree.models.labels`).
     """
 
-    contact_z: tuple[Any, ...]
-    center_x: tuple[Any, ...]
-    center_y: tuple[Any, ...]
-    center_z: tuple[Any, ...]
-    slip_along: tuple[Any, ...]
-    slip_across: tuple[Any, ...]
-    wheel_rate: tuple[Any, ...]
-    wheel_u: tuple[Any, ...]
-    wheel_v: tuple[Any, ...]
-    psi: tuple[Any, ...]
-    yaw: Any
-    quaternion: tuple[Any, ...]
-    forces: ForceOutputs | tuple[()]
-    depth: tuple[Any, ...] = ()
-    load_share: tuple[Any, ...] = ()
-    force_normal: tuple[Any, ...] = ()
+    contact_z: tuple[T, ...]
+    center_x: tuple[T, ...]
+    center_y: tuple[T, ...]
+    center_z: tuple[T, ...]
+    slip_along: tuple[T, ...]
+    slip_across: tuple[T, ...]
+    wheel_rate: tuple[T, ...]
+    wheel_u: tuple[T, ...]
+    wheel_v: tuple[T, ...]
+    psi: tuple[T, ...]
+    yaw: T
+    quaternion: tuple[T, ...]
+    forces: ForceOutputs[T] | tuple[()]
+    depth: tuple[T, ...] = ()
+    load_share: tuple[T, ...] = ()
+    force_normal: tuple[T, ...] = ()
+
+
+# Model in the rates of wheels and commanded coordinates.
+KinematicDae = Dae[
+    Configuration[ca.SX] | RelaxedState[ca.SX], Algebraic[ca.SX], Inputs[ca.SX], Outputs[ca.SX]
+]
 
 
 def state_coordinates(vehicle: Vehicle) -> tuple[str, ...]:

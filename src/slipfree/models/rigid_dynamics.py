@@ -50,7 +50,7 @@ from slipfree.models.dynamic_outputs import (
     dynamic_outputs,
     quantities,
 )
-from slipfree.models.dynamic_records import DynamicOutputs, dynamic_labels
+from slipfree.models.dynamic_records import DynamicOutputs, DynamicState, dynamic_labels
 from slipfree.models.dynamics import (
     check_dynamic,
     check_inertia,
@@ -63,7 +63,7 @@ from slipfree.models.dynamics import (
 )
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import Multibody, bias_forces, mass_matrix
-from slipfree.models.records import ContactPoint
+from slipfree.models.records import ContactPoint, Inputs
 from slipfree.outcome import Outcome
 from slipfree.records import Label, leaves, symbols
 from slipfree.terrain.base import Terrain
@@ -79,6 +79,9 @@ class RigidUnknowns(NamedTuple):
     law: Any
 
 
+RigidDae = Dae[DynamicState[ca.SX], RigidUnknowns, Inputs[ca.SX], DynamicOutputs[ca.SX]]
+
+
 @computing
 def rigid_dynamics(
     vehicle: Vehicle,
@@ -86,7 +89,7 @@ def rigid_dynamics(
     *,
     law: GroundLaw = LinearCreep(),  # noqa: B008 - a frozen record
     contact: Compliant = Compliant(),  # noqa: B008 - a frozen record
-) -> Dae:
+) -> RigidDae:
     """Return the dynamic model of a vehicle on rigid ground, for plans.
 
     Parameters

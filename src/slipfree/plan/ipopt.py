@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.interrupt import InterruptGuard
+from slipfree.plan.convergence import NO_CONVERGENCE, Convergence, convergence_of
 from slipfree.plan.transcription import Program, completed
 from slipfree.records import Array, field_overview
 
@@ -83,6 +84,8 @@ class Solution(NamedTuple):
     seconds : dict of str to float
         Wall time: ``"total"``, ``"functions"`` (evaluation of functions and derivatives) and
         ``"rest"`` (linear solver and overhead). [s]
+    convergence : Convergence
+        Cost, violation and barrier parameter of every iterate; empty if not known.
     """
 
     unknowns: Array
@@ -94,6 +97,7 @@ class Solution(NamedTuple):
     success: bool
     iterations: int
     seconds: dict[str, float]
+    convergence: Convergence = NO_CONVERGENCE
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -281,4 +285,5 @@ def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any])
         bool(stats["success"]),
         int(stats["iter_count"]),
         {"total": total, "functions": functions, "rest": total - functions},
+        convergence_of(stats),
     )

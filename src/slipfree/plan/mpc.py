@@ -31,7 +31,7 @@ from slipfree.plan.transcription import (
     transcribe,
 )
 from slipfree.plan.verification import inputs_along
-from slipfree.records import Array, field_overview
+from slipfree.records import Array, Record, field_overview
 from slipfree.solver_codes import ipopt_words
 from slipfree.trajectory import SolverError
 
@@ -296,7 +296,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     return Cycle(t, motion_of(program, unknowns * scale), rows, bounds, largest_violation(asked, g))
 
 
-def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Any, Array]:
+def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Record, Array]:
     """Return the inputs of a cycle between two times, and sample times for ``simulate``.
 
     Parameters

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,7 @@ from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import with_interrupt_guard
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
+from slipfree.plan.convergence import Convergence
 from slipfree.plan.explanation import explanation
 from slipfree.plan.ipopt import (
     OTHER_VIOLATION_GROWTH,
@@ -63,7 +64,7 @@ from slipfree.plan.verification import (
     verify_plan,
 )
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
-from slipfree.records import Array, field_overview, leaves, overview
+from slipfree.records import Array, Record, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
 from slipfree.trajectory import PLAN, Stop, Trajectory
 
@@ -92,6 +93,8 @@ class SolvedStage(NamedTuple):
         Wall times: ``"total"``, ``"functions"`` (evaluations of the program) and ``"rest"``. [s]
     cost : float
         Final cost, with the weights of this stage.
+    convergence : Convergence
+        Cost, violation and barrier parameter of every iterate.
     """
 
     words: str
@@ -99,6 +102,7 @@ class SolvedStage(NamedTuple):
     status: str
     seconds: dict[str, float]
     cost: float
+    convergence: Convergence
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -143,7 +147,7 @@ class Plan:
     """
 
     run: Trajectory
-    inputs: Any
+    inputs: Record
     motion: PolynomialMotion
     replay: Trajectory
     difference: dict[str, float]
@@ -544,7 +548,7 @@ def _solve_stage(
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
     weights = _cost_weights(program, part)
     found = solve_program(program, weights, first, warm=warm, on_iterate=on_iterate)
-    stages = [SolvedStage(words, found.iterations, found.status, found.seconds, found.cost)]
+    stages = [_stage_of(words, found)]
     if found.status in STUCK_STATUSES:  # rounding decides whether searches for long plans succeed
         again = solve_program(
             program,
@@ -555,12 +559,18 @@ def _solve_stage(
             growth=OTHER_VIOLATION_GROWTH,
         )
         words = f"{words}, again"
-        stages.append(SolvedStage(words, again.iterations, again.status, again.seconds, again.cost))
+        stages.append(_stage_of(words, again))
         if again.success or largest_violation(program, again.rows) < largest_violation(
             program, found.rows
         ):
             found = again
     return _SearchState(program, found, first, tuple(stages))
+
+
+def _stage_of(words: str, found: Solution) -> SolvedStage:
+    return SolvedStage(
+        words, found.iterations, found.status, found.seconds, found.cost, found.convergence
+    )
 
 
 def _cost_weights(program: Program, part: float) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,7 @@ from slipfree.dae import Dae, Limit, PiecewiseLinear
 from slipfree.plan.constraints import quantity_label, role_of, shift_of
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
-from slipfree.records import Array, Mask, leaves
+from slipfree.records import Array, Mask, Record, leaves
 from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
@@ -306,7 +306,7 @@ def refine_mesh(mesh: CollocationMesh, worse: Mask) -> CollocationMesh:
     return mesh._replace(ends=np.sort(np.concatenate([mesh.ends, middles[worse]])))
 
 
-def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Any:
+def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Record:
     """Return the inputs of a plan for ``simulate`` at ``times``.
 
     The times must include the ends of all intervals between the first and the last time.

@@ -15,7 +15,7 @@ from slipfree.files.toml.reader import read_text
 from slipfree.files.toml.source_lines import Source
 from slipfree.problem.geographic_places import convert_places
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import CommonKeys
+from slipfree.problem.schema import CommonKeys, Runnable
 from slipfree.problem.validation import validated_problem
 from slipfree.problem.verbs.base import Verb
 from slipfree.problem.verbs.registry import find_verb, verbs_of
@@ -23,7 +23,7 @@ from slipfree.problem.verbs.registry import find_verb, verbs_of
 
 def load_problem(
     path: str | Path, settings: Sequence[str] = (), *, command: str = "run"
-) -> Problem[Any]:
+) -> Problem[Runnable]:
     """Return the problem in a TOML file.
 
     Parameters

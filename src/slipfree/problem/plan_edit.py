@@ -13,6 +13,7 @@ import tomlkit
 
 from slipfree.errors import DataError
 from slipfree.problem.problem import Problem
+from slipfree.problem.verbs.plan_goals import way_points_of
 from slipfree.problem.verbs.plan_schema import Plan
 
 SAME = 1e-9  # smaller changes are rounding [m, rad]
@@ -78,6 +79,21 @@ def places_in(problem: Problem[Plan]) -> Places:
             center = (float(each.x or 0.0), float(each.y or 0.0))
             regions.append(Region(index, (center,), float(each.radius or 0.0)))
     return Places((start[0], start[1], start[2]), goal, heading, tuple(regions))
+
+
+def way_points_in(problem: Problem[Plan]) -> tuple[tuple[str, float, float], ...]:
+    """Return name, x and y of the way-points that have both, the middles of ranges [m].
+
+    Raises
+    ------
+    ProblemError
+        If a fraction of the duration is missing or not valid.
+    """
+    return tuple(
+        (f"way-point at {part:g}", sum(wanted["x"]) / 2, sum(wanted["y"]) / 2)
+        for part, wanted in way_points_of(problem, problem.spec).items()
+        if {"x", "y"} <= wanted.keys()
+    )
 
 
 def places_from(data: object) -> Places:

@@ -10,6 +10,7 @@ from slipfree.forks import computing
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
+from slipfree.problem.schema import Runnable
 from slipfree.problem.verbs.base import (
     CROSS_CHECK,
     VERB_ATTRIBUTE,
@@ -25,7 +26,7 @@ from slipfree.regular_files import escape_name
 
 
 @computing
-def build(problem: Problem[Any]) -> Any:
+def build(problem: Problem[Runnable]) -> Any:
     """Return the set-up of a problem: model, start and inputs.
 
     Raises
@@ -39,7 +40,7 @@ def build(problem: Problem[Any]) -> Any:
 
 @computing
 def run_problem(
-    problem: Problem[Any],
+    problem: Problem[Runnable],
     progress: Callable[[float], None] | None = None,
     tell: Callable[[str, str], None] | None = None,
     resume: SavedPlan | None = None,

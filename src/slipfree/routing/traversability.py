@@ -7,7 +7,7 @@ are not considered.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import casadi as ca
@@ -26,7 +26,7 @@ from slipfree.routing.footprint import (
     nearest_nodes,
 )
 from slipfree.routing.regions import Region
-from slipfree.terrain.base import Grid
+from slipfree.terrain.base import Formula, Grid
 from slipfree.terrain.bicubic import Bicubic, friction_map
 from slipfree.terrain.grid_ops import hole_distance
 from slipfree.vehicle.tree import Vehicle
@@ -242,7 +242,7 @@ def _friction(terrain: Bicubic, x: Array, y: Array, half: float) -> Array | None
     return footprint_mean(at_nodes, (axis_step(x), axis_step(y)), half)
 
 
-def _formula(function: Callable[[ca.SX, ca.SX], ca.SX], x: Array, y: Array) -> Array:
+def _formula(function: Formula, x: Array, y: Array) -> Array:
     """Return the values of a formula on a grid, computed for one x at a time."""
     at, line = ca.SX.sym("x"), ca.SX.sym("y", y.size)
     values = [ca.SX(function(at, line[j])) for j in range(y.size)]

@@ -26,10 +26,17 @@ from slipfree.show.style import MM, PAGE, STYLE
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")
 MOST = 400  # maximum number of frames of a film; longer motions are shown faster
-ROWS = {"height_ratios": (2, 3)}  # heights of the two axes in a film of a section
-HEIGHTS = (130.0, 86.0)  # heights of a film of a section, and of one in plan view [mm]
-HEIGHT = 0.6  # height of the 3D view [its width]
+ROWS = {"height_ratios": (2, 5)}  # heights of the two axes in a film of a section, which is wide
+COLUMNS = {"width_ratios": (2, 3)}  # widths of the two axes in a film in plan view
+HEIGHTS = (135.0, 90.0)  # heights of a film of a section, and of one in plan view [mm]
+HEIGHT, ZOOM = 0.6, 1.55  # height of the 3D view, in widths, and its magnification
+TITLE = 80  # number of characters in a line of the title
+HEAD = (
+    0.3,
+    0.4,
+)  # length of an arrow's head over the arrow's, and width of the head over its length
 WIDTH = 150  # number of characters in a line below the film
+BELOW = {"fc": "white", "ec": "none", "pad": 1.5}  # behind the text below a film
 T = TypeVar("T")
 
 
@@ -137,7 +144,7 @@ def animate(scene: Scene, file: str | Path, title: str = "") -> str:
         FigureCanvasAgg(figure)
         film = Film(figure, scene, title, speed)
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # axes must not move between frames
+        figure.set_layout_engine(None)  # axes must not move between frames
         times = np.linspace(first, last, count).tolist()
         write_film(writer, figure, Path(file), film.show, times)
     return f"{speed:.3g} times real speed"
@@ -148,18 +155,23 @@ class Film:
 
     def __init__(self, figure: Figure, scene: Scene, title: str, speed: float) -> None:
         is_plan = scene.backdrop.axes == PLAN
-        grid = figure.add_gridspec(1, 2) if is_plan else figure.add_gridspec(2, 1, **ROWS)
+        grid = (
+            figure.add_gridspec(1, 2, **COLUMNS) if is_plan else figure.add_gridspec(2, 1, **ROWS)
+        )
         flat, space = figure.add_subplot(grid[0]), figure.add_subplot(grid[1], projection="3d")
         self.scene, self.space = scene, space
         self.markers = _draw_paths(flat, scene)
-        self.title = title
-        self.head = figure.suptitle("", x=0.98, ha="right", fontsize=8, parse_math=False)
+        head = textwrap.fill(title, TITLE) or " "  # keeps the line of the clock free
+        self.head = figure.suptitle(
+            head, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False
+        )
+        self.clock = figure.text(0.98, 0.98, "", ha="right", va="top", fontsize=9)
         told = [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
         told += [f"{speed:.3g} times real speed"] if speed > 1 else []
         lines = ["; ".join(told), *scene.warnings]
         lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
         words = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
-        figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False)
+        figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False, bbox=BELOW)
         space.set_axis_off()
         space.computed_zorder = False  # the vehicle is always in front of its ground
         elevation, azimuth = scene.backdrop.camera
@@ -182,13 +194,18 @@ class Film:
         for axis, value in zip("xyz", middle, strict=True):
             part = half * (HEIGHT if axis == "z" else 1.0)
             getattr(self.space, f"set_{axis}lim")(value - part, value + part)
-        self.space.set_box_aspect((1, 1, HEIGHT), zoom=1.45)
-        self.head.set_text(f"{self.title}   t = {t:.2f} s".strip())
+        self.space.set_box_aspect((1, 1, HEIGHT), zoom=ZOOM)
+        self.clock.set(text=f"t = {t:.2f} s", y=self.head.get_position()[1])
 
     def _ground(self, faces: Iterable[Array]) -> Any:
         shape = Poly3DCollection(
             list(faces), facecolors="0.95", edgecolors="0.65", lw=0.2, shade=True, zorder=0
         )
+        return self._add(shape)
+
+    def _add(self, shape: Any) -> Any:
+        """Add a collection to the 3D view, also where it exceeds the square of the axes."""
+        shape.set_clip_on(False)
         return self.space.add_collection3d(shape)
 
     def _vehicle(self, actor: Actor, k: int) -> list[Any]:
@@ -200,20 +217,44 @@ class Film:
                 faces.append(points[mesh.faces])
                 colors += [_shares(color)] * len(mesh.faces)
         shape = Poly3DCollection(np.concatenate(faces), facecolors=colors, shade=True, zorder=1)
-        return [self.space.add_collection3d(shape)]
+        return [self._add(shape)]
 
     def _arrows(self, actor: Actor, k: int) -> list[Any]:
-        """Draw slip and forces at sample ``k`` as lines from the contact points; return them."""
+        """Draw slip and forces at sample ``k`` as arrows from the contact points; return them."""
         found = []
+        elevation, azimuth = np.radians(self.scene.backdrop.camera)
+        sight = np.array([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)])
         for each in actor.arrows:
-            if scale := self.scene.scales[each.name]:
-                lines = np.stack([each.starts[k], each.starts[k] + scale * each.vectors[k]], axis=1)
-                lines = lines[np.isfinite(lines).all(axis=(1, 2))]
-                style_ = Line3DCollection(
-                    lines, colors=_shares(ARROWS[each.name]), lw=1.2, zorder=2
-                )
-                found.append(self.space.add_collection3d(style_))
+            lines = arrow_lines(
+                each.starts[k], self.scene.scales[each.name] * each.vectors[k], sight
+            )
+            if lines.size:
+                look: dict[str, Any] = {"colors": _shares(ARROWS[each.name]), "lw": 1.4}
+                found.append(self._add(Line3DCollection(lines, zorder=2, **look)))
         return found
+
+
+def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
+    """Return the shafts and the two sides of the heads of arrows, shape (m, 2, 3).
+
+    Arrows with NaN and arrows of length zero are omitted.
+
+    Parameters
+    ----------
+    starts, vectors : ndarray, shape (n, 3)
+        Starting points, and vectors to the tips. [m]
+    sight : ndarray, shape (3,)
+        Direction to the camera; the heads are perpendicular to it.
+    """
+    drawn = np.isfinite(starts + vectors).all(axis=1) & (vectors != 0).any(axis=1)
+    starts, vectors = starts[drawn], vectors[drawn]
+    tips, back = starts + vectors, -HEAD[0] * vectors
+    aside = np.cross(vectors, sight)
+    sizes = np.linalg.norm(aside, axis=1, keepdims=True)
+    aside = aside / np.where(sizes > 0, sizes, 1.0)  # none for an arrow towards the camera
+    aside = aside * HEAD[1] * np.linalg.norm(back, axis=1, keepdims=True)
+    sides = [np.stack([tips, tips + back + sign * aside], axis=1) for sign in (-1, 1)]
+    return np.concatenate([np.stack([starts, tips], axis=1), *sides])
 
 
 def _sample(actor: Actor, t: float) -> int:

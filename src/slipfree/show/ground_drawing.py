@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LightSource
-from matplotlib.patches import Polygon
+from matplotlib.patches import Polygon, Rectangle
 from scipy.interpolate import RectBivariateSpline
 
 from slipfree.errors import ModelError
 from slipfree.lookups import LookupTable, lookup_function
-from slipfree.records import Array
+from slipfree.records import Array, Mask
 from slipfree.show import style
 from slipfree.show.meshes import clipped
 from slipfree.terrain.base import Grid, Terrain
@@ -26,6 +26,7 @@ HEATMAP = 600  # samples of a drawn map along an axis
 DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
 STEEP_SHADE, MAX_EXAGGERATION = 0.7, 20.0  # exaggerated slope of steep parts, largest factor
 LEVEL, DARKEST = 0.9, 0.45  # brightness of level ground and of the darkest slopes
+HATCH = "//////"
 INSIDE = 0.44  # largest distance of text on a map from its middle [width of the map]
 
 SOLID: dict[str, Any] = {"fc": (0.55, 0.55, 0.55, 0.45), "ec": "black", "lw": 0.8, "zorder": 2}
@@ -85,7 +86,7 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
     if np.nanmax(z) > np.nanmin(z):
         lines = ax.contour(x, y, z.T, levels=10, colors="0.5", linewidths=0.4, zorder=1)
         levels = np.asarray(lines.levels)[::2]
-        for words in ax.clabel(lines, levels, fontsize=5, fmt="%g m", inline=False, zorder=1):
+        for words in ax.clabel(lines, levels, fontsize=5, fmt="%g m", inline_spacing=2, zorder=1):
             words.set_path_effects(style.halo(1.5))
             inside = ax.transAxes.inverted().transform(ax.transData.transform(words.get_position()))
             words.set_visible(bool(np.all(np.abs(inside - 0.5) < INSIDE)))
@@ -114,6 +115,34 @@ def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
             outline = Polygon(face @ axes.T + place, label="solids", **SOLID)
             outline.set_path_effects(style.halo(2.0))
             ax.add_patch(outline)
+    return ax
+
+
+def hatch(grid: Grid, nodes: Mask | None, window: Window, words: str, color: str, ax: Axes) -> Axes:
+    """Hatch the cells of a ground that touch marked nodes, with an entry for the legend.
+
+    Parameters
+    ----------
+    grid : Grid
+        The ground.
+    nodes : ndarray of bool, shape (n_x, n_y), or None
+        Marked nodes, such as ``grid.holes``; None for no node.
+    window : tuple of 4 floats
+        Drawn part: ``x_min, x_max, y_min, y_max``. [m]
+    words : str
+        Words of the legend.
+    color : str
+        Colour of the hatching.
+    ax : Axes
+        The axes.
+    """
+    x, y = np.linspace(*window[:2], HEATMAP), np.linspace(*window[2:], HEATMAP)
+    marked = grid.touches(nodes, x[:, None], y[None, :])
+    if marked.any():
+        area = ax.contourf(x, y, marked.T, levels=(0.5, 1.5), colors="none", hatches=[HATCH])
+        area.set_edgecolor(color)
+        look: dict[str, Any] = {"fill": False, "ec": color, "lw": 0, "hatch": HATCH}
+        ax.add_patch(Rectangle((x[0], y[0]), 0, 0, label=words, **look))
     return ax
 
 

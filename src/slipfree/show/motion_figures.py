@@ -39,7 +39,7 @@ from slipfree.terrain.solids import Prism
 from slipfree.trajectory import Trajectory
 
 HEIGHTS = "cividis"
-HATCH, FILLED = "//////", "#D60093"  # marks filled holes
+FILLED = "#D60093"  # hatching of filled holes
 MESH = 72  # nodes of a drawn surface along an axis
 ROUNDING = 1e-9  # smaller slip is rounding [m/s]
 TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
@@ -71,26 +71,17 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
     window : tuple of 4 floats, optional
         ``x_min, x_max, y_min, y_max`` of the part to draw; the whole by default. [m]
     """
-    x, y, z = ground_drawing.patch(grid, window or ground_drawing.whole(grid), HEATMAP)
+    window = window or ground_drawing.whole(grid)
+    x, y, z = ground_drawing.patch(grid, window, HEATMAP)
     heights = ax.imshow(z.T, **_colours(z), **ground_drawing.extent(x, y))
     ground_drawing.shade(x, y, z, ax)
     if np.nanmax(z) > np.nanmin(z):
         ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
-    _hatch_filled(grid, x, y, ax)
+    ground_drawing.hatch(grid, grid.filled, window, "filled holes", FILLED, ax)
     bar = ax.figure.colorbar(heights, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)))
     bar.set_label("height $z$ [m], relief shaded")
     bar.locator, bar.formatter = style.ticks(6), ScalarFormatter(useOffset=False)
     return ax
-
-
-def _hatch_filled(grid: Grid, x: Array, y: Array, ax: Axes) -> None:
-    """Hatch the filled cells of a ground, with an entry for the legend."""
-    filled = grid.touches(grid.filled, x[:, None], y[None, :])
-    if filled.any():
-        area = ax.contourf(x, y, filled.T, levels=(0.5, 1.5), colors="none", hatches=[HATCH])
-        area.set_edgecolor(FILLED)
-        look: dict[str, Any] = {"fill": False, "ec": FILLED, "lw": 0, "hatch": HATCH}
-        ax.add_patch(Rectangle((x[0], y[0]), 0, 0, label="filled holes", **look))
 
 
 def path(run: Trajectory, ax: Axes) -> Axes:

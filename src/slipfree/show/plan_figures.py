@@ -17,7 +17,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
 
+from slipfree.plan.convergence import Convergence
 from slipfree.records import Array, Mask
 from slipfree.routing.regions import Region
 from slipfree.routing.traversability import Traversability, blocked_by
@@ -33,9 +35,9 @@ COSTS = ListedColormap(colormaps["Blues"](np.linspace(0.08, 0.85, 256)), name="c
 MAX_PERCENTILE = 99.0  # percentile of the costs at the end of the scale, without extreme nodes
 MIN_SCALE_END = 1.1  # smallest end of the scale, for uniform costs [1]
 BLOCKED = {  # colour and description of blocked nodes by reason, in order of priority
-    "keep_out": ("0.4", "keep-out region"),
-    "edge": ("0.8", "edge of the map"),
-    "hole": ("0.95", "hole in the map"),
+    "keep_out": ("0.4", "too close to a keep-out region"),
+    "edge": ("0.8", "too close to the edge of the map"),
+    "hole": ("0.9", "too close to a hole in the map"),
     "friction": ("#D55E00", "too steep for friction"),
     "slope": ("#CC79A7", "too steep"),
     "roughness": ("#F0E442", "too rough"),
@@ -44,6 +46,14 @@ BLOCKED = {  # colour and description of blocked nodes by reason, in order of pr
 FAR = 0.6  # for a motion with a smaller extent only a part of the map is drawn [map]
 WRAP = 20  # characters of a line of labels and legends beside axes
 ROW = 34.0  # height of a row of the figure of a plan [mm]
+NO_GUESS = np.zeros((0, 2))
+CONVERGENCE = {  # label and scale of the axis, by field of `Convergence`
+    "cost": ("cost", "linear"),
+    "violation": ("constraint violation, scaled", "log"),
+    "dual_infeasibility": ("dual infeasibility, scaled", "log"),
+    "barrier": ("barrier parameter", "log"),
+}
+SEARCH_WORDS = 30  # characters of the name of a search
 ENTRIES = 7  # lines of a legend beside a row of that height
 Range = tuple[float, float]
 Place = tuple[str, float, float]
@@ -76,13 +86,16 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
     )
     ax.imshow(_blocked(layers, part, ax).transpose(1, 0, 2), **where)
     ground_drawing.contours(grid, ax, window)
+    ground_drawing.hatch(grid, grid.holes, window, "no heights", "0.4", ax)
     for region in layers.limits.keep_out:
-        ax.add_patch(_outline(region))
+        x_min, x_max, y_min, y_max = region.bounds
+        if x_min < window[1] and x_max > window[0] and y_min < window[3] and y_max > window[2]:
+            ax.add_patch(_outline(region))
     dearer = inside.size > 0 and inside.max() > top
     bar = ax.figure.colorbar(
         costs, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max" if dearer else "neither"
     )
-    bar.set_label("cost per metre of path [1]")
+    bar.set_label("cost of 1 m of path [m of level ground]")
     return ax
 
 
@@ -100,6 +113,12 @@ def initial_routes(found: Sequence[Array], ax: Axes) -> Axes:
             label=f"{name}, {length:.4g} m",
             path_effects=style.halo(2.0),
         )
+    return ax
+
+
+def initial_guess(points: Array, ax: Axes) -> Axes:
+    """Draw the paths of the initial guesses, shape (n, 2), with NaN between them [m]."""
+    ax.plot(*points.T, color="0.35", lw=0.7, zorder=3, label="initial guess")
     return ax
 
 
@@ -199,6 +218,7 @@ def plan_plots(
     *,
     places: Sequence[Place] = (),
     found: Sequence[Array] = (),
+    guess: Array = NO_GUESS,
     bounds: Mapping[str, Range] | None = None,
     limits: Mapping[str, Range] | None = None,
 ) -> tuple[Plot, ...]:
@@ -216,6 +236,8 @@ def plan_plots(
         Name, x and y in map coordinates of start, way-points and goal. [m]
     found : sequence of ndarray, shape (n, 2)
         Points x, y of the routes of the initial guesses, in map coordinates. [m]
+    guess : ndarray, shape (n, 2)
+        Paths of the initial guesses in map coordinates, with NaN between them. [m]
     bounds : mapping of str to (float, float)
         Lower and upper bound of each input to draw, by name; infinite without a bound.
     limits : mapping of str to (float, float)
@@ -229,11 +251,72 @@ def plan_plots(
     panels = _panels(run, layers, bounds or {}, limits or {})
     caption = "Planned inputs, and quantities with their limits."
     planned = Plot("plan", caption, lambda: stack(run, panels, _deviation_note(run)))
-    caption = "Cost per metre of path, routes of the initial guesses, and the planned motion."
+    caption = "Cost per metre of path, initial guess, and the planned motion."
     ground = Plot(
-        "traversability", caption, lambda: _traversability(run, grid, layers, places, found)
+        "traversability", caption, lambda: _traversability(run, grid, layers, places, found, guess)
     )
     return (planned, ground) if panels else (ground,)
+
+
+def convergence_plots(
+    run: Trajectory, searches: Mapping[int, Convergence], names: Sequence[str]
+) -> tuple[Plot, ...]:
+    """Return the figure of the convergence of consecutive searches, without drawing it.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion; a note gives the reason of an early end.
+    searches : mapping of int to Convergence
+        Searches by index.
+    names : sequence of str
+        Names of all searches.
+
+    Returns
+    -------
+    tuple of Plot
+        ``convergence``; empty without searches.
+    """
+    if not searches:
+        return ()
+    panels = [Panel(partial(convergence, name, searches, names), 30) for name in CONVERGENCE]
+    caption = "Convergence of the search: values of IPOPT at every iterate."
+    return (Plot("convergence", caption, lambda: stack(run, panels)),)
+
+
+def convergence(
+    name: str, searches: Mapping[int, Convergence], names: Sequence[str], ax: Axes
+) -> Axes:
+    """Draw a value of IPOPT at every iterate of consecutive searches, which start at dotted lines.
+
+    Parameters
+    ----------
+    name : str
+        Field of `Convergence`.
+    searches : mapping of int to Convergence
+        Searches by index; on a logarithmic axis, values are at least `motion_figures.TINY`.
+    names : sequence of str
+        Names of all searches.
+    ax : Axes
+        The axes.
+    """
+    label, scale = CONVERGENCE[name]
+    first, colors = 0, dict[str, int]()  # searches of the same name have the same colour
+    for k, search in searches.items():
+        values = getattr(search, name)
+        values = np.maximum(values, motion_figures.TINY) if scale == "log" else values
+        words = textwrap.shorten(names[k], SEARCH_WORDS)
+        color = colors.setdefault(words, len(colors))
+        number = first + np.arange(values.size)
+        ax.plot(number, values, marker=".", ms=3, label=words, **style.look(color))
+        if first:
+            ax.axvline(first - 0.5, color="0.6", lw=0.6, ls=":")
+        first += values.size
+    ax.set_yscale(scale)
+    ax.set_ylabel(textwrap.fill(label, WRAP))
+    ax.set_xlabel("iterate, initial guesses included")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return ax
 
 
 def _traversability(
@@ -242,8 +325,10 @@ def _traversability(
     layers: Traversability,
     places: Sequence[Place],
     found: Sequence[Array],
+    guess: Array,
 ) -> Figure:
-    points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *found])
+    known = guess[np.isfinite(guess).all(axis=1)]
+    points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *found, known])
     window = ground_drawing.about(points[:, 0], points[:, 1], grid, pad=0.25)
     whole = ground_drawing.whole(grid)
     spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
@@ -253,7 +338,10 @@ def _traversability(
     panel = min(92 * MM / ratio, 120 * MM)
     figure = style.figure(COLUMN, panel + 32 * MM)
     ax = cost_map(layers, grid, figure.subplots(), window)
-    motion(run, places, initial_routes(found, ax))
+    initial_routes(found, ax)
+    if guess.size:
+        initial_guess(guess, ax)
+    motion(run, places, ax)
     style.finished(figure, run, [ax])
     figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
     return figure
@@ -337,4 +425,4 @@ def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
 def _outline(region: Region) -> Polygon:
     """Return the outline of a keep-out region."""
     looks: dict[str, Any] = {"fill": False, "ec": "black", "lw": 1.0, "hatch": "////", "zorder": 2}
-    return Polygon(region.outline, **looks)
+    return Polygon(region.outline, label="keep-out region", **looks)

@@ -33,6 +33,8 @@ class PlanMap(NamedTuple):
         The ground.
     vehicle : Vehicle
         The vehicle.
+    way_points : tuple of (str, float, float)
+        Name, x and y of way-points. [m]
     """
 
     title: str
@@ -40,6 +42,7 @@ class PlanMap(NamedTuple):
     frame: str
     grid: Grid
     vehicle: Vehicle
+    way_points: tuple[tuple[str, float, float], ...] = ()
 
 
 def page_content(plan_map: PlanMap) -> Content:
@@ -50,6 +53,7 @@ def page_content(plan_map: PlanMap) -> Content:
         "reach": extents(plan_map.vehicle)[2],
         "north_heading": plan_map.frame == "paper",
         "file": plan_map.file,
+        "way_points": plan_map.way_points,
     }
     text = files("slipfree.show").joinpath("plan_page.html").read_text("utf-8")
     script_safe = json.dumps(data).replace("<", "\\u003c")  # file names may contain </script>

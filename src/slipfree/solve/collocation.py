@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -21,7 +21,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.records import Array, Mask, leaves
+from slipfree.records import Array, Mask, Record, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.radau import RadauBasis, radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
@@ -235,7 +235,7 @@ class Drive(NamedTuple):
 def drive(
     dae: Dae,
     start: Trajectory,
-    inputs: Any,
+    inputs: Record,
     t: Array,
     *,
     free_states: Sequence[str],

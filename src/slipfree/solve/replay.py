@@ -10,7 +10,7 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.records import Array, leaves, unpack
+from slipfree.records import Array, Record, leaves, unpack
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples
 from slipfree.solve.settle import settle
@@ -80,7 +80,7 @@ def round_trip(
 def replay(
     dae: Dae,
     run: Trajectory,
-    inputs: Any = None,
+    inputs: Record | None = None,
     *,
     jumps: Sequence[float] = (),
     options: SolverOptions = SolverOptions(),

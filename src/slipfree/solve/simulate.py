@@ -18,7 +18,7 @@ from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import InterruptGuard
 from slipfree.outcome import Outcome
-from slipfree.records import Array, Mask
+from slipfree.records import Array, Mask, Record
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.events import Event, WatchedEvent, crossing_indices, event_values, watch_events
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -48,7 +48,7 @@ Progress = Callable[[float], bool | None]
 def simulate(
     dae: Dae,
     start: Trajectory,
-    inputs: Any,
+    inputs: Record,
     t: Array,
     *,
     options: SolverOptions = SolverOptions(),

@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.dae import Dae, PiecewiseLinear
 from slipfree.errors import ModelError
 from slipfree.lookups import found_column
-from slipfree.records import Array, Label, leaves, pack
+from slipfree.records import Array, Label, Record, leaves, pack
 from slipfree.solve.equations import model_function, motion_equations
 from slipfree.solve.options import SolverOptions
 
@@ -91,7 +91,7 @@ class System(NamedTuple):
 
 def with_inputs(
     dae: Dae,
-    inputs: Any,
+    inputs: Record,
     intervals: int,
     options: SolverOptions = SolverOptions(),
 ) -> System:

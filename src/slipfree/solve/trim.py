@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.records import Array, leaves
+from slipfree.records import Array, Record, leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
@@ -23,7 +22,7 @@ TRIM_TOLERANCE = 1e-13  # relative change at which states count as found
 
 
 def apply_inputs(
-    dae: Dae, start: Trajectory, inputs: Any, *, options: SolverOptions = SolverOptions()
+    dae: Dae, start: Trajectory, inputs: Record, *, options: SolverOptions = SolverOptions()
 ) -> Trajectory:
     """Return a start whose unknowns satisfy the equations under given inputs.
 
@@ -40,7 +39,7 @@ def apply_inputs(
 def trim_states(
     dae: Dae,
     start: Trajectory,
-    inputs: Any,
+    inputs: Record,
     *,
     states: Sequence[str],
     least: Sequence[str],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,7 +13,7 @@ from slipfree.errors import ModelError
 from slipfree.interrupt import InterruptGuard
 from slipfree.lookups import found_column
 from slipfree.outcome import Outcome
-from slipfree.records import Array, leaves, unpack
+from slipfree.records import Array, Record, leaves, unpack
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.simulate import (
@@ -34,7 +33,7 @@ PERIOD_TOLERANCE = 1e-6  # largest relative difference between sampling periods 
 def simulate_sampled(
     dae: Dae,
     start: Trajectory,
-    inputs: Any,
+    inputs: Record,
     t: Array,
     *,
     options: SolverOptions = SolverOptions(),
@@ -100,7 +99,7 @@ def simulate_sampled(
 
 
 def _split_inputs(
-    dae: Dae, inputs: Any, intervals: int, options: SolverOptions
+    dae: Dae, inputs: Record, intervals: int, options: SolverOptions
 ) -> tuple[System, ca.Function]:
     """Return the model under its numeric inputs, and a function that evaluates all inputs.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,6 +15,7 @@ from slipfree.lookups import LookupTable
 from slipfree.records import Array, field_overview
 from slipfree.terrain.base import (
     TAYLOR,
+    Formula,
     Jet,
     check_formula,
     jet_of,
@@ -68,7 +68,7 @@ class Analytic:
     >>> ground = Analytic(lambda x, y: 0.1 * ca.sin(x) * ca.cos(y))
     """
 
-    function: Callable[[Any, Any], Any]
+    function: Formula
     domain: tuple[float, float, float, float] = EVERYWHERE
     mu: Friction = None
 

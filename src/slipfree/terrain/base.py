@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
@@ -22,6 +22,7 @@ RESAMPLE = {
     "z = scipy.interpolate.RectBivariateSpline(x, y, z)(x, y_even)",
 }
 FLIP = {"x": "x[::-1] and z[::-1, :]", "y": "y[::-1] and z[:, ::-1]"}
+Formula = Callable[[ca.SX, ca.SX], ca.SX | float]  # of two scalars
 
 
 class Jet(NamedTuple):
@@ -88,7 +89,7 @@ def _sums(derivatives: Sequence[ca.SX], away: ca.SX) -> tuple[ca.SX, ca.SX, ca.S
 TAYLOR = tuple((m, n) for n in range(5) for m in range(5 - n))  # orders of derivatives up to four
 
 
-def taylor_function(formula: Callable[[Any, Any], Any]) -> ca.Function | None:
+def taylor_function(formula: Formula) -> ca.Function | None:
     """Return the lookup function of a formula; None for a formula without function calls.
 
     CasADi cannot differentiate function calls in SX graphs as often as plans require.
@@ -285,7 +286,7 @@ class Grid:
         return found
 
 
-def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -> None:
+def check_formula(function: Formula, owner: str, value: str) -> None:
     """Check that a function of two SX scalars returns one scalar expression of them.
 
     Parameters

@@ -11,8 +11,6 @@ values instead of interpolating them: a jump between two nodes becomes a rise ov
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,6 +20,7 @@ from slipfree.lookups import LookupTable
 from slipfree.records import Array
 from slipfree.terrain.base import (
     TAYLOR,
+    Formula,
     Grid,
     Terrain,
     check_formula,
@@ -30,7 +29,7 @@ from slipfree.terrain.base import (
 )
 
 # number, function of two SX scalars in map coordinates, or map; None if not given [1]
-Friction = float | Callable[[Any, Any], Any] | Grid | None
+Friction = float | Formula | Grid | None
 BORDER = 2  # repeated rows of nodes around a map that make it constant outside
 
 

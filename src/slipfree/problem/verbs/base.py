@@ -10,9 +10,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, get_args
 
 import numpy as np
+from typing_extensions import TypeVar  # with a default
 
 from slipfree.files.netcdf import NOTHING
 from slipfree.outcome import Outcome
@@ -74,6 +75,10 @@ class Watch(NamedTuple):
     path: Callable[[Array], None] | None = None
 
 
+P = TypeVar("P", bound=CommonKeys, default=Any)  # record of a problem
+D = TypeVar("D", default=Any)  # its set-up, or None
+
+
 class Solution(NamedTuple):
     """Solution of a problem: a motion, its set-up and further arrays.
 
@@ -108,7 +113,7 @@ class CrossCheck(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Generic[P, D]):
     """Motion of a problem, from `run_problem` or from a result file.
 
     Attributes
@@ -131,9 +136,9 @@ class Result:
     kind: str
     trajectory: Trajectory
     verification: Mapping[str, Quantity]
-    setup: Any
+    setup: D
     arrays: Mapping[str, Array]
-    load: Callable[[], Problem[Any]]
+    load: Callable[[], Problem[P]]
 
     def __repr__(self) -> str:
         return f"Result: {self.kind}, {self.outcome.title}\n{self.trajectory!r}"
@@ -144,7 +149,7 @@ class Result:
         return self.trajectory.outcome
 
     @property
-    def problem(self) -> Problem[Any]:
+    def problem(self) -> Problem[P]:
         """Problem of the result, read from the result file when it is needed.
 
         Raises

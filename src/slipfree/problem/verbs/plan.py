@@ -16,6 +16,7 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.outcome import Outcome
 from slipfree.plan.constraints import COST
+from slipfree.plan.convergence import convergence_arrays, convergence_from
 from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
 from slipfree.plan.messages import DURATION, missed_words
 from slipfree.plan.plan import Plan, PlanProgress
@@ -82,6 +83,7 @@ OFFER = (
     'no slow motion was found within these limits; set model = "dynamics" to plan with momentum: '
     "inertia then carries the vehicle where its drives alone do not"
 )
+GUESS_ARRAYS = ("guess_x", "guess_y")  # names of the arrays in a file
 FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail to settle below it
 
 
@@ -137,7 +139,8 @@ class PlanVerb(DriveVerb):
             if price.role in (COST, DURATION)
         }
         run = replace(run, statistics={**run.statistics, **prices, **tested.statistics})
-        return _described(spec, setup, found, run, attributes)
+        run, arrays = _described(spec, setup, found, run, attributes)
+        return run, {**arrays, **_guess_arrays(guesses)}
 
     def _drive_windows(
         self,
@@ -181,13 +184,18 @@ class PlanVerb(DriveVerb):
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
         """Return the figures of a plan and of its motion, the most important first."""
-        from slipfree.show.plan_figures import plan_plots
+        from slipfree.show.plan_figures import convergence_plots, plan_plots
 
-        setup = result.setup or self.build(result.problem)
-        plots = plan_plots(
-            result.trajectory, setup.ground.grid, setup.layers, **figure_options(setup)
-        )
-        return *plots, *super().figures(replace(result, setup=setup))
+        setup, run = result.setup or self.build(result.problem), result.trajectory
+        guess = [result.arrays[name] for name in GUESS_ARRAYS if name in result.arrays]
+        options = figure_options(setup) | ({"guess": np.stack(guess, axis=1)} if guess else {})
+        plots = plan_plots(run, setup.ground.grid, setup.layers, **options)
+        names = run.attributes.get("plan_searches", "").splitlines()
+        searches = convergence_plots(run, convergence_from(result.arrays), names)
+        motion = super().figures(replace(result, setup=setup))
+        if run.stop is not None:  # the search explains why there is no plan
+            return *plots, *searches, *motion
+        return *plots, *motion, *searches
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground, vehicle, keep-out regions and plan."""
@@ -214,9 +222,21 @@ def _described(
         **_violations(found, spec.plan.accuracy),
         **_by_friction(setup, found),
         **attributes,
+        "plan_searches": "\n".join(stage.words for stage in found.stages),
     }
     statistics = {**run.statistics, **_statistics(found)}
-    return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
+    arrays = convergence_arrays([stage.convergence for stage in found.stages])
+    return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays | arrays
+
+
+def _guess_arrays(guesses: Sequence[Trajectory]) -> dict[str, Array]:
+    """Return the paths of the initial guesses in map coordinates [m], with NaN between them."""
+    gap = np.array([np.nan])
+    return {
+        name: np.concatenate([part for run in guesses for part in (run[axis], gap)])
+        for name, axis in zip(GUESS_ARRAYS, "xy", strict=True)
+        if guesses
+    }
 
 
 def figure_options(setup: Planning) -> dict[str, Any]:

@@ -1,0 +1,102 @@
+"""Draw the pictures of the gallery: ``python docs/gallery.py [NAME ...]``, in a few minutes.
+
+Each picture is a figure or a film of a shipped problem, as `slipfree run` and `slipfree show` write
+it, with fewer pixels and colours. The page `gallery.md` shows them.
+"""
+
+import sys
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+from PIL import Image
+
+from slipfree import load_problem, run_problem
+from slipfree.problem.verbs.registry import verb_of
+from slipfree.show.film import animate
+from slipfree.show.plots import draw
+
+DOCS = Path(__file__).parent
+FOLDER = DOCS / "figures" / "gallery"
+DPI, COLORS = 80, 128  # of the figures
+FILM = "film"  # name of a film instead of a figure
+STRIDE, WIDTH, FILM_COLORS = 4, 440, 64  # every fourth frame of a film, its pixels and colours
+FRAME = 200  # duration of a frame [ms]
+OCTREE = Image.Quantize.FASTOCTREE  # keeps greys grey, and the few pixels of arrows magenta
+
+
+class Picture(NamedTuple):
+    """Picture of a gallery: its name, a problem, the figure, and changed settings."""
+
+    name: str
+    problem: str
+    figure: str
+    settings: tuple[str, ...] = ()
+
+
+PICTURES = (
+    Picture("drive", "rover_rocks_direct", FILM, ("time.duration=8.0",)),
+    Picture("climb", "climb_step", FILM),
+    Picture("craters", "plan_crater_field", "traversability"),
+    Picture("inputs", "plan_crater_field", "plan"),
+    Picture("convergence", "plan_crater_field", "convergence"),
+    Picture("parking", "plan_parking", "traversability"),
+    Picture("map", "rover_rocks_direct", "map"),
+    Picture("elevation", "rover_rocks_direct", "elevation"),
+    Picture("friction", "traction_hills", "utilisation_map"),
+    Picture("checks", "rover_rocks_direct", "checks"),
+    Picture("energy", "dynamics_ledge", "energy"),
+)
+
+
+def write(picture: Picture, result) -> Path:
+    """Draw a picture of a result and return its file."""
+    verb = verb_of(result.problem)
+    if picture.figure == FILM:
+        scene = verb.viewer().scene([verb.shown(result, "vehicle")])
+        title = result.trajectory.attributes["title"]
+        with TemporaryDirectory() as folder:
+            whole = Path(folder) / "whole.gif"
+            animate(scene, whole, title)
+            return shrink(whole, FOLDER / f"{picture.name}.gif")
+    (plot,) = (each for each in verb.figures(result) if each.name == picture.figure)
+    stream = BytesIO()
+    draw([plot])[plot.name].savefig(stream, dpi=DPI)
+    file = FOLDER / f"{picture.name}.png"
+    Image.open(stream).convert("RGB").quantize(COLORS, OCTREE).save(file, optimize=True)
+    return file
+
+
+def shrink(whole: Path, file: Path) -> Path:
+    """Write a film with fewer frames, pixels and colours."""
+    frames = []
+    with Image.open(whole) as film:
+        for k in range(0, film.n_frames, STRIDE):
+            film.seek(k)
+            frame = film.convert("RGB")
+            size = WIDTH, round(WIDTH * frame.height / frame.width)
+            frames.append(frame.resize(size, Image.Resampling.LANCZOS))
+    palette = frames[len(frames) // 2].quantize(FILM_COLORS, OCTREE)
+    first, *others = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    first.save(file, save_all=True, append_images=others, duration=FRAME, loop=0, optimize=True)
+    return file
+
+
+def main(names: list[str]) -> None:
+    """Write the pictures with the given names; all without names."""
+    results = {}
+    for picture in PICTURES:
+        if names and picture.name not in names:
+            continue
+        key = picture.problem, picture.settings
+        if key not in results:
+            path = DOCS.parent / "problems" / f"{picture.problem}.toml"
+            results[key] = run_problem(load_problem(path, picture.settings))
+        file = write(picture, results[key])
+        print(f"{file.relative_to(DOCS)}, {file.stat().st_size / 1e3:.0f} kB", flush=True)
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    main(sys.argv[1:])
