@@ -22,7 +22,6 @@ MAX_STEPS = 30  # of Newton's method
 MAX_HALVINGS = 6  # of a step that does not reduce the residual
 SOLVED_RESIDUAL = 1e-11  # without unit
 BATCHES = (1, 32, 256, 1024)  # numbers of samples that are evaluated at once
-PASSIVE_EFFECT = 1e-9  # derivative of the velocity by a passive joint that counts as zero
 POSE = ("x", "y", "heading")
 
 
@@ -46,8 +45,6 @@ class BodyMotion(NamedTuple):
         Values of the continuation parameter, in the order of solution; empty for none.
     stage : int
         Index of the continuation parameter in ``p``.
-    passive : tuple of str
-        Names of the passive joints, whose effect on the motion must vanish.
     """
 
     names: tuple[str, ...]
@@ -57,7 +54,6 @@ class BodyMotion(NamedTuple):
     guess: ca.Function
     stages: tuple[float, ...]
     stage: int
-    passive: tuple[str, ...]
 
 
 class Velocities(NamedTuple):
@@ -141,7 +137,6 @@ def body_motion(dae: Dae) -> BodyMotion:
         ca.Function("guess", [given, p], [ca.densify(guess)]),
         stages,
         stage,
-        (),
     )
 
 

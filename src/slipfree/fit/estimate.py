@@ -21,7 +21,7 @@ from scipy.stats import t as student
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.fit.body_motion import BodyMotion, Velocities, body_motion, velocities
-from slipfree.fit.unknowns import CREEP, SENSOR, Unknown, label_of, value_of
+from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
 from slipfree.fit.windows import Windows, end_poses
 from slipfree.records import Array, Label
 from slipfree.vehicle.tree import Vehicle
@@ -35,7 +35,8 @@ SINGULAR = 1e-12  # smaller eigenvalues of the scaled Hessian, relative to the l
 LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is undetermined
 WEAK = 0.1  # deviation of a direction, relative to its scale, from which it is weakly determined
 CONFIDENCE = 0.95
-AT_BOUND = 1e-6  # distance from a bound that counts as zero [scales]
+EDGE = 1e-4  # distance of estimates from their bounds [scales]
+AT_BOUND = 1e-3  # distance from a bound that counts as zero [scales]
 
 
 class Direction(NamedTuple):
@@ -189,21 +190,22 @@ def estimate(
     labels = tuple(label_of(each, law) for each in unknowns)
     nominal = np.array([value_of(each, vehicle, law) for each in unknowns])
     scales = _scales(dae, unknowns, labels, nominal)
-    bounds = _bounds(unknowns, nominal, scales)
+    limits = np.array([limits_of(each, vehicle, law) for each in unknowns]).reshape(-1, 2)
+    bounds = _bounds(unknowns, limits, nominal, scales)
     if len(windows.end) <= len(unknowns):
         raise ModelError(
             f"estimate: expected more windows than unknowns, found {len(windows.end)} windows and "
             f"{len(unknowns)} unknowns; use a longer log, shorter windows or fewer unknowns"
         )
     predict = Predictor(dae, unknowns, windows)
-    values = nominal
+    values = np.clip(nominal, *bounds)
     priors = _Priors.of(unknowns)
     for _ in range(REWEIGHTINGS):
         deviations = _deviations(predict(values).end - windows.end)
         cost = _cost(predict, windows, deviations, priors)
         found = least_squares(
             cost[0],
-            np.clip(values, *bounds),
+            values,
             cost[1],
             bounds=bounds,
             x_scale=scales,
@@ -258,20 +260,26 @@ def _scales(
     return np.array(sizes)
 
 
-def _bounds(unknowns: Sequence[Unknown], nominal: Array, scales: Array) -> tuple[Array, Array]:
-    """Return lower and upper bounds; positive quantities stay positive."""
+def _bounds(
+    unknowns: Sequence[Unknown], limits: Array, nominal: Array, scales: Array
+) -> tuple[Array, Array]:
+    """Return lower and upper bounds, which leave out the ends of intervals.
+
+    Raises
+    ------
+    ModelError
+        If there are no unknowns, or a nominal value is not within its bounds.
+    """
     if not unknowns:
         raise ModelError("estimate: expected at least one unknown, found none; add one")
-    lower, upper = (np.array([getattr(u, key) for u in unknowns]) for key in ("lower", "upper"))
-    positive = np.array([u.quantity in ("radius", "track", "grip", CREEP) for u in unknowns])
-    lower = np.where(positive, np.maximum(lower, 1e-3 * scales), lower)
-    for unknown, value, low, high in zip(unknowns, nominal, lower, upper, strict=True):
+    for unknown, value, (low, high) in zip(unknowns, nominal, limits, strict=True):
         if not low <= value <= high:
             raise ModelError(
                 f"unknown {unknown.name!r}: expected a nominal value within the bounds, {low:g} to "
-                f"{high:g}, found {value:g}; change the bounds or the vehicle"
+                f"{high:g}, found {value:g}; change the bounds, or the vehicle or the law"
             )
-    return lower, upper
+    margin = np.minimum(EDGE * scales, (limits[:, 1] - limits[:, 0]) / 4)
+    return limits[:, 0] + margin, limits[:, 1] - margin
 
 
 def _deviations(residual: Array) -> Array:

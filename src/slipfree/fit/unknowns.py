@@ -213,6 +213,26 @@ def label_of(unknown: Unknown, law: Any) -> Label:
     return replace(constants[unknown.quantity], name=unknown.name)
 
 
+def limits_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> tuple[float, float]:
+    """Return the bounds of an unknown within which the vehicle and the law are valid.
+
+    A bound of zero of a positive quantity is excluded.
+    """
+    least, most = unknown.lower, unknown.upper
+    if unknown.quantity == "radius":
+        names = _wheels(unknown, vehicle)
+        tubes = [(w.section.torus_radii or (0.0,))[0] for w in vehicle.wheels if w.name in names]
+        least = max(least, *tubes)
+    elif unknown.quantity in ("track", "grip"):
+        least = max(least, 0.0)
+    elif unknown.quantity in law_constants(law):
+        hint = get_type_hints(type(law), include_extras=True)[unknown.quantity]
+        for bound in getattr(hint, "__metadata__", ()):
+            least = max(least, getattr(bound, "gt", least), getattr(bound, "ge", least))
+            most = min(most, getattr(bound, "lt", most), getattr(bound, "le", most))
+    return least, most
+
+
 def law_constants(law: Any) -> dict[str, Label]:
     """Return the constants of a law, by name, from the annotations of its dataclass."""
     hints, found = get_type_hints(type(law), include_extras=True), {}

@@ -49,7 +49,7 @@ class Log(NamedTuple):
         Inputs and joints. [rad/s, m/s, rad, m]
     pose : ndarray, shape (n, 3)
         Position in axes of which the second points along heading zero [m], and heading,
-        counter-clockwise and continuous [rad].
+        counter-clockwise, which changes by less than half a turn between samples [rad].
     window : ndarray of int, shape (n,)
         Number of the window of each sample, constant over consecutive samples.
     """
@@ -86,14 +86,15 @@ def cut(log: Log) -> Windows:
             )
         dt[k, : count - 1] = steps
         given[k, :count], given[k, count:] = log.given[part], log.given[part.stop - 1]
-        end[k] = _relative(log.pose[part.start], log.pose[part.stop - 1])
+        x, y, heading = log.pose[part].T
+        end[k] = _relative(np.column_stack([x, y, np.unwrap(heading)]))
     return Windows(dt, given, end)
 
 
-def _relative(first: Array, last: Array) -> Array:
-    """Return a pose relative to another one."""
-    dx, dy, turned = last - first
-    c, s = np.cos(first[2]), np.sin(first[2])
+def _relative(poses: Array) -> Array:
+    """Return the last pose relative to the first one."""
+    dx, dy, turned = poses[-1] - poses[0]
+    c, s = np.cos(poses[0, 2]), np.sin(poses[0, 2])
     return np.array([c * dx + s * dy, -s * dx + c * dy, turned])
 
 
