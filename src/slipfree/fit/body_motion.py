@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.records import Array, leaves, pack
+from slipfree.records import Array, Mask, leaves
 
 MAX_STEPS = 30  # of Newton's method
 MAX_HALVINGS = 6  # of a step that does not reduce the residual
@@ -194,7 +194,7 @@ def _velocities(
         if not solved.all():
             z[~solved], jac[~solved] = _solve_cold(motion, given[~solved], full)
     by_p, value, by_z, direct = evaluate(motion.slopes, z, given, _repeated(full, len(given)))
-    z_slopes = -np.linalg.solve(jac, by_p)
+    z_slopes = np.asarray(-np.linalg.solve(jac, by_p))
     slopes = direct + by_z @ z_slopes
     return value[..., 0], slopes[..., :named], z, z_slopes[..., :named]
 
@@ -229,9 +229,7 @@ def _words(names: Sequence[str], values: Array) -> str:
     return ", ".join(f"{name} = {each:.4g}" for name, each in zip(names, values, strict=False))
 
 
-def _solve(
-    motion: BodyMotion, given: Array, p: Array, z: Array
-) -> tuple[Array, Array, Array]:
+def _solve(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[Array, Array, Mask]:
     """Return unknowns and Jacobians after Newton's method, and the mask of solved samples.
 
     A step that does not reduce the largest residual is halved.
@@ -272,9 +270,10 @@ def evaluate(function: ca.Function, *arguments: Array) -> tuple[Array, ...]:
     """
     count = len(arguments[0])
     size = next(each for each in BATCHES if each >= count)
+    buffer: Any
     buffer, run = _mapped(function, size).buffer()
-    inputs = [np.zeros((size, each.shape[1])) for each in arguments]
-    results = [
+    inputs: list[Any] = [np.zeros((size, each.shape[1])) for each in arguments]
+    results: list[Any] = [
         np.zeros((size, *reversed(function.size_out(k)))) for k in range(function.n_out())
     ]
     for k, (values, each) in enumerate(zip(inputs, arguments, strict=True)):

@@ -99,8 +99,8 @@ def calibrate(
     count = round(train * len(order))
     if count == len(order):
         raise ModelError(
-            f"calibrate: expected windows for training and for testing, found {len(order)} windows; "
-            "use a longer log or shorter windows"
+            "calibrate: expected windows for training and for testing, found only "
+            f"{len(order)}; use a longer log or shorter windows"
         )
     dae = parametric_model(build, vehicle, law, unknowns)
     learnt, other = windows.take(np.sort(order[:count])), windows.take(np.sort(order[count:]))
@@ -109,9 +109,7 @@ def calibrate(
     return Calibration(found, *errors)
 
 
-def _errors(
-    dae: Dae, unknowns: Sequence[Unknown], windows: Windows, found: Estimate
-) -> EndErrors:
+def _errors(dae: Dae, unknowns: Sequence[Unknown], windows: Windows, found: Estimate) -> EndErrors:
     """Return the errors of end poses with nominal and with fitted values."""
     predict = Predictor(dae, unknowns, windows)
     errors = [predict(values).end - windows.end for values in (found.nominal, found.values)]

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
@@ -23,7 +24,7 @@ from slipfree.errors import ModelError
 from slipfree.fit.body_motion import BodyMotion, Velocities, body_motion, velocities
 from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
 from slipfree.fit.windows import Windows, end_poses
-from slipfree.records import Array, Label
+from slipfree.records import Array, Label, Mask
 from slipfree.vehicle.tree import Vehicle
 
 LOSSES = ("soft_l1", "linear")
@@ -31,7 +32,9 @@ Loss = Literal["soft_l1", "linear"]
 REWEIGHTINGS = 4  # estimates, each with the deviations of the residuals of the one before
 NORMAL_MEDIAN = 0.6745  # median of the absolute value of a standard normal variable
 LEAST_POSITION, LEAST_HEADING = 1e-6, 1e-6  # smallest deviations of residuals [m], [rad]
-SINGULAR = 1e-12  # smaller eigenvalues of the scaled Hessian, relative to the largest, count as zero
+SINGULAR = (
+    1e-12  # smaller eigenvalues of the scaled Hessian, relative to the largest, count as zero
+)
 LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is undetermined
 WEAK = 0.1  # deviation of a direction, relative to its scale, from which it is weakly determined
 CONFIDENCE = 0.95
@@ -237,7 +240,7 @@ def estimate(
 class _Priors(NamedTuple):
     """Indices of the unknowns with a prior, its mean values and standard deviations."""
 
-    rows: Array
+    rows: npt.NDArray[np.intp]
     mean: Array
     deviation: Array
 
@@ -315,7 +318,7 @@ def _covariance(
     deviations: Array,
     priors: _Priors,
     scales: Array,
-    free: Array,
+    free: Mask,
     loss: Loss,
 ) -> tuple[Array, tuple[Direction, ...]]:
     """Return the covariance of the estimates, and the principal directions of the free ones."""
@@ -343,7 +346,7 @@ def _covariance(
     return covariance, directions
 
 
-def _directions(scaled: Array, vectors: Array, lost: Array) -> tuple[Direction, ...]:
+def _directions(scaled: Array, vectors: Array, lost: Mask) -> tuple[Direction, ...]:
     """Return the principal directions of a covariance, and those that are undetermined."""
     kept = vectors[:, ~lost]
     values, axes = np.linalg.eigh(kept.T @ scaled @ kept)

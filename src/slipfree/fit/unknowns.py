@@ -8,7 +8,7 @@ same functions set numbers and expressions in parameters.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, get_type_hints
 
@@ -163,9 +163,7 @@ def _center(axis: int) -> tuple[Callable[..., float], Callable[..., Vehicle]]:
 
 
 QUANTITIES: dict[str, Quantity] = {
-    "radius": Quantity(
-        "m", "rolling radius of wheels", *_on_wheels(lambda w: w.radius, _resized)
-    ),
+    "radius": Quantity("m", "rolling radius of wheels", *_on_wheels(lambda w: w.radius, _resized)),
     "track": Quantity(
         "m",
         "lateral distance between the outermost wheels",
@@ -201,8 +199,7 @@ def label_of(unknown: Unknown, law: Any) -> Label:
         found = QUANTITIES[unknown.quantity]
         return Label(unknown.name, found.unit, found.words)
     if unknown.quantity in SENSOR:
-        found = SENSOR[unknown.quantity]
-        return replace(found, name=unknown.name)
+        return replace(SENSOR[unknown.quantity], name=unknown.name)
     constants = law_constants(law)
     if unknown.quantity not in constants:
         known = ", ".join((*QUANTITIES, *SENSOR, *constants))
@@ -322,7 +319,7 @@ def parametric_model(
     return replace(model, p=tuple(found))
 
 
-def _wheels(unknown: Unknown, vehicle: Vehicle) -> Mapping[str, None] | tuple[str, ...]:
+def _wheels(unknown: Unknown, vehicle: Vehicle) -> tuple[str, ...]:
     """Return the names of the wheels of an unknown; raise ModelError for unknown names."""
     names = tuple(wheel.name for wheel in vehicle.wheels)
     for name in unknown.wheels:

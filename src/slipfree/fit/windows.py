@@ -1,4 +1,4 @@
-"""Windows of a log: rates at the samples, and the measured motion from the first to the last one."""
+"""Windows of a log: rates at the samples, and measured motion from the first to the last one."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from slipfree.errors import ModelError
 from slipfree.fit.body_motion import evaluate
@@ -33,7 +34,7 @@ class Windows(NamedTuple):
     given: Array
     end: Array
 
-    def take(self, rows: Array | Mask) -> Windows:
+    def take(self, rows: npt.NDArray[np.int64] | Mask) -> Windows:
         """Return some of the windows, given by indices or a mask."""
         return Windows(*(part[rows] for part in self))
 
@@ -57,7 +58,7 @@ class Log(NamedTuple):
     t: Array
     given: Array
     pose: Array
-    window: Array
+    window: Array | npt.NDArray[np.int64]
 
 
 def cut(log: Log) -> Windows:
@@ -69,20 +70,25 @@ def cut(log: Log) -> Windows:
         If there is no window of two samples, or times decrease within a window.
     """
     starts = np.flatnonzero(np.append(True, np.diff(log.window) != 0))
-    parts = [slice(a, b) for a, b in zip(starts, [*starts[1:], len(log.t)], strict=True) if b - a > 1]
+    parts = [
+        slice(a, b) for a, b in zip(starts, [*starts[1:], len(log.t)], strict=True) if b - a > 1
+    ]
     if not parts:
         raise ModelError(
             "windows: expected at least one window with two samples, found none; use longer windows"
         )
     longest = max(part.stop - part.start for part in parts)
-    dt, given = np.zeros((len(parts), longest - 1)), np.zeros((len(parts), longest, log.given.shape[1]))
+    dt, given = (
+        np.zeros((len(parts), longest - 1)),
+        np.zeros((len(parts), longest, log.given.shape[1])),
+    )
     end = np.zeros((len(parts), 3))
     for k, part in enumerate(parts):
         steps, count = np.diff(log.t[part]), part.stop - part.start
         if steps.min() < 0:
             raise ModelError(
-                f"windows: expected times that do not decrease, found {log.t[part][steps.argmin()]:g}"
-                f" s before {log.t[part][steps.argmin() + 1]:g} s; sort the log"
+                "windows: expected times that do not decrease, found a decrease after "
+                f"{log.t[part][steps.argmin()]:g} s; sort the log"
             )
         dt[k, : count - 1] = steps
         given[k, :count], given[k, count:] = log.given[part], log.given[part.stop - 1]

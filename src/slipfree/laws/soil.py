@@ -197,7 +197,8 @@ class Soil:
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        if ca.SX in (type(self.peak), type(self.peak_rate)):  # parameters
+        shape: Any = self.peak + self.peak_rate
+        if isinstance(shape, ca.SX):  # a parameter
             return
         if not (self.peak_rate < self.peak and self.peak + self.peak_rate < 1):
             raise ModelError(

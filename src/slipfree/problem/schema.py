@@ -195,11 +195,15 @@ class Motion(Task, Runnable):
     vehicle: Vehicle = Field(description="the vehicle")
 
 
-class Modelled(Motion):
-    """Keys of problems with a choice of model."""
+class Lawful(CommonKeys):
+    """Keys of problems with a choice of model and law."""
 
     model: Literal["kinematics", "quasi-static", "dynamics"] = Field(
         default="kinematics", description=MODEL
     )
     slip: SlipName = Field(default="least", description=SLIP)
     law: Law = Field(default=Law.model_construct(), description=LAW)
+
+
+class Modelled(Motion, Lawful):
+    """Keys of problems with the motion of one vehicle, and a choice of model and law."""

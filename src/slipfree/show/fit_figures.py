@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from scipy.stats import chi2
 
 from slipfree.fit.calibration import Calibration
@@ -55,7 +56,9 @@ def _draw_ends(ax: Axes, found: Calibration, axis: int, words: str, factor: floa
     measured = factor * found.test.measured[:, axis]
     for k, name in enumerate(("nominal", "fitted")):
         predicted = measured + factor * getattr(found.test, name)[:, axis]
-        ax.plot(measured, predicted, "o", ms=2, mew=0, alpha=0.6, color=style.PALETTE[k], label=name)
+        ax.plot(
+            measured, predicted, "o", ms=2, mew=0, alpha=0.6, color=style.PALETTE[k], label=name
+        )
     ends = measured.min(initial=0.0), measured.max(initial=0.0)
     ax.plot(ends, ends, color="black", lw=0.6)
     ax.set_xlabel(f"measured, {words}")
@@ -85,4 +88,5 @@ def _draw_ellipse(ax: Axes, found: Estimate, i: int, j: int) -> None:
     ax.plot(found.values[i], found.values[j], "+", color="black", ms=4)
     for k, set_label in ((i, ax.set_xlabel), (j, ax.set_ylabel)):
         label = found.labels[k]
+        (ax.xaxis if k == i else ax.yaxis).set_major_locator(MaxNLocator(3))
         set_label(label.name if label.unit == "1" else f"{label.name} [{label.unit}]")

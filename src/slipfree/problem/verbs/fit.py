@@ -15,7 +15,7 @@ from slipfree.errors import DataError, ModelError
 from slipfree.files.netcdf import read as read_result
 from slipfree.files.tables import read_columns, read_names
 from slipfree.files.toml.angles import Quantity
-from slipfree.files.toml.errors import Fault, name_errors, problem_error
+from slipfree.files.toml.errors import name_errors, problem_error
 from slipfree.files.toml.types import Positive, Record
 from slipfree.fit.body_motion import body_motion
 from slipfree.fit.calibration import (
@@ -42,7 +42,7 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, Vehicle
+from slipfree.problem.schema import MODEL, VERB, Lawful, Vehicle
 from slipfree.problem.summary import Facts
 from slipfree.problem.verbs.base import Verb
 from slipfree.records import Array
@@ -104,7 +104,7 @@ class UnknownTable(Record):
         return Unknown(name, self.quantity or name, self.wheels, lower, upper, self.prior)
 
 
-class Fit(CommonKeys):
+class Fit(Lawful):
     """Fit: numbers of a vehicle and of a law, calibrated on a log of rates and poses."""
 
     verb: Literal["fit"] = Field(description=VERB)
@@ -113,8 +113,6 @@ class Fit(CommonKeys):
     )
     vehicle: Vehicle = Field(description="the vehicle, with nominal values")
     model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
-    slip: SlipName = Field(default="least", description=SLIP)
-    law: Law = Field(default=Law.model_construct(), description=LAW)
     friction: Positive = Field(
         default=0.6, description="coefficient of friction of the ground, which is level [1]"
     )
@@ -179,7 +177,7 @@ def fit(problem: Problem[Fit]) -> Fitted:
     spec = problem.spec
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem.folder)
-    law: Any = model_law(problem, spec)  # type: ignore[type-var]
+    law: Any = model_law(problem, spec)
     build = _builder(spec)
     unknowns = []
     for name, table in spec.unknowns.items():
@@ -237,7 +235,9 @@ def _read_windows(problem: Problem[Fit], names: tuple[str, ...], passive: list[s
     columns = {name: data.rates.get(name, name) for name in measured}
     with at(problem, ("data",)):
         path = problem.folder / data.file
-        table = _read_result(path, columns) if path.suffix == ".nc" else _read_csv(path, data, columns)
+        table = (
+            _read_result(path, columns) if path.suffix == ".nc" else _read_csv(path, data, columns)
+        )
         t, x, y, heading = (table[key] for key in OWN_COLUMNS)
         place = (x, y) if problem.spec.frame == "paper" or path.suffix == ".nc" else (-y, x)
         given = [table[name] if name in table else np.zeros_like(t) for name in names]
@@ -249,7 +249,7 @@ def _read_windows(problem: Problem[Fit], names: tuple[str, ...], passive: list[s
 
 def _read_csv(path: Path, data: Data, columns: Mapping[str, str]) -> dict[str, Array]:
     """Return the columns of a log in CSV, by name in this module; a column window of zeros."""
-    wanted = dict(data.columns) | columns
+    wanted = {**dict(data.columns), **columns}
     if isinstance(data.window, str):
         wanted["window"] = data.window
     known = read_names(path, "a log")
@@ -257,9 +257,9 @@ def _read_csv(path: Path, data: Data, columns: Mapping[str, str]) -> dict[str, A
     for name in wanted.values():
         if name not in known:
             raise DataError(
-                f"{path}:1: expected the columns {', '.join(dict.fromkeys(wanted.values()))}, found "
-                f"no column {name!r} among {', '.join(known)}; name the columns in [data.columns] "
-                "and [data.rates]"
+                f"{path}:1: expected the columns {', '.join(dict.fromkeys(wanted.values()))}, "
+                f"found no column {name!r} among {', '.join(known)}; name the columns in "
+                "[data.columns] and [data.rates]"
             )
     distinct = list(dict.fromkeys(wanted.values()))
     rows = np.array(read_columns(path, distinct, "a log")).reshape(-1, len(distinct))
@@ -339,7 +339,9 @@ def _estimates(found: Estimate) -> Iterator[tuple[str, str]]:
 
 def _directions(found: Estimate) -> Iterator[tuple[str, str]]:
     """Yield the combinations of unknowns that the data determine best, weakly, or not at all."""
-    names = [label.name for label, fixed in zip(found.labels, found.at_bound, strict=True) if not fixed]
+    names = [
+        label.name for label, fixed in zip(found.labels, found.at_bound, strict=True) if not fixed
+    ]
     for k, direction in enumerate(found.directions):
         words = _combination(direction, names)
         if direction.deviation > WEAK:
@@ -394,7 +396,7 @@ def estimate_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
 
 
 def window_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
-    """Return column names and rows of the windows: measured ends and errors of predictions [m, rad]."""
+    """Return column names and rows of the windows: measured ends and errors [m, rad]."""
     axes = ("right", "ahead", "heading")
     names = ["set", *(f"{kind}_{a}" for kind in ("measured", "before", "after") for a in axes)]
     found = fitted.calibration
@@ -409,4 +411,7 @@ def vehicle_comments(fitted: Fitted) -> list[str]:
     """Return the fitted numbers that are not in a vehicle file, as lines of a comment."""
     words = "fitted by slipfree fit"
     others = {**fitted.constants, **fitted.sensor}
-    return [words, *(f"{name} = {value!r} (not part of the vehicle)" for name, value in others.items())]
+    return [
+        words,
+        *(f"{name} = {value!r} (not part of the vehicle)" for name, value in others.items()),
+    ]
