@@ -21,7 +21,7 @@ from slipfree.records import Array, Mask, leaves
 MAX_STEPS = 30  # of Newton's method
 MAX_HALVINGS = 6  # of a step that does not reduce the residual
 SOLVED_RESIDUAL = 1e-11  # without unit
-BATCHES = (1, 32, 256, 1024)  # numbers of samples that are evaluated at once
+BATCHES = (1, 4, 16, 64, 256, 1024)  # numbers of samples that are evaluated at once
 POSE = ("x", "y", "heading")
 
 
