@@ -30,8 +30,10 @@ from slipfree.fit.estimate import WEAK, Direction, Estimate
 from slipfree.fit.unknowns import (
     QUANTITIES,
     Unknown,
+    label_of,
     law_with_unknowns,
     parametric_model,
+    value_of,
     with_unknowns,
 )
 from slipfree.fit.windows import Log, Windows, cut
@@ -183,7 +185,8 @@ def fit(problem: Problem[Fit]) -> Fitted:
     for name, table in spec.unknowns.items():
         with at(problem, ("unknowns", name)):
             unknowns.append(table.unknown(name))
-            parametric_model(build, vehicle, law, unknowns[-1:])
+            label_of(unknowns[-1], law)
+            with_unknowns(vehicle, unknowns[-1:], [value_of(unknowns[-1], vehicle, law)])
     dae = parametric_model(build, vehicle, law, unknowns)
     names = body_motion(dae).names
     windows = _read_windows(problem, names, [c.name for c in vehicle.of("passive")])
