@@ -59,10 +59,12 @@ OWN_COLUMNS = {"t": "t", "x": "x", "y": "y", "heading": "heading"}  # of results
 class Columns(Record):
     """Columns of the time and the pose in a table."""
 
-    t: str = Field(default="t", description="time [s]")
-    x: str = Field(default="x", description="easting [m]")
-    y: str = Field(default="y", description="northing [m]")
-    heading: str = Field(default="heading", description="heading, from the axis of frame [rad]")
+    t: str = Field(default="t", description="column of the time, in s")
+    x: str = Field(default="x", description="column of the easting, in m")
+    y: str = Field(default="y", description="column of the northing, in m")
+    heading: str = Field(
+        default="heading", description="column of the heading, from the axis of frame, in rad"
+    )
 
 
 class Data(Record):
@@ -72,7 +74,7 @@ class Data(Record):
         description="the log: CSV, or a result of slipfree (.nc)"
     )
     window: Positive | Annotated[str, Field(min_length=1)] = Field(
-        description="duration of the windows [s], or the column with the number of the window"
+        description="duration of the windows, or the column with the number of the window [s]"
     )
     columns: Columns = Field(default=Columns(), description="names of the columns of the pose")
     rates: dict[str, str] = Field(
@@ -93,10 +95,16 @@ class UnknownTable(Record):
     wheels: Annotated[tuple[str, ...], Field(strict=False)] = Field(
         default=(), description="wheels that share the number; by default all"
     )
-    lower: Quantity | None = Field(default=None, description="lower bound")
-    upper: Quantity | None = Field(default=None, description="upper bound")
+    lower: Quantity | None = Field(
+        default=None, description="lower bound, in the unit of the quantity [m, rad, 1]"
+    )
+    upper: Quantity | None = Field(
+        default=None, description="upper bound, in the unit of the quantity [m, rad, 1]"
+    )
     prior: Annotated[tuple[float, Positive], Field(strict=False)] | None = Field(
-        default=None, description="mean and standard deviation before the fit"
+        default=None,
+        description="mean and standard deviation before the fit, in the unit of the quantity "
+        "[m, rad, 1]",
     )
 
     def unknown(self, name: str) -> Unknown:
@@ -120,7 +128,7 @@ class Fit(Lawful):
     )
     data: Data = Field(description="the log")
     unknowns: Annotated[dict[str, UnknownTable], Field(min_length=1)] = Field(
-        description="the numbers to be fitted, by name"
+        description="the numbers to be fitted, by name [m, rad, 1]"
     )
     train: Annotated[float, Field(gt=0, lt=1)] = Field(
         default=0.7, description="share of the windows from which the numbers are estimated [1]"
