@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
 from slipfree.cli import app
+from slipfree.files.mcap_writer import write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
 from slipfree.files.vehicle_writer import vehicle_text
@@ -144,12 +145,21 @@ def test_results_of_slipfree_are_logs() -> None:
     dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
     speed = {"left": 2 + dae.t / 10, "right": 3 - dae.t / 20}
     inputs = {f"{w.name}_rate": speed[w.name.split("_")[1]] for w in vehicle.wheels}
-    write("log.nc", simulate(dae, settle(dae), dae.inputs(**inputs), times))
-    Path("fit.toml").write_text(LOG.replace("log.csv", "log.nc"))
-    _called("fit", "fit.toml", "--no-draw")
-    found = _estimates("fit.csv")
-    assert_allclose(float(found["radius"]["value"]), 0.17, rtol=1e-4)
-    assert_allclose(float(found["track"]["value"]), 0.6, rtol=1e-3)
+    run = simulate(dae, settle(dae), dae.inputs(**inputs), times)
+    write("log.nc", run)
+    write_mcap(Path("log.mcap"), run, vehicle)
+    for name in ("log.nc", "log.mcap"):
+        Path("fit.toml").write_text(LOG.replace("log.csv", name))
+        _called("fit", "fit.toml", "--no-draw")
+        found = _estimates("fit.csv")
+        assert_allclose(float(found["radius"]["value"]), 0.17, rtol=1e-4)
+        assert_allclose(float(found["track"]["value"]), 0.6, rtol=1e-3)
+    Path("fit.toml").write_text(
+        LOG.replace("[unk", "[data.rates]\nfront_left_rate = 'a'\n[unk", 1).replace(
+            "log.csv", "log.mcap"
+        )
+    )
+    assert "found no joint 'a' among front_right" in _called("fit", "fit.toml", code=2)
 
 
 @pytest.mark.parametrize(

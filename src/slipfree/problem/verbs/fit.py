@@ -12,6 +12,7 @@ from pydantic import Field
 
 from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
+from slipfree.files.mcap_reader import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
 from slipfree.files.tables import read_columns, read_names
 from slipfree.files.toml.angles import Quantity
@@ -71,7 +72,7 @@ class Data(Record):
     """The log, and its windows."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
-        description="the log: CSV, or a result of slipfree (.nc)"
+        description="the log: CSV, MCAP, or a result of slipfree (.nc)"
     )
     window: Positive | Annotated[str, Field(min_length=1)] = Field(
         description="duration of the windows, or the column with the number of the window [s]"
@@ -246,11 +247,14 @@ def _read_windows(problem: Problem[Fit], names: tuple[str, ...], passive: list[s
     columns = {name: data.rates.get(name, name) for name in measured}
     with at(problem, ("data",)):
         path = problem.folder / data.file
-        table = (
-            _read_result(path, columns) if path.suffix == ".nc" else _read_csv(path, data, columns)
-        )
+        if path.suffix == ".nc":
+            table, frame = _read_result(path, columns), "paper"
+        elif is_mcap(path):
+            table, frame = _read_mcap(path, columns), "rep103"
+        else:
+            table, frame = _read_csv(path, data, columns), problem.spec.frame
         t, x, y, heading = (table[key] for key in OWN_COLUMNS)
-        place = (x, y) if problem.spec.frame == "paper" or path.suffix == ".nc" else (-y, x)
+        place = (x, y) if frame == "paper" else (-y, x)
         given = [table[name] if name in table else np.zeros_like(t) for name in names]
         log = Log(t, np.column_stack(given), np.column_stack([*place, heading]), table["window"])
         if isinstance(data.window, float):
@@ -296,6 +300,32 @@ def _read_result(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
                 f"{path}: expected the rates of the wheels and joints of the vehicle, found none "
                 f"for {column!r}; name another quantity in [data.rates]"
             )
+    return found
+
+
+def _read_mcap(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
+    """Return poses, and rates and values of joints at their times, of an MCAP file by name.
+
+    A column is the name of a joint, with ``_rate`` for its velocity.
+    """
+    pose, joints = read_motion_log(path)
+    t = pose["t"]
+    found = {**pose, "window": np.zeros(t.size)}
+    for name, column in columns.items():
+        joint = column.removesuffix("_rate")
+        if joint not in joints:
+            raise DataError(
+                f"{path}: expected the rates of the wheels and joints of the vehicle, found no "
+                f"joint {joint!r} among {', '.join(joints)}; name the joints in [data.rates]"
+            )
+        states = joints[joint]
+        values = states.velocities if name.endswith("_rate") else states.positions
+        if not np.isfinite(values).all():
+            raise DataError(
+                f"{path}: expected values of joint {joint!r} in each message, found messages "
+                "without them; record positions and velocities"
+            )
+        found[name] = np.interp(t, states.t, values)
     return found
 
 
