@@ -140,8 +140,8 @@ def problem(file: Path) -> list[Callable[[], None]]:
     """Return the commands of a shipped problem."""
     name = file.stem
     verb = tomllib.loads(file.read_text("utf-8"))["verb"]
-    if verb == "compare":
-        return [slipfree(f"compare problems/{file.name}")]
+    if verb in ("compare", "fit"):
+        return [slipfree(f"{verb} problems/{file.name}")]
     first = slipfree(f"run problems/{file.name}", int(name in STOPS_EARLY))
     return [first, *(slipfree(line) for line in AFTER.get(name, []))]
 

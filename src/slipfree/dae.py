@@ -209,6 +209,24 @@ class Sizes(NamedTuple):
     alg: Array
 
 
+class Parameter(NamedTuple):
+    """A number of a model that can change without building the model again.
+
+    Attributes
+    ----------
+    label : Label
+        Name, unit and description.
+    symbol : SX, shape (1, 1)
+        Symbol in the expressions of the model.
+    value : float
+        Nominal value, in the label's unit.
+    """
+
+    label: Label
+    symbol: ca.SX
+    value: float
+
+
 @dataclass(frozen=True, eq=False)
 class Dae(Generic[X, Z, U, Y]):
     """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
@@ -270,6 +288,9 @@ class Dae(Generic[X, Z, U, Y]):
         Model whose simulation verifies plans on this model, if it is not this model.
     held : HeldTerms or None
         Terms of ``ode`` whose derivatives the Jacobian of a simulation neglects, if any.
+    p : tuple of Parameter
+        Numbers that are symbols of the model. Solvers take models without parameters:
+        `slipfree.rearrange.with_values` replaces the symbols by numbers.
 
     Raises
     ------
@@ -323,6 +344,7 @@ class Dae(Generic[X, Z, U, Y]):
     lookups: tuple[Lookup, ...] = ()
     replay: Replay | None = None
     held: HeldTerms | None = None
+    p: tuple[Parameter, ...] = ()
 
     def __post_init__(self) -> None:
         blocks: Any = self.z

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae, SampledCheck
+from slipfree.errors import ModelError
 from slipfree.lookups import needed_lookups, substitute_lookups
 from slipfree.records import Array, Label, leaves, pack, unpack
 
@@ -227,3 +228,43 @@ def _rearranged_checks(dae: Dae, new: Dae) -> tuple[SampledCheck, ...]:
     ]
     states = ca.Function("states", list(new.columns()[:2]), [pack(tuple(each)) for each in former])
     return tuple(_RearrangedCheck(check, states) for check in dae.checks)
+
+
+def with_values(dae: Dae, **values: float) -> Dae:
+    """Return a model with numbers in place of its parameters, for solvers.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    **values : float
+        Values of parameters by name, in their units; others have their nominal values.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown.
+    """
+    names = [each.label.name for each in dae.p]
+    for name in values:
+        if name not in names:
+            raise ModelError(
+                f"with_values: expected one of {', '.join(names)}, found {name!r}; correct it"
+            )
+    chosen = [(each.symbol, values.get(each.label.name, each.value)) for each in dae.p]
+    continuation = dae.continuation
+    if continuation is not None:
+        own = continuation.symbol.element_hash()
+        for symbol, number in chosen:
+            if symbol.element_hash() == own:
+                before = (each for each in continuation.values if each > number)
+                continuation = continuation._replace(values=(*before, number))
+        chosen = [pair for pair in chosen if pair[0].element_hash() != own]
+    symbols, numbers = [pair[0] for pair in chosen], [ca.SX(pair[1]) for pair in chosen]
+    parts = ca.substitute(
+        [dae.guess, dae.rest],
+        [ca.vertcat(ca.SX(0, 1), *symbols)],
+        [ca.vertcat(ca.SX(0, 1), *numbers)],
+    )
+    new = substitute(dae, symbols, numbers)
+    return replace(new, guess=parts[0], rest=parts[1], continuation=continuation, p=())

@@ -17,6 +17,7 @@ from typer.core import TyperGroup
 import slipfree
 from slipfree.cli.edit import edit
 from slipfree.cli.examples import examples
+from slipfree.cli.fit import fit
 from slipfree.cli.inspect import check, compare, export, info, vehicle
 from slipfree.cli.messages import (
     BAD_INPUT,
@@ -102,6 +103,7 @@ COMMANDS = (
     sweep,
     pareto,
     track,
+    fit,
     wheel,
 )
 for command in COMMANDS:

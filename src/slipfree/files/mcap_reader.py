@@ -100,8 +100,49 @@ def read_joint_commands(path: Path) -> dict[str, JointCommands]:
         not have exactly one topic with such messages, or if their times do not increase.
     """
     topic, messages = _only_topic(path, (JOINT_STATE,))
+    return _commands(path, topic, messages, _time(messages[0][1], messages[0][0]))
+
+
+class MotionLog(NamedTuple):
+    """Poses and joints of a robot over time, with times since the first pose.
+
+    Attributes
+    ----------
+    pose : mapping of str to ndarray, shape (n,)
+        ``t, x, y, heading`` of the poses, as in `read_mcap`. [s, m, rad]
+    joints : dict of str and JointCommands
+        Positions and velocities of the joints, by name.
+    """
+
+    pose: Rows
+    joints: dict[str, JointCommands]
+
+
+def read_motion_log(path: Path) -> MotionLog:
+    """Return poses and joint states in an MCAP file: one topic of poses, and one of JointState.
+
+    Raises
+    ------
+    DataError
+        As in `read_mcap` and `read_joint_commands`.
+    """
+    _, poses = _only_topic(path, MESSAGES["x", "y", "heading"])
+    first = next(_rows(poses))[0]
+    topic, messages = _only_topic(path, (JOINT_STATE,))
+    return MotionLog(read_mcap(path, "x"), _commands(path, topic, messages, first))
+
+
+def _commands(
+    path: Path, topic: str, messages: Sequence[tuple[int, Any]], first: int
+) -> dict[str, JointCommands]:
+    """Return the joints in messages JointState, with times since ``first`` [ns].
+
+    Raises
+    ------
+    DataError
+        If their times do not increase.
+    """
     rows: dict[str, list[tuple[float, float, float]]] = {}
-    first = _time(messages[0][1], messages[0][0])
     for recorded, message in messages:
         time = (_time(message, recorded) - first) / 1e9
         for k, name in enumerate(message.name):

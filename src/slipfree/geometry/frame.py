@@ -35,8 +35,11 @@ def unit_vector(axis: Axis) -> Vector:
 
 
 def check_vector(name: str, vector: Sequence[float]) -> None:
-    """Raise ModelError, with ``name`` in the message, if a vector is not three finite numbers."""
-    if len(vector) != 3 or not all(map(isfinite, vector)):
+    """Raise ModelError, with ``name`` in the message, if a vector is not three finite numbers.
+
+    Components may also be expressions in parameters.
+    """
+    if len(vector) != 3 or not all(isinstance(v, ca.SX) or isfinite(v) for v in vector):
         raise ModelError(f"{name}: expected three finite numbers, found {vector}; correct them")
 
 

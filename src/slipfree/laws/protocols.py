@@ -272,6 +272,8 @@ def check_bounds(law: Any) -> None:
     hints = get_type_hints(type(law), include_extras=True)
     for field in fields(law):
         value, annotation = getattr(law, field.name), hints[field.name]
+        if isinstance(value, ca.SX):  # a parameter
+            continue
         for bound in getattr(annotation, "__metadata__", ()):
             for key, (sign, holds) in BOUNDS.items():
                 edge = getattr(bound, key, None)

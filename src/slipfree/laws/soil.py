@@ -37,7 +37,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from math import inf, pi, radians, sqrt, tan
+from math import inf, pi, radians, sqrt
 from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
@@ -198,6 +198,9 @@ class Soil:
 
     def __post_init__(self) -> None:
         check_bounds(self)
+        shape: Any = self.peak + self.peak_rate
+        if isinstance(shape, ca.SX):  # a parameter
+            return
         if not (self.peak_rate < self.peak and self.peak + self.peak_rate < 1):
             raise ModelError(
                 "Soil: expected 'peak_rate' < 'peak' and 'peak' + 'peak_rate' < 1, so that the "
@@ -527,7 +530,7 @@ def _integrand(
     chord += contact.behind * (sine - ca.sin(contact.rear))
     path_along = shear_radius * (arc * motion.rolling - chord * motion.forward)
     path_across = shear_radius * arc * motion.sideways
-    strength = soil.cohesion + stress * tan(soil.friction_angle)
+    strength = soil.cohesion + stress * ca.tan(soil.friction_angle)
     along = strength * _mobilised(path_along / motion.along)
     across = strength * _mobilised(path_across / motion.across)
     area = radius * width
@@ -550,7 +553,7 @@ def _bulldozing(soil: Soil, height: Any) -> Any:
     """Return the force per length of soil pushed aside at a given height (7) [N/m]."""
     phi = soil.friction_angle
     failure = pi / 4 - phi / 2
-    cot = 1 / tan(failure)
+    cot = 1 / ca.tan(failure)
     weight = soil.density * GRAVITY
-    width, surcharge = cot + tan(failure + phi), cot + cot**2 * tan(phi)
+    width, surcharge = cot + ca.tan(failure + phi), cot + cot**2 * ca.tan(phi)
     return width * (soil.cohesion * height + surcharge * weight * height**2 / 2)

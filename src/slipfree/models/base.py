@@ -142,7 +142,7 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
 
     Adding the offsets converts ``x`` and ``z`` from local to map coordinates.
     """
-    radius = min(wheel.radius for wheel in vehicle.wheels)
+    radius = min(wheel.radius for wheel in vehicle.numeric.wheels)
     typical = {"m": radius, "m s-1": radius, "N": vehicle.weight}
     scale = np.array([typical.get(each.unit, 1.0) for each in leaves(labels.z)])
     place = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
@@ -160,7 +160,7 @@ def extent(vehicle: Vehicle) -> float:
     It is the largest coordinate of a wheel's centre relative to the platform's centre, and at
     least the largest wheel radius.
     """
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    rest, vehicle = Pose(ca.SX.eye(3), ca.SX.zeros(3)), vehicle.numeric
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
     arms = [float(np.abs(np.array(ca.evalf(pose.origin))).max()) for pose in poses]
     return max(*arms, *(wheel.radius for wheel in vehicle.wheels))
@@ -172,6 +172,6 @@ def at_rest(vehicle: Vehicle, labels: Any) -> ca.SX:
     Normal forces are equal, wheels in soil have their static depth; other values are zero.
     """
     share = vehicle.weight / len(vehicle.wheels)
-    depths = {wheel.name: wheel.depth for wheel in vehicle.wheels}
+    depths = {wheel.name: wheel.depth for wheel in vehicle.numeric.wheels}
     guess = {"force_normal": dict.fromkeys(depths, share), "sinkage": depths}
     return ca.SX([guess.get(each.name, {}).get(each.wheel, 0.0) for each in leaves(labels)])

@@ -7,6 +7,9 @@ the platform.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import casadi as ca
 
 from slipfree.contact.certify import SecondContact
@@ -92,7 +95,6 @@ def closure_dae(
         As in `Dae`.
     """
     vehicle, terrain = q.vehicle, q.terrain
-    wheels = touch_function(q.x, z, q.poses, q.contacts, q.lookups)
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     sampled = force_outputs(q, labels.y.forces)
     guess = _guess(q, labels)
@@ -108,10 +110,7 @@ def closure_dae(
         y=outputs(q, sampled),
         labels=labels._replace(alg=(labels.alg[0], law.labels, labels.alg[2])),
         limits=(*limits_of(q), *limits),
-        checks=tuple(
-            SecondContact(terrain, wheel, pose, size)
-            for wheel, pose in zip(vehicle.wheels, wheels, strict=True)
-        ),
+        checks=single_contacts(q, q.x, z, q.poses, size),
         guess=guess,
         scale=scale,
         shift=shift,
@@ -119,6 +118,22 @@ def closure_dae(
         suppress_algebraic=suppress_algebraic,
         continuation=continuation,
         lookups=q.lookups.lookups,
+    )
+
+
+def single_contacts(
+    q: Quantities, x: Any, z: Algebraic, poses: Sequence[Pose], size: float
+) -> tuple[SecondContact, ...]:
+    """Return the certificates of a single contact for wheels at given poses.
+
+    There are none for a vehicle with parameters.
+    """
+    if q.vehicle.nominal:
+        return ()
+    touching = touch_function(x, z, poses, q.contacts, q.lookups)
+    return tuple(
+        SecondContact(q.terrain, wheel, pose, size)
+        for wheel, pose in zip(q.vehicle.wheels, touching, strict=True)
     )
 
 

@@ -29,7 +29,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import ContactFrame, closure, contact_frame, support_fault
 from slipfree.dae import Dae, Labels
 from slipfree.errors import ModelError
@@ -45,8 +44,8 @@ from slipfree.models.base import (
     raised_poses,
     sizes,
     spins,
-    touch_function,
 )
+from slipfree.models.closure_model import single_contacts
 from slipfree.models.labels import labels_of, pressed_labels
 from slipfree.models.limits import limits_of
 from slipfree.models.quantities import Mechanics, Quantities
@@ -124,7 +123,7 @@ def press(vehicle: Vehicle, depth: ca.SX, smoothing: float) -> Press:
     smoothing : float
         Width of the transition of the load law at depth zero, positive. [static depths]
     """
-    count, static = len(vehicle.wheels), ca.DM([wheel.depth for wheel in vehicle.wheels])
+    count, static = len(vehicle.wheels), ca.DM([wheel.depth for wheel in vehicle.numeric.wheels])
     root = ca.sqrt(depth**2 + (smoothing * static) ** 2)
     touch = (1 + depth / root) / 2
     viscosity = (touch / CONTACT_SPEED + (1 - touch) / AIR_SPEED) / count
@@ -171,7 +170,7 @@ def relaxation(
     """
     normal, driven = parts.free[2::3, :], parts.driven[2::3, :]
     velocity = normal @ rates + driven @ inputs
-    time = max(wheel.depth for wheel in vehicle.wheels) / CONTACT_SPEED
+    time = max(wheel.depth for wheel in vehicle.numeric.wheels) / CONTACT_SPEED
     stiff = [time * c.stiffness / parts.weight for c in vehicle.of("suspension")]
     springs = ca.DM([0, 0, 0, *stiff]) * rates[relaxing]
     return normal[:, relaxing].T @ (press.viscosity * velocity) + springs - imbalance
@@ -324,7 +323,6 @@ def _dae(
     sampled = force_outputs(q, labels.y.forces)
     depths = ca.vertsplit(pressed.depth)
     touching = raised_poses(q.poses, q.contacts, depths)
-    wheels = touch_function(x, z, touching, q.contacts, q.lookups)
     level = [*rates[:2], rates.heading, *joint_rates(vehicle, rates, q.u)]
     return Dae(
         ca.SX.sym("t"),
@@ -342,10 +340,7 @@ def _dae(
         ),
         labels=labels._replace(alg=(labels.alg[0], law.labels, ())),
         limits=limits_of(q),
-        checks=tuple(
-            SecondContact(terrain, wheel, pose, size)
-            for wheel, pose in zip(vehicle.wheels, wheels, strict=True)
-        ),
+        checks=single_contacts(q, x, z, touching, size),
         guess=_guess(q, labels),
         scale=scale,
         shift=shift,
@@ -359,7 +354,7 @@ def _dae(
 def _first_pose(q: Quantities) -> ca.SX:
     """Return height, attitude and suspension of a level pose with all wheels in the ground."""
     heights, _ = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
-    lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.wheels)
+    lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.numeric.wheels)
     return ca.vertcat(lowest, ca.SX.zeros(2 + len(q.position.suspension)))
 
 

@@ -134,5 +134,5 @@ def _sliding(z: Algebraic, q: Quantities, turning: tuple[ca.SX, ...]) -> Sliding
         parts.friction,
         q.u.wheels,
         turning,
-        diagnosis(z, q),
+        (lambda _x, _z: "") if q.vehicle.nominal else diagnosis(z, q),
     )

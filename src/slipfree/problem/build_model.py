@@ -14,7 +14,7 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_ground import at
-from slipfree.problem.problem import Problem, S
+from slipfree.problem.problem import A, Problem, S
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism, Solids
 from slipfree.vehicle.tree import Vehicle
@@ -52,14 +52,14 @@ def build_model(
         return dynamics(vehicle, ground, law=law)
 
 
-def law_name(spec: schema.Modelled) -> str:
+def law_name(spec: schema.Lawful) -> str:
     """Return the name of the law of a problem's model: the given one, or the default."""
     if spec.model == "kinematics":
         return spec.slip
     return next(iter(sorted(spec.law.model_fields_set)), next(iter(LAWS[spec.model])))
 
 
-def model_law(problem: Problem[S], spec: schema.Modelled) -> Any:
+def model_law(problem: Problem[A], spec: schema.Lawful) -> Any:
     """Return the law of a problem's model: a slip law, a wheel-ground law or a contact law.
 
     Raises
@@ -79,7 +79,7 @@ def model_law(problem: Problem[S], spec: schema.Modelled) -> Any:
     return _with_parameters(problem, spec, known[name])
 
 
-def _wrong_law(spec: schema.Modelled, name: str) -> Fault:
+def _wrong_law(spec: schema.Lawful, name: str) -> Fault:
     """Return the error for the table of a law that does not apply."""
     if name in LAWS[spec.model]:
         tables = ", ".join(sorted(spec.law.model_fields_set))
@@ -95,7 +95,7 @@ def _wrong_law(spec: schema.Modelled, name: str) -> Fault:
     )
 
 
-def _with_parameters(problem: Problem[S], spec: schema.Modelled, law: Callable[..., L]) -> L:
+def _with_parameters(problem: Problem[A], spec: schema.Lawful, law: Callable[..., L]) -> L:
     """Return a law with the parameters that a problem gives, and defaults of all others.
 
     Raises

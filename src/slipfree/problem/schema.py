@@ -118,12 +118,10 @@ class Output(Record):
 
 
 class CommonKeys(Record):
-    """Common keys of all problems: verb, title, time and solver."""
+    """Common keys of all problems: verb and title."""
 
     verb: str = Field(description=VERB)
     title: str | None = Field(default=None, description="title of the result and its figures")
-    time: Time = Field(description="duration and sampling")
-    solver: Solver = Field(default=Solver(), description="options of the integrator")
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {}
     """Keys of which exactly one is required, by table."""
@@ -135,6 +133,18 @@ class CommonKeys(Record):
 
     def faults(self) -> Iterator[Fault]:
         """Yield an error for each value that contradicts another one."""
+        yield from ()
+
+
+class Timed(CommonKeys):
+    """Common keys of problems with motions: time and solver."""
+
+    time: Time = Field(description="duration and sampling")
+    solver: Solver = Field(default=Solver(), description="options of the integrator")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield an error for each value that contradicts another one."""
+        yield from super().faults()
         time = self.time
         if time.step > time.duration:
             expected = f"at most the duration, {time.duration:g} s"
@@ -144,13 +154,13 @@ class CommonKeys(Record):
             yield Fault(("time", "step"), expected, f"{time.step:g} s; increase the step")
 
 
-class Runnable(CommonKeys):
+class Runnable(Timed):
     """Common keys of the problems that ``slipfree run`` solves."""
 
     output: Output | None = Field(default=None, description="destination of the result")
 
 
-class Task(CommonKeys):
+class Task(Timed):
     """Common keys of problems on terrain: ground and start."""
 
     terrain: Terrain = Field(description="the ground")
@@ -185,11 +195,15 @@ class Motion(Task, Runnable):
     vehicle: Vehicle = Field(description="the vehicle")
 
 
-class Modelled(Motion):
-    """Keys of problems with a choice of model."""
+class Lawful(CommonKeys):
+    """Keys of problems with a choice of model and law."""
 
     model: Literal["kinematics", "quasi-static", "dynamics"] = Field(
         default="kinematics", description=MODEL
     )
     slip: SlipName = Field(default="least", description=SLIP)
     law: Law = Field(default=Law.model_construct(), description=LAW)
+
+
+class Modelled(Motion, Lawful):
+    """Keys of problems with the motion of one vehicle, and a choice of model and law."""

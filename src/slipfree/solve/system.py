@@ -116,6 +116,12 @@ def with_inputs(
         scalar or contains other symbols than time, states and unknowns, or a block of equations
         contains unknowns of later blocks.
     """
+    if dae.p:
+        raise ModelError(
+            "expected a model with numbers in place of the parameters "
+            f"{', '.join(each.label.name for each in dae.p)}, found symbols; replace them by "
+            "slipfree.rearrange.with_values(model)"
+        )
     u = dae.columns()[2]
     law, values = list(ca.vertsplit(u)) if u.numel() else [], np.zeros((u.numel(), intervals or 1))
     slopes, slope = np.zeros_like(values), ca.SX.sym("slope", u.numel())

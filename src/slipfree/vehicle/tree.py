@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import casadi as ca
@@ -274,6 +274,9 @@ class Vehicle:
         Assumptions that were made when the vehicle was read from a file.
     planar : bool
         Whether the platform moves only in a vertical plane, see `planar`.
+    nominal : Vehicle or None
+        The same vehicle with numbers, if lengths or grips of this one are expressions in parameters
+        of a model (`slipfree.fit.unknowns`); models take scales and initial guesses from it.
 
     Raises
     ------
@@ -289,6 +292,7 @@ class Vehicle:
     body: Body = Body()
     notes: tuple[str, ...] = ()
     planar: bool = False
+    nominal: Vehicle | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         driven = sum(wheel.driven for wheel in self.wheels)
@@ -330,6 +334,11 @@ class Vehicle:
                 f"vehicle {self.name!r}: expected 1 to {MAX_WHEELS} wheels, found "
                 f"{len(self.wheels)}; {'remove' if self.wheels else 'add'} wheels"
             )
+
+    @property
+    def numeric(self) -> Vehicle:
+        """The vehicle with numbers in place of parameters."""
+        return self.nominal or self
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
         """Return the coordinates of a given kind, in the vehicle's order."""

@@ -6,7 +6,9 @@ import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from slipfree.errors import ModelError
@@ -80,7 +82,7 @@ class Wheel:
                 "part of names in results; rename the wheel"
             )
         check_vector(f"wheel {self.name!r}: at", self.at)
-        if not 0 < self.grip < math.inf:
+        if not (isinstance(self.grip, ca.SX) or 0 < self.grip < math.inf):
             raise ModelError(
                 f"wheel {self.name!r}: grip: expected a finite positive number, found {self.grip}; "
                 "change it"
@@ -132,8 +134,12 @@ class Wheel:
 
     @cached_property
     def radius(self) -> float:
-        """Rolling radius: distance from the axle to the middle of the tread [m]."""
-        return float(self.section.outline(np.array(np.pi / 2))[1])
+        """Rolling radius: distance from the axle to the middle of the tread [m].
+
+        An expression in parameters if the section contains one.
+        """
+        radius: Any = ca.SX(self.section.profile(ca.SX(0), ca.SX(1))[1])
+        return float(radius) if radius.is_constant() else radius
 
     @cached_property
     def half_width(self) -> float:

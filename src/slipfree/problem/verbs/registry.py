@@ -11,10 +11,18 @@ from slipfree.problem.verbs.base import MotionVerb, Verb
 from slipfree.problem.verbs.climb import ClimbVerb
 from slipfree.problem.verbs.compare import CompareVerb
 from slipfree.problem.verbs.direct import DirectVerb
+from slipfree.problem.verbs.fit import FitVerb
 from slipfree.problem.verbs.inverse import InverseVerb
 from slipfree.problem.verbs.plan import PlanVerb
 
-VERBS: tuple[Verb, ...] = (DirectVerb(), InverseVerb(), PlanVerb(), CompareVerb(), ClimbVerb())
+VERBS: tuple[Verb, ...] = (
+    DirectVerb(),
+    InverseVerb(),
+    PlanVerb(),
+    CompareVerb(),
+    ClimbVerb(),
+    FitVerb(),
+)
 
 
 def verbs_of(command: str) -> tuple[Verb, ...]:

@@ -1,0 +1,87 @@
+"""``slipfree fit``: calibration on a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from slipfree.cli.common import (
+    File,
+    Settings,
+    about,
+    check_output,
+    print_facts,
+    refuse_result,
+    reported,
+)
+from slipfree.cli.messages import add_json, add_json_file, print_line
+from slipfree.cli.new import write_new_file
+
+
+def fit(
+    file: File,
+    settings: Settings = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="OUT.csv",
+            help="Table of the estimates; the table of the windows and the figure have the same "
+            "name with _windows.csv and .png. Default: the name of the file, in the current "
+            "folder.",
+        ),
+    ] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option("--write", metavar="VEHICLE.toml", help="Write the fitted vehicle."),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an existing vehicle file.")
+    ] = False,
+    draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")] = True,
+) -> None:
+    """Fit numbers of a vehicle and of a law to a log of wheel rates and poses.
+
+    Print the estimates with 95 % intervals, the combinations of unknowns that the log does not
+    determine, and the errors of predictions over windows that were not used for the fit.
+    """
+    with reported(), about(file):
+        from slipfree.files.tables import write_rows
+        from slipfree.files.vehicle_writer import vehicle_text
+        from slipfree.problem.load import load_problem
+        from slipfree.problem.verbs.fit import (
+            estimate_rows,
+            facts,
+            vehicle_comments,
+            window_rows,
+        )
+        from slipfree.problem.verbs.fit import fit as solve
+
+        refuse_result(file)
+        table = out or Path(f"{file.stem}.csv")
+        others = table.with_name(f"{table.stem}_windows.csv")
+        picture = table.with_suffix(".png")
+        for path in (table, others, picture):
+            check_output(path)
+        problem: Any = load_problem(file, settings or [], command="fit")
+        fitted = solve(problem)
+        print_facts(facts(fitted))
+        rows = estimate_rows(fitted)
+        write_rows(table, *rows)
+        write_rows(others, *window_rows(fitted))
+        add_json("estimates", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
+        written = [table, others]
+        if write is not None:
+            write_new_file(vehicle_text(fitted.vehicle, vehicle_comments(fitted)), write, force)
+            written.append(write)
+        if draw:
+            from slipfree.show.fit_figures import fit_plot
+            from slipfree.show.plots import save
+
+            written += save([fit_plot(picture.stem, fitted.calibration)], picture.parent)
+        for path in written:
+            add_json_file(path)
+        print_line(f"wrote {' and '.join(map(str, written))}")

@@ -1,0 +1,122 @@
+"""Writing of vehicle files in TOML."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from math import isfinite
+from typing import Any
+
+from slipfree.errors import ModelError
+from slipfree.vehicle.drives import DRIVES, RATE, Drive
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.registry import SECTIONS
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import ORIGIN, Wheel
+
+
+def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
+    """Return the text of a vehicle file, from which `read_vehicle` returns the vehicle.
+
+    Notes of the vehicle are left out.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle, with numbers.
+    comments : sequence of str
+        Lines of a comment at the beginning of the file.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle is locked to a plane, or a wheel has a section without a name in files.
+    """
+    if vehicle.planar:
+        raise ModelError(
+            f"{vehicle.name!r}: expected a vehicle that moves in space, found one locked to a "
+            "plane, which vehicle files do not describe; write the vehicle before 'planar'"
+        )
+    lines = [*(f"# {line}" for line in comments), *_keys({"name": vehicle.name, "frame": "paper"})]
+    lines += _keys(_body(vehicle.body))
+    for name, tables in (
+        ("coordinates", map(_coordinate, vehicle.coordinates)),
+        ("joints", map(_joint, vehicle.joints)),
+        ("wheels", map(_wheel, vehicle.wheels)),
+    ):
+        for table in tables:
+            lines += ["", f"[[{name}]]", *_keys(table)]
+    return "\n".join([*lines, ""])
+
+
+def _keys(table: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of the keys of a table."""
+    for key, value in table.items():
+        yield f"{key} = {_value(value)}"
+
+
+def _value(value: Any) -> str:
+    """Return a value in TOML."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(_keys(value))} }}"
+    return repr(float(value))
+
+
+def _body(body: Body) -> dict[str, Any]:
+    """Return the keys of mass, centre of mass and inertia that differ from their defaults."""
+    found = {"mass": body.mass, "center_of_mass": body.at, "inertia": body.inertia}
+    defaults = {"mass": 0.0, "center_of_mass": ORIGIN, "inertia": None}
+    return {key: value for key, value in found.items() if value != defaults[key]}
+
+
+def _given(record: Any, *left_out: str) -> dict[str, Any]:
+    """Return the fields of a record that differ from their defaults, and finite numbers only."""
+    found = {each.name: getattr(record, each.name) for each in fields(record)}
+    defaults = {each.name: each.default for each in fields(record)}
+    return {
+        key: value
+        for key, value in found.items()
+        if key not in left_out
+        and value != defaults[key]
+        and not (isinstance(value, float) and not isfinite(value))
+    }
+
+
+def _drive(drive: Drive) -> dict[str, Any]:
+    """Return the key of a drive; none for the default."""
+    if drive == RATE:
+        return {}
+    kind = next(name for name, each in DRIVES.items() if isinstance(drive, each))
+    return {"drive": {"kind": kind, **_given(drive)}}
+
+
+def _coordinate(c: Coordinate) -> dict[str, Any]:
+    return {**_given(c, "drive"), **_drive(c.drive)}
+
+
+def _joint(joint: Joint) -> dict[str, Any]:
+    return {**_given(joint, "body"), **_body(joint.body)}
+
+
+def _wheel(wheel: Wheel) -> dict[str, Any]:
+    section = wheel.section
+    rollers = {"rollers": True} if isinstance(section, Omni) else {}
+    section = section.rim if isinstance(section, Omni) else section
+    if section.torus_radii:
+        shape: dict[str, Any] = {"radius": sum(section.torus_radii), "tube": section.torus_radii[0]}
+    else:
+        kind = next((name for name, each in SECTIONS.items() if type(section) is each), None)
+        if kind is None:
+            raise ModelError(
+                f"wheel {wheel.name!r}: expected a section with a name in vehicle files, "
+                f"{', '.join(SECTIONS)}, found {section}"
+            )
+        shape = {"section": kind, **{f.name: getattr(section, f.name) for f in fields(section)}}
+    return {**_given(wheel, "section", "drive"), **shape, **rollers, **_drive(wheel.drive)}

@@ -1,0 +1,156 @@
+"""Calibration on a part of the windows of a log, and its errors on the other part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.fit.estimate import CONFIDENCE, Estimate, Loss, Predictor, estimate
+from slipfree.fit.unknowns import Unknown, parametric_model
+from slipfree.fit.windows import Windows
+from slipfree.records import Array
+from slipfree.vehicle.tree import Vehicle
+
+RESAMPLES = 2000  # of a bootstrap
+
+
+class EndErrors(NamedTuple):
+    """Predicted minus measured end poses of n windows.
+
+    Attributes
+    ----------
+    measured : ndarray, shape (n, 3)
+        Measured end poses, as ``Windows.end``. [m, m, rad]
+    nominal, fitted : ndarray, shape (n, 3)
+        Errors before and after the fit. [m, m, rad]
+    """
+
+    measured: Array
+    nominal: Array
+    fitted: Array
+
+
+class Calibration(NamedTuple):
+    """Result of a calibration.
+
+    Attributes
+    ----------
+    estimate : Estimate
+        Estimates from the windows for training.
+    train, test : EndErrors
+        Errors in the windows for training and in those for testing.
+    """
+
+    estimate: Estimate
+    train: EndErrors
+    test: EndErrors
+
+
+class Interval(NamedTuple):
+    """A statistic, and its 95 % confidence interval."""
+
+    value: float
+    lower: float
+    upper: float
+
+
+def calibrate(
+    build: Callable[[Vehicle, Any], Dae],
+    vehicle: Vehicle,
+    law: Any,
+    unknowns: Sequence[Unknown],
+    windows: Windows,
+    *,
+    train: float = 0.7,
+    seed: int = 0,
+    loss: Loss = "soft_l1",
+) -> Calibration:
+    """Fit unknowns to a random part of the windows, and predict the others.
+
+    Parameters
+    ----------
+    build : callable
+        ``build(vehicle, law)`` returns a kinematic or quasi-static model.
+    vehicle, law : Vehicle and SlipLaw or GroundLaw
+        Nominal values.
+    unknowns : sequence of Unknown
+        The unknowns.
+    windows : Windows
+        The windows; their quantities are the names of `slipfree.fit.body_motion.body_motion`.
+    train : float
+        Share of the windows for training, between 0 and 1.
+    seed : int
+        Seed of the random choice.
+    loss : {"soft_l1", "linear"}
+        Loss of the residuals, see `slipfree.fit.estimate.estimate`.
+
+    Raises
+    ------
+    ModelError
+        If there are too few windows, a number is out of range, or the model has no motion.
+    """
+    if not 0 < train < 1:
+        raise ModelError(f"calibrate: train: expected a share between 0 and 1, found {train:g}")
+    order = np.random.default_rng(seed).permutation(len(windows.end))
+    count = round(train * len(order))
+    if count == len(order):
+        raise ModelError(
+            "calibrate: expected windows for training and for testing, found only "
+            f"{len(order)}; use a longer log or shorter windows"
+        )
+    dae = parametric_model(build, vehicle, law, unknowns)
+    learnt, other = windows.take(np.sort(order[:count])), windows.take(np.sort(order[count:]))
+    found = estimate(dae, vehicle, law, unknowns, learnt, loss)
+    errors = [_errors(dae, unknowns, part, found) for part in (learnt, other)]
+    return Calibration(found, *errors)
+
+
+def _errors(dae: Dae, unknowns: Sequence[Unknown], windows: Windows, found: Estimate) -> EndErrors:
+    """Return the errors of end poses with nominal and with fitted values."""
+    predict = Predictor(dae, unknowns, windows)
+    errors = [predict(values).end - windows.end for values in (found.nominal, found.values)]
+    return EndErrors(windows.end, *errors)
+
+
+def position_rms(errors: Array) -> float:
+    """Return the root mean square distance of predicted from measured positions [m]."""
+    return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()))
+
+
+def position_median(errors: Array) -> float:
+    """Return the median distance of predicted from measured positions [m]."""
+    return float(np.median(np.hypot(errors[:, 0], errors[:, 1])))
+
+
+def heading_rms(errors: Array) -> float:
+    """Return the root mean square error of the heading [rad]."""
+    return float(np.sqrt((errors[:, 2] ** 2).mean()))
+
+
+def heading_median(errors: Array) -> float:
+    """Return the median absolute error of the heading [rad]."""
+    return float(np.median(np.abs(errors[:, 2])))
+
+
+def bootstrap(errors: Array, statistic: Callable[[Array], float], seed: int = 0) -> Interval:
+    """Return a statistic of errors, with its 95 % interval by resampling windows (percentiles).
+
+    Parameters
+    ----------
+    errors : ndarray, shape (n, ...)
+        One row per window.
+    statistic : callable
+        Function of such an array.
+    seed : int
+        Seed of the samples.
+    """
+    rng = np.random.default_rng(seed)
+    values = [
+        statistic(errors[rng.integers(0, len(errors), len(errors))]) for _ in range(RESAMPLES)
+    ]
+    low, high = np.quantile(values, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
+    return Interval(statistic(errors), float(low), float(high))

@@ -1,0 +1,362 @@
+"""Estimates of unknowns from windows of a log, with covariance and identifiable directions.
+
+The residuals are the differences between predicted and measured poses at the ends of the windows,
+divided by their standard deviations, which follow from the residuals themselves. The estimate
+minimises a robust loss of the residuals and of the deviations from priors (Gauss-Newton with trust
+region, `scipy.optimize.least_squares`, exact Jacobian). The covariance is the sandwich estimate for
+independent windows: ``B^-1 M B^-1`` with the Hessian ``B`` of the loss without second derivatives
+of the prediction, and ``M`` the sum over the windows of the products of their gradients (Huber,
+Robust Statistics, 1981, 6.3; Liang and Zeger, Biometrika 73, 1986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.fit.body_motion import BodyMotion, Velocities, body_motion, velocities
+from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
+from slipfree.fit.windows import Windows, end_poses
+from slipfree.records import Array, Label, Mask
+from slipfree.vehicle.tree import Vehicle
+
+LOSSES = ("soft_l1", "linear")
+Loss = Literal["soft_l1", "linear"]
+REWEIGHTINGS = 4  # estimates, each with the deviations of the residuals of the one before
+NORMAL_MEDIAN = 0.6745  # median of the absolute value of a standard normal variable
+LEAST_POSITION, LEAST_HEADING = 1e-6, 1e-6  # smallest deviations of residuals [m], [rad]
+SINGULAR = (
+    1e-12  # smaller eigenvalues of the scaled Hessian, relative to the largest, count as zero
+)
+LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is undetermined
+WEAK = 0.1  # deviation of a direction, relative to its scale, from which it is weakly determined
+CONFIDENCE = 0.95
+EDGE = 1e-4  # distance of estimates from their bounds [scales]
+AT_BOUND = 1e-3  # distance from a bound that counts as zero [scales]
+
+
+class Direction(NamedTuple):
+    """A combination of unknowns, with its standard deviation.
+
+    Attributes
+    ----------
+    deviation : float
+        Standard deviation relative to the scales of the unknowns; infinite if it is undetermined.
+    weights : ndarray, shape (n,)
+        Components in units of the scales; a unit vector.
+    """
+
+    deviation: float
+    weights: Array
+
+
+class Estimate(NamedTuple):
+    """Result of a calibration with n unknowns.
+
+    Attributes
+    ----------
+    labels : tuple of Label
+        Names, units and descriptions of the unknowns.
+    nominal, values : ndarray, shape (n,)
+        Values before and after the fit, in the unit of each label.
+    covariance : ndarray, shape (n, n)
+        Covariance of the estimates; infinite for undetermined unknowns, zero for those at a bound.
+    intervals : ndarray, shape (n, 2)
+        95 % confidence intervals.
+    scales : ndarray, shape (n,)
+        Sizes of the unknowns: deviation of the prior, or nominal value.
+    at_bound : tuple of bool
+        Whether the estimate is at a bound; its interval is then that value.
+    directions : tuple of Direction
+        Principal directions of the covariance, best determined first.
+    deviations : ndarray, shape (3,)
+        Standard deviations of the residuals: two of position [m], and heading [rad].
+    evaluations : int
+        Number of evaluations of the predictions.
+    """
+
+    labels: tuple[Label, ...]
+    nominal: Array
+    values: Array
+    covariance: Array
+    intervals: Array
+    scales: Array
+    at_bound: tuple[bool, ...]
+    directions: tuple[Direction, ...]
+    deviations: Array
+    evaluations: int
+
+
+class Prediction(NamedTuple):
+    """Predicted end poses of windows, and their derivatives.
+
+    Attributes
+    ----------
+    end : ndarray, shape (n, 3)
+        As ``Windows.end``. [m, m, rad]
+    slopes : ndarray, shape (n, 3, n_unknowns)
+        Derivatives with respect to the unknowns.
+    """
+
+    end: Array
+    slopes: Array
+
+
+class Predictor:
+    """Predictions of a model over windows, as a function of the unknowns.
+
+    Each prediction starts from the unknowns of the model in the one before.
+
+    Parameters
+    ----------
+    dae : Dae
+        Model with parameters, from `slipfree.fit.unknowns.parametric_model`.
+    unknowns : sequence of Unknown
+        Unknowns of the model and of the sensor.
+    windows : Windows
+        The windows; their quantities are those of ``names``.
+    """
+
+    def __init__(self, dae: Dae, unknowns: Sequence[Unknown], windows: Windows) -> None:
+        self.motion: BodyMotion = body_motion(dae)
+        self.windows = windows
+        self._of_sensor = [k for k, u in enumerate(unknowns) if u.quantity in SENSOR]
+        self._of_model = [k for k, u in enumerate(unknowns) if u.quantity not in SENSOR]
+        self._axes = [list(SENSOR).index(unknowns[k].quantity) for k in self._of_sensor]
+        count, samples, width = windows.given.shape
+        rows = windows.given.reshape(-1, width)
+        self._given, self._inverse = np.unique(rows, axis=0, return_inverse=True)
+        self._shape = count, samples, 3
+        self._near: Velocities | None = None
+        self._last: tuple[Array, Prediction] | None = None
+        self.evaluations = 0
+
+    def __call__(self, values: Array) -> Prediction:
+        """Return the prediction for values of the unknowns, in their units."""
+        if self._last is not None and np.array_equal(self._last[0], values):
+            return self._last[1]
+        self.evaluations += 1
+        found = velocities(self.motion, self._given, values[self._of_model], self._near)
+        sensor = np.zeros(3)
+        sensor[self._axes] = values[self._of_sensor]
+        at = self._inverse.ravel()
+        velocity = found.values[at].reshape(self._shape)
+        end, by_velocity, by_sensor = end_poses(self.windows, velocity, sensor)
+        slopes = np.zeros((*end.shape, values.size))
+        by_model = found.slopes[at].reshape(*self._shape, -1)
+        slopes[..., self._of_model] = np.einsum(
+            "nikj,nkjp->nip", by_velocity, by_model, optimize=True
+        )
+        slopes[..., self._of_sensor] = by_sensor[..., self._axes]
+        self._near = found
+        self._last = values.copy(), Prediction(end, slopes)
+        return self._last[1]
+
+
+def estimate(
+    dae: Dae,
+    vehicle: Vehicle,
+    law: object,
+    unknowns: Sequence[Unknown],
+    windows: Windows,
+    loss: Loss = "soft_l1",
+) -> Estimate:
+    """Fit unknowns to windows of a log.
+
+    Parameters
+    ----------
+    dae : Dae
+        Model with parameters, from `slipfree.fit.unknowns.parametric_model`.
+    vehicle, law : Vehicle and SlipLaw or GroundLaw
+        Nominal values.
+    unknowns : sequence of Unknown
+        The unknowns, at least one.
+    windows : Windows
+        The windows, more than unknowns.
+    loss : {"soft_l1", "linear"}
+        Loss of a residual ``r``: ``2 sqrt(1 + r^2) - 2``, which limits the influence of outliers,
+        or ``r^2``.
+
+    Raises
+    ------
+    ModelError
+        If there are no unknowns or too few windows, if a nominal value is outside its bounds, or if
+        the model has no motion at a sample.
+    """
+    labels = tuple(label_of(each, law) for each in unknowns)
+    nominal = np.array([value_of(each, vehicle, law) for each in unknowns])
+    scales = _scales(dae, unknowns, labels, nominal)
+    limits = np.array([limits_of(each, vehicle, law) for each in unknowns]).reshape(-1, 2)
+    bounds = _bounds(unknowns, limits, nominal, scales)
+    if len(windows.end) <= len(unknowns):
+        raise ModelError(
+            f"estimate: expected more windows than unknowns, found {len(windows.end)} windows and "
+            f"{len(unknowns)} unknowns; use a longer log, shorter windows or fewer unknowns"
+        )
+    predict = Predictor(dae, unknowns, windows)
+    values = np.clip(nominal, *bounds)
+    priors = _Priors.of(unknowns)
+    for _ in range(REWEIGHTINGS):
+        deviations = _deviations(predict(values).end - windows.end)
+        cost = _cost(predict, windows, deviations, priors)
+        found = least_squares(
+            cost[0],
+            values,
+            cost[1],
+            bounds=bounds,
+            x_scale=scales,
+            loss=loss,
+            xtol=1e-10,
+        )
+        values = np.asarray(found.x)
+    edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
+    at_bound = edges < AT_BOUND * scales
+    covariance, directions = _covariance(
+        predict(values), windows, deviations, priors, scales, ~at_bound, loss
+    )
+    reach = float(student.ppf(0.5 + CONFIDENCE / 2, len(windows.end) - len(unknowns)))
+    spread = reach * np.sqrt(np.diag(covariance))
+    return Estimate(
+        labels,
+        nominal,
+        values,
+        covariance,
+        np.column_stack([values - spread, values + spread]),
+        scales,
+        tuple(bool(each) for each in at_bound),
+        directions,
+        deviations,
+        predict.evaluations,
+    )
+
+
+class _Priors(NamedTuple):
+    """Indices of the unknowns with a prior, its mean values and standard deviations."""
+
+    rows: npt.NDArray[np.intp]
+    mean: Array
+    deviation: Array
+
+    @classmethod
+    def of(cls, unknowns: Sequence[Unknown]) -> _Priors:
+        """Return the priors of unknowns."""
+        rows = [k for k, each in enumerate(unknowns) if each.prior is not None]
+        pairs = np.array([unknowns[k].prior for k in rows], dtype=float).reshape(-1, 2)
+        return cls(np.array(rows, dtype=int), pairs[:, 0], pairs[:, 1])
+
+
+def _scales(
+    dae: Dae, unknowns: Sequence[Unknown], labels: Sequence[Label], nominal: Array
+) -> Array:
+    """Return the sizes of unknowns: deviation of the prior, nominal value, or that of the unit."""
+    sizes = [
+        each.prior[1] if each.prior else abs(value) or dae.size_of(label)
+        for each, label, value in zip(unknowns, labels, nominal, strict=True)
+    ]
+    return np.array(sizes)
+
+
+def _bounds(
+    unknowns: Sequence[Unknown], limits: Array, nominal: Array, scales: Array
+) -> tuple[Array, Array]:
+    """Return lower and upper bounds, which leave out the ends of intervals.
+
+    Raises
+    ------
+    ModelError
+        If there are no unknowns, or a nominal value is not within its bounds.
+    """
+    if not unknowns:
+        raise ModelError("estimate: expected at least one unknown, found none; add one")
+    for unknown, value, (low, high) in zip(unknowns, nominal, limits, strict=True):
+        if not low <= value <= high:
+            raise ModelError(
+                f"unknown {unknown.name!r}: expected a nominal value within the bounds, {low:g} to "
+                f"{high:g}, found {value:g}; change the bounds, or the vehicle or the law"
+            )
+    margin = np.minimum(EDGE * scales, (limits[:, 1] - limits[:, 0]) / 4)
+    return limits[:, 0] + margin, limits[:, 1] - margin
+
+
+def _deviations(residual: Array) -> Array:
+    """Return robust standard deviations of residuals: one of position, one of heading."""
+    spread = np.median(np.abs(residual[:, :2])), np.median(np.abs(residual[:, 2]))
+    position, heading = (each / NORMAL_MEDIAN for each in spread)
+    return np.array(
+        [max(position, LEAST_POSITION)] * 2 + [max(heading, LEAST_HEADING)], dtype=float
+    )
+
+
+def _cost(
+    predict: Predictor, windows: Windows, deviations: Array, priors: _Priors
+) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+    """Return the functions of residuals and of their Jacobian, without unit."""
+
+    def residual(values: Array) -> Array:
+        missed = (predict(values).end - windows.end) / deviations
+        return np.append(missed, (values[priors.rows] - priors.mean) / priors.deviation)
+
+    def jacobian(values: Array) -> Array:
+        slopes = predict(values).slopes / deviations[:, None]
+        rows = np.zeros((priors.rows.size, values.size))
+        rows[np.arange(priors.rows.size), priors.rows] = 1 / priors.deviation
+        return np.concatenate([slopes.reshape(-1, values.size), rows])
+
+    return residual, jacobian
+
+
+def _covariance(
+    prediction: Prediction,
+    windows: Windows,
+    deviations: Array,
+    priors: _Priors,
+    scales: Array,
+    free: Mask,
+    loss: Loss,
+) -> tuple[Array, tuple[Direction, ...]]:
+    """Return the covariance of the estimates, and the principal directions of the free ones."""
+    missed = (prediction.end - windows.end) / deviations
+    slopes = prediction.slopes[..., free] / deviations[:, None] * scales[free]
+    size = 1 + missed**2 if loss == "soft_l1" else np.ones_like(missed)
+    scores = np.einsum("ni,nip->np", missed / np.sqrt(size), slopes)
+    bread = np.einsum("nip,ni,niq->pq", slopes, size**-1.5, slopes)
+    n, p = len(missed), int(free.sum())
+    meat = scores.T @ scores * n / (n - p)
+    known = np.zeros(scales.size)
+    known[priors.rows] = 1 / priors.deviation
+    prior = np.diag((known * scales)[free] ** 2)
+    bread, meat = bread + prior, meat + prior
+    values, vectors = np.linalg.eigh(bread)
+    lost = values <= SINGULAR * max(values.max(initial=0.0), 1e-300)
+    inverse = vectors[:, ~lost] / values[~lost] @ vectors[:, ~lost].T
+    scaled = inverse @ meat @ inverse
+    directions = _directions(scaled, vectors, lost)
+    undetermined = (vectors[:, lost] ** 2).sum(axis=1) > LOST_SHARE
+    covariance = np.zeros((scales.size, scales.size))
+    part = scaled * np.outer(scales[free], scales[free])
+    part[np.diag_indices(p)] = np.where(undetermined, np.inf, np.diag(part))
+    covariance[np.ix_(free, free)] = part
+    return covariance, directions
+
+
+def _directions(scaled: Array, vectors: Array, lost: Mask) -> tuple[Direction, ...]:
+    """Return the principal directions of a covariance, and those that are undetermined."""
+    kept = vectors[:, ~lost]
+    values, axes = np.linalg.eigh(kept.T @ scaled @ kept)
+    found = [
+        Direction(float(np.sqrt(max(value, 0.0))), _signed(kept @ axis))
+        for value, axis in zip(values, axes.T, strict=True)
+    ]
+    return (*found, *(Direction(np.inf, _signed(vector)) for vector in vectors[:, lost].T))
+
+
+def _signed(vector: Array) -> Array:
+    """Return a vector with a positive largest component."""
+    return np.asarray(vector * np.sign(vector[np.abs(vector).argmax()]))

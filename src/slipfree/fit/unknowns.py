@@ -1,0 +1,331 @@
+"""Unknowns of a calibration: numbers of a vehicle, of a law, and of the sensor that measures poses.
+
+An unknown is a number of the model, by the name of its quantity: a rolling radius, the track, the
+centre of mass, a grip, a constant of the law such as ``creep``, or an offset of the sensor. The
+same functions set numbers and expressions in parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple, get_type_hints
+
+import casadi as ca
+from annotated_types import DocInfo, Unit
+
+from slipfree.dae import Dae, Parameter
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import Pose, Vector
+from slipfree.records import Label
+from slipfree.vehicle.sections.base import Section
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+CREEP = "creep"  # constant of laws that is their continuation parameter
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A number to be fitted.
+
+    Attributes
+    ----------
+    name : str
+        Name in results.
+    quantity : str
+        One of `QUANTITIES`, one of `SENSOR`, or a constant of the law.
+    wheels : tuple of str
+        Names of the wheels that share the number, for a quantity of wheels; empty for all wheels.
+    lower, upper : float
+        Bounds, in the unit of the quantity; infinite for none.
+    prior : tuple of 2 floats or None
+        Mean and standard deviation of a normal prior, in the unit of the quantity.
+
+    Raises
+    ------
+    ModelError
+        If the bounds are not in ascending order, or the deviation of the prior is not positive.
+    """
+
+    name: str
+    quantity: str
+    wheels: tuple[str, ...] = ()
+    lower: float = -math.inf
+    upper: float = math.inf
+    prior: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise ModelError(
+                f"unknown {self.name!r}: expected a lower bound below the upper one, found "
+                f"{self.lower:g} and {self.upper:g}"
+            )
+        if self.prior is not None and not 0 < self.prior[1] < math.inf:
+            raise ModelError(
+                f"unknown {self.name!r}: expected a finite positive standard deviation of the "
+                f"prior, found {self.prior[1]:g}"
+            )
+
+
+class Quantity(NamedTuple):
+    """A number of a vehicle.
+
+    Attributes
+    ----------
+    unit, words : str
+        Unit and description.
+    read : callable
+        ``read(vehicle, wheels)`` returns the value of a vehicle, for the named wheels.
+    set : callable
+        ``set(vehicle, wheels, value)`` returns the vehicle with another value.
+    """
+
+    unit: str
+    words: str
+    read: Callable[[Vehicle, Sequence[str]], float]
+    set: Callable[[Vehicle, Sequence[str], Any], Vehicle]
+
+
+def _on_wheels(
+    read: Callable[[Wheel], float], change: Callable[[Wheel, Any], Wheel]
+) -> tuple[Callable[..., float], Callable[..., Vehicle]]:
+    """Return the functions of a quantity that several wheels share."""
+
+    def read_all(vehicle: Vehicle, wheels: Sequence[str]) -> float:
+        values = [read(wheel) for wheel in vehicle.wheels if wheel.name in wheels]
+        return sum(values) / len(values)
+
+    def set_all(vehicle: Vehicle, wheels: Sequence[str], value: Any) -> Vehicle:
+        changed = (change(w, value) if w.name in wheels else w for w in vehicle.wheels)
+        return replace(vehicle, wheels=tuple(changed))
+
+    return read_all, set_all
+
+
+def _resized(wheel: Wheel, radius: Any) -> Wheel:
+    """Return a wheel with another rolling radius and the same tube."""
+    return replace(wheel, section=_section(wheel.section, radius, wheel.name))
+
+
+def _section(section: Section, radius: Any, name: str) -> Section:
+    if isinstance(section, Omni):
+        return replace(section, rim=_section(section.rim, radius, name))
+    if section.torus_radii is None:
+        raise ModelError(
+            f"wheel {name!r}: expected a torus, disc or sphere, whose radius can be fitted, found "
+            f"{section}"
+        )
+    tube, circle = section.torus_radii
+    if tube and circle:
+        return Torus(tube, radius - tube)
+    return Disc(radius) if circle else Sphere(radius)
+
+
+def track(vehicle: Vehicle) -> float:
+    """Return the lateral distance between the outermost wheels' centres, joints at zero [m]."""
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
+    places = [float(ca.evalf(pose.origin)[0]) for pose in poses]
+    return max(places) - min(places)
+
+
+def _with_track(vehicle: Vehicle, _: Sequence[str], value: Any) -> Vehicle:
+    """Return a vehicle whose lateral distances between joints and wheels grow with the track."""
+    factor = value / track(vehicle.numeric)
+
+    def wider(at: Vector) -> Any:
+        return at[0] * factor, at[1], at[2]
+
+    return replace(
+        vehicle,
+        joints=tuple(replace(joint, at=wider(joint.at)) for joint in vehicle.joints),
+        wheels=tuple(replace(wheel, at=wider(wheel.at)) for wheel in vehicle.wheels),
+    )
+
+
+def _center(axis: int) -> tuple[Callable[..., float], Callable[..., Vehicle]]:
+    """Return the functions of one coordinate of the platform's centre of mass."""
+
+    def read(vehicle: Vehicle, _: Sequence[str]) -> float:
+        return vehicle.body.at[axis]
+
+    def change(vehicle: Vehicle, _: Sequence[str], value: Any) -> Vehicle:
+        at = (*vehicle.body.at[:axis], value, *vehicle.body.at[axis + 1 :])
+        return replace(vehicle, body=replace(vehicle.body, at=at))
+
+    return read, change
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "radius": Quantity("m", "rolling radius of wheels", *_on_wheels(lambda w: w.radius, _resized)),
+    "track": Quantity(
+        "m",
+        "lateral distance between the outermost wheels",
+        lambda vehicle, _: track(vehicle),
+        _with_track,
+    ),
+    "grip": Quantity(
+        "1",
+        "factor that multiplies the ground's coefficient of friction",
+        *_on_wheels(lambda w: w.grip, lambda w, value: replace(w, grip=value)),
+    ),
+    "center_of_mass_right": Quantity(
+        "m", "centre of mass of the platform, to the right", *_center(0)
+    ),
+    "center_of_mass_ahead": Quantity("m", "centre of mass of the platform, ahead", *_center(1)),
+}
+SENSOR: dict[str, Label] = {
+    "sensor_right": Label("sensor_right", "m", "position of the sensor, to the right"),
+    "sensor_ahead": Label("sensor_ahead", "m", "position of the sensor, ahead"),
+    "sensor_heading": Label("sensor_heading", "rad", "orientation of the sensor, left positive"),
+}
+
+
+def label_of(unknown: Unknown, law: Any) -> Label:
+    """Return name, unit and description of an unknown.
+
+    Raises
+    ------
+    ModelError
+        If the quantity is unknown.
+    """
+    if unknown.quantity in QUANTITIES:
+        found = QUANTITIES[unknown.quantity]
+        return Label(unknown.name, found.unit, found.words)
+    if unknown.quantity in SENSOR:
+        return replace(SENSOR[unknown.quantity], name=unknown.name)
+    constants = law_constants(law)
+    if unknown.quantity not in constants:
+        known = ", ".join((*QUANTITIES, *SENSOR, *constants))
+        raise ModelError(
+            f"unknown {unknown.name!r}: expected one of the quantities {known}, found "
+            f"{unknown.quantity!r}; correct it"
+        )
+    return replace(constants[unknown.quantity], name=unknown.name)
+
+
+def limits_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> tuple[float, float]:
+    """Return the bounds of an unknown within which the vehicle and the law are valid.
+
+    A bound of zero of a positive quantity is excluded.
+    """
+    least, most = unknown.lower, unknown.upper
+    if unknown.quantity == "radius":
+        names = _wheels(unknown, vehicle)
+        tubes = [(w.section.torus_radii or (0.0,))[0] for w in vehicle.wheels if w.name in names]
+        least = max(least, *tubes)
+    elif unknown.quantity in ("track", "grip"):
+        least = max(least, 0.0)
+    elif unknown.quantity in law_constants(law):
+        hint = get_type_hints(type(law), include_extras=True)[unknown.quantity]
+        for bound in getattr(hint, "__metadata__", ()):
+            least = max(least, getattr(bound, "gt", least), getattr(bound, "ge", least))
+            most = min(most, getattr(bound, "lt", most), getattr(bound, "le", most))
+    return least, most
+
+
+def law_constants(law: Any) -> dict[str, Label]:
+    """Return the constants of a law, by name, from the annotations of its dataclass."""
+    hints, found = get_type_hints(type(law), include_extras=True), {}
+    for each in fields(law):
+        metadata = getattr(hints[each.name], "__metadata__", ())
+        unit = next((m.unit for m in metadata if isinstance(m, Unit)), "1")
+        words = next((m.documentation for m in metadata if isinstance(m, DocInfo)), "")
+        found[each.name] = Label(each.name, unit, words)
+    return found
+
+
+def value_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> float:
+    """Return the value of an unknown in a vehicle and a law; zero for those of the sensor."""
+    if unknown.quantity in QUANTITIES:
+        return QUANTITIES[unknown.quantity].read(vehicle, _wheels(unknown, vehicle))
+    return 0.0 if unknown.quantity in SENSOR else float(getattr(law, unknown.quantity))
+
+
+def with_unknowns(vehicle: Vehicle, unknowns: Sequence[Unknown], values: Sequence[Any]) -> Vehicle:
+    """Return a vehicle with other values of its unknowns, numbers or expressions.
+
+    Unknowns of the law and of the sensor are ignored.
+
+    Raises
+    ------
+    ModelError
+        If a wheel is unknown, or its section has no radius.
+    """
+    found = vehicle
+    for unknown, value in zip(unknowns, values, strict=True):
+        if unknown.quantity in QUANTITIES:
+            quantity = QUANTITIES[unknown.quantity]
+            found = quantity.set(found, _wheels(unknown, vehicle), value)
+            if isinstance(value, ca.SX):
+                found = replace(found, nominal=vehicle)
+    return found
+
+
+def law_with_unknowns(law: Any, unknowns: Sequence[Unknown], values: Sequence[Any]) -> Any:
+    """Return a law with other values of its unknowns, numbers or expressions."""
+    pairs = zip(unknowns, values, strict=True)
+    own = {each.quantity: value for each, value in pairs if each.quantity in law_constants(law)}
+    return replace(law, **own)
+
+
+def parametric_model(
+    build: Callable[[Vehicle, Any], Dae], vehicle: Vehicle, law: Any, unknowns: Sequence[Unknown]
+) -> Dae:
+    """Return a model whose unknowns are parameters.
+
+    Parameters
+    ----------
+    build : callable
+        ``build(vehicle, law)`` returns the model.
+    vehicle : Vehicle
+        The vehicle, with nominal values.
+    law : SlipLaw or GroundLaw
+        The law, with nominal values.
+    unknowns : sequence of Unknown
+        The unknowns; those of the sensor are not part of the model.
+
+    Raises
+    ------
+    ModelError
+        If a quantity or a wheel is unknown, or the model does not have that quantity.
+    """
+    labels = [label_of(each, law) for each in unknowns]
+    symbols = [ca.SX.sym(label.name) for label in labels]
+    values = [value_of(each, vehicle, law) for each in unknowns]
+    others = [
+        (each, symbol)
+        for each, symbol in zip(unknowns, symbols, strict=True)
+        if each.quantity != CREEP
+    ]
+    symbolic = with_unknowns(vehicle, *zip(*others, strict=True)) if others else vehicle
+    new_law = law_with_unknowns(law, *zip(*others, strict=True)) if others else law
+    model = build(symbolic, new_law)
+    found = list[Parameter]()
+    for unknown, label, symbol, value in zip(unknowns, labels, symbols, values, strict=True):
+        if unknown.quantity in SENSOR:
+            continue
+        if unknown.quantity == CREEP:
+            if model.continuation is None:
+                raise ModelError(f"unknown {unknown.name!r}: the law has no creep speed to fit")
+            symbol = model.continuation.symbol
+        found.append(Parameter(label, symbol, value))
+    return replace(model, p=tuple(found))
+
+
+def _wheels(unknown: Unknown, vehicle: Vehicle) -> tuple[str, ...]:
+    """Return the names of the wheels of an unknown; raise ModelError for unknown names."""
+    names = tuple(wheel.name for wheel in vehicle.wheels)
+    for name in unknown.wheels:
+        if name not in names:
+            raise ModelError(
+                f"unknown {unknown.name!r}: expected wheels of the vehicle, {', '.join(names)}, "
+                f"found {name!r}; correct it"
+            )
+    return unknown.wheels or names

@@ -1,0 +1,168 @@
+"""Windows of a log: rates at the samples, and measured motion from the first to the last one."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from slipfree.errors import ModelError
+from slipfree.fit.body_motion import evaluate
+from slipfree.records import Array, Mask
+
+SMALL_ANGLE = 1e-3  # below which the functions of an arc are series [rad]
+
+
+class Windows(NamedTuple):
+    """Windows of a log, with at most k + 1 samples each.
+
+    Attributes
+    ----------
+    dt : ndarray, shape (n, k)
+        Times between samples; zero after the end of a shorter window. [s]
+    given : ndarray, shape (n, k + 1, n_given)
+        Inputs and joints at the samples. [rad/s, m/s, rad, m]
+    end : ndarray, shape (n, 3)
+        Measured pose of the sensor at the last sample, relative to the first one: to the right and
+        forward [m], and change of heading, counter-clockwise and continuous over turns [rad].
+    """
+
+    dt: Array
+    given: Array
+    end: Array
+
+    def take(self, rows: npt.NDArray[np.int64] | Mask) -> Windows:
+        """Return some of the windows, given by indices or a mask."""
+        return Windows(*(part[rows] for part in self))
+
+
+class Log(NamedTuple):
+    """A log of rates and poses.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times, not decreasing within a window. [s]
+    given : ndarray, shape (n, n_given)
+        Inputs and joints. [rad/s, m/s, rad, m]
+    pose : ndarray, shape (n, 3)
+        Position in axes of which the second points along heading zero [m], and heading,
+        counter-clockwise, which changes by less than half a turn between samples [rad].
+    window : ndarray of int, shape (n,)
+        Number of the window of each sample, constant over consecutive samples.
+    """
+
+    t: Array
+    given: Array
+    pose: Array
+    window: Array | npt.NDArray[np.int64]
+
+
+def cut(log: Log) -> Windows:
+    """Return the windows of a log; those with fewer than two samples are left out.
+
+    Raises
+    ------
+    ModelError
+        If there is no window of two samples, or times decrease within a window.
+    """
+    starts = np.flatnonzero(np.append(True, np.diff(log.window) != 0))
+    parts = [
+        slice(a, b) for a, b in zip(starts, [*starts[1:], len(log.t)], strict=True) if b - a > 1
+    ]
+    if not parts:
+        raise ModelError(
+            "windows: expected at least one window with two samples, found none; use longer windows"
+        )
+    longest = max(part.stop - part.start for part in parts)
+    dt, given = (
+        np.zeros((len(parts), longest - 1)),
+        np.zeros((len(parts), longest, log.given.shape[1])),
+    )
+    end = np.zeros((len(parts), 3))
+    for k, part in enumerate(parts):
+        steps, count = np.diff(log.t[part]), part.stop - part.start
+        if steps.min() < 0:
+            raise ModelError(
+                "windows: expected times that do not decrease, found a decrease after "
+                f"{log.t[part][steps.argmin()]:g} s; sort the log"
+            )
+        dt[k, : count - 1] = steps
+        given[k, :count], given[k, count:] = log.given[part], log.given[part.stop - 1]
+        x, y, heading = log.pose[part].T
+        end[k] = _relative(np.column_stack([x, y, np.unwrap(heading)]))
+    return Windows(dt, given, end)
+
+
+def _relative(poses: Array) -> Array:
+    """Return the last pose relative to the first one."""
+    dx, dy, turned = poses[-1] - poses[0]
+    c, s = np.cos(poses[0, 2]), np.sin(poses[0, 2])
+    return np.array([c * dx + s * dy, -s * dx + c * dy, turned])
+
+
+def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, Array, Array]:
+    """Return the predicted end poses of windows, and their derivatives.
+
+    Velocities are constant in the platform's axes between two samples: the mean of both.
+
+    Parameters
+    ----------
+    windows : Windows
+        The windows, n of them.
+    velocity : ndarray, shape (n, k + 1, 3)
+        Velocity to the right and forward [m/s], and yaw rate [rad/s], at the samples.
+    sensor : ndarray, shape (3,)
+        Position of the sensor to the right and ahead of the platform's centre [m], and its
+        orientation relative to the platform [rad].
+
+    Returns
+    -------
+    end : ndarray, shape (n, 3)
+        As ``Windows.end``.
+    by_velocity : ndarray, shape (n, 3, k + 1, 3)
+        Derivatives with respect to the velocities.
+    by_sensor : ndarray, shape (n, 3, 3)
+        Derivatives with respect to the sensor's pose.
+    """
+    count, samples, _ = velocity.shape
+    function = _end_function(samples)
+    flat = velocity.reshape(count, -1)
+    end, by_velocity, by_sensor = evaluate(
+        function, windows.dt, flat, np.broadcast_to(sensor, (count, 3))
+    )
+    return end[..., 0], by_velocity.reshape(count, 3, samples, 3), by_sensor
+
+
+@lru_cache(maxsize=16)
+def _end_function(samples: int) -> ca.Function:
+    """Return the function of times, velocities and sensor to the end pose and its derivatives."""
+    dt, velocity, sensor = (
+        ca.SX.sym("dt", samples - 1),
+        ca.SX.sym("velocity", 3 * samples),
+        ca.SX.sym("sensor", 3),
+    )
+    place, heading = ca.SX.zeros(2), ca.SX(0)
+    for k in range(samples - 1):
+        mean = dt[k] * (velocity[3 * k : 3 * k + 3] + velocity[3 * k + 3 : 3 * k + 6]) / 2
+        turn = mean[2]
+        small = ca.fabs(turn) < SMALL_ANGLE
+        safe = ca.if_else(small, 1, turn)
+        sine = ca.if_else(small, 1 - turn**2 / 6, ca.sin(safe) / safe)
+        cosine = ca.if_else(small, turn / 2 - turn**3 / 24, (1 - ca.cos(safe)) / safe)
+        step = ca.vertcat(sine * mean[0] - cosine * mean[1], cosine * mean[0] + sine * mean[1])
+        place += _rotation(heading) @ step
+        heading += turn
+    at, turned = sensor[:2], _rotation(sensor[2])
+    seen = turned.T @ (place + _rotation(heading) @ at - at)
+    end = ca.vertcat(seen, heading)
+    slopes = [ca.densify(ca.jacobian(end, by)) for by in (velocity, sensor)]
+    return ca.Function("end", [dt, velocity, sensor], [end, *slopes], {"cse": True})
+
+
+def _rotation(angle: ca.SX) -> ca.SX:
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(ca.horzcat(c, -s), ca.horzcat(s, c))

@@ -1,0 +1,458 @@
+"""Fits: numbers of a vehicle and of a law, calibrated on a log of rates and poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from math import inf
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from slipfree.dae import Dae
+from slipfree.errors import DataError, ModelError
+from slipfree.files.mcap_reader import is_mcap, read_motion_log
+from slipfree.files.netcdf import read as read_result
+from slipfree.files.tables import read_columns, read_names
+from slipfree.files.toml.angles import Quantity
+from slipfree.files.toml.errors import name_errors, problem_error
+from slipfree.files.toml.types import Positive, Record
+from slipfree.fit.body_motion import body_motion
+from slipfree.fit.calibration import (
+    Calibration,
+    EndErrors,
+    bootstrap,
+    calibrate,
+    heading_rms,
+    position_rms,
+)
+from slipfree.fit.estimate import WEAK, Direction, Estimate
+from slipfree.fit.unknowns import (
+    QUANTITIES,
+    Unknown,
+    label_of,
+    law_with_unknowns,
+    parametric_model,
+    value_of,
+    with_unknowns,
+)
+from slipfree.fit.windows import Log, Windows, cut
+from slipfree.frames import Frame
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.quasi_statics import quasi_statics
+from slipfree.problem.build_ground import at
+from slipfree.problem.build_model import model_law
+from slipfree.problem.build_vehicle import build_vehicle
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import MODEL, VERB, Lawful, Vehicle
+from slipfree.problem.summary import Facts
+from slipfree.problem.verbs.base import Verb
+from slipfree.records import Array
+from slipfree.terrain.analytic import Analytic
+from slipfree.vehicle.tree import Vehicle as VehicleModel
+
+TIME_SLACK = 1e-6  # of window ends [window]
+SHOWN_WEIGHT = 0.2  # smallest weight of an unknown that is named in a direction
+OWN_COLUMNS = {"t": "t", "x": "x", "y": "y", "heading": "heading"}  # of results of slipfree
+
+
+class Columns(Record):
+    """Columns of the time and the pose in a table."""
+
+    t: str = Field(default="t", description="column of the time, in s")
+    x: str = Field(default="x", description="column of the easting, in m")
+    y: str = Field(default="y", description="column of the northing, in m")
+    heading: str = Field(
+        default="heading", description="column of the heading, from the axis of frame, in rad"
+    )
+
+
+class Data(Record):
+    """The log, and its windows."""
+
+    file: Annotated[str, Field(min_length=1)] = Field(
+        description="the log: CSV, MCAP, or a result of slipfree (.nc)"
+    )
+    window: Positive | Annotated[str, Field(min_length=1)] = Field(
+        description="duration of the windows, or the column with the number of the window [s]"
+    )
+    columns: Columns = Field(default=Columns(), description="names of the columns of the pose")
+    rates: dict[str, str] = Field(
+        default_factory=dict,
+        description="column of each input and commanded joint, by name; by default the column of "
+        "that name [rad/s, m/s, rad, m]",
+    )
+
+
+class UnknownTable(Record):
+    """A number to be fitted."""
+
+    quantity: str | None = Field(
+        default=None,
+        description=f"{', '.join(QUANTITIES)}, sensor_right, sensor_ahead, sensor_heading, or a "
+        "constant of the law; by default the name of the table",
+    )
+    wheels: Annotated[tuple[str, ...], Field(strict=False)] = Field(
+        default=(), description="wheels that share the number; by default all"
+    )
+    lower: Quantity | None = Field(
+        default=None, description="lower bound, in the unit of the quantity [m, rad, 1]"
+    )
+    upper: Quantity | None = Field(
+        default=None, description="upper bound, in the unit of the quantity [m, rad, 1]"
+    )
+    prior: Annotated[tuple[float, Positive], Field(strict=False)] | None = Field(
+        default=None,
+        description="mean and standard deviation before the fit, in the unit of the quantity "
+        "[m, rad, 1]",
+    )
+
+    def unknown(self, name: str) -> Unknown:
+        """Return the unknown of a table with a name."""
+        lower = -inf if self.lower is None else self.lower
+        upper = inf if self.upper is None else self.upper
+        return Unknown(name, self.quantity or name, self.wheels, lower, upper, self.prior)
+
+
+class Fit(Lawful):
+    """Fit: numbers of a vehicle and of a law, calibrated on a log of rates and poses."""
+
+    verb: Literal["fit"] = Field(description=VERB)
+    frame: Frame = Field(
+        default="paper", description="axis from which the headings of the log count: y, or x"
+    )
+    vehicle: Vehicle = Field(description="the vehicle, with nominal values")
+    model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
+    friction: Positive = Field(
+        default=0.6, description="coefficient of friction of the ground, which is level [1]"
+    )
+    data: Data = Field(description="the log")
+    unknowns: Annotated[dict[str, UnknownTable], Field(min_length=1)] = Field(
+        description="the numbers to be fitted, by name [m, rad, 1]"
+    )
+    train: Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=0.7, description="share of the windows from which the numbers are estimated [1]"
+    )
+    seed: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="seed of the random choice of these windows"
+    )
+    loss: Literal["soft_l1", "linear"] = Field(
+        default="soft_l1", description="loss of a residual: robust to outliers, or its square"
+    )
+
+    @property
+    def named_files(self) -> tuple[str, ...]:
+        """Name of the log."""
+        return (self.data.file,)
+
+
+class FitVerb(Verb):
+    """Calibration on a log."""
+
+    schema = Fit
+    commands = ("fit",)
+
+
+class Fitted(NamedTuple):
+    """Result of a fit.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        Estimates, and errors of predictions.
+    vehicle : Vehicle
+        The vehicle with fitted values.
+    constants : dict of str and float
+        Fitted constants of the law.
+    sensor : dict of str and float
+        Fitted pose of the sensor. [m, rad]
+    """
+
+    calibration: Calibration
+    vehicle: VehicleModel
+    constants: dict[str, float]
+    sensor: dict[str, float]
+
+
+def fit(problem: Problem[Fit]) -> Fitted:
+    """Return the result of a fit.
+
+    Raises
+    ------
+    ProblemError
+        If the vehicle, the law, an unknown or the log is not valid.
+    ModelError
+        If the log has too few windows, or the model has no motion at its rates.
+    """
+    spec = problem.spec
+    with at(problem, ("vehicle",)):
+        vehicle = build_vehicle(spec.vehicle, problem.folder)
+    law: Any = model_law(problem, spec)
+    build = _builder(spec)
+    unknowns = []
+    for name, table in spec.unknowns.items():
+        with at(problem, ("unknowns", name)):
+            unknowns.append(table.unknown(name))
+            label_of(unknowns[-1], law)
+            with_unknowns(vehicle, unknowns[-1:], [value_of(unknowns[-1], vehicle, law)])
+    dae = parametric_model(build, vehicle, law, unknowns)
+    names = body_motion(dae).names
+    windows = _read_windows(problem, names, [c.name for c in vehicle.of("passive")])
+    found = calibrate(
+        build,
+        vehicle,
+        law,
+        unknowns,
+        windows,
+        train=spec.train,
+        seed=spec.seed,
+        loss=spec.loss,
+    )
+    values = found.estimate.values.tolist()
+    new = law_with_unknowns(law, unknowns, values)
+    pairs = list(zip(unknowns, values, strict=True))
+    return Fitted(
+        found,
+        with_unknowns(vehicle, unknowns, values),
+        {u.quantity: getattr(new, u.quantity) for u, _ in pairs if hasattr(new, u.quantity)},
+        {u.quantity: value for u, value in pairs if u.quantity.startswith("sensor_")},
+    )
+
+
+def _builder(spec: Fit) -> Any:
+    """Return the function of vehicle and law to the model on level ground."""
+    ground = Analytic(lambda x, _: 0 * x, mu=spec.friction)
+
+    def build(vehicle: VehicleModel, law: Any) -> Dae:
+        if spec.model == "kinematics":
+            return direct_kinematics(vehicle, ground, slip=law)
+        return quasi_statics(vehicle, ground, law=law)
+
+    return build
+
+
+def _read_windows(problem: Problem[Fit], names: tuple[str, ...], passive: list[str]) -> Windows:
+    """Return the windows of the log; passive joints are at zero.
+
+    Raises
+    ------
+    ProblemError
+        If the log cannot be read, or lacks a column.
+    """
+    data = problem.spec.data
+    measured = [name for name in names if name not in passive]
+    if faults := list(name_errors(("data", "rates"), data.rates, measured)):
+        raise problem_error(problem.source, faults)
+    columns = {name: data.rates.get(name, name) for name in measured}
+    with at(problem, ("data",)):
+        path = problem.folder / data.file
+        if path.suffix == ".nc":
+            table, frame = _read_result(path, columns), "paper"
+        elif is_mcap(path):
+            table, frame = _read_mcap(path, columns), "rep103"
+        else:
+            table, frame = _read_csv(path, data, columns), problem.spec.frame
+        t, x, y, heading = (table[key] for key in OWN_COLUMNS)
+        place = (x, y) if frame == "paper" else (-y, x)
+        given = [table[name] if name in table else np.zeros_like(t) for name in names]
+        log = Log(t, np.column_stack(given), np.column_stack([*place, heading]), table["window"])
+        if isinstance(data.window, float):
+            log = _divided(log, data.window)
+        return cut(log)
+
+
+def _read_csv(path: Path, data: Data, columns: Mapping[str, str]) -> dict[str, Array]:
+    """Return the columns of a log in CSV, by name in this module; a column window of zeros."""
+    wanted = {**dict(data.columns), **columns}
+    if isinstance(data.window, str):
+        wanted["window"] = data.window
+    known = read_names(path, "a log")
+    wanted = {key: "t" if name == "time" else name for key, name in wanted.items()}
+    for name in wanted.values():
+        if name not in known:
+            raise DataError(
+                f"{path}:1: expected the columns {', '.join(dict.fromkeys(wanted.values()))}, "
+                f"found no column {name!r} among {', '.join(known)}; name the columns in "
+                "[data.columns] and [data.rates]"
+            )
+    distinct = list(dict.fromkeys(wanted.values()))
+    rows = np.array(read_columns(path, distinct, "a log")).reshape(-1, len(distinct))
+    found = {key: rows[:, distinct.index(name)] for key, name in wanted.items()}
+    return {"window": np.zeros(len(rows)), **found}
+
+
+def _read_result(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
+    """Return the columns of a result of slipfree, with rates and values by name."""
+    run = read_result(path)
+    found = {"t": run.t, **{key: run[key] for key in ("x", "y", "heading")}}
+    found["window"] = np.zeros(run.t.size)
+    for name, column in columns.items():
+        wheel = column.removesuffix("_rate")
+        if wheel in run.wheels:
+            found[name] = run["wheel_rate", wheel]
+        elif wheel in run.columns and column.endswith("_rate"):
+            found[name] = np.gradient(run[wheel], run.t)
+        elif column in run.columns:
+            found[name] = run[column]
+        else:
+            raise DataError(
+                f"{path}: expected the rates of the wheels and joints of the vehicle, found none "
+                f"for {column!r}; name another quantity in [data.rates]"
+            )
+    return found
+
+
+def _read_mcap(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
+    """Return poses, and rates and values of joints at their times, of an MCAP file by name.
+
+    A column is the name of a joint, with ``_rate`` for its velocity.
+    """
+    pose, joints = read_motion_log(path)
+    t = pose["t"]
+    found = {**pose, "window": np.zeros(t.size)}
+    for name, column in columns.items():
+        joint = column.removesuffix("_rate")
+        if joint not in joints:
+            raise DataError(
+                f"{path}: expected the rates of the wheels and joints of the vehicle, found no "
+                f"joint {joint!r} among {', '.join(joints)}; name the joints in [data.rates]"
+            )
+        states = joints[joint]
+        values = states.velocities if name.endswith("_rate") else states.positions
+        if not np.isfinite(values).all():
+            raise DataError(
+                f"{path}: expected values of joint {joint!r} in each message, found messages "
+                "without them; record positions and velocities"
+            )
+        found[name] = np.interp(t, states.t, values)
+    return found
+
+
+def _divided(log: Log, duration: float) -> Log:
+    """Return a log divided into windows, which share the samples at their ends.
+
+    An incomplete last window is left out.
+    """
+    t, slack = log.t - log.t[0], TIME_SLACK * duration
+    if np.diff(t).min(initial=0.0) < 0:
+        raise ModelError("expected times that do not decrease, found a decrease; sort the log")
+    count = int((t[-1] + slack) / duration)
+    ends = duration * np.arange(count + 1)
+    first = np.searchsorted(t, ends[:-1] - slack)
+    last = np.searchsorted(t, ends[1:] + slack)
+    rows = [np.arange(a, b) for a, b in zip(first, last, strict=True)]
+    if not rows:
+        raise ModelError(
+            f"expected a log of at least one window, {duration:g} s, found {t[-1]:g} s; reduce "
+            "data.window"
+        )
+    window = np.repeat(np.arange(count), [each.size for each in rows])
+    at_rows = np.concatenate(rows)
+    return Log(log.t[at_rows], log.given[at_rows], log.pose[at_rows], window)
+
+
+def facts(fitted: Fitted) -> Facts:
+    """Return the facts of a fit: estimates, identifiable directions, and errors of predictions."""
+    found = fitted.calibration
+    return [
+        ("windows", f"{len(found.train.measured)} for training, {len(found.test.measured)} others"),
+        *_estimates(found.estimate),
+        *_directions(found.estimate),
+        *_errors("training windows", found.train),
+        *_errors("other windows", found.test),
+    ]
+
+
+def _estimates(found: Estimate) -> Iterator[tuple[str, str]]:
+    """Yield the estimates, with 95 % intervals."""
+    for k, label in enumerate(found.labels):
+        unit = "" if label.unit == "1" else f" {label.unit}"
+        low, high = found.intervals[k]
+        if found.at_bound[k]:
+            words = "at its bound: the data favour values beyond it"
+        elif not np.isfinite(high):
+            words = "not determined by these data"
+        else:
+            words = f"95 % interval {low:.5g} to {high:.5g}"
+        yield label.name, f"{found.values[k]:.5g}{unit} ({words}), before {found.nominal[k]:.5g}"
+
+
+def _directions(found: Estimate) -> Iterator[tuple[str, str]]:
+    """Yield the combinations of unknowns that the data determine best, weakly, or not at all."""
+    names = [
+        label.name for label, fixed in zip(found.labels, found.at_bound, strict=True) if not fixed
+    ]
+    for k, direction in enumerate(found.directions):
+        words = _combination(direction, names)
+        if direction.deviation > WEAK:
+            size = (
+                "without any information"
+                if not np.isfinite(direction.deviation)
+                else f"standard deviation {100 * direction.deviation:.3g} % of its size"
+            )
+            kind = "not determined" if direction.deviation > 1 else "weakly determined"
+            yield kind, f"{words}: {size}"
+        elif k == 0:
+            yield "determined best", f"{words}: to {100 * direction.deviation:.2g} %"
+
+
+def _combination(direction: Direction, names: list[str]) -> str:
+    """Return a combination of unknowns in words, with weights relative to their sizes."""
+    parts = [
+        f"{weight:+.2g} {name}"
+        for weight, name in zip(direction.weights, names, strict=True)
+        if abs(weight) > SHOWN_WEIGHT
+    ]
+    return names[int(np.abs(direction.weights).argmax())] if len(parts) == 1 else " ".join(parts)
+
+
+def _errors(words: str, errors: EndErrors) -> Iterator[tuple[str, str]]:
+    """Yield the errors of end poses before and after the fit, with bootstrap intervals."""
+    for name, values in (("before", errors.nominal), ("after", errors.fitted)):
+        position, heading = bootstrap(values, position_rms), bootstrap(values, heading_rms)
+        yield (
+            f"{words}, {name}",
+            f"rms {position.value:.4g} m ({position.lower:.4g} to {position.upper:.4g}), "
+            f"{np.rad2deg(heading.value):.3g} deg ({np.rad2deg(heading.lower):.3g} to "
+            f"{np.rad2deg(heading.upper):.3g})",
+        )
+
+
+def estimate_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
+    """Return column names and rows of the estimates, in SI units."""
+    found = fitted.calibration.estimate
+    deviation = np.sqrt(np.diag(found.covariance))
+    names = ["name", "unit", "nominal", "value", "deviation", "lower", "upper", "at_bound"]
+    return names, [
+        [
+            label.name,
+            label.unit,
+            *(float(each[k]) for each in (found.nominal, found.values, deviation)),
+            *(float(each) for each in found.intervals[k]),
+            int(found.at_bound[k]),
+        ]
+        for k, label in enumerate(found.labels)
+    ]
+
+
+def window_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
+    """Return column names and rows of the windows: measured ends and errors [m, rad]."""
+    axes = ("right", "ahead", "heading")
+    names = ["set", *(f"{kind}_{a}" for kind in ("measured", "before", "after") for a in axes)]
+    found = fitted.calibration
+    return names, [
+        [words, *np.concatenate(row).tolist()]
+        for words, errors in (("train", found.train), ("test", found.test))
+        for row in zip(*errors, strict=True)
+    ]
+
+
+def vehicle_comments(fitted: Fitted) -> list[str]:
+    """Return the fitted numbers that are not in a vehicle file, as lines of a comment."""
+    words = "fitted by slipfree fit"
+    others = {**fitted.constants, **fitted.sensor}
+    return [
+        words,
+        *(f"{name} = {value!r} (not part of the vehicle)" for name, value in others.items()),
+    ]

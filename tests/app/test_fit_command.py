@@ -1,0 +1,206 @@
+"""``slipfree fit``: estimates, tables, vehicle file, logs of other origin, and errors."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
+from slipfree.cli import app
+from slipfree.files.mcap_writer import write_mcap
+from slipfree.files.netcdf import write
+from slipfree.files.tables import write_rows
+from slipfree.files.vehicle_writer import vehicle_text
+from slipfree.geometry.frame import unit_vector
+from slipfree.problem.build_vehicle import read_vehicle
+from slipfree.vehicle.tree import Vehicle
+
+PROBLEM = Path(__file__).parents[2] / "problems" / "fit_skid_steer.toml"
+TRUE = {
+    "radius_left": 0.155,
+    "radius_right": 0.155,
+    "track": 0.62,
+    "center_of_mass_ahead": 0.04,
+    "creep": 0.05,
+}
+LOG = """
+verb = "fit"
+[vehicle]
+catalog = "rigid_skid_steer"
+[data]
+file = "log.csv"
+window = 1.0
+[unknowns.radius]
+[unknowns.track]
+"""
+
+RUN = """
+verb = "direct"
+[terrain.synthetic]
+x = [-3.0, 3.0]
+y = [-3.0, 3.0]
+spacing = 0.5
+[vehicle]
+file = "fitted.toml"
+[start]
+[inputs]
+front_right_rate = 1.0
+front_left_rate = 1.0
+rear_right_rate = 1.0
+rear_left_rate = 1.0
+[time]
+duration = 0.2
+step = 0.1
+"""
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def _called(*words: str, code: int = 0) -> str:
+    done = CliRunner().invoke(app, list(words))
+    assert done.exit_code == code, done.output
+    return str(done.output)
+
+
+def _estimates(path: str) -> dict[str, dict[str, str]]:
+    with Path(path).open() as file:
+        return {row["name"]: row for row in csv.DictReader(file)}
+
+
+def test_shipped_problem_finds_the_truth_and_a_vehicle_that_runs() -> None:
+    words = _called("fit", str(PROBLEM), "--write", "fitted.toml")
+    assert "42 for training, 18 others" in words
+    assert "weakly determined" in words
+    found = _estimates("fit_skid_steer.csv")
+    for name, row in found.items():
+        assert float(row["lower"]) < TRUE[name] < float(row["upper"])
+    with Path("fit_skid_steer_windows.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 60
+    assert Path("fit_skid_steer.png").is_file()
+    vehicle = read_vehicle("fitted.toml")
+    radii = {wheel.name: wheel.radius for wheel in vehicle.wheels}
+    assert_allclose(radii["front_left"], float(found["radius_left"]["value"]), atol=1e-12)
+    assert_allclose(vehicle.body.at[1], float(found["center_of_mass_ahead"]["value"]), atol=1e-12)
+    assert "# creep = 0.0" in Path("fitted.toml").read_text()
+    Path("run.toml").write_text(RUN)
+    assert "complete" in _called("run", "run.toml", "--no-draw")
+
+
+def _motion() -> tuple[Vehicle, np.ndarray, np.ndarray]:
+    """Return a vehicle, and times and rates of its left and right wheels."""
+    vehicle = catalog.rigid_skid_steer(half_track=0.3, r2=0.12)
+    times = np.linspace(0, 20, 201)
+    rates = np.random.default_rng(3).uniform(1, 4, (2, 20)).repeat(10, axis=1)
+    return vehicle, times, rates
+
+
+def _simulated() -> tuple[Vehicle, object, np.ndarray, np.ndarray]:
+    vehicle, times, (left, right) = _motion()
+    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
+    inputs = {f"{w.name}_rate": left if "left" in w.name else right for w in vehicle.wheels}
+    run = simulate(dae, settle(dae, heading=0.4), dae.inputs(**inputs), times)
+    return vehicle, run, left, right
+
+
+@pytest.mark.parametrize("frame", ["paper", "rep103"])
+def test_logs_of_both_frames(frame: str) -> None:
+    """Rates are constant within windows; the row after a jump has the later rate."""
+    _, run, left, right = _simulated()
+    rows = []
+    for k in range(20):
+        for i in range(10 * k, 10 * k + 11):
+            turned = run["heading"][i] + (np.pi / 2 if frame == "rep103" else 0.0)
+            rows.append(
+                [k, run.t[i], run["x"][i], run["y"][i], turned, left[10 * k], right[10 * k]]
+            )
+    write_rows(Path("log.csv"), ["n", "time", "x", "y", "heading", "l", "r"], rows)
+    rates = "".join(
+        f"{end}_{side}_rate = '{side[0]}'\n"
+        for end in ("front", "rear")
+        for side in ("left", "right")
+    )
+    text = LOG.replace("window = 1.0", f"window = 'n'\n[data.rates]\n{rates}")
+    Path("fit.toml").write_text(f"frame = '{frame}'\n{text}")
+    _called("fit", "fit.toml", "--no-draw")
+    found = _estimates("fit.csv")
+    assert_allclose(float(found["radius"]["value"]), 0.17, rtol=1e-4)
+    assert_allclose(float(found["track"]["value"]), 0.6, rtol=1e-4)
+    shown = json.loads(_called("--json", "fit", "fit.toml", "--no-draw"))
+    assert [each["name"] for each in shown["estimates"]] == ["radius", "track"]
+
+
+def test_results_of_slipfree_are_logs() -> None:
+    vehicle, times, _ = _motion()
+    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
+    speed = {"left": 2 + dae.t / 10, "right": 3 - dae.t / 20}
+    inputs = {f"{w.name}_rate": speed[w.name.split("_")[1]] for w in vehicle.wheels}
+    run = simulate(dae, settle(dae), dae.inputs(**inputs), times)
+    write("log.nc", run)
+    write_mcap(Path("log.mcap"), run, vehicle)
+    for name in ("log.nc", "log.mcap"):
+        Path("fit.toml").write_text(LOG.replace("log.csv", name))
+        _called("fit", "fit.toml", "--no-draw")
+        found = _estimates("fit.csv")
+        assert_allclose(float(found["radius"]["value"]), 0.17, rtol=1e-4)
+        assert_allclose(float(found["track"]["value"]), 0.6, rtol=1e-3)
+    Path("fit.toml").write_text(
+        LOG.replace("[unk", "[data.rates]\nfront_left_rate = 'a'\n[unk", 1).replace(
+            "log.csv", "log.mcap"
+        )
+    )
+    assert "found no joint 'a' among front_right" in _called("fit", "fit.toml", code=2)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("track", "mass"), r"fit.toml:9: .*one of the quantities radius, track.*found 'mass'"),
+        (("[data]", "[data]\nrates = {nose = 'l'}"), r"fit.toml:6: .*found the unknown.*'nose'"),
+        (("log.csv", "none.csv"), r"fit.toml:5: .*none.csv"),
+        (('catalog = "rigid', 'slip = 1\ncatalog = "rigid'), r"fit.toml:4: .*unknown key 'slip'"),
+        (("verb", "loss = 'l1'\nverb"), r"fit.toml:2: .*'soft_l1' or 'linear'.*'l1'"),
+    ],
+)
+def test_errors_name_the_line(change: tuple[str, str], words: str) -> None:
+    Path("log.csv").write_text("t,x,y,heading\n0,0,0,0\n1,0,0,0\n")
+    Path("fit.toml").write_text(LOG.replace(*change))
+    found = _called("fit", "fit.toml", code=2)
+    assert re.search(words, found), found
+
+
+def test_missing_columns_are_named() -> None:
+    Path("log.csv").write_text("t,x,y,heading\n0,0,0,0\n1,0,0,0\n")
+    Path("fit.toml").write_text(LOG)
+    found = _called("fit", "fit.toml", code=2)
+    assert "found no column 'front_right_rate' among t, x, y, heading" in found
+
+
+def test_other_commands_name_the_command() -> None:
+    assert "use slipfree fit" in _called("run", str(PROBLEM), code=2)
+
+
+@pytest.mark.parametrize("name", catalog.__all__)
+def test_vehicles_of_the_catalogue_are_written(name: str) -> None:
+    """Axles are written as vectors, and joints are sorted by their distance from the platform."""
+    vehicle = getattr(catalog, name)()
+    Path("v.toml").write_text(vehicle_text(vehicle, ["comment"]))
+    found = read_vehicle("v.toml")
+    wheels = tuple(replace(wheel, axle=unit_vector(wheel.axle)) for wheel in vehicle.wheels)
+    assert tuple(replace(w, axle=unit_vector(w.axle)) for w in found.wheels) == wheels
+    assert sorted(found.joints, key=str) == sorted(vehicle.joints, key=str)
+    assert (found.name, found.coordinates, found.body) == (
+        vehicle.name,
+        vehicle.coordinates,
+        vehicle.body,
+    )

@@ -1,0 +1,321 @@
+"""Calibration: derivatives, recovery of known numbers, covariance, undetermined combinations."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from slipfree import (
+    Analytic,
+    Compliant,
+    Coulomb,
+    LeastSlip,
+    ModelError,
+    catalog,
+    direct_kinematics,
+    dynamics,
+    quasi_statics,
+    settle,
+    simulate,
+)
+from slipfree.fit.body_motion import BodyMotion, body_motion, velocities
+from slipfree.fit.calibration import bootstrap, calibrate, position_rms
+from slipfree.fit.estimate import Estimate, estimate
+from slipfree.fit.unknowns import Unknown, parametric_model, with_unknowns
+from slipfree.fit.windows import Log, Windows, cut, end_poses
+from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
+from slipfree.rearrange import with_values
+from slipfree.records import Array
+
+LEVEL = Analytic(lambda x, _: 0 * x, mu=0.6)
+SIDES = {end: (f"front_{end}", f"rear_{end}") for end in ("left", "right")}
+RADII = tuple(Unknown(f"radius_{end}", "radius", SIDES[end]) for end in SIDES)
+SKID = (
+    *RADII,
+    Unknown("track", "track"),
+    Unknown("center_of_mass_ahead", "center_of_mass_ahead"),
+    Unknown("creep", "creep"),
+)
+SENSOR = tuple(Unknown(name, name) for name in ("sensor_right", "sensor_ahead", "sensor_heading"))
+
+
+def static(vehicle: Any, law: Any) -> Any:
+    """Return a quasi-static model on level ground."""
+    return quasi_statics(vehicle, LEVEL, law=law)
+
+
+def kinematic(vehicle: Any, law: Any) -> Any:
+    """Return a kinematic model on level ground."""
+    return direct_kinematics(vehicle, LEVEL, slip=law)
+
+
+CASES = {
+    "quasi-static": (static, catalog.skid_steer(), Coulomb(0.1), (*SKID, Unknown("grip", "grip"))),
+    "closure": (kinematic, catalog.skid_steer(), LeastSlip(), SKID[:3]),
+    "pressed": (kinematic, catalog.rigid_skid_steer(), LeastSlip(), SKID[:3]),
+    "soil": (
+        static,
+        catalog.skid_steer(),
+        Soil(creep=0.01),
+        (*SKID[2:3], Unknown("phi", "friction_angle"), Unknown("c", "cohesion")),
+    ),
+}
+
+
+def _rates(motion: BodyMotion, count: int, seed: int = 0) -> Array:
+    """Return rates of both sides at samples."""
+    left, right = np.random.default_rng(seed).uniform(1, 5, (2, count))
+    return np.column_stack([left if "left" in name else right for name in motion.names])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_derivatives_of_the_velocity(name: str) -> None:
+    build, vehicle, law, unknowns = CASES[name]
+    dae = parametric_model(build, vehicle, law, unknowns)
+    motion = body_motion(dae)
+    given, p = _rates(motion, 5), np.array([each.value for each in dae.p])
+    found = velocities(motion, given, p)
+    for k, size in enumerate(np.maximum(np.abs(p), 0.1)):
+        step = np.zeros(p.size)
+        step[k] = 1e-5 * size
+        ends = [velocities(motion, given, p + sign * step, found).values for sign in (1, -1)]
+        slope = (ends[0] - ends[1]) / (2 * step[k])
+        assert_allclose(found.slopes[..., k], slope, atol=1e-6 * max(1, np.abs(slope).max()))
+
+
+@pytest.mark.parametrize("name", ["quasi-static", "closure", "pressed"])
+def test_velocity_is_that_of_a_simulation(name: str) -> None:
+    build, vehicle, law, unknowns = CASES[name]
+    motion = body_motion(parametric_model(build, vehicle, law, unknowns))
+    (given,) = _rates(motion, 1)
+    dae = build(vehicle, law)
+    run = simulate(
+        dae, settle(dae), dae.inputs(**dict(zip(motion.names, given, strict=True))), [0.0, 1.0]
+    )
+    (forward,) = np.hypot(np.diff(run["x"]), np.diff(run["y"]))
+    p = np.array([each.value for each in parametric_model(build, vehicle, law, unknowns).p])
+    right, ahead, turning = velocities(motion, given[None], p).values[0]
+    assert_allclose(run["heading"][-1], turning, rtol=1e-5)
+    chord = np.hypot(right, ahead) * np.sin(turning / 2) / (turning / 2)
+    assert_allclose(forward, chord, rtol=1e-5)
+
+
+def test_parameters_change_without_building_again() -> None:
+    build, vehicle, law, unknowns = CASES["closure"]
+    values = [0.16, 0.14, 0.7]
+    changed = with_values(
+        parametric_model(build, vehicle, law, unknowns),
+        **{each.name: value for each, value in zip(unknowns, values, strict=True)},
+    )
+    built = build(with_unknowns(vehicle, unknowns, values), law)
+    ends = [
+        simulate(dae, settle(dae), dae.inputs(**{f"{w}_rate": 1.0 for w in _wheels()}), [0.0, 1.0])
+        for dae in (changed, built)
+    ]
+    assert_allclose(ends[0]["heading"], ends[1]["heading"], atol=1e-9)
+    with pytest.raises(ModelError, match=r"one of radius_left, radius_right, track, found 'mass'"):
+        with_values(parametric_model(build, vehicle, law, unknowns), mass=3.0)
+
+
+def test_a_creep_speed_changes_without_building_again() -> None:
+    build, vehicle, _, _ = CASES["quasi-static"]
+    changed = with_values(parametric_model(build, vehicle, Coulomb(0.1), SKID), creep=0.02)
+    rates = dict(zip(_wheels(), (1.0, 1.0, 2.0, 2.0), strict=True))
+    ends = [
+        simulate(dae, settle(dae), dae.inputs(**{f"{w}_rate": u for w, u in rates.items()}), [0, 1])
+        for dae in (changed, build(vehicle, Coulomb(0.02)))
+    ]
+    assert_allclose(ends[0]["heading"], ends[1]["heading"], atol=1e-9)
+
+
+def test_a_model_with_parameters_is_not_simulated() -> None:
+    dae = parametric_model(*CASES["closure"])
+    inputs = dae.inputs(**{f"{w}_rate": 1.0 for w in _wheels()})
+    with pytest.raises(ModelError, match=r"numbers in place of the parameters radius_left"):
+        simulate(dae, settle(kinematic(catalog.skid_steer(), LeastSlip())), inputs, [0.0, 1.0])
+
+
+def _wheels() -> tuple[str, ...]:
+    return (*SIDES["left"], *SIDES["right"])
+
+
+def _windows(motion: BodyMotion, p: Array, sensor: Array | None = None) -> Windows:
+    """Return windows of a vehicle with parameters ``p``, without errors."""
+    count = 60
+    given = np.repeat(_rates(motion, count)[:, None], 3, axis=1)
+    speed = velocities(motion, given[:, 0], p).values
+    windows = Windows(np.ones((count, 2)), given, np.zeros((count, 3)))
+    at = np.zeros(3) if sensor is None else sensor
+    end, *_ = end_poses(windows, np.repeat(speed[:, None], 3, axis=1), at)
+    return windows._replace(end=end)
+
+
+TRUTH = np.array([0.155, 0.152, 0.62, 0.04, 0.05])
+
+
+@cache
+def _skid_truth() -> tuple[Any, Windows]:
+    dae = parametric_model(static, catalog.skid_steer(), Coulomb(0.1), SKID)
+    return dae, _windows(body_motion(dae), TRUTH)
+
+
+def _skid_windows(noise: float = 0.0, seed: int = 0) -> tuple[Any, Windows]:
+    dae, windows = _skid_truth()
+    error = np.random.default_rng(seed).normal(size=windows.end.shape) * noise * [1, 1, 0.5]
+    return dae, windows._replace(end=windows.end + error)
+
+
+def _skid_estimate(dae: Any, windows: Windows, **more: Any) -> Estimate:
+    return estimate(dae, catalog.skid_steer(), Coulomb(0.1), SKID, windows, **more)
+
+
+def test_known_numbers_are_found() -> None:
+    found = _skid_estimate(*_skid_windows())
+    assert_allclose(found.values, TRUTH, rtol=1e-5)
+    assert found.at_bound == (False,) * 5
+
+
+def test_intervals_contain_the_truth() -> None:
+    """8 draws with 5 unknowns: 40 intervals, of which 38 are expected to contain the truth."""
+    inside = 0
+    for seed in range(8):
+        dae, windows = _skid_windows(0.01, seed)
+        found = _skid_estimate(dae, windows)
+        inside += int(((found.intervals[:, 0] <= TRUTH) & (found.intervals[:, 1] >= TRUTH)).sum())
+        assert_allclose(found.deviations, [0.01, 0.01, 0.005], rtol=0.4)
+    assert 34 <= inside <= 40
+
+
+def test_outliers_have_little_influence() -> None:
+    dae, windows = _skid_windows(0.005)
+    end = windows.end.copy()
+    end[::10] += [0.5, -0.5, 0.5]
+    spoilt = windows._replace(end=end)
+    robust, plain = (_skid_estimate(dae, spoilt, loss=loss) for loss in ("soft_l1", "linear"))
+    errors = [np.abs(each.values[2] - TRUTH[2]) for each in (robust, plain)]
+    assert errors[0] < 0.01
+    assert errors[1] > 3 * errors[0]
+
+
+def test_undetermined_combinations_are_named() -> None:
+    """Straight motion determines the radius, but neither the track nor the sensor's position."""
+    build, vehicle, law, _ = CASES["pressed"]
+    unknowns = (Unknown("radius", "radius"), Unknown("track", "track"), SENSOR[1])
+    dae = parametric_model(build, vehicle, law, unknowns)
+    motion = body_motion(dae)
+    given = np.repeat(np.linspace(1, 4, 20)[:, None, None] * np.ones(4), 2, axis=1)
+    windows = Windows(np.ones((20, 1)), given, np.zeros((20, 3)))
+    speed = velocities(motion, given[:, 0], np.array([0.17, 0.57])).values
+    end, *_ = end_poses(windows, np.repeat(speed[:, None], 2, axis=1), np.zeros(3))
+    end += np.random.default_rng(1).normal(size=end.shape) * 0.01
+    found = estimate(dae, vehicle, law, unknowns, windows._replace(end=end))
+    assert_allclose(found.values[0], 0.17, atol=0.002)
+    assert np.isfinite(found.intervals[0]).all()
+    assert np.isinf(found.intervals[1:]).all()
+    assert [np.isinf(each.deviation) for each in found.directions] == [False, True, True]
+    prior = (unknowns[0], Unknown("track", "track", prior=(0.6, 0.02)))
+    known = estimate(
+        parametric_model(build, vehicle, law, prior),
+        vehicle,
+        law,
+        prior,
+        windows._replace(end=end),
+    )
+    assert_allclose(known.values[1], 0.6, atol=1e-6)
+    assert_allclose(np.sqrt(known.covariance[1, 1]), 0.02, rtol=1e-6)
+
+
+def test_an_estimate_at_its_bound_is_marked() -> None:
+    dae, windows = _skid_windows(0.005)
+    unknowns = (*SKID[:2], Unknown("track", "track", upper=0.61), *SKID[3:])
+    found = estimate(dae, catalog.skid_steer(), Coulomb(0.1), unknowns, windows)
+    assert found.at_bound == (False, False, True, False, False)
+    assert found.covariance[2, 2] == 0
+
+
+def test_pose_of_the_sensor_is_found() -> None:
+    build, vehicle, law, _ = CASES["closure"]
+    unknowns = (*SKID[:3], *SENSOR)
+    dae = parametric_model(build, vehicle, law, unknowns)
+    sensor = np.array([0.05, 0.3, -0.1])
+    windows = _windows(body_motion(dae), np.array([0.155, 0.152, 0.62]), sensor)
+    found = estimate(dae, vehicle, law, unknowns, windows)
+    assert_allclose(found.values, [0.155, 0.152, 0.62, *sensor], atol=1e-5)
+
+
+def test_calibration_judges_by_other_windows() -> None:
+    dae, windows = _skid_windows(0.01)
+    found = calibrate(static, catalog.skid_steer(), Coulomb(0.1), SKID, windows, train=0.6)
+    assert (len(found.train.measured), len(found.test.measured)) == (36, 24)
+    before, after = (
+        bootstrap(each, position_rms) for each in (found.test.nominal, found.test.fitted)
+    )
+    assert after.upper < before.lower
+    assert after.lower < 0.01 * np.sqrt(2) < after.upper
+    assert dae.p[0].label.name == "radius_left"
+
+
+def test_windows_of_a_log() -> None:
+    """An arc of radius 1 m: a log in two windows, the second with fewer samples."""
+    angle = np.array([0.0, 0.1, 0.2, 3.0, 3.2])
+    pose = np.column_stack([np.cos(angle), np.sin(angle), angle - 2 * np.pi * (angle > 3.1)])
+    log = Log(angle, np.ones((5, 1)), pose, np.array([0, 0, 0, 1, 1]))
+    found = cut(log)
+    assert_allclose(found.dt, [[0.1, 0.1], [0.2, 0.0]])
+    arc = [np.cos(0.2) - 1, np.sin(0.2), 0.2]
+    assert_allclose(found.end, [arc, arc], atol=1e-12)
+    speed = np.broadcast_to([0.0, 1.0, 1.0], (2, 3, 3))
+    assert_allclose(end_poses(found, speed, np.zeros(3))[0], found.end, atol=1e-12)
+    with pytest.raises(ModelError, match="times that do not decrease"):
+        cut(log._replace(t=angle[::-1]))
+
+
+def test_constants_of_soil_may_be_parameters() -> None:
+    """The derivative of the pull by the friction angle is that of a difference quotient."""
+    phi = ca.SX.sym("phi")
+    pull = forces_at_slip(Soil(friction_angle=phi), WheelSize(0.1, 0.1), 0.01, 0.2, 0.1).pull
+    slope = float(ca.Function("slope", [phi], [ca.jacobian(pull, phi)])(0.6))
+    ends = [
+        float(
+            forces_at_slip(Soil(friction_angle=0.6 + h), WheelSize(0.1, 0.1), 0.01, 0.2, 0.1).pull
+        )
+        for h in (1e-6, -1e-6)
+    ]
+    assert_allclose(slope, (ends[0] - ends[1]) / 2e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"lower": 1.0, "upper": 0.5}, "a lower bound below the upper one"),
+        ({"prior": (0.5, 0.0)}, "positive standard deviation of the prior"),
+    ],
+)
+def test_unknowns_are_checked(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        Unknown("track", "track", **change)
+
+
+@pytest.mark.parametrize(
+    ("unknown", "words"),
+    [
+        (Unknown("mass", "mass"), "one of the quantities radius, track, .*, found 'mass'"),
+        (Unknown("r", "radius", ("nose",)), "wheels of the vehicle, front_right, .*'nose'"),
+        (Unknown("track", "track", lower=0.7), "a nominal value within the bounds, 0.7 to inf"),
+    ],
+)
+def test_quantities_are_checked(unknown: Unknown, words: str) -> None:
+    build, vehicle, law, _ = CASES["closure"]
+    with pytest.raises(ModelError, match=words):
+        calibrate(build, vehicle, law, [unknown], _skid_windows()[1])
+
+
+def test_models_with_inertia_are_refused() -> None:
+    dae = dynamics(catalog.skid_steer(), LEVEL, law=Compliant())
+    with pytest.raises(ModelError, match="found one with inertia"):
+        body_motion(dae)
