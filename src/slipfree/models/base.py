@@ -26,6 +26,8 @@ from slipfree.records import Array, leaves, pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
+LEAST_SPEED = 1e-6  # of a wheel or its rim, below which a slip ratio is reduced [m/s]
+
 
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
     """Return the poses of the wheels' carriers, with origins at the wheels' centres.
@@ -101,6 +103,18 @@ def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
         quaternion=tuple(ca.vertsplit(quaternion(forward_left_up))),
         forces=forces,
     )
+
+
+def slip_ratios(q: Quantities) -> tuple[ca.SX, ...]:
+    """Return the slip ratios of the wheels, positive if the rim is faster than the wheel [1]."""
+    found = list[ca.SX]()
+    for wheel, contact, slip, rate in zip(
+        q.vehicle.wheels, q.contacts, q.slips, q.spins, strict=True
+    ):
+        along, rim = ca.dot(contact.along, slip), rate * wheel.radius
+        fastest = ca.fmax(ca.fabs(rim), ca.fabs(rim + along))
+        found.append(-along / ca.fmax(fastest, LEAST_SPEED))
+    return tuple(found)
 
 
 def touch_function(

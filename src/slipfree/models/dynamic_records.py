@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from slipfree.dae import Labels
 from slipfree.laws.protocols import wheel_labels
-from slipfree.models.labels import effort_label, labels_of, pressed_labels
+from slipfree.models.labels import effort_label, labels_of, pressed_labels, slip_ratio_labels
 from slipfree.models.records import Inputs, Outputs
 from slipfree.records import Label
 from slipfree.vehicle.tree import Coordinate, Vehicle
@@ -81,7 +81,6 @@ class DynamicOutputs(NamedTuple):
     contact_x: tuple[Any, ...]
     contact_y: tuple[Any, ...]
     common: Outputs
-    slip_ratio: tuple[Any, ...]
     kinetic_energy: Any
     contact_energy: Any
     solids: tuple[OnSolid, ...]
@@ -151,7 +150,6 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
 def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutputs:
     """Return the labels of the outputs, from those of a model without inertia."""
     position, rates = still.z.position, still.z.rates
-    ratio = "rim speed minus speed of the wheel's centre, divided by the larger of the two"
     forces: Any = still.y.forces
     forces = forces._replace(joint_effort=output_efforts(vehicle, forces.joint_effort))
     return DynamicOutputs(
@@ -164,8 +162,9 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
         rates.pitch,
         tuple(each.x for each in position.contacts),
         tuple(each.y for each in position.contacts),
-        still.y._replace(forces=forces, **pressed_labels(vehicle)),
-        wheel_labels(vehicle, "slip_ratio", "1", ratio),
+        still.y._replace(
+            forces=forces, **pressed_labels(vehicle), slip_ratio=slip_ratio_labels(vehicle)
+        ),
         Label("kinetic_energy", "J", "kinetic energy"),
         Label("contact_energy", "J", "elastic energy of the contacts"),
         tuple(_solid_labels(vehicle, k) for k in range(1, solids + 1)),

@@ -85,6 +85,12 @@ def pressed_labels(vehicle: Vehicle) -> dict[str, tuple[Label, ...]]:
     }
 
 
+def slip_ratio_labels(vehicle: Vehicle) -> tuple[Label, ...]:
+    """Return the labels of the slip ratios of the wheels."""
+    words = "rim speed minus speed of the wheel's centre, divided by the larger of the two"
+    return wheel_labels(vehicle, "slip_ratio", "1", words)
+
+
 def _turning(name: str, words: str) -> Label:
     return Label(f"{name}_rate", "rad s-1", f"rate of {words}")
 

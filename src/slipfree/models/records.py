@@ -176,6 +176,7 @@ class Outputs(NamedTuple):
     depth: tuple[Any, ...] = ()
     load_share: tuple[Any, ...] = ()
     force_normal: tuple[Any, ...] = ()
+    slip_ratio: tuple[Any, ...] = ()
 
 
 def state_coordinates(vehicle: Vehicle) -> tuple[str, ...]:
