@@ -47,6 +47,8 @@ from slipfree.dae import Limit
 from slipfree.errors import ModelError
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
+    ACROSS,
+    ALONG,
     NORMAL,
     Equations,
     GroundForce,
@@ -66,13 +68,43 @@ SMALLEST_DEPTH = 1e-9  # of a wheel in soil; angles have no derivative at depth 
 STEADY_CREEP = 1e-8  # regularisation of steady motion [speeds of the wheel]
 ANGLE_SMOOTHING = 0.01  # slip angle at which its sign, for (6) and (7), is 0.76 [rad]
 STATIC_STEPS = 60  # of bisection for the static sinkage
+UNKNOWNS = (
+    NORMAL,
+    ALONG,
+    ACROSS,
+    ("soil_torque", "N m", "moment of the soil about the axle, positive against forward rolling"),
+    ("sinkage", "m", "depth of the wheel in the soil"),
+    ("rim_speed", "m s-1", "speed of the rim at the tips of grousers, relative to the axle"),
+    ("speed_along", "m s-1", "speed of the wheel's centre along the wheel"),
+    ("speed_across", "m s-1", "speed of the wheel's centre across the wheel, to the right"),
+)
+EQUATIONS = (
+    ("touching", "m s-1", "normal velocity of the contact point"),
+    ("bearing", "1", "normal force: that of the soil minus the unknown, over the weight"),
+    ("pulling", "1", "drawbar pull: that of the soil minus the unknown, over the weight"),
+    ("siding", "1", "side force: that of the soil minus the unknown, over the weight"),
+    ("resisting", "1", "torque: that of the soil minus the unknown, over weight and radius"),
+    ("rim", "m s-1", "rim speed: that of the motion minus the unknown"),
+    ("forward", "m s-1", "speed along the wheel: that of the motion minus the unknown"),
+    ("sideways", "m s-1", "speed across the wheel: that of the motion minus the unknown"),
+)
 
 
 class SoilUnknowns(NamedTuple):
-    """Normal forces [N] and depths of the wheels in soil [m]."""
+    """Forces [N], torques [N m], depths [m] and speeds [m/s] of the wheels in soil.
+
+    The forces of the soil are long expressions. With these unknowns, each of them is an expression
+    of four unknowns, and its derivatives in a plan are a third as long.
+    """
 
     normal: tuple[Any, ...]
+    along: tuple[Any, ...]
+    across: tuple[Any, ...]
+    torque: tuple[Any, ...]
     sinkage: tuple[Any, ...]
+    rim: tuple[Any, ...]
+    forward: tuple[Any, ...]
+    sideways: tuple[Any, ...]
 
 
 class WheelSize(NamedTuple):
@@ -210,38 +242,42 @@ class Soil:
             wheel_size(wheel)
 
     def unknowns(self, vehicle: Vehicle) -> SoilUnknowns:
-        """Return the labels of the normal forces and of the sinkage of a quasi-static model."""
-        words = "depth of the wheel in the soil"
-        sunk = wheel_labels(vehicle, "sinkage", "m", words)
-        return SoilUnknowns(wheel_labels(vehicle, *NORMAL), sunk)
+        """Return the labels of forces, torques, sinkage and speeds of a quasi-static model."""
+        return SoilUnknowns(*(wheel_labels(vehicle, *each) for each in UNKNOWNS))
 
     def reaction(self, contacts: SlidingContacts, unknowns: SoilUnknowns) -> Reaction:
         """Return the forces of the soil in a quasi-static model, and the equations of sinkage."""
-        continuation, found = creep_continuation(self.creep), list[SoilForces]()
-        states = zip(
-            contacts.vehicle.wheels,
-            unknowns.sinkage,
-            contacts.spins,
-            contacts.along,
-            contacts.across,
-            strict=True,
-        )
-        for wheel, depth, spin, along, across in states:
-            size = wheel_size(wheel)
-            rim, forward = (size.radius + self.grouser_height) * spin, along + size.radius * spin
-            found.append(
-                forces_at_speeds(self, size, depth, rim, forward, across, continuation.symbol)
+        continuation, rows = creep_continuation(self.creep), list[list[ca.SX]]()
+        weight = contacts.vehicle.weight
+        for k, wheel in enumerate(contacts.vehicle.wheels):
+            size, own = wheel_size(wheel), SoilUnknowns(*(each[k] for each in unknowns))
+            spin, speeds = contacts.spins[k], (own.rim, own.forward, own.sideways)
+            found = forces_at_speeds(self, size, own.sinkage, *speeds, continuation.symbol)
+            rows.append(
+                [
+                    contacts.normal[k],
+                    (found.normal - own.normal) / weight,
+                    (found.pull - own.along) / weight,
+                    (found.side - own.across) / weight,
+                    (found.torque - own.torque) / (weight * size.radius),
+                    (size.radius + self.grouser_height) * spin - own.rim,
+                    contacts.along[k] + size.radius * spin - own.forward,
+                    contacts.across[k] - own.sideways,
+                ]
             )
-        pairs = zip(found, unknowns.normal, strict=True)
-        bearing = ((each.normal - load) / contacts.vehicle.weight for each, load in pairs)
         return Reaction(
-            tuple(each.pull for each in found),
-            tuple(each.side for each in found),
+            unknowns.along,
+            unknowns.across,
             unknowns.normal,
-            Equations(_equation_labels(contacts.vehicle), ca.vertcat(*contacts.normal, *bearing)),
+            Equations(
+                tuple(
+                    label for name in EQUATIONS for label in wheel_labels(contacts.vehicle, *name)
+                ),
+                ca.vertcat(*(row for kind in zip(*rows, strict=True) for row in kind)),
+            ),
             (_no_equilibrium(contacts), *_sunk(contacts.vehicle, unknowns.sinkage)),
             continuation,
-            tuple(each.torque for each in found),
+            unknowns.torque,
         )
 
     def static_depth(self, wheel: Wheel, load: float) -> float:
@@ -287,15 +323,6 @@ class Soil:
         arm = frame.point - contact.center
         lever = ca.dot(frame.axle, ca.cross(arm, normal * frame.normal + tangential))
         return GroundForce(normal, tangential, ca.SX(0), torque - lever)
-
-
-def _equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
-    """Return the labels of the equations of contact and sinkage, one of each kind per wheel."""
-    words = "normal force of the soil minus that of the equilibrium, over the weight"
-    return (
-        *wheel_labels(vehicle, "touching", "m s-1", "normal velocity of the contact point"),
-        *wheel_labels(vehicle, "bearing", "1", words),
-    )
 
 
 def _no_equilibrium(contacts: SlidingContacts) -> Limit:

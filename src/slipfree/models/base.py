@@ -157,7 +157,8 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
     Adding the offsets converts ``x`` and ``z`` from local to map coordinates.
     """
     radius = min(wheel.radius for wheel in vehicle.wheels)
-    typical = {"m": radius, "m s-1": radius, "N": vehicle.weight}
+    weight = vehicle.weight
+    typical = {"m": radius, "m s-1": radius, "N": weight, "N m": radius * weight}
     scale = np.array([typical.get(each.unit, 1.0) for each in leaves(labels.z)])
     place = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
     place |= {f"contact_{axis}": place[axis] for axis in ("x", "y")}
