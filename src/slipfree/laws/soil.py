@@ -36,7 +36,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from math import inf, pi, radians, sqrt, tan
+from math import inf, pi, radians, sqrt
 from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
@@ -58,6 +58,7 @@ from slipfree.laws.protocols import (
     check_bounds,
     wheel_labels,
 )
+from slipfree.laws.soil_regions import SoilRegion, soil_at
 from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
@@ -174,6 +175,8 @@ class Soil:
         Damping ratio of the wheel's vertical oscillation about its static sinkage. [1]
     creep : float
         Rim speed below which the shear stress of a rolling wheel is reduced. [m/s]
+    regions : tuple of SoilRegion
+        Regions of the ground with other constants; a wheel's soil is that at its contact point.
 
     Raises
     ------
@@ -226,6 +229,7 @@ class Soil:
     creep: Annotated[
         float, Gt(0), Le(1), Unit("m/s"), doc("rim speed below which shear stress is reduced")
     ] = 1e-3
+    regions: tuple[SoilRegion, ...] = ()
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -252,7 +256,8 @@ class Soil:
         for k, wheel in enumerate(contacts.vehicle.wheels):
             size, own = wheel_size(wheel), SoilUnknowns(*(each[k] for each in unknowns))
             spin, speeds = contacts.spins[k], (own.rim, own.forward, own.sideways)
-            found = forces_at_speeds(self, size, own.sinkage, *speeds, continuation.symbol)
+            here = soil_at(self, *ca.vertsplit(contacts.places[k]))
+            found = forces_at_speeds(here, size, own.sinkage, *speeds, continuation.symbol)
             rows.append(
                 [
                     contacts.normal[k],
@@ -315,7 +320,8 @@ class Soil:
         forward = ca.dot(frame.along, contact.slip) + size.radius * contact.spin
         sideways = ca.dot(frame.across, contact.slip)
         rim = (size.radius + self.grouser_height) * contact.spin
-        found = forces_at_speeds(self, size, -touch.gap, rim, forward, sideways, self.creep)
+        here = soil_at(self, *ca.vertsplit(contact.place))
+        found = forces_at_speeds(here, size, -touch.gap, rim, forward, sideways, self.creep)
         damping = 2 * self.damping_ratio / sqrt(GRAVITY * wheel.depth)
         pressing = ca.if_else(touch.gap < 0, ca.fmax(0, 1 - damping * away), 0)
         normal, pull, side, torque = (pressing * each for each in found)
@@ -553,7 +559,7 @@ def _integrand(
     chord += contact.behind * (sine - ca.sin(contact.rear))
     path_along = shear_radius * (arc * motion.rolling - chord * motion.forward)
     path_across = shear_radius * arc * motion.sideways
-    strength = soil.cohesion + stress * tan(soil.friction_angle)
+    strength = soil.cohesion + stress * ca.tan(soil.friction_angle)
     along = strength * _mobilised(path_along / motion.along)
     across = strength * _mobilised(path_across / motion.across)
     area = radius * width
@@ -576,7 +582,7 @@ def _bulldozing(soil: Soil, height: Any) -> Any:
     """Return the force per length of soil pushed aside at a given height (7) [N/m]."""
     phi = soil.friction_angle
     failure = pi / 4 - phi / 2
-    cot = 1 / tan(failure)
+    cot = 1 / ca.tan(failure)
     weight = soil.density * GRAVITY
-    width, surcharge = cot + tan(failure + phi), cot + cot**2 * tan(phi)
+    width, surcharge = cot + ca.tan(failure + phi), cot + cot**2 * ca.tan(phi)
     return width * (soil.cohesion * height + surcharge * weight * height**2 / 2)

@@ -136,5 +136,6 @@ def _sliding(z: Algebraic, q: Quantities, turning: tuple[ca.SX, ...]) -> Sliding
         parts.friction,
         q.u.wheels,
         turning,
+        tuple(each.point[:2] + ca.DM(q.terrain.origin[:2]) for each in q.contacts),
         diagnosis(z, q),
     )

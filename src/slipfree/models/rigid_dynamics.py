@@ -127,7 +127,7 @@ def rigid_dynamics(
     touches = _touches(terrain, body, z.contacts, lookups)
     slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
     spins = tuple(wheel.spin for wheel in body.wheels)
-    sliding = _sliding(vehicle, touches, slips, z.law.normal, u.wheels, spins)
+    sliding = _sliding(vehicle, terrain, touches, slips, z.law.normal, u.wheels, spins)
     reaction = law.reaction(sliding, z.law)
     _check_torques(law, reaction)
     forces_on = (
@@ -261,6 +261,7 @@ def _nearest_labels(vehicle: Vehicle) -> tuple[Label, ...]:
 
 def _sliding(
     vehicle: Vehicle,
+    terrain: Terrain,
     touches: Sequence[Touch],
     slips: Sequence[ca.SX],
     normal: Sequence[ca.SX],
@@ -281,8 +282,9 @@ def _sliding(
         )
     )
     friction = tuple(each.friction for each in touches)
+    places = tuple(each.frame.point[:2] + ca.DM(terrain.origin[:2]) for each in touches)
     return SlidingContacts(
-        vehicle, along, across, constraints, friction, driven, spins, lambda _x, _z: ""
+        vehicle, along, across, constraints, friction, driven, spins, places, lambda _x, _z: ""
     )
 
 

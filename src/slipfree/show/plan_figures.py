@@ -18,8 +18,8 @@ from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from slipfree.geometry.regions import Region
 from slipfree.records import Array, Mask
-from slipfree.routing.regions import Region
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.ground_drawing import Window

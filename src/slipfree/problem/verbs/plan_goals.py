@@ -10,13 +10,13 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import ProblemError
+from slipfree.geometry.regions import Region
 from slipfree.problem.build_common import heading_offset
 from slipfree.problem.build_driver import path_points
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.verbs.plan_schema import Guide, Plan
 from slipfree.records import Array
-from slipfree.routing.regions import Region
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import Traversability
 
