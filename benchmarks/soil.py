@@ -2,7 +2,8 @@
 
 ``python benchmarks/soil.py`` compares `single_wheel` with the points in ``measured_wheels.csv``,
 and prints the error of the eight Gauss points on each side of the largest stress, the number of
-operations per wheel, and the time of a motion in sand. No constant is fitted to these points.
+operations per wheel, and the time of a motion in sand. No constant is fitted to these points. It
+also compares the plan of ``problems/plan_sandy_slope.toml`` with the plan on the straight path.
 """
 
 from __future__ import annotations
@@ -19,12 +20,25 @@ import casadi as ca
 import numpy as np
 from reference import heading
 
-from slipfree import Analytic, Compliant, Soil, SolverOptions, catalog, dynamics, settle, simulate
+from slipfree import (
+    Analytic,
+    Compliant,
+    Soil,
+    SolverOptions,
+    catalog,
+    dynamics,
+    load_problem,
+    run_problem,
+    settle,
+    simulate,
+)
 from slipfree.laws import soil as law
 from slipfree.laws.soil import WheelSize, forces_at_slip
 from slipfree.laws.soils import SOILS, known_soil
 from slipfree.models.single_wheel import single_wheel
+from slipfree.trajectory import path_length
 
+SLOPE = Path(__file__).parents[1] / "problems" / "plan_sandy_slope.toml"
 TABLE = Path(__file__).with_name("measured_wheels.csv")
 PAPER_LOAD = 64.68  # of Ishigami's wheels, as codes that cite them assume [N]
 SIMULANT = known_soil("regolith_simulant")
@@ -142,8 +156,33 @@ def cost() -> Iterator[str]:
         )
 
 
+STRAIGHT = (
+    "limits.slip_ratio=",
+    "limits.sinkage=",
+    "limits.x=[-0.05, 0.05]",
+    "driver.path=[[0.0, -1.0], [0.0, 5.3]]",
+)
+
+
+def sandy_slope() -> Iterator[str]:
+    """Yield slip, sinkage, reserve and work of a plan over a sandy slope, and on the straight path.
+
+    The last part of a line is the simulation with inertia on the same soil.
+    """
+    for name, settings in (("plan", ()), ("straight", STRAIGHT)):
+        began = time.process_time()
+        run = run_problem(load_problem(SLOPE, settings)).trajectory
+        took, reserve = time.process_time() - began, run["drawbar_reserve"].sum(axis=1).min()
+        yield (
+            f"{name:9} path {path_length(run):.3g} m, slip ratio {run['slip_ratio'].max():.3f}, "
+            f"sinkage {1e3 * run['sinkage'].max():.1f} mm, reserve {reserve:.1f} N, work "
+            f"{run['work'][-1]:.0f} J, {run.statistics['plan_iterations']:.0f} iterations, "
+            f"{took:.1f} s CPU; with inertia: {run.attributes['in_soil']}"
+        )
+
+
 if __name__ == "__main__":
     heading()
-    for part in (comparison, gauss_errors, cost):
+    for part in (comparison, gauss_errors, cost, sandy_slope):
         for line in part():
             print(line)

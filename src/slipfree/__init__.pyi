@@ -6,6 +6,7 @@ from .dae import Dae
 from .errors import DataError, ModelError, SlipfreeError
 from .files.maps.elevation import read_map
 from .geometry.path import Path
+from .geometry.regions import Region
 from .laws.compliant import Compliant
 from .laws.coulomb import Coulomb
 from .laws.least_slip import LeastSlip
@@ -26,7 +27,6 @@ from .problem.build_vehicle import read_vehicle
 from .problem.load import load_problem
 from .problem.result import open_result
 from .problem.solve import run_problem
-from .routing.regions import Region
 from .routing.search import Route
 from .solve.options import SolverOptions
 from .solve.settle import settle

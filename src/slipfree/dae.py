@@ -520,11 +520,22 @@ class Dae(Generic[X, Z, U, Y]):
         name : str
             Name of the function.
         symbols, expressions : sequence of SX
-            Arguments and results of the function.
+            Arguments and results of the function. The continuation parameter has its last value
+            if it is not an argument.
         options : dict, optional
             Options of the casadi Function.
         """
+        continuation = self.continuation
+        if continuation and not ca.depends_on(ca.vertcat(*symbols), continuation.symbol):
+            expressions = self.without_continuation(expressions)
         return lookup_function(self.lookups, name, symbols, expressions, options)
+
+    def without_continuation(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
+        """Return expressions with the last value of the continuation parameter."""
+        if self.continuation is None:
+            return list(expressions)
+        last = ca.SX(self.continuation.values[-1])
+        return list(ca.substitute(list(expressions), [self.continuation.symbol], [last]))
 
     def columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the symbols of ``x``, of ``z`` and of ``u`` as three columns."""

@@ -10,8 +10,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import slipfree as sf
+from slipfree.geometry.regions import Region
 from slipfree.plan.convergence import Convergence, convergence_arrays, convergence_from
-from slipfree.routing.regions import Region
 from slipfree.routing.traversability import blocked_by, traversability
 from slipfree.show import ground_drawing, plan_figures, plots
 from slipfree.terrain.synthetic import blank, craters

@@ -207,7 +207,7 @@ def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
 
 
 def test_blocked_ground_is_gray(drive: Driven) -> None:
-    from slipfree.routing.regions import Region
+    from slipfree.geometry.regions import Region
 
     at = (1.5, 0.0)
     scene = drive_scene([drive._replace(keep_out=(Region.disc(*at, 0.5),))])

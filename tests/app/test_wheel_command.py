@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from slipfree import Region
 from slipfree.cli import app
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.laws.soils import known_soil
 from slipfree.models.single_wheel import single_wheel
+from slipfree.problem.build_model import model_law
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
 
@@ -142,3 +145,43 @@ def test_problems_take_soil(tmp_path, model):
     assert problem.spec.law.parameters("soil")["friction_angle"] == pytest.approx(radians(30))
     labels = build(problem).dae.labels
     assert ("sinkage" in str(labels.z)) == (model == "quasi-static")
+
+
+PATCH = """
+[[law.soil.regions]]
+x = 0.0
+y = 1.0
+radius = 0.5
+width = 0.2
+name = "dry_sand"
+cohesion = 700.0
+"""
+
+
+def test_problems_take_soils_by_name_and_regions(tmp_path):
+    path = tmp_path / "p.toml"
+    path.write_text(SAND.replace('friction_angle = "30 deg"', 'name = "lunar"') + PATCH)
+    problem = load_problem(path)
+    law = model_law(problem, problem.spec)
+    assert replace(law, regions=()) == replace(known_soil("lunar"), cohesion=500.0)
+    (region,) = law.regions
+    assert region.soil == replace(known_soil("dry_sand"), cohesion=700.0)
+    assert (region.width, region.region) == (0.2, Region.disc(0.0, 1.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"dry_sand"', '"mud"', "law.soil.regions.1.name: expected one of regolith_simulant, dry"),
+        ("width = 0.2", "", "law.soil.regions.1.width: expected a value, found none"),
+        ("radius = 0.5", "", "expected either 'x', 'y' and 'radius' (a disc), or 'points'"),
+        ("cohesion = 700.0", "creep = 0.1", "creep: expected one of x, y, radius, points, "),
+        ("width = 0.2", "width = 0.0", "width: expected a number greater than 0"),
+    ],
+)
+def test_errors_of_regions_name_the_key(tmp_path, old, new, words):
+    path = tmp_path / "p.toml"
+    path.write_text(SAND + PATCH.replace(old, new))
+    done = CliRunner().invoke(app, ["check", str(path)])
+    assert done.exit_code == 2
+    assert words in " ".join(done.output.split())

@@ -12,8 +12,8 @@ import pytest
 from slipfree import Bicubic, Grid
 from slipfree.catalog import three_wheeler
 from slipfree.errors import ModelError
+from slipfree.geometry.regions import Region
 from slipfree.routing.reachability import unreachable
-from slipfree.routing.regions import Region
 from slipfree.routing.search import route
 from slipfree.routing.traversability import blocked_by, traversability
 from slipfree.terrain.synthetic import blank, power_law

@@ -9,7 +9,7 @@ from matplotlib.path import Path as Outline
 from numpy.testing import assert_allclose
 
 from slipfree.errors import ModelError
-from slipfree.routing.regions import Region
+from slipfree.geometry.regions import Region
 
 UTM = (400_000.0, 5_500_000.0)
 STAR = ((0, 0), (4, 1), (8, 0), (6, 3), (8, 7), (4, 5), (0, 7), (2, 3))

@@ -14,10 +14,10 @@ from scipy.sparse.csgraph import dijkstra
 from slipfree import Bicubic, Grid, Path, direct_kinematics, follow, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.errors import ModelError
+from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
 from slipfree.routing import smoothing
 from slipfree.routing.homotopy import homotopy_class, obstacle_points
-from slipfree.routing.regions import Region
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import MAX_SLOPE, blocking_reasons, traversability
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp

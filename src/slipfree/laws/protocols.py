@@ -112,6 +112,8 @@ class SlidingContacts(NamedTuple):
     spins : tuple of SX
         Angular velocities of all wheels about their axles relative to fixed axes, positive forward.
         [rad/s]
+    places : tuple of SX, shape (2, 1)
+        Contact points, x and y in map coordinates. [m]
     diagnose : callable
         ``diagnose(x, z)`` returns the reason why a state has no equilibrium, as text; empty if
         friction is not the reason.
@@ -124,6 +126,7 @@ class SlidingContacts(NamedTuple):
     friction: tuple[ca.SX, ...]
     driven: tuple[ca.SX, ...]
     spins: tuple[ca.SX, ...]
+    places: tuple[ca.SX, ...]
     diagnose: Callable[[Array, Array], str]
 
 
@@ -188,6 +191,8 @@ class WheelContact(NamedTuple):
         Angular velocity about the axle relative to fixed axes, positive forward. [rad/s]
     center : SX, shape (3, 1)
         Centre of the wheel. [m]
+    place : SX, shape (2, 1)
+        Contact point, x and y in map coordinates. [m]
     share : float
         Share of the vehicle's weight. [N]
     """
@@ -197,6 +202,7 @@ class WheelContact(NamedTuple):
     slip: ca.SX
     spin: ca.SX
     center: ca.SX
+    place: ca.SX
     share: float
 
 

@@ -48,6 +48,8 @@ from slipfree.dae import Limit
 from slipfree.errors import ModelError
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
+    ACROSS,
+    ALONG,
     NORMAL,
     Equations,
     GroundForce,
@@ -57,6 +59,7 @@ from slipfree.laws.protocols import (
     check_bounds,
     wheel_labels,
 )
+from slipfree.laws.soil_regions import SoilRegion, soil_at
 from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
@@ -67,13 +70,43 @@ SMALLEST_DEPTH = 1e-9  # of a wheel; angles have no derivative at zero depth [wh
 STEADY_CREEP = 1e-8  # creep speed in steady motion [larger of rim and forward speed]
 ANGLE_SMOOTHING = 0.01  # slip angle whose smoothed sign in (6) and (7) is 0.76 [rad]
 STATIC_STEPS = 60  # number of bisection steps for the static sinkage
+UNKNOWNS = (
+    NORMAL,
+    ALONG,
+    ACROSS,
+    ("soil_torque", "N m", "moment of the soil about the axle, positive against forward rolling"),
+    ("sinkage", "m", "depth of the wheel in the soil"),
+    ("rim_speed", "m s-1", "speed of the rim at the tips of grousers, relative to the axle"),
+    ("speed_along", "m s-1", "speed of the wheel's centre along the wheel"),
+    ("speed_across", "m s-1", "speed of the wheel's centre across the wheel, to the right"),
+)
+EQUATIONS = (
+    ("touching", "m s-1", "normal velocity of the contact point"),
+    ("bearing", "1", "normal force: that of the soil minus the unknown, over the weight"),
+    ("pulling", "1", "drawbar pull: that of the soil minus the unknown, over the weight"),
+    ("siding", "1", "side force: that of the soil minus the unknown, over the weight"),
+    ("resisting", "1", "torque: that of the soil minus the unknown, over weight and radius"),
+    ("rim", "m s-1", "rim speed: that of the motion minus the unknown"),
+    ("forward", "m s-1", "speed along the wheel: that of the motion minus the unknown"),
+    ("sideways", "m s-1", "speed across the wheel: that of the motion minus the unknown"),
+)
 
 
 class SoilUnknowns(NamedTuple):
-    """Normal forces [N] and depths of the wheels in soil [m]."""
+    """Forces [N], torques [N m], depths [m] and speeds [m/s] of the wheels in soil.
+
+    The forces of the soil are long expressions. With these unknowns, each of them is an expression
+    of four unknowns, and its derivatives in a plan are a third as long.
+    """
 
     normal: tuple[Any, ...]
+    along: tuple[Any, ...]
+    across: tuple[Any, ...]
+    torque: tuple[Any, ...]
     sinkage: tuple[Any, ...]
+    rim: tuple[Any, ...]
+    forward: tuple[Any, ...]
+    sideways: tuple[Any, ...]
 
 
 class WheelSize(NamedTuple):
@@ -143,6 +176,8 @@ class Soil:
         Damping ratio of the wheel's vertical oscillation about its static sinkage. [1]
     creep : float
         Rim speed below which the shear stress of a rolling wheel is reduced. [m/s]
+    regions : tuple of SoilRegion
+        Regions of the ground with other constants; a wheel's soil is that at its contact point.
 
     Raises
     ------
@@ -195,6 +230,7 @@ class Soil:
     creep: Annotated[
         float, Gt(0), Le(1), Unit("m/s"), doc("rim speed below which shear stress is reduced")
     ] = 1e-3
+    regions: tuple[SoilRegion, ...] = ()
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -214,38 +250,43 @@ class Soil:
             wheel_size(wheel)
 
     def unknowns(self, vehicle: Vehicle) -> SoilUnknowns:
-        """Return the labels of the normal forces and of the sinkage of a quasi-static model."""
-        words = "depth of the wheel in the soil"
-        sunk = wheel_labels(vehicle, "sinkage", "m", words)
-        return SoilUnknowns(wheel_labels(vehicle, *NORMAL), sunk)
+        """Return the labels of forces, torques, sinkage and speeds of a quasi-static model."""
+        return SoilUnknowns(*(wheel_labels(vehicle, *each) for each in UNKNOWNS))
 
     def reaction(self, contacts: SlidingContacts, unknowns: SoilUnknowns) -> Reaction:
         """Return the forces of the soil in a quasi-static model, and the equations of sinkage."""
-        continuation, found = creep_continuation(self.creep), list[SoilForces]()
-        states = zip(
-            contacts.vehicle.wheels,
-            unknowns.sinkage,
-            contacts.spins,
-            contacts.along,
-            contacts.across,
-            strict=True,
-        )
-        for wheel, depth, spin, along, across in states:
-            size = wheel_size(wheel)
-            rim, forward = (size.radius + self.grouser_height) * spin, along + size.radius * spin
-            found.append(
-                forces_at_speeds(self, size, depth, rim, forward, across, continuation.symbol)
+        continuation, rows = creep_continuation(self.creep), list[list[ca.SX]]()
+        weight = contacts.vehicle.weight
+        for k, wheel in enumerate(contacts.vehicle.wheels):
+            size, own = wheel_size(wheel), SoilUnknowns(*(each[k] for each in unknowns))
+            spin, speeds = contacts.spins[k], (own.rim, own.forward, own.sideways)
+            here = soil_at(self, *ca.vertsplit(contacts.places[k]))
+            found = forces_at_speeds(here, size, own.sinkage, *speeds, continuation.symbol)
+            rows.append(
+                [
+                    contacts.normal[k],
+                    (found.normal - own.normal) / weight,
+                    (found.pull - own.along) / weight,
+                    (found.side - own.across) / weight,
+                    (found.torque - own.torque) / (weight * size.radius),
+                    (size.radius + self.grouser_height) * spin - own.rim,
+                    contacts.along[k] + size.radius * spin - own.forward,
+                    contacts.across[k] - own.sideways,
+                ]
             )
-        pairs = zip(found, unknowns.normal, strict=True)
-        bearing = ((each.normal - load) / contacts.vehicle.weight for each, load in pairs)
         return Reaction(
-            tuple(each.pull for each in found),
-            tuple(each.side for each in found),
+            unknowns.along,
+            unknowns.across,
             unknowns.normal,
-            Equations(_equation_labels(contacts.vehicle), ca.vertcat(*contacts.normal, *bearing)),
+            Equations(
+                tuple(
+                    label for name in EQUATIONS for label in wheel_labels(contacts.vehicle, *name)
+                ),
+                ca.vertcat(*(row for kind in zip(*rows, strict=True) for row in kind)),
+            ),
             (_no_equilibrium(contacts), *_sunk(contacts.vehicle, unknowns.sinkage)),
             continuation,
-            tuple(each.torque for each in found),
+            unknowns.torque,
         )
 
     def static_depth(self, wheel: Wheel, load: float) -> float:
@@ -283,7 +324,8 @@ class Soil:
         forward = ca.dot(frame.along, contact.slip) + size.radius * contact.spin
         sideways = ca.dot(frame.across, contact.slip)
         rim = (size.radius + self.grouser_height) * contact.spin
-        found = forces_at_speeds(self, size, -touch.gap, rim, forward, sideways, self.creep)
+        here = soil_at(self, *ca.vertsplit(contact.place))
+        found = forces_at_speeds(here, size, -touch.gap, rim, forward, sideways, self.creep)
         damping = 2 * self.damping_ratio / sqrt(GRAVITY * wheel.depth)
         pressing = ca.if_else(touch.gap < 0, ca.fmax(0, 1 - damping * away), 0)
         normal, pull, side, torque = (pressing * each for each in found)
@@ -291,15 +333,6 @@ class Soil:
         arm = frame.point - contact.center
         lever = ca.dot(frame.axle, ca.cross(arm, normal * frame.normal + tangential))
         return GroundForce(normal, tangential, ca.SX(0), torque - lever)
-
-
-def _equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
-    """Return the labels of the equations of contact and sinkage, one of each kind per wheel."""
-    words = "soil's normal force minus that of the equilibrium, divided by the weight"
-    return (
-        *wheel_labels(vehicle, "touching", "m s-1", "normal velocity of the contact point"),
-        *wheel_labels(vehicle, "bearing", "1", words),
-    )
 
 
 def _no_equilibrium(contacts: SlidingContacts) -> Limit:

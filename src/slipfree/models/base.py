@@ -26,6 +26,8 @@ from slipfree.records import Array, leaves, pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
+LEAST_SPEED = 1e-6  # of a wheel or its rim, below which a slip ratio is reduced [m/s]
+
 
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
     """Return the poses of the wheels' carriers, with origins at the wheels' centres.
@@ -103,6 +105,18 @@ def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
     )
 
 
+def slip_ratios(q: Quantities) -> tuple[ca.SX, ...]:
+    """Return the slip ratios of the wheels, positive if the rim is faster than the wheel [1]."""
+    found = list[ca.SX]()
+    for wheel, contact, slip, rate in zip(
+        q.vehicle.wheels, q.contacts, q.slips, q.spins, strict=True
+    ):
+        along, rim = ca.dot(contact.along, slip), rate * wheel.radius
+        fastest = ca.fmax(ca.fabs(rim), ca.fabs(rim + along))
+        found.append(-along / ca.fmax(fastest, LEAST_SPEED))
+    return tuple(found)
+
+
 def touch_function(
     x: Any,
     z: Any,
@@ -143,7 +157,8 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
     Adding the offsets converts ``x`` and ``z`` from local to map coordinates.
     """
     radius = min(wheel.radius for wheel in vehicle.numeric.wheels)
-    typical = {"m": radius, "m s-1": radius, "N": vehicle.weight}
+    weight = vehicle.weight
+    typical = {"m": radius, "m s-1": radius, "N": weight, "N m": radius * weight}
     scale = np.array([typical.get(each.unit, 1.0) for each in leaves(labels.z)])
     place = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
     place |= {f"contact_{axis}": place[axis] for axis in ("x", "y")}

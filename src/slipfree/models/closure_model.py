@@ -26,6 +26,7 @@ from slipfree.models.base import (
     level_heights,
     outputs,
     sizes,
+    slip_ratios,
     spins,
     touch_function,
 )
@@ -97,7 +98,7 @@ def closure_dae(
     vehicle, terrain = q.vehicle, q.terrain
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     sampled = force_outputs(q, labels.y.forces)
-    guess = _guess(q, labels)
+    y = outputs(q, sampled)
     return Dae(
         ca.SX.sym("t"),
         q.x,
@@ -107,11 +108,11 @@ def closure_dae(
         ode=ca.vertcat(q.rates.x, q.rates.y, q.rates.heading, *joint_rates(vehicle, q.rates, q.u)),
         alg=(_closures(q), law.rows, forces),
         quad=ca.vertcat(*q.spins, *((sampled.power,) if sampled else ())),
-        y=outputs(q, sampled),
+        y=y._replace(slip_ratio=slip_ratios(q)) if labels.y.slip_ratio else y,
         labels=labels._replace(alg=(labels.alg[0], law.labels, labels.alg[2])),
         limits=(*limits_of(q), *limits),
         checks=single_contacts(q, q.x, z, q.poses, size),
-        guess=guess,
+        guess=_guess(q, labels),
         scale=scale,
         shift=shift,
         size=size,

@@ -14,14 +14,14 @@ from slipfree.contact.touch import Touch
 from slipfree.dae import Limit
 from slipfree.laws.protocols import ContactLaw, GroundForce
 from slipfree.lookups import LookupTable
-from slipfree.models.base import outputs
+from slipfree.models.base import outputs, slip_ratios
 from slipfree.models.dynamic_records import (
     DynamicOutputs,
     DynamicState,
     OnSolid,
     output_efforts,
 )
-from slipfree.models.multibody import Multibody, WheelMotion, kinetic_energy
+from slipfree.models.multibody import Multibody, kinetic_energy
 from slipfree.models.quantities import Mechanics, Quantities
 from slipfree.models.records import (
     Configuration,
@@ -35,8 +35,6 @@ from slipfree.models.tip_over import tip_over_margin
 from slipfree.records import Label, leaves, unpack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
-
-LEAST_SPEED = 1e-6  # speed of a wheel and its rim below which the slip ratio is reduced [m/s]
 
 
 class Contact(NamedTuple):
@@ -209,7 +207,7 @@ def dynamic_outputs(
     o_x, o_y, _ = q.terrain.origin
     normal = q.forces.normal
     slips = tuple(ca.if_else(each.touch.gap < 0, each.slip, 0) for each in shown)
-    wheels = zip(body.wheels, shown, slips, strict=True)
+    q = q._replace(slips=slips)
     planar = q.vehicle.planar
     return DynamicOutputs(
         q.x.x if planar else (),
@@ -221,12 +219,12 @@ def dynamic_outputs(
         q.rates.pitch,
         tuple(each.point[0] + o_x for each in q.contacts),
         tuple(each.point[1] + o_y for each in q.contacts),
-        outputs(q._replace(slips=slips), forces)._replace(
+        outputs(q, forces)._replace(
             depth=tuple(-each.touch.gap for each in shown),
             load_share=tuple(each * len(normal) / q.vehicle.weight for each in normal),
             force_normal=normal,
+            slip_ratio=slip_ratios(q),
         ),
-        tuple(_slip_ratio(*each) for each in wheels),
         kinetic_energy(body),
         sum((each.energy for touching in contacts for each in touching), ca.SX(0)),
         tuple(_on_solid(on_wheels) for on_wheels in list(zip(*contacts, strict=True))[1:]),
@@ -300,11 +298,3 @@ def dynamic_forces(
         q.mechanics.potential,
         q.tip_over_margin,
     )
-
-
-def _slip_ratio(wheel: WheelMotion, contact: Contact, velocity: ca.SX) -> ca.SX:
-    """Return the slip ratio of a wheel, positive if the rim is faster than the wheel [1]."""
-    slip = ca.dot(contact.touch.frame.along, velocity)
-    rim = wheel.rate * wheel.wheel.radius
-    fastest = ca.fmax(ca.fabs(rim), ca.fabs(rim + slip))
-    return -slip / ca.fmax(fastest, LEAST_SPEED)

@@ -9,7 +9,7 @@ import casadi as ca
 
 from slipfree.dae import Dae, Labels
 from slipfree.laws.protocols import wheel_labels
-from slipfree.models.labels import effort_label, labels_of, pressed_labels
+from slipfree.models.labels import effort_label, labels_of, pressed_labels, slip_ratio_labels
 from slipfree.models.records import Inputs, Outputs
 from slipfree.records import Label, T
 from slipfree.vehicle.tree import Coordinate, Vehicle
@@ -81,7 +81,6 @@ class DynamicOutputs(NamedTuple, Generic[T]):
     contact_x: tuple[T, ...]
     contact_y: tuple[T, ...]
     common: Outputs[T]
-    slip_ratio: tuple[T, ...]
     kinetic_energy: T
     contact_energy: T
     solids: tuple[OnSolid[T], ...]
@@ -154,7 +153,6 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
 def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutputs:
     """Return the labels of the outputs, from those of a model without inertia."""
     position, rates = still.z.position, still.z.rates
-    ratio = "rim speed minus speed of the wheel's centre, divided by the larger of the two"
     forces: Any = still.y.forces
     forces = forces._replace(joint_effort=output_efforts(vehicle, forces.joint_effort))
     return DynamicOutputs(
@@ -167,8 +165,9 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
         rates.pitch,
         tuple(each.x for each in position.contacts),
         tuple(each.y for each in position.contacts),
-        still.y._replace(forces=forces, **pressed_labels(vehicle)),
-        wheel_labels(vehicle, "slip_ratio", "1", ratio),
+        still.y._replace(
+            forces=forces, **pressed_labels(vehicle), slip_ratio=slip_ratio_labels(vehicle)
+        ),
         Label("kinetic_energy", "J", "kinetic energy"),
         Label("contact_energy", "J", "elastic energy of the contacts"),
         tuple(_solid_labels(vehicle, k) for k in range(1, solids + 1)),

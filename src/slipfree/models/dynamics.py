@@ -282,6 +282,7 @@ def _contacts(
     radii = {wheel.section: wheel.radius for wheel in vehicle.wheels}
     searches = {each: search_function(terrain, each, radius) for each, radius in radii.items()}
     found, share = list[tuple[Contact, ...]](), vehicle.weight / len(vehicle.wheels)
+    origin = ca.DM(terrain.origin[:2])
     for each in body.wheels:
         wheel, pose = each.wheel, each.motion.pose
         touches = [
@@ -291,7 +292,8 @@ def _contacts(
         on_wheel = list[Contact]()
         for at in touches:
             slip = slip_velocity(each, at)
-            state = WheelContact(wheel, at, slip, each.spin, pose.origin, share)
+            place = at.frame.point[:2] + origin
+            state = WheelContact(wheel, at, slip, each.spin, pose.origin, place, share)
             on_wheel.append(Contact(at, slip, each.spin, law.force(state)))
         found.append(tuple(on_wheel))
     return found

@@ -68,7 +68,8 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     work = Label("work", "J", "work of the drives and actuators")
     q = Totals(wheel_labels(vehicle, "wheel_angle", "rad", words), (work,) if vehicle.mass else ())
     closures = component_labels(vehicle, "closure", "m", "contact condition")
-    y = _output_labels(vehicle, follow=follow)
+    are_unknown = follow or any(label.name == ALONG[0] for label in leaves(law))
+    y = _output_labels(vehicle, follow=are_unknown)
     forces, equations = _force_labels(vehicle, rates) if follow else (Forces(), ())
     z = Algebraic(position, rates, forces)
     return Labels(x, z, q, u, y, (closures, (), equations))
@@ -83,6 +84,12 @@ def pressed_labels(vehicle: Vehicle) -> dict[str, tuple[Label, ...]]:
         ),
         "force_normal": wheel_labels(vehicle, *NORMAL) if vehicle.mass else (),
     }
+
+
+def slip_ratio_labels(vehicle: Vehicle) -> tuple[Label, ...]:
+    """Return the labels of the slip ratios of the wheels."""
+    words = "rim speed minus speed of the wheel's centre, divided by the larger of the two"
+    return wheel_labels(vehicle, "slip_ratio", "1", words)
 
 
 def _turning(name: str, words: str) -> Label:

@@ -15,7 +15,7 @@ from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, check_law
 from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import diagnosis
-from slipfree.models.labels import equilibrium_labels, labels_of
+from slipfree.models.labels import equilibrium_labels, labels_of, slip_ratio_labels
 from slipfree.models.quantities import Mechanics, Quantities
 from slipfree.models.records import Algebraic, Forces, KinematicDae
 from slipfree.models.slip import absolute_spins
@@ -77,6 +77,7 @@ def quasi_statics(
     check_exact_closure(vehicle, "quasi_statics")
     law.check(vehicle, terrain)
     labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
+    labels = labels._replace(y=labels.y._replace(slip_ratio=slip_ratio_labels(vehicle)))
     z, q = closure_quantities(vehicle, terrain, labels)
     turning = absolute_spins(vehicle, q.x, q.position, q.rates, q.u)
     reaction = law.reaction(_sliding(z, q, turning), q.rates.law)
@@ -134,5 +135,6 @@ def _sliding(z: Algebraic, q: Quantities, turning: tuple[ca.SX, ...]) -> Sliding
         parts.friction,
         q.u.wheels,
         turning,
+        tuple(each.point[:2] + ca.DM(q.terrain.origin[:2]) for each in q.contacts),
         (lambda _x, _z: "") if q.vehicle.nominal else diagnosis(z, q),
     )

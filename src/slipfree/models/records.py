@@ -177,6 +177,7 @@ class Outputs(NamedTuple, Generic[T]):
     depth: tuple[T, ...] = ()
     load_share: tuple[T, ...] = ()
     force_normal: tuple[T, ...] = ()
+    slip_ratio: tuple[T, ...] = ()
 
 
 # Model in the rates of wheels and commanded coordinates.

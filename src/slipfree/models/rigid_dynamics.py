@@ -140,7 +140,7 @@ def rigid_dynamics(
     touches = _touches(terrain, body, z.contacts, lookups)
     slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
     spins = tuple(wheel.spin for wheel in body.wheels)
-    sliding = _sliding(vehicle, touches, slips, z.law.normal, u.wheels, spins)
+    sliding = _sliding(vehicle, terrain, touches, slips, z.law.normal, u.wheels, spins)
     reaction = law.reaction(sliding, z.law)
     _check_torques(law, reaction)
     forces_on = (
@@ -271,6 +271,7 @@ def _nearest_labels(vehicle: Vehicle) -> tuple[Label, ...]:
 
 def _sliding(
     vehicle: Vehicle,
+    terrain: Terrain,
     touches: Sequence[Touch],
     slips: Sequence[ca.SX],
     normal: Sequence[ca.SX],
@@ -294,8 +295,17 @@ def _sliding(
         )
     )
     friction = tuple(each.friction for each in touches)
+    places = tuple(each.frame.point[:2] + ca.DM(terrain.origin[:2]) for each in touches)
     return SlidingContacts(
-        vehicle, along, across, tuple(constraints), friction, driven, spins, lambda _x, _z: ""
+        vehicle,
+        along,
+        across,
+        tuple(constraints),
+        friction,
+        driven,
+        spins,
+        places,
+        lambda _x, _z: "",
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -86,8 +86,7 @@ def single_wheel(
     _check(load, slip, angle)
     s, beta = (each.ravel()[None] for each in np.meshgrid(slip, angle))
     forces = _forces(soil, size)
-    low, high = np.zeros_like(s), np.full_like(s, size.radius)
-    borne = forces(high, s, beta)[0].full()
+    borne = forces(np.full_like(s, size.radius), s, beta)[0].full()
     if borne.min() < load:
         k = borne.argmin()
         raise ModelError(
@@ -96,14 +95,32 @@ def single_wheel(
             f"{load:.4g} N at that depth, at slip {s[0, k]:g} and slip angle {beta[0, k]:g} rad; "
             "reduce the load, or use a larger wheel"
         )
-    for _ in range(STEPS):
-        middle = (low + high) / 2
-        deep = forces(middle, s, beta)[0].full() > load
-        low, high = np.where(deep, low, middle), np.where(deep, middle, high)
-    depth = (low + high) / 2
+    depth = depth_under_load(
+        lambda depths: forces(depths, s, beta)[0].full(), size.radius, np.full_like(s, load)
+    )
     _, pull, side, torque = (each.full() for each in forces(depth, s, beta))
     columns = (depth, pull, -np.sign(beta) * side, torque)
     return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in columns))
+
+
+def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Array) -> Array:
+    """Return the depths at which soil bears loads [N], by bisection; at most the radius [m].
+
+    Parameters
+    ----------
+    normal : callable
+        Normal forces at given depths of the same shape as ``load``. [N]
+    radius : float
+        Radius of the wheel. [m]
+    load : ndarray
+        Loads. [N]
+    """
+    low, high = np.zeros_like(load), np.full_like(load, radius)
+    for _ in range(STEPS):
+        middle = (low + high) / 2
+        deep = normal(middle) > load
+        low, high = np.where(deep, low, middle), np.where(deep, middle, high)
+    return np.asarray((low + high) / 2)
 
 
 def _check(load: float, slip: Array, angle: Array) -> None:

@@ -116,8 +116,6 @@ def stage_functions(
     x, z, u = dae.columns()
     z = z[: blocks[-1].span.stop]
     alg = ca.vertcat(*dae.alg[: len(blocks)])
-    if dae.continuation is not None:
-        alg = ca.substitute(alg, dae.continuation.symbol, dae.continuation.values[-1])
     r, equations, paid = _split_costs(costs, ca.vertcat(x, z))
     kept = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
     motion = [
@@ -133,7 +131,8 @@ def stage_functions(
     own = [Label(f"{label.name}_root", "1", f"root of {label.words}") for label, _ in equations]
     zeros = np.zeros(len(motion) + len(model) + len(own))
     rows = ca.vertcat(alg, *(each for _, each in equations), kept)
-    symbols, results = (dae.t, x, z, r, u), [dae.ode, rows, paid]
+    symbols = dae.t, x, z, r, u
+    results = dae.without_continuation([dae.ode, rows, paid])
     lookups = needed_lookups(dae.lookups, results)
     return StageFunctions(
         ca.Function("point", [*symbols, found_column(lookups)], results),

@@ -15,6 +15,7 @@ from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import A, Problem, S
+from slipfree.problem.soil_table import soil_of
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism, Solids
 from slipfree.vehicle.tree import Vehicle
@@ -25,6 +26,7 @@ LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
     "quasi-static": GROUND_LAWS,
     "dynamics": CONTACT_LAWS,
 }  # laws of each model; the first is the default
+MAKERS = {"soil": soil_of}  # functions that make a law from a table with further keys
 
 
 def build_model(
@@ -76,7 +78,7 @@ def model_law(problem: Problem[A], spec: schema.Lawful) -> Any:
         )
     for other in spec.law.model_fields_set - ({name} & set(known)):
         raise problem_error(problem.source, [_wrong_law(spec, other)])
-    return _with_parameters(problem, spec, known[name])
+    return _with_parameters(problem, spec, MAKERS.get(name, known[name]))
 
 
 def _wrong_law(spec: schema.Lawful, name: str) -> Fault:
@@ -106,7 +108,10 @@ def _with_parameters(problem: Problem[A], spec: schema.Lawful, law: Callable[...
     name = law_name(spec)
     given = spec.law.parameters(name)
     for key, parameter in signature(law).parameters.items():
-        if parameter.default is parameter.empty and key not in given:
+        needed = (
+            parameter.kind is not parameter.VAR_KEYWORD and parameter.default is parameter.empty
+        )
+        if needed and key not in given:
             raise problem_error(problem.source, [Fault(("law", name, key), "a value", "none")])
     with at(problem, ("law", name)):
         return law(**given)

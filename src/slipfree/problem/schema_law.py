@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, fields
-from functools import cache
-from typing import Annotated, Any, cast, get_type_hints
+from dataclasses import fields
+from typing import Any, cast
 
-from annotated_types import DocInfo, Unit
 from pydantic import (
     Field,
     ModelWrapValidatorHandler,
@@ -16,10 +14,12 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from slipfree.files.toml.angles import IN_RADIANS
 from slipfree.files.toml.types import Record
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
+from slipfree.laws.soil import Soil
 from slipfree.problem.catalog_table import reworded
+from slipfree.problem.law_record import given_values, law_record
+from slipfree.problem.soil_table import soil_table
 
 
 def known_slip(name: str) -> str:
@@ -35,35 +35,9 @@ def registered_laws() -> dict[str, Any]:
     return {name: law for name, law in laws.items() if fields(law)}
 
 
-@cache
-def law_record(law: type) -> type[Record]:
-    """Return the record of a law's parameters, from the annotations of its dataclass."""
-    hints = get_type_hints(law, include_extras=True)
-    keys: dict[str, Any] = {
-        each.name: (
-            _with_unit(hints[each.name]),
-            Field(
-                default=... if each.default is MISSING else each.default,
-                description=_description(hints[each.name]),
-            ),
-        )
-        for each in fields(law)
-    }
-    words = (law.__doc__ or "").partition("\n")[0]
-    return create_model(law.__name__, __base__=Record, __doc__=words, **keys)
-
-
-def _with_unit(hint: Any) -> Any:
-    """Return the annotation of a parameter; angles also accept text such as "30 deg"."""
-    units = [each.unit for each in getattr(hint, "__metadata__", ()) if isinstance(each, Unit)]
-    return Annotated[hint, IN_RADIANS] if units == ["rad"] else hint
-
-
-def _description(hint: Any) -> str:
-    """Return the description and unit in the annotation of a parameter."""
-    metadata = getattr(hint, "__metadata__", ())
-    words = [each.documentation for each in metadata if isinstance(each, DocInfo)]
-    return " ".join([*words, *(f"[{each.unit}]" for each in metadata if isinstance(each, Unit))])
+def table_of(law: type) -> type[Record]:
+    """Return the record of the table of a law; that of soil also has names and regions."""
+    return soil_table() if law is Soil else law_record(law)
 
 
 class Law(Record):
@@ -80,7 +54,7 @@ class Law(Record):
         except ValidationError as error:
             laws = registered_laws()
             known: dict[Any, list[str]] = {(): list(laws)} | {
-                (name,): [each.name for each in fields(law)] for name, law in laws.items()
+                (name,): list(table_of(law).model_fields) for name, law in laws.items()
             }
             raise ValidationError.from_exception_data(
                 cls.__name__,
@@ -93,14 +67,14 @@ class Law(Record):
     def parameters(self, name: str) -> dict[str, Any]:
         """Return the parameters that a problem gives for a law, by name."""
         table = getattr(self, name, None)
-        return {} if table is None else dict(table)
+        return {} if table is None else given_values(table)
 
 
 def law_tables() -> type[Law]:
     """Return the record of the tables of all registered laws."""
     keys: dict[str, Any] = {
         name: (
-            law_record(law) | None,
+            table_of(law) | None,
             Field(default=None, description=f"parameters of {name}"),
         )
         for name, law in registered_laws().items()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -20,9 +19,9 @@ from slipfree.files.toml.settings import replace_values
 from slipfree.files.toml.source_lines import Source, key_lines
 from slipfree.files.toml.types import Positive, Record
 from slipfree.laws.soil import Soil, WheelSize
-from slipfree.laws.soils import SOILS, known_soil
 from slipfree.models.single_wheel import WheelCurves, single_wheel
-from slipfree.problem.schema_law import law_record
+from slipfree.problem.law_record import given_values
+from slipfree.problem.soil_table import named_soil, soil_of
 from slipfree.problem.summary import Facts
 from slipfree.records import Array
 
@@ -65,18 +64,10 @@ class TestTable(Record):
 @cache
 def wheel_file() -> type[Record]:
     """Return the schema of a wheel file; the table ``[soil]`` has the constants of `Soil`."""
-    names: dict[str, Any] = {
-        "name": (
-            str,
-            Field(default=next(iter(SOILS)), description=f"one of {', '.join(SOILS)}"),
-        )
-    }
-    words = "Table ``[soil]``: name of a soil, and constants that replace those of this soil."
-    soil: Any = create_model("SoilTable", __base__=law_record(Soil), __doc__=words, **names)
     tables: dict[str, Any] = {
         "title": (str | None, Field(default=None, description="title of the summary")),
         "wheel": (WheelTable, Field(description="the wheel")),
-        "soil": (soil, Field(default=soil(), description="the soil")),
+        "soil": (named_soil(), Field(default=named_soil()(), description="the soil")),
         "test": (TestTable, Field(default=TestTable(), description="the test")),
     }
     return create_model("WheelFile", __base__=Record, **tables)
@@ -140,10 +131,7 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
         If the wheel sinks to its axle, or the soil is not valid.
     """
     spec: Any = _read(path, settings)
-    given = {name: getattr(spec.soil, name) for name in spec.soil.model_fields_set - {"name"}}
-    known = known_soil(spec.soil.name)
-    values = {each.name: getattr(known, each.name) for each in fields(Soil)}
-    soil = Soil(**(values | given))
+    soil = soil_of(**given_values(spec.soil))
     size = WheelSize(spec.wheel.radius, spec.wheel.width)
     low, high = spec.test.slip
     slips = np.linspace(low, high, spec.test.points)
@@ -186,9 +174,6 @@ def _faults(spec: Any) -> Iterator[Fault]:
     if count > MAX_POINTS:
         expected = f"at most {MAX_POINTS} slip ratios times slip angles"
         yield Fault(("test", "points"), expected, f"{count}; reduce the number of points")
-    if spec.soil.name not in SOILS:
-        expected = f"one of {', '.join(SOILS)}"
-        yield Fault(("soil", "name"), expected, f"{spec.soil.name!r}; choose one of them")
 
 
 def _read_measured(path: Path) -> dict[str, Measured]:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
+from slipfree.geometry.regions import Region
 from slipfree.records import Array, Mask
 from slipfree.routing.footprint import (
     axis_step,
@@ -25,7 +26,6 @@ from slipfree.routing.footprint import (
     interpolate_layer,
     nearest_nodes,
 )
-from slipfree.routing.regions import Region
 from slipfree.terrain.base import Formula, Grid
 from slipfree.terrain.bicubic import Bicubic, friction_map
 from slipfree.terrain.grid_ops import hole_distance

@@ -13,9 +13,9 @@ from slipfree.files.urdf.link_motion import poses_on_map
 from slipfree.files.urdf.links import Robot, wheel_name
 from slipfree.files.urdf.tree import UrdfJoint
 from slipfree.geometry.mesh import Mesh
+from slipfree.geometry.regions import Region
 from slipfree.models.poses import FramePoses, part_poses, wheel_poses
 from slipfree.records import Array
-from slipfree.routing.regions import Region
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window

@@ -200,24 +200,33 @@ def forces_plot(scene: Drive) -> Plot | None:
 
 def depth(run: Trajectory, ax: Axes) -> Axes:
     """Draw the depth of every wheel in the ground over time; it is negative in the air."""
-    _by_wheel(run, 1e3 * run["depth"], ax)
+    _by_wheel(run, 1e3 * _depth(run), ax)
     ax.set_ylabel("depth [mm]")
     return style.time_axis(run, _with_zero(ax))
 
 
 def slip_ratio(run: Trajectory, ax: Axes) -> Axes:
     """Draw the slip ratio of every wheel over time, while the wheel is on the ground."""
-    _by_wheel(run, np.where(run["depth"] > 0, run["slip_ratio"], np.nan), ax)
+    _by_wheel(run, np.where(_depth(run) > 0, run["slip_ratio"], np.nan), ax)
     ax.set_ylabel("slip ratio [1]")
     return style.time_axis(run, _with_zero(ax))
 
 
+def drawbar_reserve(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the drawbar-pull reserve of every driven wheel over time."""
+    _by_wheel(run, run["drawbar_reserve"], ax, zeros=False)
+    ax.set_ylabel("pull reserve [N]")
+    return style.time_axis(run, _with_zero(ax))
+
+
 def contact_plot(scene: Drive) -> Plot | None:
-    """Return the figure of depth and slip ratio; None for a motion without inertia."""
+    """Return the figure of depth, slip ratio and reserve; None for wheels on rigid ground."""
     run = scene.run
-    if "slip_ratio" not in run:
+    if "slip_ratio" not in run or not {"depth", "sinkage"} & {*run}:
         return None
     panels = [Panel(partial(depth, run)), Panel(partial(slip_ratio, run))]
+    if "drawbar_reserve" in run:
+        panels.append(Panel(partial(drawbar_reserve, run)))
     caption = "Depth and slip ratio of every wheel over time."
     return Plot("contact", caption, lambda: stack(run, panels))
 
@@ -256,6 +265,11 @@ def _by_wheel(run: Trajectory, values: Array, ax: Axes, zeros: bool = True) -> N
     for k, wheel in enumerate(run.wheels):
         if zeros or values[:, k].any():
             ax.plot(run.t, values[:, k], label=style.words(wheel), **style.look(k))
+
+
+def _depth(run: Trajectory) -> Array:
+    """Return the depths of the wheels in soil, or in a compliant ground, shape (n, n_wheels)."""
+    return run["sinkage" if "sinkage" in run else "depth"]
 
 
 def _joints(run: Trajectory) -> list[str]:

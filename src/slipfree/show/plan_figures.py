@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 
+from slipfree.geometry.regions import Region
 from slipfree.plan.convergence import Convergence
 from slipfree.records import Array, Mask
-from slipfree.routing.regions import Region
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.ground_drawing import Window

@@ -165,9 +165,7 @@ def _model_equations(dae: Dae, count: int, *, compiled: bool) -> _ModelEquations
     """Return the equations of a model as functions of its inputs; cached."""
     x, z, v = dae.columns()
     alg = ca.vertcat(ca.SX(0, 1), *dae.residuals)[:count]
-    rows = ca.densify(ca.vertcat(dae.ode, alg))
-    if dae.continuation:
-        rows = ca.substitute(rows, dae.continuation.symbol, dae.continuation.values[-1])
+    (rows,) = dae.without_continuation([ca.densify(ca.vertcat(dae.ode, alg))])
     rows = ca.cse(rows)
     lookups = needed_lookups(dae.lookups, [rows])
     given = [dae.t, x, z[:count], v, found_column(lookups)]

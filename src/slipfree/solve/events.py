@@ -69,9 +69,7 @@ def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
                 f"event {name!r}: expected a scalar SX, found {expression!r}; use one expression "
                 "in the symbols of the model"
             )
-        if dae.continuation is not None:
-            meant = ca.SX(dae.continuation.values[-1])
-            expression = ca.substitute(expression, dae.continuation.symbol, meant)
+        (expression,) = dae.without_continuation([expression])
         known = [*symbols, found_column(dae.lookups)]
         if free := ca.Function("event", known, [expression], {"allow_free": True}).free_sx():
             raise ModelError(

@@ -166,13 +166,8 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     )
     continued = [dae.ode, pack(dae.y), limits, inputs, *dae.residuals]
     continued = ca.substitute(continued, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
-    end = ca.SX(dae.continuation.values[-1] if dae.continuation else 0.0)
-    watched = [dae.quad, limits, dae.pace]
-    if dae.continuation:
-        watched = ca.substitute(watched, [continuation], [end])
-    ode, y, bounds, driven, *parts = (
-        ca.substitute(continued, [continuation], [end]) if dae.continuation else continued
-    )
+    watched = dae.without_continuation([dae.quad, limits, dae.pace])
+    ode, y, bounds, driven, *parts = dae.without_continuation(continued)
     blocks = _equation_blocks(dae, [dae.t, x, z, u, continuation], continued[4:])
     first = _first_dependent_block(ode, parts, z, blocks)
     motion, dependent = blocks[:first], blocks[first:]

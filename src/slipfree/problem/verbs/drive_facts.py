@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from slipfree.models.drawbar import RESERVE
 from slipfree.models.rocking import has_pressed_wheels, lightest_wheel, rocks
 from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory, path_length
@@ -129,6 +130,22 @@ def start_facts(poses: Sequence[Trajectory]) -> Iterator[tuple[str, str]]:
             for pose in poses[1:]
         ]
         yield "other stable poses", "; ".join(others)
+
+
+def soil_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the fact about sinkage, slip ratios and drawbar-pull reserve of a motion in soil."""
+    if RESERVE.name not in run:
+        return
+    depth, slip = run["sinkage" if "sinkage" in run else "depth"], run["slip_ratio"]
+    k, i = np.unravel_index(int(depth.argmax()), depth.shape)
+    reserve = run[RESERVE.name].sum(axis=1)
+    least = int(np.nanargmin(reserve))
+    yield (
+        "soil",
+        f"sinkage {1e3 * depth[k, i]:.3g} mm at most (wheel {run.wheels[i]}, t = {run.t[k]:.4g} s)"
+        f", slip ratio {slip.min():.3g} to {slip.max():.3g}, drawbar-pull reserve "
+        f"{reserve[least]:.3g} N at least (t = {run.t[least]:.4g} s)",
+    )
 
 
 def slip_facts(run: Trajectory) -> Iterator[tuple[str, str]]:

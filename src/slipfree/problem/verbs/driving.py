@@ -19,6 +19,8 @@ from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import load_mesh
 from slipfree.frames import STORED, WANTED, to_problem_frame
 from slipfree.geometry.mesh import Mesh
+from slipfree.laws.soil import Soil
+from slipfree.models.drawbar import RESERVE, drawbar_reserve
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.models.poses import wheel_poses
@@ -26,7 +28,7 @@ from slipfree.models.records import is_determinate
 from slipfree.models.rocking import has_pressed_wheels
 from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
 from slipfree.problem.build_ground import Ground, at, build_ground, filled_words
-from slipfree.problem.build_model import law_name
+from slipfree.problem.build_model import law_name, model_law
 from slipfree.problem.build_solids import build_solids
 from slipfree.problem.build_vehicle import read_robot
 from slipfree.problem.problem import Problem
@@ -51,6 +53,7 @@ from slipfree.problem.verbs.drive_facts import (
     force_facts,
     path_facts,
     slip_facts,
+    soil_facts,
     start_facts,
     trust_facts,
 )
@@ -75,9 +78,11 @@ EXTREMES = Extremes(
     largest=(
         *("pitch", "roll", "utilisation", "utilisation_best", "friction_needed", "drive_torque"),
         *("power", "drift_position", "closure_residual", "newton_step"),
+        *("sinkage", "slip_ratio"),
     ),
     least=(
         *("tip_over_margin", "force_normal", "clearance", "relative_curvature", "singular_value"),
+        "drawbar_reserve",
     ),
     gained=("work", "potential_energy"),
 )
@@ -110,7 +115,8 @@ class DriveVerb(MotionVerb):
     ) -> Solution:
         """Return the motion of a problem with its diagnostics."""
         run, arrays = self.drive(problem, setup, watch, resume)
-        return Solution(_with_diagnostics(setup, run), setup, arrays)
+        law = model_law(problem, problem.spec) if isinstance(problem.spec, Modelled) else None
+        return Solution(_with_diagnostics(setup, law, run), setup, arrays)
 
     def describe_start(self, problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, Facts]:
         """Return the start in the frame of the problem, and facts about start and samples."""
@@ -137,6 +143,7 @@ class DriveVerb(MotionVerb):
             *path_facts(run),
             *self.own_facts(run),
             *contact_facts(run),
+            *soil_facts(run),
             *slip_facts(run),
             *angle_facts(run),
             *force_facts(run),
@@ -292,7 +299,7 @@ def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:
     return run.part(slice(0, None, setup.every), run.stop) if setup.every else run
 
 
-def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
+def _with_diagnostics(setup: Setup, law: object, run: Trajectory) -> Trajectory:
     """Return a motion with its diagnostics; its attributes name those that fail, with the error."""
     diagnostics: dict[str, Callable[[Trajectory], Trajectory]] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
@@ -302,6 +309,8 @@ def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
     has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
     if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
         diagnostics[BEST.name] = partial(best_utilisation, setup.vehicle, setup.terrain)
+    if isinstance(law, Soil):
+        diagnostics[RESERVE.name] = partial(drawbar_reserve, vehicle, law)
     failures = []
     for name, diagnose in diagnostics.items():
         try:

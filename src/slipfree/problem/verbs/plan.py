@@ -12,6 +12,8 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.dae import Dae
 from slipfree.errors import SlipfreeError
+from slipfree.laws.soil import Soil
+from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.outcome import Outcome
@@ -55,7 +57,7 @@ from slipfree.problem.verbs.plan_windows import (
 )
 from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.settle import settle
+from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
 from slipfree.solver_codes import ipopt_words
 from slipfree.terrain.bicubic import Bicubic
@@ -130,6 +132,7 @@ class PlanVerb(DriveVerb):
             **({"plan_robust": tested.words} if tested.words else {}),
             **_optimality(found),
             **_by_stiffness(problem, setup, found),
+            **_in_soil(problem, setup, found),
             **_momentum(setup, found),
             **({"plan_starts": table} if table else {}),
         }
@@ -388,6 +391,47 @@ def _by_stiffness(
         return {"by_stiffness": outcome_words(run)}
     apart = np.hypot(*(run[name][-1] - found.replay[name][-1] for name in "xy"))
     return {"by_stiffness": f"ends {apart:.3g} m from the plan"}
+
+
+def _in_soil(problem: Problem[plan_schema.Plan], setup: Planning, found: Plan) -> dict[str, str]:
+    """Return the description of the motion in soil with inertia under the plan's inputs.
+
+    The description is an attribute: the distance between the ends of plan and motion, and slip,
+    sinkage and work of both. The result is empty for other plans, and for plans that are not
+    solved.
+    """
+    law = model_law(problem, problem.spec)
+    if not (found.success and setup.spec.model == "quasi-static" and isinstance(law, Soil)):
+        return {}
+    step, options = setup.spec.time.step, setup.spec.solver.options
+    values: dict[str, Any] = {
+        name: float(setup.start[name][0]) for name in {**setup.spec.start, "heading": 0.0}
+    }
+    try:
+        model: Dae = dynamics(setup.vehicle, setup.terrain, law=law)
+        values[SPEED] = initial_speed(found.replay)
+        start = settle(model, options=options, **values)
+        run = simulate_plan(model, start, found.motion, step=step, options=options)
+    except SlipfreeError as error:  # the plan is valid without it
+        return {"in_soil": f"not simulated: {error}"}
+    if run.stop is not None:
+        return {"in_soil": outcome_words(run)}
+    apart = np.hypot(*(run[name][-1] - found.replay[name][-1] for name in "xy"))
+    works = [each["work"][-1] - each["work"][0] for each in (run, found.replay)]
+    words = (
+        f"ends {apart:.3g} m from the plan, slip ratio {run['slip_ratio'].max():.3g} at most, "
+        f"sinkage {1e3 * run['depth'].max():.3g} mm at most, work {works[0]:.4g} J (plan: "
+        f"{found.replay['slip_ratio'].max():.3g}, {1e3 * found.replay['sinkage'].max():.3g} mm, "
+        f"{works[1]:.4g} J)"
+    )
+    return {"in_soil": words}
+
+
+def initial_speed(run: Trajectory) -> float:
+    """Return the speed of a motion along the forward axis of the platform at its start [m/s]."""
+    heading, pitch = run["heading"][0], run["pitch"][0]
+    level = run["velocity_y"][0] * np.cos(heading) - run["velocity_x"][0] * np.sin(heading)
+    return float(level * np.cos(pitch) + run["velocity_z"][0] * np.sin(pitch))
 
 
 def with_offer(setup: Planning, found: Plan, guesses: Sequence[Trajectory]) -> Stop | None:

@@ -9,6 +9,7 @@ import numpy as np
 from slipfree.trajectory import PLAN, Trajectory, path_length
 
 ROBUST = "robust plan"
+IN_SOIL = "simulated with inertia"
 MOMENTUM, SLOWLY = "simulated with compliant contacts", "driven slowly"
 CHECKS = (
     "simulated",
@@ -17,6 +18,7 @@ CHECKS = (
     MOMENTUM,
     SLOWLY,
     "simulated with friction",
+    IN_SOIL,
     "with wheels ten times stiffer",
 )  # facts about accuracy and validity
 
@@ -78,5 +80,7 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         yield SLOWLY, run.attributes["plan_slow"]
     if "by_friction" in run.attributes:
         yield "simulated with friction", run.attributes["by_friction"]
+    if "in_soil" in run.attributes:
+        yield IN_SOIL, run.attributes["in_soil"]
     if "by_stiffness" in run.attributes:
         yield "with wheels ten times stiffer", run.attributes["by_stiffness"]

@@ -10,13 +10,14 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import ProblemError
+from slipfree.geometry.regions import Region
 from slipfree.problem.build_common import heading_offset
 from slipfree.problem.build_driver import path_points
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
+from slipfree.problem.region_table import region_of
 from slipfree.problem.verbs.plan_schema import Guide, Plan
 from slipfree.records import Array
-from slipfree.routing.regions import Region
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import Traversability
 
@@ -226,19 +227,7 @@ def regions(problem: Problem[S], spec: Plan) -> tuple[Region, ...]:
     found: list[Region] = []
     for index, each in enumerate(spec.keep_out):
         with at(problem, ("keep_out", index)):
-            disc = (each.x, each.y, each.radius)
-            if each.points is not None and disc == (None, None, None):
-                found.append(Region.polygon(each.points))
-            elif each.points is None and None not in disc:
-                found.append(Region.disc(*(float(value or 0.0) for value in disc)))
-            else:
-                keys = ("x", "y", "radius", "points")
-                given = [repr(key) for key in keys if getattr(each, key) is not None]
-                raise ModelError(
-                    "keep_out: expected either 'x', 'y' and 'radius' (a disc), or 'points' (a "
-                    f"polygon), found {', '.join(given) or 'none'}; add the missing keys or remove "
-                    "the others"
-                )
+            found.append(region_of(each))
     return tuple(found)
 
 

@@ -17,6 +17,7 @@ from slipfree.files.toml.types import (
     Range,
     Record,
 )
+from slipfree.problem.region_table import RegionTable
 from slipfree.problem.schema import INPUTS, VERB, Driver, Modelled, Task
 from slipfree.problem.schema_ground import HeightErrors
 
@@ -46,17 +47,11 @@ class Guide(Driver):
     )
 
 
-class KeepOut(Record):
+class KeepOut(RegionTable):
     """A region that no wheel may touch: a disc or a polygon."""
 
-    x: float | None = Field(default=None, description="x of the centre of a disc [m]")
-    y: float | None = Field(default=None, description="y of the centre of a disc [m]")
     longitude: float | None = Field(default=None, description="longitude, instead of x [deg]")
     latitude: float | None = Field(default=None, description="latitude, instead of y [deg]")
-    radius: Positive | None = Field(default=None, description="radius of a disc [m]")
-    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
-        default=None, description="corners of a polygon [m]"
-    )
 
 
 class Robust(Record):

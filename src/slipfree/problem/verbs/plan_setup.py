@@ -16,6 +16,7 @@ from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
+from slipfree.geometry.regions import Region
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundLaw
@@ -53,7 +54,6 @@ from slipfree.problem.verbs.plan_windows import check_windows
 from slipfree.records import Array, Label, leaves
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.reeds_shepp import reeds_shepp
-from slipfree.routing.regions import Region
 from slipfree.routing.traversability import Traversability, extents, traversability
 from slipfree.solve.settle import settle
 from slipfree.terrain.bicubic import Bicubic

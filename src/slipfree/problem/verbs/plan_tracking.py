@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.geometry.path import Path as GroundPath
+from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.plan.mpc import horizon
@@ -23,10 +25,10 @@ from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.build_common import build_start, build_terrain, build_vehicle
 from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.build_model import build_model
+from slipfree.problem.build_model import build_model, model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import problem_of
-from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb
+from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
 from slipfree.problem.verbs.plan_search import find_plan
 from slipfree.records import leaves
 from slipfree.solve.options import SolverOptions
@@ -183,11 +185,9 @@ def _with_forces(found: Plan, problem: Problem[Any], world: World) -> Iterator[F
     """
     if problem.spec.model != "quasi-static":
         yield _with_model("quasi-static", quasi_statics, found, problem, world)
-    run = found.replay
-    heading, pitch = run["heading"][0], run["pitch"][0]
-    level = run["velocity_y"][0] * np.cos(heading) - run["velocity_x"][0] * np.sin(heading)
-    speed = level * np.cos(pitch) + run["velocity_z"][0] * np.sin(pitch)
-    yield _with_model("dynamics", dynamics, found, problem, world, speed=float(speed))
+    law, speed = model_law(problem, problem.spec), initial_speed(found.replay)
+    model = partial(dynamics, law=law) if isinstance(law, Soil) else dynamics
+    yield _with_model("dynamics", model, found, problem, world, speed=speed)
 
 
 def _with_model(

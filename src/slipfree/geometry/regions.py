@@ -1,4 +1,4 @@
-"""Keep-out regions of a map."""
+"""Regions of a map: discs and polygons."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OUTLINE_POINTS = 96  # points on the outline of a disc
 
 
 class Region(ABC):
-    """A keep-out region of a map, in map coordinates.
+    """A region of a map, in map coordinates: keep-out, or of another soil.
 
     Models use coordinates relative to ``ground.origin`` instead
     (:ref:`local-and-map-coordinates`).
@@ -37,7 +37,7 @@ class Region(ABC):
 
     @staticmethod
     def disc(x: float, y: float, radius: float) -> Region:
-        """Return a keep-out region in the shape of a disc.
+        """Return a region in the shape of a disc.
 
         Parameters
         ----------
@@ -55,7 +55,7 @@ class Region(ABC):
 
     @staticmethod
     def polygon(points: Sequence[Sequence[float]]) -> Region:
-        """Return a keep-out region in the shape of a simple polygon.
+        """Return a region in the shape of a simple polygon.
 
         Parameters
         ----------

@@ -1,0 +1,50 @@
+"""Schema of the parameters of a law, from the annotations of its dataclass."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+from functools import cache
+from typing import Annotated, Any, get_type_hints
+
+from annotated_types import DocInfo, Unit
+from pydantic import Field, create_model
+
+from slipfree.files.toml.angles import IN_RADIANS
+from slipfree.files.toml.types import Record
+
+
+@cache
+def law_record(law: type) -> type[Record]:
+    """Return the record of a law's parameters, from the annotated fields of its dataclass."""
+    hints = get_type_hints(law, include_extras=True)
+    keys: dict[str, Any] = {
+        each.name: (
+            _with_unit(hints[each.name]),
+            Field(
+                default=... if each.default is MISSING else each.default,
+                description=_description(hints[each.name]),
+            ),
+        )
+        for each in fields(law)
+        if hasattr(hints[each.name], "__metadata__")
+    }
+    words = (law.__doc__ or "").partition("\n")[0]
+    return create_model(law.__name__, __base__=Record, __doc__=words, **keys)
+
+
+def _with_unit(hint: Any) -> Any:
+    """Return the annotation of a parameter; angles also accept text such as "30 deg"."""
+    units = [each.unit for each in getattr(hint, "__metadata__", ()) if isinstance(each, Unit)]
+    return Annotated[hint, IN_RADIANS] if units == ["rad"] else hint
+
+
+def _description(hint: Any) -> str:
+    """Return the description and unit in the annotation of a parameter."""
+    metadata = getattr(hint, "__metadata__", ())
+    words = [each.documentation for each in metadata if isinstance(each, DocInfo)]
+    return " ".join([*words, *(f"[{each.unit}]" for each in metadata if isinstance(each, Unit))])
+
+
+def given_values(table: Record) -> dict[str, Any]:
+    """Return the values that a file gives for the keys of a table, without defaults."""
+    return {name: getattr(table, name) for name in table.model_fields_set}
