@@ -34,7 +34,7 @@ SETTINGS = {
     "plan": ["plan.intervals=8", "time.step=0.5"],
     "climb": ["time.duration=0.3", "time.step=0.01"],
 }
-FIGURES = {"direct": 0, "inverse": 11, "plan": 14, "climb": 4}
+FIGURES = {"direct": 0, "inverse": 11, "plan": 15, "climb": 4}
 VOID = {"meta", "link", "img"}
 
 
