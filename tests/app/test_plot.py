@@ -19,6 +19,7 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 from slipfree.records import Label
 from slipfree.show import force_figures, motion_figures, plots
+from slipfree.terrain.solids import kerb, placed
 from slipfree.trajectory import Column, Trajectory
 
 FIRST_COMMAND = Path(__file__).parents[2] / "problems" / "real_dem_direct.toml"
@@ -224,6 +225,15 @@ def test_terrain_says_how_heights_are_enlarged(run, grid):
     assert len(ax.lines) == 4
     assert ax.get_zlabel().startswith("height $z$ [m], ")
     assert ax.get_zlabel().endswith(":1")
+
+
+def test_terrain_contains_solids(run, grid):
+    ax = Figure().add_subplot(projection="3d")
+    top = float(np.nanmax(grid.z)) + 0.5
+    x, y = (float(run[axis].mean()) for axis in "xy")
+    block = placed(kerb(top, 0.5), x=x, y=y)
+    motion_figures.terrain(run, grid, ax, block)
+    assert ax.get_zlim()[1] == pytest.approx(top)
 
 
 def test_tilts_and_moving_joints_are_drawn_with_degrees(run, ax):

@@ -60,9 +60,7 @@ class World:
 
 @dataclass(frozen=True)
 class Climb:
-    """A climb in a world: lane, speed [m/s], heading [rad] and distance, as a multiple of
-    the way along y over the obstacle.
-    """
+    """A climb in a world: lane, speed [m/s], heading [rad] and distance [lengths along y]."""
 
     words: str
     group: int
@@ -99,7 +97,7 @@ def draw(index: int) -> Climb:
     lanes = FRICTIONS.size if its.half_width == np.inf else 1
     lane = int(rng.integers(lanes)) + (0 if lanes > 1 else group % FRICTIONS.size)
     words = f"{index}: {its.words}, {heading:.2f} rad, mu {FRICTIONS[lane]:.1f}, {speed:.2g} m/s"
-    return Climb(words, group, lane, speed, float(heading), float(rng.uniform(1.5, 2.5)))
+    return Climb(words, group, lane, speed, float(heading), float(rng.uniform(1.0, 2.0)))
 
 
 @lru_cache(maxsize=2)
@@ -143,8 +141,7 @@ def run(case: Climb, tolerance: float = TOLERANCE) -> Trajectory:
         if wheel.driven and wheel.axle == "x":
             rates[f"{wheel.name}_rate"] = case.speed / wheel.radius
     first = start(case)
-    its = world(case.group)
-    length = np.ptp(first["center_y"]) + 2 * its.radius + its.profile.summit[0]
+    length = np.ptp(first["center_y"]) + 2 * world(case.group).radius
     duration = case.distance * length / np.cos(case.heading) / case.speed
     t = np.linspace(0, duration, SAMPLES)
     return simulate(dae, first, dae.inputs(**rates), t, options=SolverOptions(tolerance))
