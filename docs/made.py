@@ -37,6 +37,8 @@ TAKES = {
     "tuple[Annotated[tuple[Pair, ...]": "`[[[x, y], ...], ...]`",
     "tuple[str, ...]": "`[names]`",
     "tuple[Rock, ...]": "`[[x, y, diameter, height], ...]`",
+    "dict[str, str]": "a table of names by name",
+    "Positive | str": "a positive number, or a name",
     "dict[str, float]": "a table of numbers by name",
     "dict[str, Quantity]": 'a table of numbers by name; angles also as `"30 deg"`',
     "Angle": 'a number, or text as in `"30 deg"`',
@@ -162,8 +164,10 @@ def _meaning(field: Any) -> tuple[str, str]:
 
 
 def _titled(place: tuple[str, ...], field: Any) -> str:
-    """Return the heading of a table, or of an array of tables."""
+    """Return the heading of a table, of tables by name, or of an array of tables."""
     name = ".".join(place)
+    if "dict[" in str(field.annotation):
+        return f"tables `[{name}.NAME]`"
     return f"tables `[[{name}]]`" if "tuple" in str(field.annotation) else f"table `[{name}]`"
 
 

@@ -103,15 +103,7 @@ def body_motion(dae: Dae) -> BodyMotion:
     at = ca.SX.zeros(len(names))
     for k in (*joints, *range(first, len(names))):
         at[k] = x[k]
-    symbols, values = [each.symbol for each in dae.p], [each.label.name for each in dae.p]
-    stages: tuple[float, ...] = ()
-    stage = -1
-    if dae.continuation is not None:
-        stages, hashes = dae.continuation.values, [each.element_hash() for each in symbols]
-        if dae.continuation.symbol.element_hash() not in hashes:
-            symbols.append(dae.continuation.symbol)
-            hashes.append(dae.continuation.symbol.element_hash())
-        stage = hashes.index(dae.continuation.symbol.element_hash())
+    symbols, stages, stage = _parameters(dae)
     count = _motion_size(dae)
     equations = ca.vertcat(*dae.residuals)[:count]
     velocity, still = dae.ode[[names.index(name) for name in POSE]], dae.ode[first:]
@@ -131,13 +123,28 @@ def body_motion(dae: Dae) -> BodyMotion:
     full = {"cse": True}
     return BodyMotion(
         (*(label.full for label in leaves(dae.labels.u)), *(names[k] for k in joints)),
-        tuple(values),
+        tuple(each.label.name for each in dae.p),
         ca.Function("newton", arguments, [alg, ca.densify(ca.jacobian(alg, unknown))], full),
         ca.Function("slopes", arguments, [ca.densify(each) for each in slopes], full),
         ca.Function("guess", [given, p], [ca.densify(guess)]),
         stages,
         stage,
     )
+
+
+def _parameters(dae: Dae) -> tuple[list[ca.SX], tuple[float, ...], int]:
+    """Return the symbols of the parameters, stages of the continuation, and index of its symbol.
+
+    The symbol of the continuation is appended if it is no parameter; without one, the index is -1.
+    """
+    symbols = [each.symbol for each in dae.p]
+    if dae.continuation is None:
+        return symbols, (), -1
+    own = dae.continuation.symbol.element_hash()
+    if own not in [symbol.element_hash() for symbol in symbols]:
+        symbols.append(dae.continuation.symbol)
+    index = [symbol.element_hash() for symbol in symbols].index(own)
+    return symbols, dae.continuation.values, index
 
 
 def _motion_size(dae: Dae) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from inspect import signature
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from slipfree.dae import Dae
 from slipfree.files.toml.errors import Fault, problem_error
@@ -27,6 +27,26 @@ LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
     "dynamics": CONTACT_LAWS,
 }  # laws of each model; the first is the default
 MAKERS = {"soil": soil_of}  # functions that make a law from a table with further keys
+
+
+class Lawful(Protocol):
+    """Problem with a choice of model and law."""
+
+    @property
+    def model(self) -> str:
+        """Name of the model."""
+
+    @property
+    def slip(self) -> str:
+        """Name of the slip law."""
+
+    @property
+    def law(self) -> schema.Law:
+        """Parameters of laws."""
+
+    @property
+    def model_fields_set(self) -> set[str]:
+        """Names of the keys that the problem gives."""
 
 
 def build_model(
@@ -54,14 +74,14 @@ def build_model(
         return dynamics(vehicle, ground, law=law)
 
 
-def law_name(spec: schema.Lawful) -> str:
+def law_name(spec: Lawful) -> str:
     """Return the name of the law of a problem's model: the given one, or the default."""
     if spec.model == "kinematics":
         return spec.slip
     return next(iter(sorted(spec.law.model_fields_set)), next(iter(LAWS[spec.model])))
 
 
-def model_law(problem: Problem[A], spec: schema.Lawful) -> Any:
+def model_law(problem: Problem[A], spec: Lawful) -> Any:
     """Return the law of a problem's model: a slip law, a wheel-ground law or a contact law.
 
     Raises
@@ -81,7 +101,7 @@ def model_law(problem: Problem[A], spec: schema.Lawful) -> Any:
     return _with_parameters(problem, spec, MAKERS.get(name, known[name]))
 
 
-def _wrong_law(spec: schema.Lawful, name: str) -> Fault:
+def _wrong_law(spec: Lawful, name: str) -> Fault:
     """Return the error for the table of a law that does not apply."""
     if name in LAWS[spec.model]:
         tables = ", ".join(sorted(spec.law.model_fields_set))
@@ -97,7 +117,7 @@ def _wrong_law(spec: schema.Lawful, name: str) -> Fault:
     )
 
 
-def _with_parameters(problem: Problem[A], spec: schema.Lawful, law: Callable[..., L]) -> L:
+def _with_parameters(problem: Problem[A], spec: Lawful, law: Callable[..., L]) -> L:
     """Return a law with the parameters that a problem gives, and defaults of all others.
 
     Raises

@@ -195,15 +195,11 @@ class Motion(Task, Runnable):
     vehicle: Vehicle = Field(description="the vehicle")
 
 
-class Lawful(CommonKeys):
-    """Keys of problems with a choice of model and law."""
+class Modelled(Motion):
+    """Keys of problems with a choice of model."""
 
     model: Literal["kinematics", "quasi-static", "dynamics"] = Field(
         default="kinematics", description=MODEL
     )
     slip: SlipName = Field(default="least", description=SLIP)
     law: Law = Field(default=Law.model_construct(), description=LAW)
-
-
-class Modelled(Motion, Lawful):
-    """Keys of problems with the motion of one vehicle, and a choice of model and law."""

@@ -45,7 +45,7 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import MODEL, VERB, Lawful, Vehicle
+from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, Vehicle
 from slipfree.problem.summary import Facts
 from slipfree.problem.verbs.base import Verb
 from slipfree.records import Array
@@ -79,7 +79,7 @@ class Data(Record):
     )
     columns: Columns = Field(default=Columns(), description="names of the columns of the pose")
     rates: dict[str, str] = Field(
-        default_factory=dict,
+        default={},
         description="column of each input and commanded joint, by name; by default the column of "
         "that name [rad/s, m/s, rad, m]",
     )
@@ -115,7 +115,7 @@ class UnknownTable(Record):
         return Unknown(name, self.quantity or name, self.wheels, lower, upper, self.prior)
 
 
-class Fit(Lawful):
+class Fit(CommonKeys):
     """Fit: numbers of a vehicle and of a law, calibrated on a log of rates and poses."""
 
     verb: Literal["fit"] = Field(description=VERB)
@@ -124,6 +124,8 @@ class Fit(Lawful):
     )
     vehicle: Vehicle = Field(description="the vehicle, with nominal values")
     model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
+    slip: SlipName = Field(default="least", description=SLIP)
+    law: Law = Field(default=Law.model_construct(), description=LAW)
     friction: Positive = Field(
         default=0.6, description="coefficient of friction of the ground, which is level [1]"
     )
