@@ -172,8 +172,8 @@ def test_problems_take_soils_by_name_and_regions(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('"dry_sand"', '"mud"', "law.soil.regions.1.name: expected one of regolith_simulant, dry"),
-        ("width = 0.2", "", "law.soil.regions.1.width: expected a value, found none"),
+        ('"dry_sand"', '"mud"', "law.soil.regions[0].name: expected one of regolith_simulant, dry"),
+        ("width = 0.2", "", "law.soil.regions[0].width: expected a value, found none"),
         ("radius = 0.5", "", "expected either 'x', 'y' and 'radius' (a disc), or 'points'"),
         ("cohesion = 700.0", "creep = 0.1", "creep: expected one of x, y, radius, points, "),
         ("width = 0.2", "width = 0.0", "width: expected a number greater than 0"),

@@ -14,6 +14,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from slipfree.files.toml.errors import record_at
 from slipfree.files.toml.types import Record
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.laws.soil import Soil
@@ -52,22 +53,22 @@ class Law(Record):
         try:
             return law_tables().model_validate(data)
         except ValidationError as error:
-            laws = registered_laws()
-            known: dict[Any, list[str]] = {(): list(laws)} | {
-                (name,): list(table_of(law).model_fields) for name, law in laws.items()
-            }
+            errors = [dict(each) for each in error.errors(include_url=False)]
             raise ValidationError.from_exception_data(
-                cls.__name__,
-                [
-                    reworded(dict(each), known.get(each["loc"][:-1], []))
-                    for each in error.errors(include_url=False)
-                ],
+                cls.__name__, [reworded(each, _known_keys(each)) for each in errors]
             ) from error
 
     def parameters(self, name: str) -> dict[str, Any]:
         """Return the parameters that a problem gives for a law, by name."""
         table = getattr(self, name, None)
         return {} if table is None else given_values(table)
+
+
+def _known_keys(error: dict[str, Any]) -> list[str]:
+    """Return the keys of the table in which an error of pydantic found an unknown key."""
+    if error["type"] != "extra_forbidden":
+        return []
+    return list(record_at(law_tables(), error["loc"][:-1]).model_fields)
 
 
 def law_tables() -> type[Law]:

@@ -106,12 +106,12 @@ def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
     place, kind = tuple(error["loc"]), error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":
-        model = _model(schema, place[:-1])
+        model = record_at(schema, place[:-1])
         return _unknown(place, list(model.model_fields))
     if kind == "missing" and isinstance(place[-1], int):
         return Fault(place, "a number", found)
     if kind == "missing":
-        wanted = _model(schema, place[:-1]).model_fields[place[-1]].annotation
+        wanted = record_at(schema, place[:-1]).model_fields[place[-1]].annotation
         table = isinstance(wanted, type) and issubclass(wanted, BaseModel)
         table |= str(wanted).startswith("dict")
         return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
@@ -140,7 +140,7 @@ def listed(known: Sequence[str]) -> str:
     return ", ".join(known[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
+def record_at(schema: type[BaseModel], place: Place) -> type[BaseModel]:
     """Return the schema of the nested table at ``place`` in the schema of a file."""
     model = schema
     for part in place:
