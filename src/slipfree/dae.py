@@ -468,6 +468,10 @@ class Dae:
 
     def columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the symbols of ``x``, of ``z`` and of ``u`` as three columns."""
+        return self._columns
+
+    @cached_property
+    def _columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         return pack(self.x), pack(self.z), pack(self.u)
 
 

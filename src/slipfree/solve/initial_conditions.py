@@ -121,8 +121,8 @@ def _solve_block(
 
 
 def _newton_step(system: System, block: Block, point: tuple[Any, ...], *, check: bool) -> Array:
-    residual = np.array(block.residual(*point)).ravel()
-    jacobian = np.array(block.jacobian(*point))
+    residual, jacobian = (np.array(each) for each in block.newton(*point))
+    residual = residual.ravel()
     if not np.isfinite(jacobian).all() or not np.isfinite(residual).all():
         return np.full(residual.shape, np.nan)
     size = system.dae.sizes.z[block.span]

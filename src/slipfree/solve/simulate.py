@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
 from io import StringIO
+from threading import Lock
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from slipfree.batch import run_buffered
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
@@ -39,6 +41,7 @@ MAX_STEPS = 10_000  # of the integrator between two samples
 NEWTON_SHARE = 0.01  # of the error allowed in a step of CVODES, at which Newton's method ends
 MAX_RESTARTS = 20  # after failures of the integrator, per interval of the inputs
 ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
+MAX_IDLE = 64  # integrators kept for later calls; inputs that jump use one for each interval
 CHUNK_SIZE = 2000  # samples checked together, to bound the memory
 Progress = Callable[[float], bool | None]
 
@@ -298,13 +301,12 @@ def _call_integrator(
     """
     system, given = solver.system, dict[str, Any]()
     x_size, m_size = (size[:, None] for size in _motion_scales(system))
+    columns = np.column_stack([u[:, :1], u])  # that of an interval at the time that it ends
     while True:
-        integrator = _integrator(solver, observer, t, given)
-        states = {"x0": at.x / x_size, "z0": at.z[: system.motion_size] / m_size}
+        arguments = at.x / x_size, at.z[: system.motion_size] / m_size, columns
         try:
-            # one column for each output time, that of the interval which it ends
-            with suppress_messages():
-                found = integrator(**states, u=np.column_stack([u[:, :1], u]))
+            with suppress_messages(), _integrator(solver, observer, t, given) as integrator:
+                (x, z, q), statistics = _run(integrator, arguments, t.size)
             break
         except RuntimeError as error:
             solver.guard.check()
@@ -315,14 +317,26 @@ def _call_integrator(
                 raise SolverError(words) from error
             at, given = start, {"calc_ic": False, "init_xdot": _scaled_rates(system, start)}
     solver.guard.check()
-    x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
     x, z = x * x_size, z * m_size
     z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
     x[:, :1], z[:, :1] = at.x, at.z
-    statistics = integrator.stats()
     counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
     inputs = np.column_stack([u, u[:, -1:]])
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
+
+
+def _run(
+    integrator: ca.Function, arguments: tuple[Array, Array, Array], count: int
+) -> tuple[tuple[Array, ...], dict[str, Any]]:
+    """Return states, unknowns and quadratures at all times, and the statistics of the call."""
+    names, results = ("x0", "z0", "u"), ("xf", "zf", "qf")
+    found = [np.empty((count, integrator.size1_out(name))) for name in results]
+    buffer = run_buffered(
+        integrator,
+        dict(zip(map(integrator.index_in, names), arguments, strict=True)),
+        dict(zip(map(integrator.index_out, results), found, strict=True)),
+    )
+    return tuple(each.T for each in found), buffer.stats()
 
 
 def _scaled_rates(system: System, at: Samples) -> list[float]:
@@ -422,10 +436,37 @@ def _check_samples(
     return run, samples, min(found, key=lambda one: one.k, default=None)
 
 
+@contextmanager
 def _integrator(
     solver: _Solver, observer: _StepObserver, t: Array, given: dict[str, Any]
-) -> ca.Function:
-    """Return the integrator over ``t``, for states and unknowns divided by their sizes."""
+) -> Iterator[ca.Function]:
+    """Yield the integrator over ``t``, for states and unknowns divided by their sizes.
+
+    Integrators are reused, since the construction of one takes as long as a short motion. Only one
+    call at a time uses an integrator.
+    """
+    system = solver.system
+    key = system.core, system.watch, solver.tolerance, solver.method, t.tobytes(), str(given)
+    with _LOCK:
+        idle = _IDLE.pop(key, None)
+    if idle is None:
+        relay = _Relay()
+        idle = relay, _new_integrator(solver, relay, t, given)
+    relay, integrator = idle
+    relay.observer = observer
+    yield integrator
+    relay.observer = None
+    with _LOCK:
+        _IDLE[key] = idle
+        while len(_IDLE) > MAX_IDLE:
+            del _IDLE[next(iter(_IDLE))]
+
+
+_LOCK = Lock()
+_IDLE: dict[tuple[Any, ...], tuple[_Relay, ca.Function]] = {}
+
+
+def _new_integrator(solver: _Solver, relay: _Relay, t: Array, given: dict[str, Any]) -> ca.Function:
     system, dae = solver.system, solver.system.dae
     x_size, m_size = _motion_scales(system)
     counts = [x_size.size, m_size.size, system.u.shape[0]]
@@ -434,7 +475,7 @@ def _integrator(
     point = [t_0, x * ca.DM(x_size), m * ca.DM(m_size), u]
     ode, alg = system.core(*point)
     quad, margin = system.watch(*point)
-    quad = ca.vertcat(quad, observer(ca.vertcat(t_0, margin)))
+    quad = ca.vertcat(quad, relay(ca.vertcat(t_0, margin)))
     problem = dict(zip("txzu", symbols, strict=True))
     problem |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
     options: dict[str, Any] = {
@@ -471,22 +512,45 @@ def suppress_messages() -> Iterator[None]:
         sys.excepthook = hook
 
 
-class _StepObserver(ca.Callback):
-    """Quadrature that is identically zero and observes the steps of an integrator.
+class _StepObserver:
+    """Observer of the steps of an integrator.
 
     The observer records the times of the steps and reports progress. It ends the integration at a
-    step beyond a limit, if it is ``guarded``, or if the progress callable returns False. Both
-    integrators evaluate quadratures once per step, outside Newton's method. Zero passes every error
-    test, so that the motion does not change. The observer must exist as long as the integrator.
+    step beyond a limit, if it is ``guarded``, or if the progress callable returns False.
     """
 
     def __init__(
         self, guard: InterruptGuard, progress: Progress | None = None, *, guarded: bool = False
     ) -> None:
-        ca.Callback.__init__(self)
         self.guard, self.progress, self.guarded = guard, progress, guarded
         self.times: list[float] = []
         self.reported = -np.inf
+
+    def __call__(self, t: float, margin: float) -> None:
+        """Observe a step: its time, and the least distance to a limit."""
+        self.guard.call(self._observe, t, margin)
+
+    def _observe(self, t: float, margin: float) -> None:
+        self.times.append(t)
+        if self.progress is not None and t > self.reported:
+            self.reported = t
+            answer = self.progress(t)
+            if isinstance(answer, bool | np.bool_) and not answer:
+                raise _ProgressError
+        if self.guarded and not margin >= -LIMIT_TOLERANCE:
+            raise _LimitError
+
+
+class _Relay(ca.Callback):
+    """Quadrature that is identically zero and calls the present observer of an integrator.
+
+    Both integrators evaluate quadratures once per step, outside Newton's method. Zero passes every
+    error test, so that the motion does not change. The relay must exist as long as the integrator.
+    """
+
+    def __init__(self) -> None:
+        ca.Callback.__init__(self)
+        self.observer: _StepObserver | None = None
         self.construct("observer", {})
 
     def get_sparsity_in(self, _index: int) -> ca.Sparsity:
@@ -499,19 +563,10 @@ class _StepObserver(ca.Callback):
 
     def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
         """Observe a step of the integrator; return zero, CasADi's code for success."""
-        self.guard.call(self._observe, *_doubles(arguments[0]))
+        if self.observer is not None:
+            self.observer(*_doubles(arguments[0]))
         _doubles(results[0])[0] = 0.0
         return 0
-
-    def _observe(self, t: float, margin: float) -> None:
-        self.times.append(t)
-        if self.progress is not None and t > self.reported:
-            self.reported = t
-            answer = self.progress(t)
-            if isinstance(answer, bool | np.bool_) and not answer:
-                raise _ProgressError
-        if self.guarded and not margin >= -LIMIT_TOLERANCE:
-            raise _LimitError
 
 
 def _doubles(memory: memoryview) -> memoryview[float]:
