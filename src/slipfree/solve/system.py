@@ -357,7 +357,7 @@ def _equation_blocks(
             Block(
                 slice(begin, end),
                 *block_functions(dae, (begin, end), law, u, continuation, compiled=compiled),
-                not ca.depends_on(ca.jacobian(inserted, own), own),
+                ca.is_linear(inserted, own),
                 dae.continuation.values if dae.continuation and is_continued else (0.0,),
                 labels,
             )
