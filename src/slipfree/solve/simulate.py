@@ -426,7 +426,7 @@ def _check_samples(
         if violation is not None:
             found.append(_Crossing(left + violation[0], violation[1], None))
             break
-    run, samples = joined(*runs), _concatenate(parts)
+    run, samples = (joined(*runs), _concatenate(parts)) if len(runs) > 1 else (runs[0], parts[0])
     for each in watched:
         for k in crossing_indices(each, system, samples, solver.tolerance)[:1]:
             name = each.event.name
