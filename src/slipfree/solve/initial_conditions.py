@@ -98,7 +98,8 @@ def _solve_block(
 
     def size(z: Array) -> float:
         point = (np.reshape(each, (-1, 1)) for each in (t, x, z, u, continuation))
-        return float(np.linalg.norm(*evaluate(block.residual, *point)))
+        (left,) = evaluate(block.residual, *point)
+        return float(np.linalg.norm(left))
 
     first, now = z, size(z)
     for _ in range(MAX_STEPS):
