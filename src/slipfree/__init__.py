@@ -22,7 +22,8 @@ Start
 Inputs
     ``model.inputs(...)``, values or expressions. `follow` a `Path`, or drive `straight`.
 Motion, a `Trajectory`
-    `simulate`, with `SolverOptions`; the `Outcome` says whether the motion is complete.
+    `simulate`, with `SolverOptions`; the `Outcome` says whether the motion is complete. `rollouts`,
+    many motions of one model, in processes.
     `cross_check`, the difference between two formulations.
 Plan
     `plan`, the inputs that reach a goal with the least `Cost`. `replan`, a plan from the current

@@ -29,6 +29,7 @@ from .problem.result import open_result
 from .problem.solve import run_problem
 from .routing.search import Route
 from .solve.options import SolverOptions
+from .solve.rollouts import rollouts
 from .solve.settle import settle
 from .solve.simulate import simulate
 from .terrain.analytic import Analytic
@@ -89,6 +90,7 @@ __all__ = [
     "read_vehicle",
     "replan",
     "rigid_dynamics",
+    "rollouts",
     "run_problem",
     "settle",
     "simulate",

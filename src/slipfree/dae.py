@@ -539,6 +539,10 @@ class Dae(Generic[X, Z, U, Y]):
 
     def columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the symbols of ``x``, of ``z`` and of ``u`` as three columns."""
+        return self._columns
+
+    @cached_property
+    def _columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         return pack(self.x), pack(self.z), pack(self.u)
 
 

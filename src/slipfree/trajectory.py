@@ -241,7 +241,7 @@ class Trajectory:
         if self.wheels:
             coordinates["wheel"] = ("wheel", np.array(self.wheels), WHEELS)
         variables = {k: (c.dimensions, c.values, c.metadata) for k, c in self.columns.items()}
-        dataset: xarray.Dataset = _require("xarray").Dataset(variables, coordinates, self.metadata)
+        dataset: xarray.Dataset = require("xarray").Dataset(variables, coordinates, self.metadata)
         return dataset
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -258,7 +258,7 @@ class Trajectory:
         SlipfreeError
             If pandas is not installed.
         """
-        pandas = _require("pandas")
+        pandas = require("pandas")
         values = {
             (name, wheel): samples
             for name, column in self.columns.items()
@@ -276,7 +276,7 @@ class Trajectory:
         return frame
 
 
-def _require(package: str) -> Any:
+def require(package: str) -> Any:
     """Return an optional package; raise SlipfreeError if it is not installed."""
     try:
         return import_module(package)

@@ -4,10 +4,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.interpolate import RectBivariateSpline
 
 from helpers.cases import hills
-from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
+from slipfree import Analytic, Bicubic, Grid, ModelError, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
+from slipfree.contact.certify import SecondContact
 from slipfree.lookups import LookupTable
 from slipfree.terrain.base import jet_of
 
@@ -119,3 +121,45 @@ def test_relative_curvature_equals_montanas_form(rng):
         assert np.sign(got) == np.sign(least)
         signs.append(np.sign(least))
     assert {-1.0, 1.0} == set(signs)
+
+
+def rough_map(rms, seed=3):
+    axis = np.linspace(-6, 6, 121)
+    waves = 0.3 * np.add.outer(np.sin(0.7 * axis), np.cos(0.5 * axis))
+    noise = np.random.default_rng(seed).normal(0, rms, (axis.size, axis.size))
+    return Bicubic(Grid(axis, axis, waves + noise))
+
+
+def test_bounds_of_derivatives_hold_and_are_not_wasteful(rng):
+    ground = rough_map(0.002)
+    box = -1.3, -0.4, 2.05, 2.2
+    x, y = rng.uniform(*box[:2], 20000), rng.uniform(*box[2:], 20000)
+    spline = RectBivariateSpline(ground.grid.x, ground.grid.y, ground.grid.z, s=0)
+    d = {(m, n): spline.ev(x, y, m, n) for m, n in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))}
+    slope = np.hypot(d[1, 0], d[0, 1]).max()
+    hessian = np.array([[d[2, 0], d[1, 1]], [d[1, 1], d[0, 2]]]).transpose(2, 0, 1)
+    curvature = np.abs(np.linalg.eigvalsh(hessian)).max()
+    bounds = ground.derivative_bounds(box)
+    assert slope <= bounds[0] < 3 * slope
+    assert curvature <= bounds[1] < 6 * curvature
+    assert ground.derivative_bounds((5.9, 6.1, 0, 1)) == (np.inf, np.inf)
+    assert all(np.isfinite(ground.derivative_bounds((-6, 6, -6, 6))))
+
+
+@pytest.mark.parametrize("rms", [0.0, 0.0003, 0.002])
+def test_certificate_by_curvature_agrees_with_that_by_points(rms, monkeypatch):
+    """Without curvature there are at most minima beyond the top of the wheel or at an edge."""
+    dae = direct_kinematics(three_wheeler(), rough_map(rms))
+    run = simulate(
+        dae,
+        settle(dae),
+        dae.inputs(right_rate=0.5, left_rate=0.45, steer_rate=0.0),
+        np.linspace(0, 5, 51),
+    )
+    excluded = np.isinf(run["clearance"])
+    monkeypatch.setattr(SecondContact, "_has_single_contact", lambda *_: False)
+    x, z = (np.transpose([dae.rows(record, run, k) for k in range(run.t.size)]) for record in "xz")
+    by_points = np.transpose([check.margin(x, z) for check in dae.checks])
+    assert excluded.all() == (rms < 0.002)
+    assert (by_points[excluded] > 0.01).all()
+    assert_allclose(run["clearance"][~excluded], by_points[~excluded], atol=1e-12)

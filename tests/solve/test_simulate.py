@@ -434,16 +434,15 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
     start, t = settle(dae), np.linspace(0, 1, 6)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
     plain = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-6))
-    integrator, first = module._integrator, []
+    run_integrator, first = module._run, []
 
-    def rejecting(solver, observer, t, given, pace):
-        def fail(**start):
-            first.append(start)
-            raise RuntimeError("IDA_LINESEARCH_FAIL")
+    def rejecting(*given):
+        if first:
+            return run_integrator(*given)
+        first.append(given)
+        raise RuntimeError("IDA_LINESEARCH_FAIL")
 
-        return integrator(solver, observer, t, given, pace) if given else fail
-
-    monkeypatch.setattr(module, "_integrator", rejecting)
+    monkeypatch.setattr(module, "_run", rejecting)
     shifted = module._initial_sample(module.with_inputs(dae, inputs, 5), start, 0.0)
     shifted = shifted._replace(z=shifted.z + 1e-3)
     monkeypatch.setattr(module, "_initial_sample", lambda *_: shifted)

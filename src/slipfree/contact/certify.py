@@ -2,7 +2,16 @@
 
 The closure equations hold at the contact point. Elsewhere the ground may still penetrate the wheel
 (a rock beside it, a step ahead of it); the computed motion is then not that of a rigid wheel.
-Therefore the surface of the wheel is compared with the ground around its lower part.
+Therefore the surface of the wheel is compared with the ground around its lower part, unless the
+curvature of the ground is so small that there cannot be a second point.
+
+The bound on the curvature: let the wheel be the convex hull of a torus with rolling radius R and
+axle ``a``, and ``N = (-h_x, -h_y, 1)`` a normal of the ground. At a critical point of the vertical
+gap, ``N`` is a normal of the wheel, and the wheel's surface, as a height, has second derivatives of
+at least ``p/R`` in every direction, where ``p`` is the length of the part of ``N`` perpendicular to
+the axle; ``p >= |a_xy| - slope |a_z|``. If the curvature of the ground is below ``p/R`` everywhere
+under the wheel, all critical points of the lower side are strict minima and all of the upper side
+strict maxima. A function on a surface like a sphere with no saddle has one minimum and one maximum.
 """
 
 from __future__ import annotations
@@ -12,6 +21,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from slipfree.batch import evaluate
 from slipfree.records import Array, Label, Mask
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.sections.base import arc_lengths
@@ -61,24 +71,40 @@ class SecondContact:
     def margin(self, x: Array, z: Array) -> Array:
         """Return the clearances for n columns of states ``x`` and unknowns ``z``, shape (n,) [m].
 
-        A penetration below `TOLERANCE` does not make a clearance negative.
+        A penetration below `TOLERANCE` does not make a clearance negative. Where the curvature of
+        the ground excludes a second contact, the clearance is infinite.
         """
-        parts = range(0, x.shape[1], CHUNK)
-        return np.concatenate(
-            [self._nearest(x[:, k : k + CHUNK], z[:, k : k + CHUNK])[0] for k in parts]
-        )
+        center, rotation, normal = evaluate(self.pose, x, z)
+        found = np.full(x.shape[1], np.inf)
+        for k in range(0, found.size, CHUNK):
+            part = slice(k, k + CHUNK)
+            pose = center[:, part], rotation[:, part], normal[:, part]
+            if not self._has_single_contact(*pose[:2]):
+                found[part] = self._nearest(*pose)[0]
+        return found
+
+    def _has_single_contact(self, center: Array, rotation: Array) -> bool:
+        """Return whether the curvature of the ground excludes a second contact at all samples."""
+        bounds = getattr(self.terrain, "derivative_bounds", None)
+        if bounds is None or self.wheel.section.torus_radii is None:
+            return False
+        radius, (x_0, y_0, _) = self.wheel.radius, self.terrain.origin
+        low, high = center.min(axis=1) - radius, center.max(axis=1) + radius
+        slope, curvature = bounds((low[0] + x_0, high[0] + x_0, low[1] + y_0, high[1] + y_0))
+        level, upright = np.hypot(rotation[0], rotation[1]).min(), np.abs(rotation[2]).max()
+        return bool(radius * curvature < level - slope * upright)
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message that locates the second contact, in map coordinates."""
-        spot = self._nearest(x[:, None], z[:, None])[1][0]
+        spot = self._nearest(*evaluate(self.pose, x[:, None], z[:, None]))[1][0]
         return (
             f"wheel {self.wheel.name} touches a second time at ({spot[0]:.3f}, {spot[1]:.3f}) m, "
             "apart from its contact point; fill hollows narrower than the wheel with "
             "terrain.rolled(radius), or choose another path"
         )
 
-    def _nearest(self, x: Array, z: Array) -> tuple[Array, Array]:
-        points = self._surface(x, z)
+    def _nearest(self, center: Array, rotation: Array, normal: Array) -> tuple[Array, Array]:
+        points = self._surface(center, rotation, normal)
         height = self.terrain.elevation(points[..., 0], points[..., 1])
         gap = points[..., 2] - height
         low = _second_minima(gap)
@@ -92,12 +118,11 @@ class SecondContact:
         rows = np.arange(len(values))
         return flat[rows, best] + touching, points.reshape(len(values), -1, 3)[rows, best]
 
-    def _surface(self, x: Array, z: Array) -> Array:
+    def _surface(self, center: Array, rotation: Array, normal: Array) -> Array:
         """Return points on the tread in map coordinates, shape (n, rim, section, 3) [m].
 
         They form a grid around the rim and across the section.
         """
-        center, rotation, normal = (out.full() for out in self.pose.map(x.shape[1])(x, z))
         axes = rotation.T.reshape(-1, 3, 3)  # axle, forward, up; column by column
         down = -(axes @ normal.T[..., None])[..., 0]
         v = np.arctan2(down[:, 2], down[:, 1])[:, None] + RIM_ANGLES

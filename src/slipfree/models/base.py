@@ -132,7 +132,10 @@ def touch_function(
     inputs, found = [pack(x), pack(z)], lookups.lookups
     return [
         lookup_function(
-            found, "wheel", inputs, [carrier.origin, ca.vec(carrier.rotation), contact.normal]
+            found,
+            "wheel",
+            inputs,
+            [ca.densify(e) for e in (carrier.origin, ca.vec(carrier.rotation), contact.normal)],
         )
         for carrier, contact in zip(poses, contacts, strict=True)
     ]

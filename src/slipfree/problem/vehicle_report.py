@@ -274,7 +274,7 @@ def conditioning(dae: Dae, start: Trajectory) -> Facts:
     moving = {*leaves(dae.labels.z.position), *leaves(dae.labels.z.rates.motion)}
     for name, block in zip(("position", "rates"), system.blocks, strict=False):
         point = 0.0, x, z, np.zeros(len(list(leaves(dae.u)))), block.stages[-1]
-        jacobian = np.array(block.jacobian(*point)) * dae.sizes.alg[block.span, None]
+        jacobian = np.array(block.newton(*point)[1]) * dae.sizes.alg[block.span, None]
         _, values, right = np.linalg.svd(jacobian)
         size = [
             abs(part) if label in moving else 0.0

@@ -352,7 +352,7 @@ def _guess_unknowns(system: System, t: float, x: Array, z: Array) -> Array:
         if block.linear:
             z[block.span] = 0.0
             point = (t, x, z, system.u[:, 0], block.stages[-1])
-            jacobian, residual = np.array(block.jacobian(*point)), np.array(block.residual(*point))
+            residual, jacobian = (np.array(each) for each in block.newton(*point))
             size = system.dae.sizes.z[block.span]
             step = np.linalg.lstsq(jacobian * size, residual.ravel(), rcond=WEAK_SINGULAR_VALUE)[0]
             z[block.span] = -size * step
@@ -364,9 +364,8 @@ def _correct_pose(system: System, samples: Samples) -> tuple[Samples, dict[str, 
     block, z = system.blocks[0], samples.z.copy()
     for k, t in enumerate(samples.t):
         point = (t, samples.x[:, k], z[:, k], samples.u[:, k], block.stages[-1])
-        z[block.span, k] -= np.linalg.solve(
-            np.array(block.jacobian(*point)), np.array(block.residual(*point)).ravel()
-        )
+        residual, jacobian = (np.array(each) for each in block.newton(*point))
+        z[block.span, k] -= np.linalg.solve(jacobian, residual.ravel())
     step = np.abs(z - samples.z)[block.span].max(axis=0)
     found, report = complete_samples(system, samples._replace(z=z))
     return found, {"newton_step": step, **report}

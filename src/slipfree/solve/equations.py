@@ -38,15 +38,12 @@ class MotionEquations(NamedTuple):
     ----------
     core : casadi Function
         ``(t, x, m, u) -> (ode, alg)``; differentiable with respect to ``x`` and ``m``.
-    newton : casadi Function
-        ``(t, x, m, u) -> (alg, its Jacobian with respect to m)``.
     jacobian : casadi Function
         ``(t, x, m, p, u) -> (ode_x, alg_x, ode_m, alg_m)``, derivatives with respect to ``x`` and
         ``m``, with the names that CasADi's interface to IDAS requires; ``p`` is empty.
     """
 
     core: ca.Function
-    newton: ca.Function
     jacobian: ca.Function
 
 
@@ -117,7 +114,6 @@ def motion_equations(
     parameters = [*given[:3], ca.MX.sym("p", 0), given[3]]
     return MotionEquations(
         ca.Function("core", given, [ode, alg], options),
-        ca.Function("newton", given, [alg, ca.densify(alg_m)]),
         ca.Function("jacF", parameters, [ode_x, alg_x, ode_m, alg_m], [*"txzpu"], names),
     )
 
@@ -187,7 +183,7 @@ def _model_equations(dae: Dae, count: int, *, compiled: bool) -> _ModelEquations
         return [values, ca.Function("slopes", given, [slopes])]
 
     functions = compiled_functions(key, ("values", "slopes"), make, compiled=compiled)
-    lookups = _compiled_lookups(lookups) if compiled else lookups
+    lookups = compiled_lookups(lookups) if compiled else lookups
     inputs = ca.vertsplit(v) if v.numel() else []
     return _ModelEquations(tuple(ca.depends_on(rows, each) for each in inputs), lookups, *functions)
 
@@ -216,12 +212,12 @@ def model_function(
     lookups = needed_lookups(dae.lookups, expressions)
     plain = ca.Function(name, [*symbols, found_column(lookups)], [*expressions], {"cse": True})
     (plain,) = compiled_functions(plain, (name,), lambda: [plain], compiled=compiled)
-    lookups = _compiled_lookups(lookups) if compiled else lookups
+    lookups = compiled_lookups(lookups) if compiled else lookups
     given = [ca.MX.sym("given", *each.shape) for each in symbols]
     return ca.Function(name, given, plain.call([*given, lookup_results(lookups, symbols, given)]))
 
 
-def _compiled_lookups(lookups: Sequence[Lookup]) -> tuple[Lookup, ...]:
+def compiled_lookups(lookups: Sequence[Lookup]) -> tuple[Lookup, ...]:
     """Return lookups with compiled functions, where these are not compiled already."""
     return tuple(each._replace(function=_compiled_lookup(each.function)) for each in lookups)
 

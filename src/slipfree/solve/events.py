@@ -8,6 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.batch import evaluate
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.lookups import found_column
@@ -76,15 +77,18 @@ def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
                 f"event {name!r}: expected symbols of the model, found {free[0]}; use "
                 "the symbols of its Dae"
             )
-        watched.append(WatchedEvent(event, dae.function("event", symbols, [expression])))
+        watched.append(
+            WatchedEvent(event, dae.function("event", symbols, [ca.densify(expression)]))
+        )
     return tuple(watched)
 
 
 def event_values(watched: WatchedEvent, system: System, samples: Samples) -> Array:
     """Return the values of an event's expression, shape (n,), at samples."""
-    count, at = samples.t.size, (samples.t[None], samples.x, samples.z)
-    inputs = system.outputs.map(count)(*at, samples.u)[2]
-    return np.array(watched.function.map(count)(*at, inputs)).ravel()
+    at = samples.t[None], samples.x, samples.z
+    inputs = evaluate(system.outputs, *at, samples.u)[2]
+    (values,) = evaluate(watched.function, *at, inputs)
+    return values.reshape(-1)
 
 
 def crossing_indices(

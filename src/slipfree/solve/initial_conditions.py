@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from slipfree.batch import dense, evaluate
 from slipfree.errors import ModelError
 from slipfree.records import Array, leaves
 from slipfree.solve.system import Block, System
@@ -96,7 +97,9 @@ def _solve_block(
     scale = system.dae.scale[block.span]
 
     def size(z: Array) -> float:
-        return float(np.linalg.norm(np.array(block.residual(t, x, z, u, continuation))))
+        point = (np.reshape(each, (-1, 1)) for each in (t, x, z, u, continuation))
+        (left,) = evaluate(block.residual, *point)
+        return float(np.linalg.norm(left))
 
     first, now = z, size(z)
     for _ in range(MAX_STEPS):
@@ -121,8 +124,8 @@ def _solve_block(
 
 
 def _newton_step(system: System, block: Block, point: tuple[Any, ...], *, check: bool) -> Array:
-    residual = np.array(block.residual(*point)).ravel()
-    jacobian = np.array(block.jacobian(*point))
+    residual, slopes = evaluate(block.newton, *(np.reshape(each, (-1, 1)) for each in point))
+    residual, jacobian = residual[:, 0], dense(slopes, block.newton.sparsity_out(1))[0]
     if not np.isfinite(jacobian).all() or not np.isfinite(residual).all():
         return np.full(residual.shape, np.nan)
     size = system.dae.sizes.z[block.span]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import SampledCheck
+from slipfree.batch import dense, evaluate
+from slipfree.dae import Dae, SampledCheck
 from slipfree.errors import ModelError
 from slipfree.records import Array, Label, Mask, leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -16,7 +19,8 @@ from slipfree.trajectory import Column, SolverError, Trajectory
 
 AXIS_NAMES = ("time", "wheel")  # dimensions of results, reserved names
 
-MAX_CORRECTIONS = 10  # Newton steps per sample
+MAX_CORRECTIONS = 16  # Newton steps per sample
+STRIDE = 16  # samples per singular value, which would take as long as all other results
 SOLVED_RESIDUAL = 1e-12  # residual, without unit, at which a sample needs no further step
 UNSOLVED_RESIDUAL = 1e-10  # residual of a sample above which it exceeds rounding
 ROUNDING_STEP = 1e-13  # step, in typical sizes, below which only rounding is left
@@ -54,25 +58,39 @@ def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str
     """
     if not system.motion_size:
         return samples, {}
-    z, n = samples.z.copy(), system.motion_size
-    alg, jac = _linearize(system, samples)
-    step, size = _newton_steps(jac, alg), _max_abs(alg)
-    first = _max_abs(step[system.blocks[0].span])
-    rough = np.ones(samples.t.size, dtype=bool)
-    for _ in range(MAX_CORRECTIONS):
-        z[:n, rough] -= step[:, rough]
-        alg = _residuals(system, samples._replace(z=z))
-        former, size = size, _max_abs(alg)
+    z, steps, lefts = samples.z.copy(), list[Array](), list[Array]()
+    for block in system.blocks:
+        z, step, left = _correct_block(block, samples._replace(z=z))
+        steps.append(step)
+        lefts.append(left)
+    size = np.max([_max_abs(left) for left in lefts], axis=0)
+    if (astray := ~(size < UNSOLVED_RESIDUAL)).any():
+        z = _solve_from_neighbours(system, samples, z, astray)
+        corrected = samples._replace(z=z)
+        lefts = [_evaluate_block(block.residual, block, corrected)[0] for block in system.blocks]
+    found, report = complete_samples(system, samples._replace(z=z), lefts)
+    return found, {"newton_step": steps[0], **report}
+
+
+def _correct_block(block: Block, samples: Samples) -> tuple[Array, Array, Array]:
+    """Return ``z`` after Newton steps on a block, the first step and the last residual of each.
+
+    Each Jacobian serves for two steps: another residual costs less than another Jacobian.
+    """
+    z, rough = samples.z.copy(), np.ones(samples.t.size, dtype=bool)
+    (left, jacobian), first = _linearize(block, samples), np.zeros(samples.t.size)
+    for k in range(MAX_CORRECTIONS):
+        step, former = _newton_steps(jacobian, left), _max_abs(left)
+        z[block.span, rough] -= step[:, rough]
+        first = first if k else _max_abs(step)
+        (left,) = _evaluate_block(block.residual, block, samples._replace(z=z))
+        size = _max_abs(left)
         rough &= (size > SOLVED_RESIDUAL) & ~((size < UNSOLVED_RESIDUAL) & (size > former / 2))
         if not rough.any():
             break
-        alg, jac = _linearize(system, samples._replace(z=z))
-        step = _newton_steps(jac, alg)
-    if (astray := ~(size < UNSOLVED_RESIDUAL)).any():
-        z = _solve_from_neighbours(system, samples, z, astray)
-        alg, jac = _linearize(system, samples._replace(z=z))
-    found, report = complete_samples(system, samples._replace(z=z), (alg, jac))
-    return found, {"newton_step": first, **report}
+        if k % 2:
+            left, jacobian = _linearize(block, samples._replace(z=z))
+    return z, first, left
 
 
 def _solve_from_neighbours(system: System, samples: Samples, z: Array, astray: Mask) -> Array:
@@ -101,54 +119,66 @@ def _max_abs(rows: Array) -> Array:
     return np.asarray(np.abs(rows).max(axis=0))
 
 
-def _linearize(system: System, samples: Samples) -> tuple[Array, Array]:
-    """Return the residuals of the motion, shape (n_m, n), and Jacobians, shape (n, n_m, n_m)."""
-    newton, n = system.newton.map(samples.t.size), system.motion_size
-    found = newton(samples.t[None], samples.x, samples.z[:n], samples.u)
-    alg, jac = (np.array(out) for out in found)
-    return alg, _split_matrices(jac, n)
+def _linearize(block: Block, samples: Samples) -> tuple[Array, Array]:
+    """Return the residuals of a block, shape (m, n), and its Jacobians, shape (n, m, m)."""
+    left, slopes = _evaluate_block(block.newton, block, samples)
+    return left, dense(slopes, block.newton.sparsity_out(1))
 
 
-def _residuals(system: System, samples: Samples) -> Array:
-    """Return the residuals of the equations of the motion, shape (n_m, n)."""
-    core, n = system.core.map(samples.t.size), system.motion_size
-    return np.array(core(samples.t[None], samples.x, samples.z[:n], samples.u)[1])
+def _evaluate_block(function: ca.Function, block: Block, samples: Samples) -> tuple[Array, ...]:
+    """Return the results of a function of a block at all samples."""
+    stage = np.full((1, samples.t.size), block.stages[-1])
+    return evaluate(function, samples.t[None], samples.x, samples.z, samples.u, stage)
 
 
-def complete_samples(
-    system: System, samples: Samples, known: tuple[Array, Array] | None = None
-) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples with the unknowns that depend on the motion, and a report of residuals.
+def _singular_values(system: System, samples: Samples) -> Array:
+    """Return the smallest singular value of the Jacobian of the motion's equations, shape (n,).
 
-    The report contains, at every sample, the smallest singular value of the Jacobian of the
-    motion's equations, which is zero at a singular configuration, and the largest residual of each
-    block. They are NaN where the equations are not finite. ``known`` are residuals and Jacobians
-    from `_linearize`, before or after the last Newton step; they are computed if omitted.
+    It is computed at every 16th sample and at the last, and interpolated between them. It is NaN
+    where the equations are not finite.
     """
-    count, n, z = samples.t.size, system.motion_size, samples.z.copy()
-    left, jac = known or _linearize(system, samples)
-    jac = jac * system.dae.sizes.z[:n]
+    chosen = np.unique(np.append(np.arange(0, samples.t.size, STRIDE), samples.t.size - 1))
+    t, x, z, _, u = (row[..., chosen] for row in samples)
+    n, found = system.motion_size, np.full(chosen.size, np.nan)
+    slopes = evaluate(system.jacobian, t[None], x, z[:n], np.zeros((0, t.size)), u)[3]
+    jac = dense(slopes, system.jacobian.sparsity_out(3)) * system.dae.sizes.z[:n]
     finite = np.isfinite(jac).all(axis=(1, 2))
     if not finite.any():
         raise SolverError(
             "the equations of the motion are not finite at any sample; check the start and the "
             "inputs"
         )
-    report = {"singular_value": np.full(count, np.nan)}
-    report["singular_value"][finite] = np.linalg.svd(jac[finite], compute_uv=False)[:, -1]
-    for block in system.blocks:
-        report[f"{block.labels[0].name}_residual"] = _block_residual(
-            system, block, left[block.span]
-        )
+    found[finite] = np.linalg.svd(jac[finite], compute_uv=False)[:, -1]
+    return np.asarray(np.interp(np.arange(samples.t.size), chosen, found))
+
+
+def complete_samples(
+    system: System, samples: Samples, lefts: Sequence[Array] | None = None
+) -> tuple[Samples, dict[str, Array]]:
+    """Return the samples with the unknowns that depend on the motion, and a report of residuals.
+
+    The report contains the smallest singular value of the Jacobian of the motion's equations, which
+    is zero at a singular configuration, and the largest residual of each block. They are NaN where
+    the equations are not finite. ``lefts`` are the residuals of the blocks of the motion; they are
+    computed if omitted.
+    """
+    n, z = system.motion_size, samples.z.copy()
+    report = {"singular_value": _singular_values(system, samples)}
+    if lefts is None:
+        lefts = [_evaluate_block(block.residual, block, samples)[0] for block in system.blocks]
+    for block, left in zip(system.blocks, lefts, strict=True):
+        report[f"{block.labels[0].name}_residual"] = _block_residual(system, block, left)
     if system.dependent_blocks:
-        guess = system.dae.function("guess", [system.dae.columns()[0]], [system.dae.guess]).map(
-            count
-        )
-        z[n:] = np.array(guess(samples.x))[n:]
+        z[n:] = evaluate(_guess_function(system.dae), samples.x)[0][n:]
     for block in system.dependent_blocks:
         z, rest = _solve_block(block, samples._replace(z=z), system.dae.scale[block.span, None])
         report[f"{block.labels[0].name}_residual"] = _block_residual(system, block, rest)
     return samples._replace(z=z), report
+
+
+@lru_cache(maxsize=8)
+def _guess_function(dae: Dae) -> ca.Function:
+    return dae.function("guess", [dae.columns()[0]], [ca.densify(dae.guess)])
 
 
 def _block_residual(system: System, block: Block, residual: Array) -> Array:
@@ -161,27 +191,14 @@ def _solve_block(block: Block, samples: Samples, size: Array) -> tuple[Array, Ar
 
     No error is raised without a solution: the residual is then large.
     """
-    count, n, z = samples.t.size, len(block.labels), samples.z.copy()
-    residual, jacobian = block.residual.map(count), block.jacobian.map(count)
-
-    def at(function: ca.Function) -> Array:
-        return np.array(
-            function(
-                samples.t[None], samples.x, z, samples.u, np.full((1, count), block.stages[-1])
-            )
-        )
-
+    z = samples.z.copy()
     for _ in range(MAX_NEWTON_STEPS):
-        step = _newton_steps(_split_matrices(at(jacobian), n), at(residual))
+        left, jacobian = _linearize(block, samples._replace(z=z))
+        step = _newton_steps(jacobian, left)
         z[block.span] -= step
         if block.linear or not (np.abs(step) > ROUNDING_STEP * size).any():
             break
-    return z, at(residual)
-
-
-def _split_matrices(side_by_side: Array, n: int) -> Array:
-    """Return square matrices, shape (count, n, n), from one of shape (n, count n)."""
-    return side_by_side.reshape(n, -1, n).transpose(1, 0, 2)
+    return z, _evaluate_block(block.residual, block, samples._replace(z=z))[0]
 
 
 def _newton_steps(matrices: Array, right: Array) -> Array:
@@ -197,23 +214,20 @@ def _newton_steps(matrices: Array, right: Array) -> Array:
 
 def to_trajectory(system: System, samples: Samples, report: dict[str, Array]) -> Trajectory:
     """Return the samples as a trajectory in map coordinates, with all outputs and margins."""
-    dae, labels = system.dae, system.dae.labels
-    y, limits, u = (
-        np.array(out)
-        for out in system.outputs.map(samples.t.size)(samples.t[None], *samples[1:3], samples.u)
-    )
+    dae = system.dae
+    y, limits, u = evaluate(system.outputs, samples.t[None], *samples[1:3], samples.u)
     x, z = (part + shift[:, None] for part, shift in zip(samples[1:3], dae.shift, strict=True))
-    rows = [
-        *zip(leaves(labels.x), x, strict=True),
-        *zip(leaves(labels.z), z, strict=True),
-        *zip(leaves(labels.q), samples.q, strict=True),
-        *zip(leaves(labels.u), u, strict=True),
-        *zip(leaves(labels.y), y, strict=True),
-        *zip((limit.label for limit in dae.limits), limits, strict=True),
-        *((check.label, _check_margins(check, samples)) for check in dae.checks),
-        *((_report_label(system, name), values) for name, values in report.items()),
-    ]
-    return Trajectory(samples.t, *_group_by_quantity(rows))
+    checks = (_check_margins(check, samples) for check in dae.checks)
+    rows = [*x, *z, *samples.q, *u, *y, *limits, *checks, *report.values()]
+    groups, wheels = _group_by_quantity(dae, tuple(report))
+    columns = {
+        one.label.name: Column(
+            one.label,
+            np.stack([rows[k] for k in one.rows], axis=1) if one.of_wheels else rows[one.rows[0]],
+        )
+        for one in groups
+    }
+    return Trajectory(samples.t, columns, wheels)
 
 
 def _check_margins(check: SampledCheck, samples: Samples) -> Array:
@@ -227,55 +241,58 @@ def _check_margins(check: SampledCheck, samples: Samples) -> Array:
         return np.concatenate([_check_margins(check, sample) for sample in each])
 
 
+class _Quantity(NamedTuple):
+    """Label of a quantity and the indices of its rows; quantities of wheels have several."""
+
+    label: Label
+    rows: tuple[int, ...]
+    of_wheels: bool
+
+
+@lru_cache(maxsize=8)
 def _group_by_quantity(
-    rows: list[tuple[Label, Array]],
-) -> tuple[dict[str, Column], tuple[str, ...]]:
-    """Return one column per quantity, with the values of all wheels, and the wheels' names."""
-    groups: dict[str, list[tuple[Label, Array]]] = {}
-    for label, values in rows:
-        group = groups.setdefault(label.name, [])
+    dae: Dae, report: tuple[str, ...]
+) -> tuple[tuple[_Quantity, ...], tuple[str, ...]]:
+    """Return the quantities of a model and its report, in the order of rows, and the wheels."""
+    labels = [
+        *leaves(dae.labels[:5]),
+        *(limit.label for limit in dae.limits),
+        *(check.label for check in dae.checks),
+        *(_report_label(dae, name) for name in report),
+    ]
+    groups: dict[str, dict[str | None, int]] = {}
+    for row, label in enumerate(labels):
         if label.name in AXIS_NAMES:
             raise ModelError(
                 f"expected no quantity named {label.name!r}, which is a dimension of results; "
                 "rename a coordinate of the vehicle or an output"
             )
-        if any(_is_same_column(label, each) for each, _ in group):
+        group = groups.setdefault(label.name, {})
+        if group and (None in group or label.wheel is None or label.wheel in group):
             raise ModelError(
                 f"expected different names of all quantities in a result, found {label.name!r} "
                 "twice; rename a coordinate of the vehicle or an output"
             )
-        group.append((label, values))
-    wheels: tuple[str, ...] = ()
-    columns = {}
-    for name, members in groups.items():
-        label = members[0][0]
-        if label.wheel is None:
-            columns[name] = Column(label, members[0][1])
-            continue
-        wheels = tuple(str(each.wheel) for each, _ in members)
-        values = np.column_stack([values for _, values in members])
-        columns[name] = Column(Label(name, label.unit, _common_words(members)), values)
-    return columns, wheels
+        group[label.wheel] = row
+    wheels, found = tuple[str, ...](), list[_Quantity]()
+    for name, group in groups.items():
+        rows = tuple(group.values())
+        label = labels[rows[0]]
+        if label.wheel is not None:
+            wheels = tuple(map(str, group))
+            words = label.words.replace(f"wheel {label.wheel}", "the wheel")
+            label = Label(name, label.unit, words)
+        found.append(_Quantity(label, rows, None not in group))
+    return tuple(found), wheels
 
 
-def _is_same_column(one: Label, other: Label) -> bool:
-    """Return whether two labels of one name stand for the same column."""
-    return one.wheel is None or other.wheel is None or one.wheel == other.wheel
-
-
-def _common_words(members: list[tuple[Label, Array]]) -> str:
-    """Return the description of a quantity without the name of a wheel."""
-    label = members[0][0]
-    return label.words.replace(f"wheel {label.wheel}", "the wheel")
-
-
-def _report_label(system: System, name: str) -> Label:
-    blocks = (*system.blocks, *system.dependent_blocks)
-    units = {f"{block.labels[0].name}_residual": block.labels[0].unit for block in blocks}
+def _report_label(dae: Dae, name: str) -> Label:
+    units = {f"{labels[0].name}_residual": labels[0].unit for labels in dae.labels.alg if labels}
     words = {
         "newton_step": "largest change of a pose coordinate by the first Newton step",
         "singular_value": "smallest singular value of the Jacobian of the algebraic equations; "
-        "lengths are divided by the size of the vehicle",
+        f"lengths are divided by the size of the vehicle; interpolated between every {STRIDE}th "
+        "sample",
     }
     return Label(
         name,

@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
 from io import StringIO
+from threading import Lock
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from slipfree.batch import run_buffered
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
@@ -40,6 +42,7 @@ NEWTON_SHARE = 0.01  # fraction of a step's allowed error at which CVODES ends N
 MAX_RESTARTS = 20  # maximum number of restarts after failures, per interval of the inputs
 MAX_COVERED = 2.0  # a step that covers more causes a repetition [allowed distances]
 ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
+MAX_IDLE = 64  # integrators kept for later calls; inputs that jump use one for each interval
 CHUNK_SIZE = 2000  # samples checked together, to bound the memory
 Progress = Callable[[float], bool | None]
 
@@ -303,14 +306,13 @@ def _call_integrator(
     """
     system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, u)
     x_size, m_size = (size[:, None] for size in _motion_scales(system))
+    columns = np.column_stack([u[:, :1], u])  # that of an interval at the time that it ends
     while True:
-        integrator = _integrator(solver, observer, t, given, pace)
+        arguments = at.x / x_size, at.z[: system.motion_size] / m_size, columns
         first = len(observer.times)
-        states = {"x0": at.x / x_size, "z0": at.z[: system.motion_size] / m_size}
         try:
-            # one column for each output time, that of the interval which it ends
-            with suppress_messages():
-                found = integrator(**states, u=np.column_stack([u[:, :1], u]))
+            with suppress_messages(), _integrator(solver, observer, t, given, pace) as integrator:
+                (x, z, q), statistics = _run(integrator, arguments, t.size)
             faster = observer.pace_of_long_steps(first)
             if not faster:
                 break
@@ -324,11 +326,9 @@ def _call_integrator(
                 raise SolverError(words) from error
             at, given = start, {"calc_ic": False, "init_xdot": _scaled_rates(system, start)}
     solver.guard.check()
-    x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
     x, z = x * x_size, z * m_size
     z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
     x[:, :1], z[:, :1] = at.x, at.z
-    statistics = integrator.stats()
     counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
     inputs = np.column_stack([u, u[:, -1:]])
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
@@ -341,6 +341,20 @@ def _pace_at_start(system: System, at: Samples, u: Array) -> float:
     inputs = np.unique(u, axis=1)
     m = at.z[: system.motion_size, 0]
     return float(np.array(system.watch(at.t[0], at.x[:, 0], m, inputs)[2]).max())
+
+
+def _run(
+    integrator: ca.Function, arguments: tuple[Array, Array, Array], count: int
+) -> tuple[tuple[Array, ...], dict[str, Any]]:
+    """Return states, unknowns and quadratures at all times, and the statistics of the call."""
+    names, results = ("x0", "z0", "u"), ("xf", "zf", "qf")
+    found = [np.empty((count, integrator.size1_out(name))) for name in results]
+    buffer = run_buffered(
+        integrator,
+        dict(zip(map(integrator.index_in, names), arguments, strict=True)),
+        dict(zip(map(integrator.index_out, results), found, strict=True)),
+    )
+    return tuple(each.T for each in found), buffer.stats()
 
 
 def _scaled_rates(system: System, at: Samples) -> list[float]:
@@ -430,7 +444,7 @@ def _check_samples(
         if violation is not None:
             found.append(_Crossing(left + violation[0], violation[1], None))
             break
-    run, samples = joined(*runs), _concatenate(parts)
+    run, samples = (joined(*runs), _concatenate(parts)) if len(runs) > 1 else (runs[0], parts[0])
     for each in watched:
         for k in crossing_indices(each, system, samples, solver.tolerance)[:1]:
             name = each.event.name
@@ -440,13 +454,39 @@ def _check_samples(
     return run, samples, min(found, key=lambda one: one.k, default=None)
 
 
+@contextmanager
 def _integrator(
     solver: _Solver, observer: _StepObserver, t: Array, given: dict[str, Any], pace: float
-) -> ca.Function:
-    """Return the integrator over ``t``, for states and unknowns divided by their sizes.
+) -> Iterator[ca.Function]:
+    """Yield the integrator over ``t``, for states and unknowns divided by their sizes.
 
-    Steps last at most one over the pace, unless it is zero.
+    Steps last at most one over the pace, unless it is zero. Integrators are reused, since the
+    construction of one takes as long as a short motion. Only one call at a time uses an integrator.
     """
+    system = solver.system
+    key = system.core, system.watch, solver.tolerance, solver.method, t.tobytes(), str(given), pace
+    with _LOCK:
+        idle = _IDLE.pop(key, None)
+    if idle is None:
+        relay = _Relay()
+        idle = relay, _new_integrator(solver, relay, t, given, pace)
+    relay, integrator = idle
+    relay.observer = observer
+    yield integrator
+    relay.observer = None
+    with _LOCK:
+        _IDLE[key] = idle
+        while len(_IDLE) > MAX_IDLE:
+            del _IDLE[next(iter(_IDLE))]
+
+
+_LOCK = Lock()
+_IDLE: dict[tuple[Any, ...], tuple[_Relay, ca.Function]] = {}
+
+
+def _new_integrator(
+    solver: _Solver, relay: _Relay, t: Array, given: dict[str, Any], pace: float
+) -> ca.Function:
     system, dae = solver.system, solver.system.dae
     x_size, m_size = _motion_scales(system)
     counts = [x_size.size, m_size.size, system.u.shape[0]]
@@ -455,7 +495,7 @@ def _integrator(
     point = [t_0, x * ca.DM(x_size), m * ca.DM(m_size), u]
     ode, alg = system.core(*point)
     quad, *observed = system.watch(*point)
-    quad = ca.vertcat(quad, observer(ca.vertcat(t_0, *observed)))
+    quad = ca.vertcat(quad, relay(ca.vertcat(t_0, *observed)))
     problem = dict(zip("txzu", symbols, strict=True))
     problem |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
     options: dict[str, Any] = {
@@ -494,38 +534,24 @@ def suppress_messages() -> Iterator[None]:
         sys.excepthook = hook
 
 
-class _StepObserver(ca.Callback):
-    """Quadrature that is identically zero and observes the steps of an integrator.
+class _StepObserver:
+    """Observer of the steps of an integrator.
 
     The observer records the times of the steps and reports progress. It ends the integration at a
-    step beyond a limit, if it is ``guarded``, or if the progress callable returns False. Both
-    integrators evaluate quadratures once per step, outside Newton's method. Zero passes every error
-    test, so that the motion does not change. The observer must exist as long as the integrator.
+    step beyond a limit, if it is ``guarded``, or if the progress callable returns False.
     """
 
     def __init__(
         self, guard: InterruptGuard, progress: Progress | None = None, *, guarded: bool = False
     ) -> None:
-        ca.Callback.__init__(self)
         self.guard, self.progress, self.guarded = guard, progress, guarded
         self.times: list[float] = []
         self.paces: list[float] = []
         self.reported = -np.inf
-        self.construct("observer", {})
 
-    def get_sparsity_in(self, _index: int) -> ca.Sparsity:
-        """Return the shape of the argument: time, least distance to a limit, and pace."""
-        return ca.Sparsity.dense(3, 1)
-
-    def has_eval_buffer(self) -> bool:
-        """Return True: arguments are passed as memory buffers, which is five times as fast."""
-        return True
-
-    def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
-        """Observe a step of the integrator; return zero, CasADi's code for success."""
-        self.guard.call(self._observe, *_doubles(arguments[0]))
-        _doubles(results[0])[0] = 0.0
-        return 0
+    def __call__(self, t: float, margin: float, pace: float) -> None:
+        """Observe a step: its time, the least distance to a limit, and the pace."""
+        self.guard.call(self._observe, t, margin, pace)
 
     def pace_of_long_steps(self, first: int) -> float:
         """Return the largest pace if a step covers twice the allowed distance or more, else zero.
@@ -551,6 +577,34 @@ class _StepObserver(ca.Callback):
                 raise _ProgressError
         if self.guarded and not margin >= -LIMIT_TOLERANCE:
             raise _LimitError
+
+
+class _Relay(ca.Callback):
+    """Quadrature that is identically zero and calls the present observer of an integrator.
+
+    Both integrators evaluate quadratures once per step, outside Newton's method. Zero passes every
+    error test, so that the motion does not change. The relay must exist as long as the integrator.
+    """
+
+    def __init__(self) -> None:
+        ca.Callback.__init__(self)
+        self.observer: _StepObserver | None = None
+        self.construct("observer", {})
+
+    def get_sparsity_in(self, _index: int) -> ca.Sparsity:
+        """Return the shape of the argument: time, least distance to a limit, and pace."""
+        return ca.Sparsity.dense(3, 1)
+
+    def has_eval_buffer(self) -> bool:
+        """Return True: arguments are passed as memory buffers, which is five times as fast."""
+        return True
+
+    def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
+        """Observe a step of the integrator; return zero, CasADi's code for success."""
+        if self.observer is not None:
+            self.observer(*_doubles(arguments[0]))
+        _doubles(results[0])[0] = 0.0
+        return 0
 
 
 def _doubles(memory: memoryview) -> memoryview[float]:

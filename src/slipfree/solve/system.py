@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -12,6 +13,7 @@ from slipfree.dae import Dae, PiecewiseLinear
 from slipfree.errors import ModelError
 from slipfree.lookups import found_column
 from slipfree.records import Array, Label, Record, leaves, pack
+from slipfree.solve.block_equations import block_functions
 from slipfree.solve.equations import model_function, motion_equations
 from slipfree.solve.options import SolverOptions
 
@@ -25,9 +27,11 @@ class Block(NamedTuple):
     ----------
     span : slice
         Indices of its unknowns in ``z``.
-    residual, jacobian : casadi Function
-        Functions of ``(t, x, z, u, continuation)``: the residual without unit, and its Jacobian
-        with respect to the unknowns of the block.
+    residual : casadi Function
+        Function of ``(t, x, z, u, continuation)``: the residual without unit.
+    newton : casadi Function
+        Function of the same arguments: the residual, and its Jacobian with respect to the unknowns
+        of the block.
     linear : bool
         Whether the block is linear in its unknowns.
     stages : tuple of float
@@ -39,7 +43,7 @@ class Block(NamedTuple):
 
     span: slice
     residual: ca.Function
-    jacobian: ca.Function
+    newton: ca.Function
     linear: bool
     stages: tuple[float, ...]
     labels: tuple[Label, ...]
@@ -65,8 +69,6 @@ class System(NamedTuple):
         pace)``; the distance is negative beyond a limit, with lengths in sizes of the vehicle.
     blocks, dependent_blocks : tuple of Block
         The algebraic equations of the motion, and those that are solved after it.
-    newton : casadi Function
-        ``(t, x, m, u) -> (alg, its Jacobian with respect to m)``.
     jacobian : casadi Function
         Derivatives of ``core`` for IDAS; see `slipfree.solve.equations.MotionEquations`.
     outputs : casadi Function
@@ -79,7 +81,6 @@ class System(NamedTuple):
     watch: ca.Function
     blocks: tuple[Block, ...]
     dependent_blocks: tuple[Block, ...]
-    newton: ca.Function
     jacobian: ca.Function
     outputs: ca.Function
 
@@ -159,16 +160,16 @@ def _with_numbers(dae: Dae, *, linear: bool, compiled: bool) -> System:
 
 def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     """Return a model with the expressions ``law`` as inputs; ``u`` are the symbols of numbers."""
-    x, z, inputs = dae.columns()
+    _, z, inputs = dae.columns()
     limits = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in dae.limits))
     continuation = (
         ca.SX.sym("continuation") if dae.continuation is None else dae.continuation.symbol
     )
-    continued = [dae.ode, pack(dae.y), limits, inputs, *dae.residuals]
-    continued = ca.substitute(continued, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
-    watched = dae.without_continuation([dae.quad, limits, dae.pace])
-    ode, y, bounds, driven, *parts = dae.without_continuation(continued)
-    blocks = _equation_blocks(dae, [dae.t, x, z, u, continuation], continued[4:])
+    continued = [dae.quad, limits, dae.pace, pack(dae.y), dae.ode, *dae.residuals]
+    continued = dae.without_continuation(continued)
+    watched, shown = continued[:3], [ca.densify(continued[k]) for k in (3, 1)]
+    ode, *parts = ca.substitute(continued[4:], [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
+    blocks = _equation_blocks(dae, law, u, continuation, compiled=compiled)
     first = _first_dependent_block(ode, parts, z, blocks)
     motion, dependent = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
@@ -180,9 +181,8 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         _watch_function(dae, law, u, watched, dependent, compiled=compiled),
         motion,
         dependent,
-        equations.newton,
         equations.jacobian,
-        dae.function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
+        _output_function(dae, law, u, shown, compiled=compiled),
     )
 
 
@@ -198,6 +198,20 @@ def _first_dependent_block(
         first = index
     # A model whose states depend on no unknown is still solved for its first block.
     return max(first, 1)
+
+
+def _output_function(
+    dae: Dae, law: list[ca.SX], u: ca.SX, shown: list[ca.SX], *, compiled: bool
+) -> ca.Function:
+    """Return the function of outputs, limits and inputs; ``shown`` are the first two."""
+    x, z, inputs = dae.columns()
+    outputs = model_function(dae, "outputs", [dae.t, x, z, inputs], shown, compiled=compiled)
+    laws = dae.function("law", [dae.t, x, z, u], [ca.densify(ca.vertcat(ca.SX(0, 1), *law))])
+    given = [
+        ca.MX.sym(name, each.numel()) for name, each in zip("txzu", (dae.t, x, z, u), strict=True)
+    ]
+    driven = laws(*given)
+    return ca.Function("outputs", given, [*outputs(*given[:3], driven), driven])
 
 
 def _watch_function(
@@ -246,7 +260,8 @@ def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:
     before, guess, rest = ca.vertsplit(z, [0, block.span.start, block.span.stop, z.numel()])
     if block.linear:
         at = (t, x, z, u, block.stages[-1])
-        found = guess - ca.solve(block.jacobian(*at), block.residual(*at))
+        residual, jacobian = block.newton(*at)
+        found = guess - ca.solve(ca.densify(jacobian), residual)
         return ca.vertcat(before, found, rest)
     unknown, given = ca.MX.sym("unknown", guess.numel()), ca.vertcat(t, x, before, u)
     symbol = ca.MX.sym("given", given.numel())
@@ -254,10 +269,10 @@ def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:
     t_0, x_0, z_0, u_0 = ca.vertsplit(symbol, ends)
     other = ca.vertcat(z_0, unknown, ca.MX.zeros(rest.numel()))
     at = (t_0, x_0, other, u_0, block.stages[-1])
-    motion_equations = block.residual(*at)
+    residual, jacobian = block.newton(*at)
     # CasADi's own Jacobian would also contain the derivatives with respect to `symbol`.
-    slopes = ca.Function("slopes", [unknown, symbol], [block.jacobian(*at), motion_equations])
-    problem: dict[str, Any] = {"x": unknown, "p": symbol, "g": motion_equations}
+    slopes = ca.Function("slopes", [unknown, symbol], [ca.densify(jacobian), residual])
+    problem: dict[str, Any] = {"x": unknown, "p": symbol, "g": block.residual(*at)}
     options: dict[str, Any] = {
         "error_on_fail": False,
         "max_iter": MAX_NEWTON_STEPS,
@@ -323,28 +338,31 @@ def _check_numbers(label: Label, value: Any, intervals: int) -> Array:
     return numbers
 
 
-def _equation_blocks(dae: Dae, symbols: list[ca.SX], parts: list[ca.SX]) -> tuple[Block, ...]:
-    z, continuation = symbols[2], symbols[4]
+def _equation_blocks(
+    dae: Dae, law: list[ca.SX], u: ca.SX, continuation: ca.SX, *, compiled: bool
+) -> tuple[Block, ...]:
+    z, driven = dae.columns()[1], ca.vertcat(ca.SX(0, 1), *law)
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
-    spans = [slice(*ends[k : k + 2]) for k in range(len(parts))]
     blocks = list[Block]()
-    for rows, span, labels in zip(parts, spans, dae.labels.alg, strict=True):
+    for rows, (begin, end), labels in zip(
+        dae.residuals, pairwise(ends), dae.labels.alg, strict=True
+    ):
         if not labels:
             continue
-        slopes = ca.jacobian(rows, z[span])
-        if ca.depends_on(rows, z[span.stop :]):
+        (inserted,) = ca.substitute([rows], [dae.columns()[2]], [driven])
+        own = z[begin:end]
+        if ca.depends_on(inserted, z[end:]):
             raise ModelError(
                 "alg: expected blocks of equations without unknowns of later blocks, found a block "
                 f"with such unknowns, which begins with {labels[0].full}; "
                 "change the order of the blocks"
             )
-        is_continued = dae.continuation is not None and ca.depends_on(rows, continuation)
+        is_continued = dae.continuation is not None and ca.depends_on(inserted, continuation)
         blocks.append(
             Block(
-                span,
-                dae.function("residual", symbols, [rows]),
-                dae.function("jacobian", symbols, [ca.densify(slopes)]),
-                not ca.depends_on(slopes, z[span]),
+                slice(begin, end),
+                *block_functions(dae, (begin, end), law, u, continuation, compiled=compiled),
+                ca.is_linear(inserted, own),
                 dae.continuation.values if dae.continuation and is_continued else (0.0,),
                 labels,
             )

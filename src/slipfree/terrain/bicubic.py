@@ -18,6 +18,7 @@ from slipfree.terrain.kernel import Layout, Opened, register_ground
 
 KNOT_TOLERANCE = 1e-10  # points closer to a knot count as on it, in cells
 HOLE_CLEARANCE = 1 / 3  # smoothing shifts the zero of the distance by less, in cells
+TILE = 16  # side of a square with common bounds of the derivatives, in cells
 CHUNK = 8192  # points evaluated at once, so that temporary arrays stay in the cache
 CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
 MAX_FOURFOLD_SIZE = 2**21  # larger tables of coefficients are stored once, not four times
@@ -170,6 +171,67 @@ class Bicubic:
             part = slice(start, start + CHUNK)
             heights[part] = local_heights(flat_x[part] - x_0, flat_y[part] - y_0)
         return heights.reshape(x.shape) + z_0
+
+    def derivative_bounds(self, box: tuple[float, float, float, float]) -> tuple[float, float]:
+        """Return upper bounds of the slope and of the curvature of a box of the map.
+
+        Parameters
+        ----------
+        box : tuple of 4 floats
+            ``x_min, x_max, y_min, y_max`` in map coordinates. [m]
+
+        Returns
+        -------
+        slope, curvature : float
+            Bounds of the norm of the gradient [1] and of the spectral norm of the Hessian [1/m];
+            infinite if the box is not inside the domain.
+
+        Notes
+        -----
+        A derivative of a B-spline is a B-spline of a lower degree. Its coefficients are difference
+        quotients of the coefficients of the spline, and it lies between the smallest and the
+        largest of those that belong to a cell.
+        """
+        tiles, is_inside = list[range](), True
+        for k, (axis, h) in enumerate(zip((self.grid.x, self.grid.y), self._spacing, strict=True)):
+            low, high = box[2 * k], box[2 * k + 1]
+            is_inside &= bool(axis[0] <= low and high <= axis[-1])
+            ends = (
+                int((each - axis[0]) / h + more) // TILE
+                for each, more in ((low, -0.5), (high, 0.5))
+            )
+            first, last = ends if is_inside else (0, 0)
+            tiles.append(range(max(0, first), last + 1))
+        if not is_inside:
+            return np.inf, np.inf
+        found = [self._tile_bounds(i, j) for i in tiles[0] for j in tiles[1]]
+        return max(slope for slope, _ in found), max(curvature for _, curvature in found)
+
+    def _tile_bounds(self, i: int, j: int) -> tuple[float, float]:
+        """Return the bounds of `derivative_bounds` for a square of cells; computed once."""
+        known = self._known_bounds
+        if (i, j) not in known:
+            h_x, h_y = self._spacing
+            rows, columns = (slice(TILE * k, TILE * (k + 1) + 3) for k in (i, j))
+            part = 36 * self._table[rows, columns]
+            along_x, along_y = np.diff(part, axis=0) / h_x, np.diff(part, axis=1) / h_y
+            second = (
+                np.diff(along_x, axis=0) / h_x,
+                np.diff(along_y, axis=1) / h_y,
+                np.diff(along_x, axis=1) / h_y,
+            )
+            slopes = (np.abs(each).max(initial=0.0) for each in (along_x, along_y))
+            xx, yy, xy = (float(np.abs(each).max(initial=0.0)) for each in second)
+            known[i, j] = float(np.hypot(*slopes)), max(xx, yy) + xy
+        return known[i, j]
+
+    @cached_property
+    def _known_bounds(self) -> dict[tuple[int, int], tuple[float, float]]:
+        return {}
+
+    @cached_property
+    def _spacing(self) -> tuple[float, float]:
+        return self.grid.spacing
 
     @cached_property
     def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -196,8 +196,9 @@ def _rank(dae: Dae, start: Trajectory, options: SolverOptions) -> int:
     rest = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
     system = with_inputs(dae, rest, 0, options)
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
-    span, jacobian = system.blocks[1].span, system.blocks[1].jacobian
-    block = np.array(jacobian(0.0, x, z, system.u[:, 0], 0.0)) * dae.sizes.z[span]
-    rates = len(block) - len(start.wheels)
-    values = np.linalg.svd(block[:rates, :rates], compute_uv=False)
+    rates = system.blocks[1]
+    _, jacobian = rates.newton(0.0, x, z, system.u[:, 0], 0.0)
+    block = np.array(jacobian) * dae.sizes.z[rates.span]
+    count = len(block) - len(start.wheels)
+    values = np.linalg.svd(block[:count, :count], compute_uv=False)
     return int((values > RANK * values[0]).sum())

@@ -1,0 +1,100 @@
+"""Evaluation of CasADi functions at many points, without conversions of CasADi's matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, cast
+
+import casadi as ca
+import numpy as np
+
+from slipfree.records import Array
+
+
+def evaluate(function: ca.Function, *columns: Array) -> tuple[Array, ...]:
+    """Return the results of a function at n points.
+
+    Parameters
+    ----------
+    function : casadi Function
+        Function of dense columns.
+    *columns : ndarray, shape (m, n)
+        One array for each argument; column k belongs to point k.
+
+    Returns
+    -------
+    tuple of ndarray, shape (nnz, n)
+        The structural nonzeros of each result, in CasADi's order: by columns.
+
+    Raises
+    ------
+    RuntimeError
+        If the evaluation fails.
+    """
+    count = columns[0].shape[1]
+    mapped = function if count == 1 else _mapped(function, count)
+    found = [np.empty((count, function.nnz_out(k))) for k in range(function.n_out())]
+    run_buffered(mapped, dict(enumerate(columns)), dict(enumerate(found)))
+    return tuple(each.T for each in found)
+
+
+def run_buffered(
+    function: ca.Function, columns: Mapping[int, Array], results: Mapping[int, Array]
+) -> ca.FunctionBuffer:
+    """Evaluate a function from and to memory of numpy; return the buffer, which has statistics.
+
+    Parameters
+    ----------
+    function : casadi Function
+        Function to evaluate.
+    columns : mapping of int to ndarray, shape (m, n)
+        Arguments by index; others are zero.
+    results : mapping of int to ndarray, shape (n, m)
+        Memory for the results by index, one row for each column of a result.
+
+    Raises
+    ------
+    RuntimeError
+        If the evaluation fails.
+    """
+    buffer = ca.FunctionBuffer(function)
+    # CasADi's annotations require a second argument, which memory views do not have
+    set_argument, set_result = cast(Any, buffer.set_arg), cast(Any, buffer.set_res)
+    given = {k: np.ascontiguousarray(each.T, dtype=float) for k, each in columns.items()}
+    for k, array in given.items():
+        if array.size != function.nnz_in(k):
+            raise ValueError(
+                f"argument {k}: expected {function.nnz_in(k)} numbers, found {array.size}"
+            )
+        if array.size:
+            set_argument(k, memoryview(array.data))
+    for k, array in results.items():
+        if array.size:
+            set_result(k, memoryview(array.data))
+    buffer._eval()
+    if buffer.ret():
+        raise RuntimeError(f"the evaluation of {function.name()!r} failed")
+    return buffer
+
+
+@lru_cache(maxsize=32)
+def _mapped(function: ca.Function, count: int) -> ca.Function:
+    """Return a function of ``count`` points at once; cached, since repeated runs share it."""
+    return function.map(count)
+
+
+def dense(values: Array, sparsity: ca.Sparsity) -> Array:
+    """Return matrices from their structural nonzeros, shape (n, rows, columns).
+
+    Parameters
+    ----------
+    values : ndarray, shape (nnz, n)
+        Nonzeros of n matrices, from `evaluate`.
+    sparsity : casadi Sparsity
+        Sparsity of each matrix.
+    """
+    matrices = np.zeros((values.shape[1], *sparsity.shape))
+    rows, columns = sparsity.get_triplet()
+    matrices[:, rows, columns] = values.T
+    return matrices

@@ -1,0 +1,392 @@
+"""Simulate a model many times, with arrays of starts, inputs and parameters."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+from math import ceil
+from multiprocessing.shared_memory import SharedMemory
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae, PiecewiseLinear
+from slipfree.errors import ModelError, SlipfreeError
+from slipfree.processes import local_tasks
+from slipfree.records import Array
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.settle import settle
+from slipfree.solve.simulate import check_times, simulate
+from slipfree.trajectory import TIME, WHEELS, Column, SolverError, Trajectory, require
+
+if TYPE_CHECKING:
+    import xarray
+
+FAILED = "failed"  # outcome of a run without samples
+MAX_TASK = 32  # runs that a process executes before it returns results
+TASKS_PER_PROCESS = 4  # so that all processes end at about the same time
+ALIGNMENT = 64  # of arrays in shared memory [byte]
+
+Model = Dae | Callable[..., Dae]
+Start = Trajectory | Mapping[str, float]
+
+
+def rollouts(
+    model: Model,
+    starts: Trajectory | Sequence[Trajectory] | Mapping[str, Any],
+    inputs: Mapping[str, Any],
+    t: Array,
+    *,
+    p: Mapping[str, Any] | None = None,
+    quantities: Sequence[str] | None = None,
+    options: SolverOptions = SolverOptions(),
+    processes: int = 1,
+) -> xarray.Dataset:
+    """Simulate a model for many starts, inputs and parameters.
+
+    Each run equals one call of `simulate`. Runs share the model, its maps and compiled functions.
+    Starts, inputs and parameters that are given once apply to all runs.
+
+    Parameters
+    ----------
+    model : Dae or callable
+        The model, or a function that returns it. Several processes, and parameters, require a
+        function; that of several processes must be defined at the level of a module.
+    starts : Trajectory, sequence of Trajectory, or mapping of str to float or ndarray
+        Trajectories whose last samples are the starts; or values for `settle` by name, each a
+        number or an array of shape (n_runs,).
+    inputs : mapping of str to float, ndarray, PiecewiseLinear or SX
+        Value of each input. An array has the shape (n_intervals,), (n_runs, 1) or
+        (n_runs, n_intervals). Linear functions of time and expressions apply to all runs; other
+        processes do not accept expressions.
+    t : ndarray, shape (n_times,)
+        Ascending times of the samples of all runs. [s]
+    p : mapping of str to array, optional
+        Arguments of the function ``model``, each with one value for each run. The function is
+        called once for each run whose arguments differ from those of the run before; runs with
+        equal arguments are executed together.
+    quantities : sequence of str, optional
+        Names of the quantities to keep; by default all.
+    options : SolverOptions
+        Options of starts and simulations.
+    processes : int
+        Number of processes, at most the number of available cores. Other processes import the main
+        module: protect a script by ``if __name__ == "__main__":``.
+
+    Returns
+    -------
+    xarray.Dataset
+        Quantities with the dimensions ``run``, ``time`` and ``wheel``, NaN after the end of a run.
+        ``outcome``, ``reason`` and ``end`` have one value for each run: the name of its `Outcome`
+        in lower case or ``"failed"`` if it has no start, the message of its stop or error, and the
+        time that it reached, which may lie between two samples. [s]
+
+    Raises
+    ------
+    ModelError
+        If shapes, times or names of inputs are invalid, or a model cannot be sent to processes.
+        Errors of single runs are reported in the result instead.
+    SlipfreeError
+        If xarray is not installed, or a process dies.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Analytic, catalog, direct_kinematics, rollouts
+    >>> model = direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0.02 * x * y))
+    >>> rates = np.array([[0.4], [0.5], [0.6]])
+    >>> inputs = {"right_rate": rates, "left_rate": rates, "steer_rate": 0.0}
+    >>> found = rollouts(model, {"heading": 0.3}, inputs, np.linspace(0, 2, 5))
+    >>> found["y"].sel(time=2.0).values.round(3)
+    array([0.23 , 0.287, 0.344])
+    >>> found["outcome"].values.tolist()
+    ['complete', 'complete', 'complete']
+    """
+    t = check_times(t)
+    parameters, states, values = dict(p or {}), *_check_kinds(model, starts, inputs, processes)
+    parameters = {name: np.asarray(each) for name, each in parameters.items()}
+    count = _count_runs(parameters, states, values, t.size - 1)
+    runs = [
+        _Run(
+            k,
+            tuple((name, _of_run(each, k)) for name, each in parameters.items()),
+            states[k if len(states) > 1 else 0]
+            if isinstance(states, list)
+            else {name: float(_of_run(each, k)) for name, each in states.items()},
+            {name: _inputs_of_run(each, k) for name, each in values.items()},
+        )
+        for k in range(count)
+    ]
+    if isinstance(model, Dae) and parameters:
+        raise ModelError(
+            "p: expected a function as the model, which takes the parameters, found a Dae; give a "
+            "function that returns the model"
+        )
+    found = _Table(count, t)
+    common = _Common(model, t, None if quantities is None else tuple(quantities), options)
+    # models with equal parameters are built once
+    order = sorted(runs, key=lambda run: (repr(run.parameters), run.number))
+    first, rest = order[:1], order[1:]
+    found.add(_execute(common, first))  # in this process: errors of the arguments end the call here
+    size = min(MAX_TASK, max(1, ceil(len(rest) / (TASKS_PER_PROCESS * processes))))
+    tasks = [rest[k : k + size] for k in range(0, len(rest), size)]
+    if processes == 1:
+        for task in tasks:
+            found.add(_execute(common, task))
+    elif tasks:
+        with _shared(common) as handle, local_tasks(_execute_shared, processes) as finish:
+            for done in finish([(handle, task) for task in tasks], lambda: None):
+                found.add(done)
+    return found.dataset(options)
+
+
+class _Run(NamedTuple):
+    """Number of a run, arguments of its model, its start and its inputs."""
+
+    number: int
+    parameters: tuple[tuple[str, Any], ...]
+    start: Start
+    inputs: dict[str, Any]
+
+
+class _Common(NamedTuple):
+    """Arguments that all runs have in common."""
+
+    model: Model
+    t: Array
+    quantities: tuple[str, ...] | None
+    options: SolverOptions
+
+
+class _Done(NamedTuple):
+    """Result of a run; columns have a value for each time that it reached."""
+
+    number: int
+    columns: dict[str, Column]
+    wheels: tuple[str, ...]
+    outcome: str
+    reason: str
+    end: float
+
+
+def _check_kinds(
+    model: Model, starts: Any, inputs: Mapping[str, Any], processes: int
+) -> tuple[list[Trajectory] | dict[str, Array], dict[str, Any]]:
+    """Return starts and inputs as a list or dictionaries; raise ModelError for other types."""
+    if not isinstance(processes, int) or processes < 1:
+        raise ModelError(
+            f"processes: expected a positive integer, found {processes!r}; correct the number"
+        )
+    if processes > 1 and isinstance(model, Dae):
+        raise ModelError(
+            f"model: expected a function for {processes} processes, found a Dae, which cannot be "
+            "sent to other processes; give a function at the level of a module that returns it"
+        )
+    values = {
+        name: each if isinstance(each, ca.SX | PiecewiseLinear) else np.asarray(each, dtype=float)
+        for name, each in inputs.items()
+    }
+    if isinstance(starts, Mapping):
+        return {name: np.asarray(each, dtype=float) for name, each in starts.items()}, values
+    states = [*starts] if isinstance(starts, Sequence) else [starts]
+    if not states or not all(isinstance(each, Trajectory) for each in states):
+        raise ModelError(
+            "starts: expected a trajectory, a sequence of trajectories or a mapping of values, "
+            f"found {starts!r}; give the result of settle"
+        )
+    return states, values
+
+
+def _count_runs(
+    parameters: Mapping[str, Array],
+    states: list[Trajectory] | dict[str, Array],
+    values: Mapping[str, Any],
+    intervals: int,
+) -> int:
+    """Return the number of runs; raise ModelError for shapes that do not fit each other."""
+    counts = dict[str, int]()
+    columns = {f"p[{name!r}]": each for name, each in parameters.items()}
+    if isinstance(states, list):
+        counts["starts"] = len(states)
+    else:
+        columns |= {f"starts[{name!r}]": each for name, each in states.items()}
+    for where, each in columns.items():
+        if each.ndim > 1:
+            raise ModelError(
+                f"{where}: expected a number or an array of shape (n_runs,), found shape "
+                f"{each.shape}; correct the shape"
+            )
+        counts[where] = each.size
+    for name, each in values.items():
+        if not isinstance(each, np.ndarray):
+            continue
+        if each.ndim > 2 or (each.ndim and each.shape[-1] not in (1, intervals)):
+            raise ModelError(
+                f"inputs[{name!r}]: expected a number or an array of shape ({intervals},), "
+                f"(n_runs, 1) or (n_runs, {intervals}), for {intervals} intervals between samples, "
+                f"found shape {each.shape}; correct the shape"
+            )
+        counts[f"inputs[{name!r}]"] = len(each) if each.ndim == 2 else 1
+    where = max(counts, key=lambda key: counts[key], default="starts")
+    count = counts.get(where, 1)
+    for other, size in counts.items():
+        if size not in (1, count):
+            raise ModelError(
+                f"{other}: expected values for 1 run or for {count} runs, as {where} has, found "
+                f"{size}; correct the shape"
+            )
+    return count
+
+
+def _of_run(values: Array, k: int) -> Any:
+    """Return the value of run ``k``; a single value applies to all runs."""
+    return values.reshape(-1)[k if values.size > 1 else 0].item()
+
+
+def _inputs_of_run(values: Any, k: int) -> Any:
+    """Return an input of run ``k``, as `Dae.inputs` takes it."""
+    if not isinstance(values, np.ndarray) or values.ndim == 0:
+        return values
+    row = values if values.ndim == 1 else values[k if len(values) > 1 else 0]
+    return float(row[0]) if row.size == 1 else row
+
+
+def _execute(common: _Common, runs: Sequence[_Run]) -> list[_Done]:
+    """Return the results of runs."""
+    found = list[_Done]()
+    for run in runs:
+        model = common.model
+        dae = model if isinstance(model, Dae) else _built(model, run.parameters)
+        found.append(_simulated(dae, common, run, dae.inputs(**run.inputs)))
+    return found
+
+
+@lru_cache(maxsize=1)
+def _built(model: Callable[..., Dae], parameters: tuple[tuple[str, Any], ...]) -> Dae:
+    return model(**dict(parameters))
+
+
+def _simulated(dae: Dae, common: _Common, run: _Run, inputs: Any) -> _Done:
+    """Return the result of a run, also of one that fails."""
+    outcome, words = FAILED, ""
+    try:
+        start: Any = run.start
+        if not isinstance(start, Trajectory):
+            start = settle(dae, options=common.options, **start)
+        motion = simulate(dae, start, inputs, common.t, options=common.options)
+    except SolverError as error:
+        if error.trajectory is None:
+            return _Done(run.number, {}, (), FAILED, str(error), np.nan)
+        motion, words, outcome = error.trajectory, str(error), "solver_failure"
+    except SlipfreeError as error:
+        return _Done(run.number, {}, (), FAILED, str(error), np.nan)
+    else:
+        words, outcome = motion.stop.words if motion.stop else "", motion.outcome.name.lower()
+    kept = motion if common.quantities is None else common.quantities
+    rows = np.isin(motion.t, common.t)
+    columns = {}
+    for name in kept:
+        motion[name]  # raises ModelError for an unknown name
+        label, samples = motion.columns[name]
+        columns[name] = Column(label, samples[rows])
+    return _Done(run.number, columns, motion.wheels, outcome, words, float(motion.t[-1]))
+
+
+class _Table:
+    """Results of runs, in arrays of shape (run, time) or (run, time, wheel)."""
+
+    def __init__(self, count: int, t: Array) -> None:
+        self.t, self.wheels = t, tuple[str, ...]()
+        self.columns: dict[str, Column] = {}
+        self.outcomes, self.reasons = [""] * count, [""] * count
+        self.ends = np.full(count, np.nan)
+
+    def add(self, found: Sequence[_Done]) -> None:
+        """Add results; the order of runs is that of their numbers."""
+        for done in found:
+            k = done.number
+            self.outcomes[k], self.reasons[k], self.ends[k] = done.outcome, done.reason, done.end
+            self.wheels = done.wheels or self.wheels
+            for name, (label, samples) in done.columns.items():
+                if name not in self.columns:
+                    shape = self.ends.size, self.t.size, *samples.shape[1:]
+                    self.columns[name] = Column(label, np.full(shape, np.nan))
+                self.columns[name].values[k, : len(samples)] = samples
+
+    def dataset(self, options: SolverOptions) -> xarray.Dataset:
+        """Return the results as a dataset."""
+        coordinates: dict[str, Any] = {"time": ("time", self.t, TIME)}
+        if self.wheels:
+            coordinates["wheel"] = ("wheel", np.array(self.wheels), WHEELS)
+        variables: dict[str, Any] = {
+            name: (("run", *column.dimensions)[: column.values.ndim], *column[1:], column.metadata)
+            for name, column in self.columns.items()
+        }
+        variables["outcome"] = "run", np.array(self.outcomes), {"long_name": "outcome of the run"}
+        words = {"long_name": "reason of an early end"}
+        variables["reason"] = "run", np.array(self.reasons), words
+        end = {"units": "s", "long_name": "time that the run reached"}
+        variables["end"] = "run", self.ends, end
+        attributes = {"tolerance": options.tolerance}
+        dataset: xarray.Dataset = require("xarray").Dataset(variables, coordinates, attributes)
+        return dataset
+
+
+class _Handle(NamedTuple):
+    """Pickled object whose arrays are in shared memory, and the sizes of the arrays in bytes."""
+
+    data: bytes
+    memory: str
+    sizes: tuple[int, ...]
+
+
+@contextmanager
+def _shared(common: _Common) -> Iterator[_Handle]:
+    """Yield a handle by which other processes load an object without copies of its arrays."""
+    buffers: list[pickle.PickleBuffer] = []
+    try:
+        data = pickle.dumps(common, protocol=5, buffer_callback=buffers.append)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ModelError(
+            "model: expected a function at the level of a module, or functools.partial of one, "
+            f"that can be sent to other processes; found {common.model!r}: {error}"
+        ) from error
+    arrays = [buffer.raw() for buffer in buffers]
+    sizes = tuple(array.nbytes for array in arrays)
+    memory = SharedMemory(create=True, size=max(1, sum(map(_padded, sizes))))
+    try:
+        for array, place in zip(arrays, _places(memory, sizes), strict=True):
+            place[:] = array
+            place.release()
+        yield _Handle(data, memory.name, sizes)
+    finally:
+        memory.close()
+        memory.unlink()
+
+
+def _places(memory: SharedMemory, sizes: Sequence[int]) -> Iterator[memoryview]:
+    begin, buffer = 0, cast(memoryview, memory.buf)
+    for size in sizes:
+        yield buffer[begin : begin + size]
+        begin += _padded(size)
+
+
+def _padded(size: int) -> int:
+    return ceil(size / ALIGNMENT) * ALIGNMENT
+
+
+def _execute_shared(task: tuple[_Handle, list[_Run]]) -> list[_Done]:
+    """Return the results of runs in another process."""
+    handle, runs = task
+    return _execute(_loaded(handle)[0], runs)
+
+
+@lru_cache(maxsize=1)
+def _loaded(handle: _Handle) -> tuple[_Common, SharedMemory]:
+    """Return the object of a handle, and its memory, which must exist as long as the object."""
+    memory = SharedMemory(handle.memory)
+    views = [place.toreadonly() for place in _places(memory, handle.sizes)]
+    return pickle.loads(handle.data, buffers=views), memory
