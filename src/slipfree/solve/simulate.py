@@ -565,7 +565,7 @@ class _StepObserver:
             steps.append(step)
         t, paces = np.array(steps).reshape(-1, 2).T
         covered = np.diff(t) * np.maximum(paces[1:], paces[:-1])
-        return float(paces.max()) if (covered >= MAX_COVERED).any() else 0.0
+        return float(np.nanmax(paces)) if (covered >= MAX_COVERED).any() else 0.0
 
     def _observe(self, t: float, margin: float, pace: float) -> None:
         self.times.append(t)
