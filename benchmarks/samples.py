@@ -113,9 +113,7 @@ def growth(case: Case, options: SolverOptions, clock: Clock) -> None:
     times = []
     for count in (SOME, MANY):
         t = np.linspace(0, duration, count)
-        times.append(
-            least(lambda t=t: simulate(model, start, inputs, t, options=options), clock, 2)
-        )
+        times.append(least(lambda t=t: simulate(model, start, inputs, t, options=options), clock))
     exponent = np.log(times[1][0] / times[0][0]) / np.log(MANY / SOME)
     print(
         f"  {SOME} to {MANY} samples: {times[0][0]:.0f}, {times[1][0]:.0f} ms, exponent "
