@@ -27,6 +27,8 @@ TAKES = {
     "int": "an integer",
     "bool": "`true` or `false`",
     "str": "text",
+    "Quantity": 'a number, or text as in `"30 deg"`',
+    "tuple[float, Positive]": "`[mean, deviation]`",
     "Pair": "`[a, b]`",
     "Column": "`[numbers]`",
     "Window": "`[x_min, x_max, y_min, y_max]`",
