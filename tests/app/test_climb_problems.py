@@ -93,7 +93,7 @@ def test_the_ramp_is_the_library_s_climb():
     np.testing.assert_allclose(found["y"], same.run["y"], atol=1e-6)
     span = averages.window.span
     assert (counts["climb_from"], counts["climb_to"]) == tuple(same.run.t[span][[0, -1]])
-    assert found.attributes["climb"].startswith("climbs: until t = 2.63")
+    assert found.attributes["climb"].startswith("climbs: by t = 2.63")
     # friction that a slow climb needs, of a study with its own code
     assert counts["slow_climb_friction"] == pytest.approx(0.323, abs=0.005)
 
@@ -104,7 +104,7 @@ def test_run_tells_and_keeps_what_matters():
     assert result.exit_code == 0, result.output
     for words in (
         "profile                  ramp of 45 degrees, 0.09 m high",
-        "climbs: until t = 2.63",
+        "climbs: by t = 2.63",
         "t = 0.150 to 2.958 s: from 50 ms before the front wheels first touch the",
         "  slip, eq. (20)         front 6.1 %, middle 3.2 %, rear 4.7 %; mean 4.6 %",
         "needs a coefficient of 0.323, where the middle wheels climb",
@@ -128,7 +128,7 @@ def test_what_does_not_climb_is_told():
     settings = [word for each in (*SLIPPERY, *COARSE) for word in ("--set", each)]
     result = _invoke("run", STEP_FILE, "--no-draw", *settings)
     assert result.exit_code == 0  # the motion is whole
-    assert "stalls: until t = 3.6 s 0 of 3 wheels reached the top, z = 0.09 m" in result.output
+    assert "stalls: by t = 3.6 s 0 of 3 wheels had reached the top, z = 0.09 m" in result.output
     assert "needs a coefficient of 0.711" in result.output
     result = _invoke(
         "run",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, PiecewiseLinear
+from slipfree.dae import Dae, InputValue, PiecewiseLinear
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.processes import local_tasks
 from slipfree.records import Array
@@ -36,11 +36,11 @@ Start = Trajectory | Mapping[str, float]
 
 def rollouts(
     model: Model,
-    starts: Trajectory | Sequence[Trajectory] | Mapping[str, Any],
-    inputs: Mapping[str, Any],
+    starts: Trajectory | Sequence[Trajectory] | Mapping[str, float | Array],
+    inputs: Mapping[str, InputValue],
     t: Array,
     *,
-    p: Mapping[str, Any] | None = None,
+    p: Mapping[str, Sequence[object] | Array] | None = None,
     quantities: Sequence[str] | None = None,
     options: SolverOptions = SolverOptions(),
     processes: int = 1,
@@ -106,8 +106,8 @@ def rollouts(
     ['complete', 'complete', 'complete']
     """
     t = check_times(t)
-    parameters, states, values = dict(p or {}), *_check_kinds(model, starts, inputs, processes)
-    parameters = {name: np.asarray(each) for name, each in parameters.items()}
+    states, values = _check_kinds(model, starts, inputs, processes)
+    parameters = {name: np.asarray(each) for name, each in (p or {}).items()}
     count = _count_runs(parameters, states, values, t.size - 1)
     runs = [
         _Run(
