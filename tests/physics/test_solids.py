@@ -258,7 +258,7 @@ def test_with_too_little_friction_it_stays_below():
     assert np.abs(run["x"]).max() < 1e-6
     ending = obstacle_ending(run, catalog.rocky7(), ground.prisms)
     assert ending.name == "stalls"
-    assert "0 of 6 wheels reached the top, z = 0.09 m" in ending.words
+    assert "0 of 6 wheels had reached the top, z = 0.09 m" in ending.words
     early = obstacle_ending(run.part(slice(0, 5)), catalog.rocky7(), ground.prisms)
     assert (early.name, early.words) == ("unfinished", "no wheel touched an obstacle")
     words = "the platform overturns (cosine of its inclination)"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
 from io import StringIO
-from threading import Lock
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -480,7 +480,7 @@ def _integrator(
             del _IDLE[next(iter(_IDLE))]
 
 
-_LOCK = Lock()
+_LOCK = threading.Lock()
 _IDLE: dict[tuple[Any, ...], tuple[_Relay, ca.Function]] = {}
 
 
