@@ -5,17 +5,27 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass, fields
 from math import inf
-from typing import TYPE_CHECKING
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import casadi as ca
 
 from slipfree.errors import ModelError
 from slipfree.geometry.regions import Region
 
-if TYPE_CHECKING:
-    from slipfree.laws.soil import Soil
-
 OF_THE_LAW = ("grouser_height", "damping_ratio", "creep", "regions")  # not constants of the ground
+
+
+class RegionalSoil(Protocol):
+    """Dataclass of the constants of a soil, with regions of other soils."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def regions(self) -> tuple[SoilRegion, ...]:
+        """Regions of other soils."""
+
+
+S = TypeVar("S", bound=RegionalSoil)
 
 
 @dataclass(frozen=True)
@@ -41,7 +51,7 @@ class SoilRegion:
     """
 
     region: Region
-    soil: Soil
+    soil: RegionalSoil
     width: float
 
     def __post_init__(self) -> None:
@@ -62,7 +72,7 @@ class SoilRegion:
         return ca.SX(s**3 * (10 + s * (6 * s - 15)))
 
 
-def soil_at(soil: Soil, x: ca.SX, y: ca.SX) -> Soil:
+def soil_at(soil: S, x: ca.SX, y: ca.SX) -> S:
     """Return a soil with the constants at a point, as expressions where regions blend them.
 
     Parameters
