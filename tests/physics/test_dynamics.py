@@ -366,7 +366,9 @@ def test_discs_and_balls_stand_on_maps(section):
 
 
 def test_a_coordinate_without_mass_is_refused():
-    with pytest.raises(ModelError, match="coordinate 'press_rear': expected a part or a wheel with mass"):
+    with pytest.raises(
+        ModelError, match="coordinate 'press_rear': expected a part or a wheel with mass"
+    ):
         dynamics(catalog.seven_wheels(), FLAT)
     model = dynamics(catalog.seven_wheels(wheel_mass=0.4), FLAT)
     rates = {label.full: 1.0 for label in model.labels.u.wheels if "across" not in label.full}

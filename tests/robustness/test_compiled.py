@@ -204,18 +204,21 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
         plain, found = (with_inputs(dae, law, 4, each) for each in options)
         assert found.core.jacobian().n_instructions() < 100  # of calls
         last = runs[0]
-        x, z = dae.rows("x", last, -1), dae.rows("z", last, -1)[: plain.motion_size]
-        for one, other in (
-            (plain.core, found.core),
-            (plain.core.jacobian(), found.core.jacobian()),
-            (plain.newton, found.newton),
+        x, z, u = dae.rows("x", last, -1), dae.rows("z", last, -1), plain.u[:, 0]
+        motion = [1.7, x, z[: plain.motion_size], u, 0, 0]
+        blocks = zip(plain.blocks, found.blocks, strict=True)
+        for one, other, point in (
+            (plain.core, found.core, motion),
+            (plain.core.jacobian(), found.core.jacobian(), motion),
+            *((a.newton, b.newton, [1.7, x, z, u, 0]) for a, b in blocks),
         ):
-            given = [1.7, x, z, plain.u[:, 0], 0, 0][: one.n_in()]
+            given = point[: one.n_in()]
             for a, b in zip(one.call(given), other.call(given), strict=True):
                 assert_allclose(np.array(ca.DM(a)), np.array(ca.DM(b)), rtol=1e-11, atol=1e-11)
         for name in ("x", "y", "heading"):
             assert_allclose(runs[1][name], runs[0][name], atol=1e-7)
-        assert len(list(folder.iterdir())) == 2  # one of quadratures and limits
+        # motion, quadratures and limits, outputs, and one for each block
+        assert len(list(folder.iterdir())) == 3 + len(plain.blocks)
         monkeypatch.setenv("CC", "false")
 
 
