@@ -218,7 +218,7 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
         for name in ("x", "y", "heading"):
             assert_allclose(runs[1][name], runs[0][name], atol=1e-7)
         # motion, quadratures and limits, outputs, and one for each block
-        assert len(list(folder.iterdir())) == 3 + len(plain.blocks)
+        assert len(list(folder.iterdir())) == 3 + len(plain.blocks + plain.dependent_blocks)
         monkeypatch.setenv("CC", "false")
 
 
