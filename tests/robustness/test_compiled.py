@@ -217,8 +217,8 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
                 assert_allclose(np.array(ca.DM(a)), np.array(ca.DM(b)), rtol=1e-11, atol=1e-11)
         for name in ("x", "y", "heading"):
             assert_allclose(runs[1][name], runs[0][name], atol=1e-7)
-        # motion, quadratures and limits, outputs, and one for each block
-        assert len(list(folder.iterdir())) == 3 + len(plain.blocks + plain.dependent_blocks)
+        # motion, quadratures and limits, and one for each block
+        assert len(list(folder.iterdir())) == 2 + len(plain.blocks + plain.dependent_blocks)
         monkeypatch.setenv("CC", "false")
 
 

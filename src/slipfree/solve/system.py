@@ -182,7 +182,7 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         motion,
         dependent,
         equations.jacobian,
-        _output_function(dae, law, u, shown, compiled=compiled),
+        _output_function(dae, law, u, shown),
     )
 
 
@@ -200,12 +200,13 @@ def _first_dependent_block(
     return max(first, 1)
 
 
-def _output_function(
-    dae: Dae, law: list[ca.SX], u: ca.SX, shown: list[ca.SX], *, compiled: bool
-) -> ca.Function:
-    """Return the function of outputs, limits and inputs; ``shown`` are the first two."""
+def _output_function(dae: Dae, law: list[ca.SX], u: ca.SX, shown: list[ca.SX]) -> ca.Function:
+    """Return the function of outputs, limits and inputs; ``shown`` are the first two.
+
+    It is not compiled: outputs contain the origin of the map, so a library would serve one map.
+    """
     x, z, inputs = dae.columns()
-    outputs = model_function(dae, "outputs", [dae.t, x, z, inputs], shown, compiled=compiled)
+    outputs = model_function(dae, "outputs", [dae.t, x, z, inputs], shown, compiled=False)
     laws = dae.function("law", [dae.t, x, z, u], [ca.densify(ca.vertcat(ca.SX(0, 1), *law))])
     given = [
         ca.MX.sym(name, each.numel()) for name, each in zip("txzu", (dae.t, x, z, u), strict=True)
