@@ -50,6 +50,7 @@ def _broken(name: str, monkeypatch: pytest.MonkeyPatch, raised: BaseException) -
     monkeypatch.setattr(f"slipfree.problem.{name}", fail)
 
 
+@pytest.mark.slow
 def test_run_writes_the_result_and_draws(folder: Path) -> None:
     result = _invoke("run", "p.toml")
     assert result.exit_code == 0, result.output
@@ -158,6 +159,7 @@ def test_check_announces_no_number_of_samples_of_a_plan(folder: Path) -> None:
     assert "0.1 s apart or less, depending on the intervals of the plan" in result.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("command", ["run", "check", "compare"])
 def test_a_result_is_no_problem(command: str) -> None:
@@ -262,6 +264,7 @@ OPTIONAL = {"trimesh", "xacro", "laspy", "lazrs", "mcap", "mcap_ros2", "rosbags"
 OPTIONAL |= {"pyproj", "rasterio", "viser", "distributed", "xarray", "pandas"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words", ["--version", "run p.toml --no-draw --set time.duration=0.2", "info p.nc"]
 )
@@ -282,6 +285,7 @@ def test_optional_libraries_are_imported_only_when_used(folder: Path, words: str
     assert found.returncode == 0, found.stderr
 
 
+@pytest.mark.slow
 def test_as_a_module(folder: Path) -> None:
     def call(*words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "slipfree", *words]
@@ -321,6 +325,7 @@ def test_vehicle_counts_unknowns_and_equations() -> None:
     assert "right_half: slides along x by slide_right (passive)" in halves.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_formulations_agree_at_the_shell() -> None:
     result = _invoke("run", "p.toml", "--no-draw", "--cross-check", "--set", "time.duration=0.5")
@@ -333,6 +338,7 @@ def test_formulations_agree_at_the_shell() -> None:
     assert "drift of the assembly" in montana.stdout
 
 
+@pytest.mark.slow
 def test_path_from_a_file(folder: Path) -> None:
     law = ["--set", 'driver={name="follow", speed=0.2, file="way.csv"}']
     (folder / "way.csv").write_text("x,y\n0.0,0.0\n0.0,1.0\n")

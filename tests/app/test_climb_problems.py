@@ -83,6 +83,7 @@ def _faults(folder: Path, text: str, *settings: str) -> str:
 # What comes out
 
 
+@pytest.mark.slow
 def test_the_ramp_is_the_library_s_climb():
     found = run_problem(load_problem(RAMP_FILE, ["solver.tolerance=1e-8"])).trajectory
     same = climb(RAMP, SENSED, TABLE_I, torque=AMPLE, tolerance=1e-8)
@@ -98,6 +99,7 @@ def test_the_ramp_is_the_library_s_climb():
     assert counts["slow_climb_friction"] == pytest.approx(0.323, abs=0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_run_tells_and_keeps_what_matters():
     result = _invoke("run", RAMP_FILE, "--no-draw", "-o", "r.nc", "--csv", "r.csv")
@@ -166,6 +168,7 @@ def test_distance_to_the_obstacle(path):
     assert start["velocity_y"][0] == 0
 
 
+@pytest.mark.slow
 def test_solids_here_and_in_a_file_are_a_step(folder):
     corners = "0,-5,-1\n0,5,-1\n0,5,0\n0,-5,0\n1,0,-1\n1,2,-1\n1,2,0.09\n1,0,0.09\n"
     (folder / "s.csv").write_text("solid,x,z\n" + corners)
@@ -200,6 +203,7 @@ def test_what_the_vehicle_s_table_replaces():
     assert setup.climber.middle == plain.middle
 
 
+@pytest.mark.slow
 def test_a_sampled_controller_climbs_as_the_continuous_one():
     brief = ["time.duration=0.5", "time.step=0.004"]
     sampled = run_problem(load_problem(STAIRS_FILE, brief)).trajectory
@@ -215,6 +219,7 @@ def test_sensors_may_be_noisy():
     assert build(noisy).control.noise == Noise(tilt=0.01, band=20.0, seed=3)
 
 
+@pytest.mark.slow
 def test_stairs_are_climbed():
     found = run_problem(load_problem(STAIRS_FILE, ["control.period=", *COARSE])).trajectory
     assert found.attributes["climb"].startswith("climbs")
@@ -224,6 +229,7 @@ def test_stairs_are_climbed():
 # Plans
 
 
+@pytest.mark.slow
 def test_a_plan_climbs_where_references_do_not(tmp_path):
     problem = load_problem(PLAN_FILE, COARSE)
     found = run_problem(problem)

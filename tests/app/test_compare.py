@@ -43,6 +43,7 @@ def rows():
     return {row.name: row for row in compare(problem, lambda _: None)[1]}
 
 
+@pytest.mark.slow
 def test_all_twelve_are_there(rows):
     assert len(rows) == 12
 
@@ -142,6 +143,7 @@ def test_unknown_axle_is_refused():
         three_wheeler(axle="bent")
 
 
+@pytest.mark.slow
 def test_command_prints_the_table():
     short = ["--set", "time.duration=0.4", "--set", "time.step=0.05", "--set", "solver={}"]
     result = CliRunner().invoke(app, ["compare", str(FILE), *short])

@@ -22,6 +22,7 @@ def test_ten_recipes_are_short():
         assert len([line for line in code.splitlines() if line.strip()]) <= 15
 
 
+@pytest.mark.slow
 def test_the_script_of_the_page_runs(capsys):
     lines = [line for line in SCRIPT.splitlines() if line.strip()]
     assert len(lines) < 25

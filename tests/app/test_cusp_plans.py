@@ -16,6 +16,7 @@ from slipfree.problem.verbs.plan_search import guess_motion
 PARKING = Path(__file__).parents[2] / "problems" / "plan_parking.toml"
 
 
+@pytest.mark.slow
 def test_parking_has_cusps():
     run = run_problem(load_problem(PARKING)).trajectory
     assert run.outcome is Outcome.COMPLETE
@@ -36,6 +37,7 @@ def test_guess_with_cusps_ends_at_the_goal_on_even_ground(goal):
     assert setup.paths == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "words"),
     [

@@ -22,6 +22,7 @@ def invoke(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+@pytest.mark.slow
 def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path):
     file = tmp_path / "r.nc"
     done = invoke("run", ROCKS, "-o", file, "--set", "time.duration=1", "--figures-all")
@@ -42,6 +43,7 @@ def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path):
     assert page.exit_code == 0, page.output
 
 
+@pytest.mark.slow
 def test_a_car_jumps_from_a_ledge(tmp_path):
     file = tmp_path / "r.nc"
     name = PROBLEMS / "dynamics_ledge.toml"
@@ -62,6 +64,7 @@ def test_a_car_jumps_from_a_ledge(tmp_path):
     assert film.exit_code == 0, film.output
 
 
+@pytest.mark.slow
 def test_skid_steering_depends_on_the_model_and_with_inertia_on_the_speed(tmp_path):
     """At half the rates in twice the time, a quarter of the difference is left."""
     file, ends = tmp_path / "r.nc", {}
@@ -95,6 +98,7 @@ def test_a_motor_spins_its_wheel_on_ice(tmp_path):
     assert run["drive_torque", "rear_right"].max() == pytest.approx(8, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_car_that_tips_over_stops_at_a_named_limit(tmp_path):
     file, problem = tmp_path / "r.nc", PROBLEMS / "dynamics_tip_over.toml"
     done = invoke("run", problem, "-o", file, "--no-draw")
@@ -107,6 +111,7 @@ def test_a_car_that_tips_over_stops_at_a_named_limit(tmp_path):
     assert slower.exit_code == 0, slower.output
 
 
+@pytest.mark.slow
 def test_a_sampled_driver_ends_near_the_continuous_one(tmp_path):
     ends = []
     for name, sampled in (("continuous", []), ("sampled", ["--set", "driver.period=0.01"])):
@@ -138,6 +143,7 @@ def test_a_check_gives_the_start_at_equilibrium():
     assert "least loaded wheel" in done.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("problem", "settings", "words"),
     [
@@ -171,6 +177,7 @@ def test_mistakes_are_reported(problem, settings, words, tmp_path):
 STEP = PROBLEMS / "dynamics_step.toml"
 
 
+@pytest.mark.slow
 def test_a_rover_meets_a_step(tmp_path):
     file = tmp_path / "r.nc"
     done = invoke("run", STEP, "-o", file, "--set", "time.duration=4", "--no-draw")
@@ -196,6 +203,7 @@ def test_a_rover_meets_a_step(tmp_path):
     assert page.exit_code == 0, page.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -169,6 +169,7 @@ def test_dragged_handles_change_values_and_the_saved_file(page: Any) -> None:
     assert severe == []
 
 
+@pytest.mark.slow
 def test_polygons_are_added_and_saved_and_way_points_are_shown(
     browser: Any, tmp_path: Path
 ) -> None:
@@ -197,6 +198,7 @@ def test_polygons_are_added_and_saved_and_way_points_are_shown(
         assert severe == []
 
 
+@pytest.mark.slow
 def test_a_cancelled_search_ends_at_once_and_the_page_goes_on(browser: Any, tmp_path: Path) -> None:
     text = PROBLEM.replace("intervals = 6", "intervals = 400")
     with served(browser, tmp_path / "long.toml", text) as page:

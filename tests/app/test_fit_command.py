@@ -78,6 +78,7 @@ def _estimates(path: str) -> dict[str, dict[str, str]]:
         return {row["name"]: row for row in csv.DictReader(file)}
 
 
+@pytest.mark.slow
 def test_shipped_problem_finds_the_truth_and_a_vehicle_that_runs() -> None:
     words = _called("fit", str(PROBLEM), "--write", "fitted.toml")
     assert "42 for training, 18 others" in words
@@ -113,6 +114,7 @@ def _simulated() -> tuple[Vehicle, object, np.ndarray, np.ndarray]:
     return vehicle, run, left, right
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["paper", "rep103"])
 def test_logs_of_both_frames(frame: str) -> None:
     """Rates are constant within windows; the row after a jump has the later rate."""
@@ -140,6 +142,7 @@ def test_logs_of_both_frames(frame: str) -> None:
     assert [each["name"] for each in shown["estimates"]] == ["radius", "track"]
 
 
+@pytest.mark.slow
 def test_results_of_slipfree_are_logs() -> None:
     vehicle, times, _ = _motion()
     dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))

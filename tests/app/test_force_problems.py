@@ -320,6 +320,7 @@ def test_the_papers_direct_run_needs_more_friction_than_most_grounds_give():
     assert_allclose(needed, expected, rtol=0, atol=6e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("axle", "discs", "expected"),
     [

@@ -86,6 +86,7 @@ def _refused(*words: str) -> str:
     return result.stderr
 
 
+@pytest.mark.slow
 def test_given_rates(folder: Path) -> None:
     result = _invoke("run", "p.toml", "--csv", "p.csv")
     assert (result.exit_code, result.stderr) == (0, ""), result.output
@@ -143,6 +144,7 @@ def test_check_and_vehicle() -> None:
     assert "it can roll without slip" in result.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", ["path.toml", "file.toml"])
 def test_along_a_path(folder: Path, file: str) -> None:
     result = _invoke("run", file, "--no-draw", *_set("time.duration=1", LOOSE, RIDGES))
@@ -211,6 +213,7 @@ def test_steering_by_rate_is_stable_where_its_contact_trails() -> None:
     assert motion.statistics["replay_x"] < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = load_problem(PROBLEMS / "paper_inverse.toml", ["steering=rate", "time.duration=0.1"])
@@ -250,6 +253,7 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (result.exit_code, result.stderr) == (1, "it gave up\n")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("settings", "words"),

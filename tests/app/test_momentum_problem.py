@@ -13,6 +13,7 @@ MOMENTUM = Path(__file__).parents[2] / "problems" / "plan_momentum.toml"
 SHORT = ("goal.y=1.5", "time.duration=1.25", "plan.intervals=6", "plan.degree=2")
 
 
+@pytest.mark.slow
 def test_a_plan_with_momentum_is_simulated_in_the_same_run():
     problem = load_problem(MOMENTUM, SHORT)
     run = run_problem(problem).trajectory

@@ -25,6 +25,7 @@ def pitch_plot(drive: Drive) -> Plot:
     return Plot("attitude", "Pitch and roll over time.", lambda: stack(drive.run, panels))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("option", "is_drawn"), [("--figures-all", True), ("--draw", False)])
 def test_a_new_figure_is_drawn_with_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, is_drawn: bool

@@ -145,6 +145,7 @@ def driven(slope: float, model: str, right: float, left: float, *settings: str) 
     return read(Path("p.nc"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["closure", "montana"])
 @pytest.mark.parametrize("weight", [0.01, 1.0, 25.0])
 def test_a_slip_law_decides_how_a_rigid_axle_turns(weight: float, formulation: str) -> None:

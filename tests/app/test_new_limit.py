@@ -58,6 +58,7 @@ step = 0.25
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "setting", ["model=kinematics", "model=quasi-static", "formulation=montana", "time.duration=2"]
 )

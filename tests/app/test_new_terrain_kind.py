@@ -59,6 +59,7 @@ def called(*words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_a_problem_file_may_ask_for_it(tmp_path: Path) -> None:
     file = tmp_path / "dunes.toml"
     file.write_text(PROBLEM)

@@ -90,6 +90,7 @@ def test_links_lead_nowhere_else(folder: Path, monkeypatch: pytest.MonkeyPatch, 
     assert list(other.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("content", ["precious", "", "CDF\2 of something else"])
@@ -109,6 +110,7 @@ def test_what_is_no_result_is_kept(
     assert _run(*words).exit_code == 0  # which replaces a result
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_what_is_no_figure_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(  # drawn elsewhere

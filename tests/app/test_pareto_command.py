@@ -19,6 +19,7 @@ def run(*words):
     return CliRunner().invoke(app, ["pareto", *map(str, words)])
 
 
+@pytest.mark.slow
 def test_front_against_effort(tmp_path):
     out = tmp_path / "front"
     done = run(HILLS, "--against", "effort", "--points", 3, *SMALL, "-o", out)
@@ -34,6 +35,7 @@ def test_front_against_effort(tmp_path):
     assert all((out / name).is_file() for name in names)
 
 
+@pytest.mark.slow
 def test_front_against_duration_has_the_slopes_of_its_secants(tmp_path):
     out = tmp_path / "front"
     settings = (*SMALL, "--set", "time.duration=8", "--set", "inputs.right_rate=1.1")

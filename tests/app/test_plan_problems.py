@@ -34,6 +34,7 @@ SHORT = (
 )
 
 
+@pytest.mark.slow
 def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
     problem = load_problem(FIELD, SHORT)
     motion = run_problem(problem).trajectory
@@ -73,6 +74,7 @@ def test_what_keeps_a_route_from_being_found_is_told(settings, words):
     assert words in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_way_point_is_passed():
     between = "way_points=[{ at = 0.5, x = 0.35, y = [1.0, 1.6] }]"
     outcome = run_problem(load_problem(HILLS, [*QUICK, between]))
@@ -85,6 +87,7 @@ def test_a_way_point_is_passed():
     assert [name for name, *_ in outcome.setup.places] == ["start", "way-point at 0.5", "goal"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -130,6 +133,7 @@ def test_friction_too_low_for_the_slope_is_refused_before_anything_is_solved():
         build(load_problem(FIELD.with_name("plan_real_dem.toml"), ["terrain.friction=0.2"]))
 
 
+@pytest.mark.slow
 def test_the_law_of_friction_plans_a_gentle_ground():
     """The motion is a prediction then, so that nothing is left to drive by friction again."""
     hills = FIELD.with_name("plan_rigid_hills.toml")
@@ -150,6 +154,7 @@ def test_the_law_of_friction_plans_a_gentle_ground():
     assert abs(motion["y"][-1] - 1.3) < 1e-4
 
 
+@pytest.mark.slow
 def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
     motion = run_problem(load_problem(FIELD.with_name("plan_tilt_limits.toml"))).trajectory
     assert motion.stop is None
@@ -169,12 +174,14 @@ QUICK = (
 )
 
 
+@pytest.mark.slow
 def test_of_a_range_what_lies_on_the_map_counts():
     motion = run_problem(load_problem(HILLS, [*QUICK, "goal.y=[1.2, 60.0]"])).trajectory
     assert motion.stop is None
     assert motion["y"][-1] > 1.2 - 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bounds", ["", "{ left_rate = [-1.0, 1.0] }"])
 def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
     outcome = run_problem(load_problem(HILLS, [*QUICK, f"bounds={bounds}"]))
@@ -186,6 +193,7 @@ def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
     np.testing.assert_array_equal(panel.lines[1].get_ydata(), motion["left_rate"])
 
 
+@pytest.mark.slow
 def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
     monkeypatch.setattr(planning, "MAX_REFINEMENTS", 1)
     settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
@@ -197,6 +205,7 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
     assert "plan.accuracy allows 1e-07: its mesh was not refined any further" in stop.words
 
 
+@pytest.mark.slow
 def test_work_of_the_drives_is_planned_with():
     motion = run_problem(load_problem(HILLS, [*QUICK, "costs.energy=1.0"])).trajectory
     counts = motion.statistics
@@ -206,6 +215,7 @@ def test_work_of_the_drives_is_planned_with():
     assert counts["plan_cost_energy"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["map_margin", "tip_over_margin", "slip_across"])
 def test_limits_of_the_model_and_of_its_outputs_have_names(name):
     lower = {"map_margin": 1.0, "tip_over_margin": 0.9, "slip_across": -1e-3}[name]
@@ -217,6 +227,7 @@ def test_limits_of_the_model_and_of_its_outputs_have_names(name):
     assert motion[name].min() > lower - 1e-3 * abs(lower)
 
 
+@pytest.mark.slow
 def test_convergence_and_initial_guess_are_stored_and_drawn(tmp_path):
     found = run_problem(load_problem(HILLS, QUICK))
     write(tmp_path / "hills.nc", found.trajectory, found.arrays)

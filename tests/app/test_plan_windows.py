@@ -25,6 +25,7 @@ WINDOWS = (
 )
 
 
+@pytest.mark.slow
 def test_the_summary_tells_of_the_windows_and_the_result_can_be_resumed(tmp_path):
     file = tmp_path / "windows.nc"
     settings = [word for setting in WINDOWS for word in ("--set", setting)]
@@ -38,6 +39,7 @@ def test_the_summary_tells_of_the_windows_and_the_result_can_be_resumed(tmp_path
     assert resumed.exit_code == 0, resumed.output
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_windows_before_it():
     problem = load_problem(HILLS, WINDOWS)
 
@@ -55,6 +57,7 @@ def test_ctrl_c_keeps_the_windows_before_it():
     assert np.hypot(rest.trajectory["x"][-1] - 0.6, rest.trajectory["y"][-1] - 2.6) < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "words"),
     [

@@ -362,6 +362,7 @@ def test_checks_have_scale_and_reference(run, ax, name):
     assert ax.lines[-1].get_ydata()[0] == reference
 
 
+@pytest.mark.slow
 def test_figures_come_by_name(run, grid):
     settings = dict(mpl.rcParams)
     drawings = figures(run, grid)
@@ -375,6 +376,7 @@ def test_figures_come_by_name(run, grid):
     np.testing.assert_allclose(rise, analytic_slope(run), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_filled_holes_are_hatched_on_the_map(run, grid):
     assert "filled holes" not in words(figures(run, grid)["map"])
     filled = np.zeros(grid.z.shape, dtype=bool)
@@ -395,6 +397,7 @@ def test_every_figure_says_why_the_motion_stopped(stopped, grid):
         assert stopped.stop.words in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half_width", [2.0])
 def test_nothing_reaches_over_the_edge(stopped, grid, half_width):
     kept = np.abs(grid.x) <= half_width
@@ -413,12 +416,14 @@ def test_nothing_reaches_over_the_edge(stopped, grid, half_width):
             assert box.y1 <= height + 1, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_very_short_motions_are_drawn(run, grid, count):
     for figure in figures(run.part(slice(count)), grid).values():
         drawn(figure)
 
 
+@pytest.mark.slow
 def test_large_map_coordinates_count_from_a_round_one(run, grid):
     x, y = 500_123.0, 4_512_340.0
     drawings = figures(moved(run, x, y), sf.Grid(grid.x + x, grid.y + y, grid.z))
@@ -428,6 +433,7 @@ def test_large_map_coordinates_count_from_a_round_one(run, grid):
         assert axes.get_ylabel() == "north $y$ - 4512000 [m]"
 
 
+@pytest.mark.slow
 def test_files_are_written(run, grid, tmp_path):
     files = save_figures(run, grid, tmp_path / "new" / "folder", formats=("png", "pdf"))
     assert [f.name for f in files] == [f"{n}.{end}" for n in NAMES for end in ("png", "pdf")]
@@ -462,6 +468,7 @@ def test_loads_are_drawn_for_vehicles_with_mass(loaded, grid):
     assert dict(mpl.rcParams) == settings
 
 
+@pytest.mark.slow
 def test_files_of_loads_are_written(loaded, grid, tmp_path):
     files = save_figures(loaded, grid, tmp_path)
     assert [file.name for file in files] == [f"{name}.png" for name in WITH_LOADS]
@@ -493,6 +500,7 @@ def test_a_motion_without_torques_has_no_panel_of_them(loaded, grid):
     assert len(loads(still, grid)["forces"].axes) == 2
 
 
+@pytest.mark.slow
 def test_forces_of_sliding_joints_have_a_panel_of_their_own(loaded, grid):
     assert len(loads(loaded, grid)["forces"].axes) == 3
     force = Column(Label("slide_force", "N", "slide_force"), np.cos(loaded.t))

@@ -133,6 +133,7 @@ def test_plan_and_motion_over_the_way(case):
     assert "plan" in plots.draw(show.climb_plots(run, climber, profile, plan))
 
 
+@pytest.mark.slow
 def test_figures_are_written(case, tmp_path):
     climber, profile, run = case
     files = plots.save(show.climb_plots(run, climber, profile), tmp_path / "figures")
@@ -145,6 +146,7 @@ def test_figures_are_written(case, tmp_path):
         plots.save(show.climb_plots(run, climber, profile), tmp_path, ["bmpx"])
 
 
+@pytest.mark.slow
 def test_the_film_moves(case, tmp_path):
     climber, profile, run = case
     short = run.part(slice(int(np.searchsorted(run.t, run.t[0] + 0.6))))

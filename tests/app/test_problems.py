@@ -17,6 +17,7 @@ def motion(name, *settings):
     return run_problem(load_problem(PROBLEMS / f"{name}.toml", settings)).trajectory
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
     [*sorted(PROBLEMS.glob("*_direct.toml")), PROBLEMS / "real_dem_rough.toml"],
@@ -56,6 +57,7 @@ def rocks_on_tracks(trajectory, rocks):
     )
 
 
+@pytest.mark.slow
 def test_rocks_stop_a_rigid_wheel_and_are_crossed_as_it_feels_them():
     problem = load_problem(PROBLEMS / "rover_rocks_direct.toml")
     crossed = run_problem(problem).trajectory
@@ -68,6 +70,7 @@ def test_rocks_stop_a_rigid_wheel_and_are_crossed_as_it_feels_them():
     assert "wheel right touches a second time at (1.0" in bare.stop.words
 
 
+@pytest.mark.slow
 def test_a_rover_with_four_steered_wheels_carries_out_commands():
     trajectory = motion("crab_inverse")
     assert trajectory.stop is None

@@ -25,6 +25,7 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(progress, name, 0.0)
 
 
+@pytest.mark.slow
 def test_a_line_when_a_phase_of_a_search_begins() -> None:
     result = CliRunner().invoke(app, PLAN)
     assert result.exit_code == 0
@@ -44,6 +45,7 @@ def test_more_lines_of_a_phase_that_lasts(monkeypatch: pytest.MonkeyPatch) -> No
     assert times == sorted(times)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", ["--quiet", "--json"])
 @pytest.mark.parametrize("words", [PLAN, DIRECT])
 def test_no_lines_where_they_are_not_wanted(words: list[str], option: str) -> None:

@@ -70,6 +70,7 @@ def test_help_is_a_page_that_names_everything():
     assert pydoc.render_doc(slipfree).splitlines()[0].startswith("Python Library Documentation")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["slipfree", *DOCUMENTED])
 def test_examples_run(name):
     thing = slipfree if name == "slipfree" else getattr(slipfree, name)
@@ -109,6 +110,7 @@ def test_reprs_of_grounds():
     lines_of(slipfree.Region.disc(1.0, 2.0, 3.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model", [direct_kinematics, slipfree.quasi_statics, slipfree.montana_kinematics]
 )
@@ -123,6 +125,7 @@ def test_reprs_of_models_and_their_motions(model):
     lines_of(slipfree.Cost("rolling", dae.ode[0], "rad2 s-1", "squared roll rate " * 20))
 
 
+@pytest.mark.slow
 def test_reprs_of_a_plan_and_all_in_it():
     vehicle = catalog.three_wheeler(axle="fixed", tilt_stop=0.3)
     dae = direct_kinematics(vehicle, Analytic(lambda x, y: 0.1 * x * y))

@@ -16,12 +16,14 @@ def test_it_is_short():
     assert len(README.splitlines()) < 150
 
 
+@pytest.mark.slow
 def test_the_python_example_runs(capsys):
     (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     exec(compile(code, "README.md", "exec"), {})
     assert capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_problem_file_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)

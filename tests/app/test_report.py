@@ -78,6 +78,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SETTINGS)
 def test_a_page_holds_all_of_a_result(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -170,6 +171,7 @@ def test_running_again_replaces_nothing(tmp_path: Path) -> None:
     assert f"slipfree run {name[1]}" in again
 
 
+@pytest.mark.slow
 def test_a_planned_climb_shows_its_plan(tmp_path: Path) -> None:
     settings = "plan.cost=time", "plan.nodes=20", "time.duration=4", "control.law="
     found = report(_result("climb", tmp_path, *settings))

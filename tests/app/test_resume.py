@@ -45,6 +45,7 @@ def iterations(file):
     return netcdf.read(file).statistics["plan_iterations"]
 
 
+@pytest.mark.slow
 def test_a_plan_goes_on_from_a_file(solved, tmp_path):
     out = tmp_path / "second.nc"
     result = command(out, "--resume", str(solved))
@@ -53,6 +54,7 @@ def test_a_plan_goes_on_from_a_file(solved, tmp_path):
     assert netcdf.read(out)["x"][-1] == pytest.approx(0.6, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_another_goal_takes_at_most_half_the_iterations(solved, tmp_path):
     moved = (*SMALL, "goal.x=0.63", "goal.y=2.73")
     cold, warm = tmp_path / "cold.nc", tmp_path / "warm.nc"
@@ -96,6 +98,7 @@ def stopped(tmp_path, monkeypatch):
         return file, command(file)
 
 
+@pytest.mark.slow
 def test_an_interrupted_plan_says_so_first_and_names_the_command_that_goes_on(stopped):
     file, result = stopped
     assert result.exit_code == 130
@@ -120,6 +123,7 @@ def test_an_interrupted_plan_says_so_first_and_names_the_command_that_goes_on(st
     assert netcdf.read(file).outcome is Outcome.COMPLETE
 
 
+@pytest.mark.slow
 def test_an_interrupted_plan_is_kept(stopped):
     file, _ = stopped
     kept = from_arrays(netcdf.read_arrays(file), str(file))
@@ -128,6 +132,7 @@ def test_an_interrupted_plan_is_kept(stopped):
     assert netcdf.read(file).outcome is Outcome.INTERRUPTED
 
 
+@pytest.mark.slow
 def test_an_interrupted_refinement_gives_no_advice_on_the_mesh():
     def interrupt(phase, _):
         if phase.endswith("intervals"):

@@ -86,6 +86,7 @@ def test_a_summary_has_wheels_in_the_air_and_rocks(
     assert "x the tolerance" not in facts  # the error test ignores the unknowns
 
 
+@pytest.mark.slow
 def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(
     plan_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -95,6 +96,7 @@ def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(
     assert read(Path("p.nc")).outcome is Outcome.COMPLETE
 
 
+@pytest.mark.slow
 def test_a_plan_survives_the_failure_of_a_sharper_law(
     plan_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -104,6 +106,7 @@ def test_a_plan_survives_the_failure_of_a_sharper_law(
     assert read(Path("p.nc")).outcome is Outcome.COMPLETE
 
 
+@pytest.mark.slow
 def test_an_interrupted_sharper_law_is_reported(
     plan_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,6 +46,7 @@ def with_settings(settings: tuple[str, ...]) -> list[str]:
     return [word for setting in settings for word in ("--set", setting)]
 
 
+@pytest.mark.slow
 def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path):
     file = tmp_path / "robust.nc"
     command = ["run", str(HILLS), "-o", str(file), "--no-draw", *with_settings(FLAT)]
@@ -62,6 +63,7 @@ def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path):
     assert y - 2.0 == pytest.approx(expected, rel=0.5)
 
 
+@pytest.mark.slow
 def test_draws_are_the_same_in_processes_of_their_own(monkeypatch):
     few = (*FLAT, "plan.robust.draws=3", "plan.robust.final_draws=3")
     alone = run_problem(load_problem(HILLS, few)).trajectory
@@ -70,6 +72,7 @@ def test_draws_are_the_same_in_processes_of_their_own(monkeypatch):
     assert apart.attributes["plan_robust"] == alone.attributes["plan_robust"]
 
 
+@pytest.mark.slow
 def test_world_without_errors_keeps_the_bounds_of_the_plan():
     settings = (*NEAR, "plan.robust.map={rms=1e-9, correlation=1.0}", "plan.robust.goal=0.01")
     first = load_problem(HILLS, (*NEAR,))
@@ -82,6 +85,7 @@ def test_world_without_errors_keeps_the_bounds_of_the_plan():
     assert {"x at the goal", "y at the goal", "steer"} <= {bound.name for bound in replay.excess}
 
 
+@pytest.mark.slow
 def test_a_share_out_of_reach_is_infeasible_and_the_plan_is_kept(tmp_path):
     settings = (
         *NEAR,
@@ -100,6 +104,7 @@ def test_a_share_out_of_reach_is_infeasible_and_the_plan_is_kept(tmp_path):
     assert file.exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_during_the_drawn_worlds_keeps_the_plan():
     def interrupt(phase, _):
         if phase == "drawn worlds":

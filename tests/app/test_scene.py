@@ -392,6 +392,7 @@ def test_a_plan_is_drawn_beside_its_simulation(file: Path) -> None:
     assert plan.arrows == ()
 
 
+@pytest.mark.slow
 def test_a_solved_plan_is_where_its_simulation_is(tmp_path: Path) -> None:
     """Every quantity, of every wheel, by the layout that the planner itself saves."""
     text = (PROBLEMS / "plan_rigid_hills.toml").read_text()
@@ -554,6 +555,7 @@ def test_a_changed_vehicle_is_refused(
     assert f"a different one (trike.toml): {said}" in words
 
 
+@pytest.mark.slow
 def test_films(file: Path, climb_file: Path, tmp_path: Path) -> None:
     for each, count in ((file, 21), (climb_file, 3)):
         out = tmp_path / f"{each.stem}.gif"

@@ -46,6 +46,7 @@ def _json(*words: str, code: int = 0) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_problem_runs_as_it_is(kind: str) -> None:
     result = _invoke("new", kind, "mine")
@@ -109,6 +110,7 @@ def test_examples_are_the_shipped_problems() -> None:
     assert {each["name"] for each in found} == shipped.keys()
 
 
+@pytest.mark.slow
 def test_an_example_is_copied_with_what_it_needs(folder: Path) -> None:
     result = _invoke("examples", "your_vehicle.toml", "--to", "deep/er")
     assert result.exit_code == 0, result.output
@@ -141,6 +143,7 @@ def test_examples_that_are_none() -> None:
     )
 
 
+@pytest.mark.slow
 def test_quiet_prints_errors_alone() -> None:
     result = _invoke("run", "p.toml", "--no-draw", "-q")
     assert (result.exit_code, result.output) == (0, "")
@@ -264,6 +267,7 @@ def test_check_vehicle_info_and_export_in_json() -> None:
     assert _json("new", "climb", "c")["files"] == ["c.toml"]
 
 
+@pytest.mark.slow
 def test_compare_in_json() -> None:
     assert _invoke("examples", "compare_axles").exit_code == 0
     two = '[{name="a", catalog="three_wheeler"}, {name="b", catalog="three_wheeler", axle="fixed"}]'
@@ -308,6 +312,7 @@ def _shell(command: str, **more: str) -> str:
     return found.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 def test_completion() -> None:
     script = _shell("slipfree --show-completion; true")
@@ -334,6 +339,7 @@ def _printed(stdout: Any, **more: str) -> bytes:
     ).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX terminal")
 def test_colours_are_for_terminals_that_want_them() -> None:
     assert b"\x1b" not in _printed(subprocess.PIPE)

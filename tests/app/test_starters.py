@@ -74,6 +74,7 @@ def test_every_other_way_is_tried() -> None:
     assert len(found) == len(WAYS)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("key", WAYS)
 def test_a_starter_goes_the_other_way(key: tuple[str, str]) -> None:

@@ -133,6 +133,7 @@ def test_each_value_is_checked_once(file: Path) -> None:
     assert checked[-1] == (600, 600)
 
 
+@pytest.mark.slow
 def test_values_that_do_not_fit_together_are_a_run_that_fails(file: Path) -> None:
     grid = ["--vary", "time.duration=0.3,0.15", "--vary", "time.step=0.1,0.2"]
     result = sweep_in(file.parent, *grid, "--no-draw", "--processes", "1")
@@ -199,6 +200,7 @@ def test_bad_input_is_refused_before_anything_runs(file: Path, words: list[str],
     assert {path.name for path in file.parent.iterdir()} == {"p.toml"}
 
 
+@pytest.mark.slow
 def test_a_sweep_tells_tabulates_and_draws(whole: tuple[Path, Any]) -> None:
     folder, result = whole
     assert result.exit_code == 0, result.output
@@ -397,6 +399,7 @@ def test_runs_that_were_lost_are_done_again(tmp_path: Path) -> None:
         assert [(row.run, row.outcome) for row in log.rows] == [(k, "complete") for k in (1, 2, 3)]
 
 
+@pytest.mark.slow
 def test_results_that_were_not_kept_are_told(file: Path) -> None:
     words = ["--set", "time.step=0.15", "--no-draw", "--processes", "1"]
     assert sweep_in(file.parent, *words).exit_code == 0
@@ -441,6 +444,7 @@ def test_places_of_figures_are_checked_before_anything_runs(file: Path) -> None:
     assert [path.name for path in (file.parent / "out").iterdir()] == ["figures"]
 
 
+@pytest.mark.slow
 def test_figures_that_cannot_be_written_are_told(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -465,6 +469,7 @@ def test_a_damaged_log_is_refused_by_line(tmp_path: Path, line: bytes) -> None:
         Log(path, HEAD)
 
 
+@pytest.mark.slow
 def test_runs_that_fail_are_rows_and_counted_in_the_bar(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -505,6 +510,7 @@ def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.M
     assert work(task).row.words == "ZeroDivisionError: by chance"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "settings", "figures"),
     [

@@ -109,6 +109,7 @@ def test_warnings_and_details() -> None:
     assert not RAW.search(shown)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX terminal")
 @pytest.mark.parametrize("words", [["info", "o.nc"], ["info", "o.nc", "--problem"]])
 def test_a_terminal(words: list[str]) -> None:

@@ -11,6 +11,7 @@ transcript = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(transcript)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", ["tutorial.md", "errors.md"])
 def test_a_page_prints_what_its_commands_print(page: str, tmp_path: Path) -> None:
     text = (DOCS / page).read_text()

@@ -224,6 +224,7 @@ def complaints(driver: Any) -> list[str]:
     return [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
 
 
+@pytest.mark.slow
 def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
     command = [sys.executable, "-m", "slipfree", "show", *map(str, files), "--no-browser"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -346,6 +347,7 @@ def test_parts_may_be_called_like_nodes_of_the_page(files: list[Path], server: A
     assert len({node.name for node, _, _ in stage.actors[0].frames}) == len(bodies)
 
 
+@pytest.mark.slow
 def test_what_follows_keeps_the_vehicle_where_it_is_seen(files: list[Path], server: Any) -> None:
     from slipfree.show import viewer
 
@@ -456,6 +458,7 @@ def test_keys_step_through_the_time_and_change_the_speed(files: list[Path], serv
     assert panel.speed.value == "0.1x"
 
 
+@pytest.mark.slow
 def test_motions_side_by_side(files: list[Path], server: Any) -> None:
     from slipfree.show.viewer import SPREAD, Stage
 

@@ -254,6 +254,7 @@ def test_a_server_that_cannot_be_guarded_is_refused(monkeypatch: pytest.MonkeyPa
     assert len(ended) == 1
 
 
+@pytest.mark.slow
 def test_no_value_ends_the_command(tmp_path: Path) -> None:
     (tmp_path / "p.toml").write_text(PROBLEM, encoding="utf-8")
     out = tmp_path / "p.nc"

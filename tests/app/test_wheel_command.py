@@ -137,6 +137,7 @@ def test_measured_points_need_their_columns(file, tmp_path):
     assert "expected a first line with 'slip', 'slip_angle' and one of pull" in done.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["dynamics", "quasi-static"])
 def test_problems_take_soil(tmp_path, model):
     path = tmp_path / "sand.toml"

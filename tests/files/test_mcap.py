@@ -92,6 +92,7 @@ def _numbers(vector: object, names: str = "xyz") -> list[float]:
     return [getattr(vector, name) for name in names]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("library", ["mcap", "rosbags"])
 def test_two_libraries_read_the_numbers_of_the_motion(
     drive: tuple[Path, Trajectory], library: str
@@ -193,6 +194,7 @@ def _chained(message: object) -> dict[str, tuple[Rotation, np.ndarray]]:
     return poses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forward", ["x", "-x"])
 def test_links_and_joints_of_a_urdf_are_those_of_adam(forward: str, tmp_path: Path) -> None:
     _ground(tmp_path)
@@ -352,6 +354,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
                 read_names(file, "commands")
 
 
+@pytest.mark.slow
 def test_a_problem_with_commands_and_one_with_a_path(
     drive: tuple[Path, Trajectory], tmp_path: Path
 ) -> None:
@@ -437,6 +440,7 @@ def test_positions_of_joints_are_reached_at_the_next_message(tmp_path: Path) -> 
         assert angles[run.wheels.index(wheel)] == pytest.approx(angle, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_exported_joint_states_drive_the_same_motion(
     drive: tuple[Path, Trajectory], tmp_path: Path
 ) -> None:
@@ -494,6 +498,7 @@ def test_files_of_inputs(value: str, words: str, tmp_path: Path) -> None:
         run_problem(load_problem(_cart(tmp_path, (["left_drive"], [], [1.0])), [value]))
 
 
+@pytest.mark.slow
 def test_the_libraries_are_imported_only_when_used() -> None:
     code = (
         "import sys, slipfree.cli, slipfree.files.tables, slipfree.problem.result; "

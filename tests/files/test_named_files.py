@@ -113,6 +113,7 @@ def test_a_file_on_the_command_line_that_is_none(command: str, ending: str, kind
     assert name in told
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("kind", [*KINDS, "null"])
 @pytest.mark.parametrize(
@@ -210,6 +211,7 @@ def test_a_file_without_end_is_read_to_its_size() -> None:
     assert regular_files.read_bytes(Path("/proc/self/maps"), "a file") == b""
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DriveVerb, "figures", lambda *_: ())  # drawing takes long

@@ -75,6 +75,7 @@ def test_nodes_are_the_middles_of_pixels_whatever_their_registration(tmp_path):
         assert UTM in words
 
 
+@pytest.mark.slow
 def test_one_ground_from_every_file_is_one_motion(tmp_path):
     """Registered by corner and by centre, compressed in three ways: one motion."""
     asc = [

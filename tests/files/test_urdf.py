@@ -54,6 +54,7 @@ def ours(vehicle, values, rates):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_poses_and_jacobians_are_those_of_adam(name, rng):
     text = (DATA / f"{name}.urdf").read_text()
@@ -127,6 +128,7 @@ caster = { driven = false, tube = 0.015 }
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [1, -1])
 def test_the_twin_of_a_catalogue_vehicle_moves_like_it(way, tmp_path):
     """A wheel's rate is positive forward, whichever way its axis points in the file."""

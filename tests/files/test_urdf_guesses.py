@@ -181,6 +181,7 @@ ON_FIXED = "".join(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "parts", [FOUR, ROVER, "".join(mesh_robot()), *(TWO + each for each in CASTERS), ON_FIXED]
 )

@@ -106,6 +106,7 @@ def driven(vehicle, **start):
     return simulate(dae, settle(dae, **start), dae.inputs(**rates), np.linspace(0, 0.5, 6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "frame"),
     [("rocky7", "paper"), *((n, "rep103") for n in CATALOG if n != "seven_wheels")],
@@ -640,6 +641,7 @@ def test_keys_of_the_catalogue_are_those_of_its_function(keys, words, folder):
     assert words in result.stderr
 
 
+@pytest.mark.slow
 def test_vehicles_of_files_are_compared(folder):
     lines = PROBLEM.replace('"direct"', '"compare"').replace('vehicle.file = "v.toml"\n', "")
     more = '[[vehicles]]\nname = "{}"\n{}\n'

@@ -53,6 +53,7 @@ def test_second_touch_is_refused_with_its_place():
         settle(dae)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("r1", "r2"), [(0.05, 0.25), (0.0, 0.3), (0.3, 0.0)])
 def test_wheels_of_every_section_see_a_step_ahead(r1, r2):
     """Driving at a smooth step stops where the front wheel touches it, by elementary geometry."""
@@ -70,6 +71,7 @@ def test_wheels_of_every_section_see_a_step_ahead(r1, r2):
     assert run["center_y", "front"][-1] == pytest.approx(at - reach, abs=3 * width)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside", [0.08, 0.10, 0.12, 0.16, 0.20])
 def test_posts_beside_a_sphere_are_seen(beside):
     """A thin post next to the contact of a fat wheel reaches into it."""
@@ -146,6 +148,7 @@ def test_bounds_of_derivatives_hold_and_are_not_wasteful(rng):
     assert all(np.isfinite(ground.derivative_bounds((-6, 6, -6, 6))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rms", [0.0, 0.0003, 0.002])
 def test_certificate_by_curvature_agrees_with_that_by_points(rms, monkeypatch):
     """Without curvature there are at most minima beyond the top of the wheel or at an edge."""

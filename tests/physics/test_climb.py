@@ -120,6 +120,7 @@ def length(run):
 # The straight way
 
 
+@pytest.mark.slow
 def test_the_straight_way_needs_more_friction_than_there_is():
     places = [settle(model(), x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
     weighted = max(place["utilisation"].max() for place in places)
@@ -141,6 +142,7 @@ def test_the_straight_way_ends_where_friction_does_not_hold():
         settle(dae, x=0.0, y=4.0)
 
 
+@pytest.mark.slow
 def test_a_plan_that_must_go_straight_is_refused_by_name():
     task = Task({"x": 0.0, "y": 1.0}, {"x": 0.0, "y": 5.0}, 8.0, 8, 2)
     found = planned(task, [bow(0.0, 1.0, 5.0)], x=(-0.2, 0.2))
@@ -157,6 +159,7 @@ def test_a_plan_that_must_go_straight_is_refused_by_name():
 # The plan
 
 
+@pytest.mark.slow
 def test_the_plan_keeps_within_friction_on_a_short_way():
     found = climbed()
     assert found.success
@@ -200,6 +203,7 @@ def test_friction_carries_the_vehicle_to_the_goal():
     assert np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]) < 0.2
 
 
+@pytest.mark.slow
 def test_the_file_plans_its_climb():
     way = "driver.paths=[[[0.0, -1.5], [2.0, 4.5], [0.0, 10.5]]]"
     run = run_problem(

@@ -127,6 +127,7 @@ def test_both_integrators_agree():
         assert_allclose(runs[0][name], runs[1][name], atol=2e-5)
 
 
+@pytest.mark.slow
 def test_friction_that_creeps_less_and_stiffer_contacts_change_little():
     sharp = TABLE_I._replace(creep=1e-4)
     for control in (FIXED, EXACT):
@@ -136,6 +137,7 @@ def test_friction_that_creeps_less_and_stiffer_contacts_change_little():
         assert 0.55 < ratio(slip, RAMP, EXACT, contact) < 0.60
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exact", [False, True])
 @pytest.mark.parametrize(("profile", "contact"), [(RAMP, TABLE_I), (STEP, TWICE)])
 def test_stiff_contacts_give_the_motion_of_rigid_ones(profile, contact, exact):
@@ -149,6 +151,7 @@ def test_stiff_contacts_give_the_motion_of_rigid_ones(profile, contact, exact):
     assert_allclose(slip(profile, control, stiff, torque=np.inf), 100 * rigid.mean(), rtol=0.05)
 
 
+@pytest.mark.slow
 def test_sensitivities_agree_with_differences():
     """Through the first impact, to speed and to the friction at speed."""
     x, final = sensitive_start()
@@ -224,6 +227,7 @@ def test_step_with_fixed_references():
     assert_allclose(slip(STEP, FIXED, TWICE), 13.8, atol=0.7)
 
 
+@pytest.mark.slow
 def test_step_with_known_and_seen_directions():
     assert 0.58 < ratio(true, STEP, SENSED, TWICE) < 0.70
     assert 0.50 < ratio(true, STEP, EXACT, TWICE) < 0.62
@@ -235,11 +239,13 @@ def test_step_with_weak_motors():
     assert ratio(disturbance, STEP, SENSED, TWICE, torque=4.5) < 0.75
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("control", [PRINTED_6_8, PRINTED_14, PRINTED_16])
 def test_laws_as_printed_do_not_climb_the_step(control):
     assert not climbed(STEP, control, TWICE, until=4.0, tolerance=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("control", [FIXED, EXACT, EXACT_95, SENSED, PRINTED_16])
 def test_the_friction_of_the_paper_climbs_no_step(control):
     assert not climbed(STEP, control, TABLE_I, until=4.0, tolerance=1e-5)
@@ -270,6 +276,7 @@ def sampled(period, control, start=None, until=3.4, torque=AMPLE):
     )
 
 
+@pytest.mark.slow
 def test_a_sampled_controller_does_as_the_continuous_one():
     continuous, run = climb(RAMP, SENSED, TABLE_I), sampled(2e-3, SENSED)
     assert run.stop is None

@@ -51,6 +51,7 @@ def planned(name, leg, cost="time", mu=None, climber=CLIMBER, **options):
     return plan, history(plan, solve_nlp(plan.nlp).unknowns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(PROFILES))
 def test_least_friction(name):
     for leg, expected in enumerate(LEAST[name]):
@@ -61,6 +62,7 @@ def test_least_friction(name):
         assert (np.abs(run["friction"]) <= run.statistics["mu"] * run["load"] + 1e-5).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["50 mm", "90 mm"])
 def test_speed_saves_friction(name):
     """A slow climb may be planned, so that no plan needs more; momentum saves some of it."""
@@ -309,6 +311,7 @@ def test_a_climb_with_too_little_friction_is_refused():
         planned("90 mm", 0, mu=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", [kerb(0.05, 0.3), stairs(0.09, 0.3, 2)])
 def test_whole_climbs(profile):
     """From kink to kink at rest: over a kerb and down again, and up stairs."""

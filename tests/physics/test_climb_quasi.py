@@ -53,6 +53,7 @@ def places(way, joint):
     return way.q[:, None, :2] + axle_arms(step_climber(joint), way.q)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [0.0, 0.06])
 @pytest.mark.parametrize("name", ["ramp", "50 mm", "90 mm"])
 def test_wheels_stay_on_the_ground(name, joint):
@@ -91,6 +92,7 @@ def test_speeds_meet_the_law_of_the_links(joint):
         assert_allclose((v**2).mean(axis=1), 1, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [0.0, 0.06])
 @pytest.mark.parametrize("name", ["ramp", "90 mm"])
 def test_derivatives_along_the_way(name, joint):
@@ -115,6 +117,7 @@ def test_the_front_wheel_climbs_the_wall_and_the_edge():
     assert_allclose(way, 0.09 - RADIUS + RADIUS * (np.pi / 2 - LEVEL_SLOPE), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_order_of_the_legs():
     assert [leg.axle for leg, _ in ways("90 mm")] == list(ORDER)
     over = legs(step_climber(), kerb(0.05, 0.3))
@@ -130,6 +133,7 @@ def test_order_of_the_legs():
     assert [leg.axle for leg in up] == ["front", "middle", "front", "rear", "middle", "rear"]
 
 
+@pytest.mark.slow
 def test_wheels_that_meet_solids_together():
     """Stairs as deep as front and middle axle are apart there, or nearly so; a solid twice."""
     together = stairs(0.09, np.sqrt(LINKS[1] ** 2 - 0.09**2), 2)
@@ -188,6 +192,7 @@ def test_loads_at_rest():
     assert_allclose(hold.normal.sum(), 9.81 * 21.6, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.1, 0.4, 0.8])
 def test_a_long_ramp_needs_the_tangent_of_its_angle(angle):
     climber, profile = step_climber(), ramp(angle, 1.2 * np.sin(angle))
@@ -221,6 +226,7 @@ def test_least_friction_is_what_bisection_finds(name):
             assert not feasible(matrix[k], load[k], 0.9999 * mu)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "joint", "expected", "within"),
     [
@@ -250,6 +256,7 @@ def test_friction_that_each_axle_needs(name, demands):
     assert_allclose([demand.mu for demand in found.demands], demands, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_worst_configuration_is_found_between_the_samples():
     fine, coarse = (least_friction(step_climber(), PROFILES["90 mm"], n) for n in (161, 15))
     assert_allclose(coarse.mu, fine.mu, rtol=1e-3)
@@ -266,6 +273,7 @@ def test_no_friction_is_enough_where_the_front_body_stands_up():
     assert np.isnan(hold.normal[np.isinf(hold.mu)]).all()
 
 
+@pytest.mark.slow
 def test_highest_step_for_a_friction(monkeypatch):
     """About 29 mm with the friction of the paper's table; 90 mm is out of its reach."""
     climber = step_climber()
@@ -296,6 +304,7 @@ def test_heavier_vehicles_need_the_same_friction():
     assert_allclose(holds[1].mu, holds[0].mu, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_wheels_that_nearly_jam_are_not_given_up():
     """Newton's iteration alone takes hundreds of rounds here; the LP's answer is bisected."""
     plain = step_climber(joint=0.097)

@@ -74,6 +74,7 @@ SEEDS = {  # of a kerb, steps, stairs, ramps; 43 and 84 with noise, 57 sampled
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_climbs_at_random(seed):
     case = drawn(seed)

@@ -121,6 +121,7 @@ def test_unusable_trackings_are_refused():
 # Driven
 
 
+@pytest.mark.slow
 def test_a_tracked_plan_climbs_with_less_friction_than_references():
     """Least friction of both, to 0.005: 0.715 and 0.785."""
     assert ending(tracking(STEP, 0.725), 0.725, until=UNTIL) == "climbs"
@@ -131,6 +132,7 @@ def test_a_tracked_plan_climbs_with_less_friction_than_references():
         assert ending(control, 0.76, until=6.0) != "climbs"
 
 
+@pytest.mark.slow
 def test_a_plan_of_least_friction_need_not_know_the_friction():
     control = Tracking(planned(STEP))
     assert ending(control, 0.74, until=UNTIL) == "climbs"
@@ -191,6 +193,7 @@ def test_noise_is_of_its_size_and_band_and_seed():
         Noise(band=0.0)
 
 
+@pytest.mark.slow
 def test_noise_of_the_wheels_sensors_makes_them_slip():
     plain, slight, strong = (
         climb(RAMP, replace(SENSED, noise=noise), TABLE_I)

@@ -81,6 +81,7 @@ def announced(run):
 CASES = [(name, command) for name, commands in GIVEN.items() for command in commands]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "command"), CASES)
 def test_level_ground_against_closed_forms(name, command):
     vehicle, (forward, right, yaw_rate) = VEHICLES[name], command
@@ -102,6 +103,7 @@ def test_level_ground_against_closed_forms(name, command):
     assert_allclose(planar(start)[:, 0], command, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(VEHICLES))
 @pytest.mark.parametrize("command", [(0.25, 0.0, 0.1), (0.2, 0.1, 0.05), (0.0, 0.0, 0.3)])
 def test_on_hills_the_platform_follows_within_the_announced_error(name, command):
@@ -155,6 +157,7 @@ def test_a_vehicle_that_cannot_comes_as_near_as_it_can():
     assert simulate(dae, start, inputs, [0.0, 0.5]).stop is None
 
 
+@pytest.mark.slow
 def test_rates_and_stops_of_the_steering_are_kept_and_do_not_end_the_motion():
     vehicle = ackermann(**LIGHT)
     steer = [c for c in vehicle.coordinates if c.name == "steer"]
@@ -187,6 +190,7 @@ def test_a_wheel_points_backward_if_that_alone_is_within_its_stops():
     assert_allclose(announced(start), 0, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_wheel_turns_back_where_its_target_passes_the_stop():
     vehicle, t = four_wheel_steered(lower=-1.9, upper=1.9), np.linspace(0, 6, 61)
     direct, dae, _, start = poised(vehicle, HILLS, (0.2, 0.0, 0.0))
@@ -200,6 +204,7 @@ def test_a_wheel_turns_back_where_its_target_passes_the_stop():
     assert np.abs(announced(run)[:, t > 5.8]).max() < 0.03  # of the lag of 0.2 s
 
 
+@pytest.mark.slow
 def test_commands_may_jump_and_reverse():
     vehicle, t = VEHICLES["six_wheel_steered"], np.linspace(0, 4, 81)
     direct, dae, _, start = poised(vehicle, HILLS, (0.2, 0.0, 0.0))
@@ -216,6 +221,7 @@ def test_commands_may_jump_and_reverse():
     assert_allclose(again["y"], run["y"], atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["four_wheel_steered", "open_source_rover"])
 def test_a_path_with_a_heading_is_followed(name):
     vehicle, t = VEHICLES[name], np.linspace(0, 12, 25)
@@ -328,6 +334,7 @@ def _run(*settings: str, code: int = 0) -> Any:
     return result.stderr if code else (result.stdout, netcdf.read("p.nc"))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_a_robots_command_counts_left_positive() -> None:
     words, run = _run()
@@ -343,6 +350,7 @@ def test_a_robots_command_counts_left_positive() -> None:
     assert_allclose(formula["x"], run["x"], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_all_wheels_turn_the_same_way_to_a_crab_on_hills() -> None:
     folder = Path(__file__).parents[2] / "problems"
     problem = load_problem(folder / "crab_inverse.toml", ["time.duration=4.5", "time.step=0.1"])
@@ -361,6 +369,7 @@ def test_the_summary_names_the_steering_that_is_held_at_its_stop(folder: Path) -
     assert_allclose(run["rl"], 0.3, rtol=0, atol=2 * STOP_CLEARANCE)
 
 
+@pytest.mark.slow
 def test_commands_in_time_from_a_file(folder: Path) -> None:
     words, run = _run("given={file='cmd.csv'}", "time.step=0.05")
     assert "omega_z, v_x, v_y of cmd.csv" in words
@@ -383,6 +392,7 @@ def test_commands_in_time_from_a_file(folder: Path) -> None:
 PATH = "path={t=[0,1,2,3,4,5], x=[0,-0.1,-0.2,-0.3,-0.4,-0.5], y=[0,0.1,0.2,0.3,0.4,0.5], heading="
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_a_path_in_a_problem() -> None:
     east = "[1.5707963267948966, 1.57, 1.56, 1.55, 1.54, 1.53]}"
@@ -395,6 +405,7 @@ def test_a_path_in_a_problem() -> None:
     assert_allclose([run["x"][-1], run["y"][-1]], [-0.1, 0.1], atol=3e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("settings", "words"),

@@ -111,6 +111,7 @@ def test_a_wheel_rolls_down_with_the_acceleration_of_the_closed_form(section, in
     assert errors[1] / errors[0] == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lean", "rho", "section"),
     [(20, 0.8, Torus(0.03, 0.12)), (35, 0.3, Torus(0.03, 0.12)), (20, 0.8, Disc(0.15))],
@@ -205,6 +206,7 @@ def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
     assert np.abs(loads[0] - loads[1]).max() < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", [Rate(), Torque()], ids=["rate", "torque"])
 def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over(drive):
     """In steady motion steps would grow until one covers the whole ridge, with an error of 18 J."""
@@ -222,6 +224,7 @@ def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over(drive):
     assert np.abs(gain).max() < 1e-2
 
 
+@pytest.mark.slow
 def test_the_energy_ledger_of_a_rover_on_waves_balances():
     waves = Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
     model = dynamics(catalog.rocky7(), waves)
@@ -234,6 +237,7 @@ def test_the_energy_ledger_of_a_rover_on_waves_balances():
         assert np.abs(gain).max() < 100 * tolerance * (run["work"][-1] + run["lost_energy"][-1])
 
 
+@pytest.mark.slow
 def test_a_jacobian_without_inertial_terms_changes_neither_motion_nor_cost():
     """Derivatives of mass matrix and bias forces are left out of the Jacobian, no others."""
     waves = Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
@@ -260,6 +264,7 @@ def test_a_jacobian_without_inertial_terms_changes_neither_motion_nor_cost():
     assert np.abs(full - found).max() > 1
 
 
+@pytest.mark.slow
 def test_a_slow_turn_is_that_of_quasi_statics():
     vehicle = catalog.skid_steer()
     for speed, error in ((0.05, 1e-4), (0.2, 2e-3)):
@@ -330,6 +335,7 @@ def test_a_wheel_in_the_air_has_no_second_contact():
     assert run["clearance"].min() > 0
 
 
+@pytest.mark.slow
 def test_the_stable_poses_of_a_rigid_vehicle_are_found():
     hollow = Analytic(lambda x, y: 0.03 * ca.cos(7 * x) * ca.cos(7 * y), mu=0.8)
     vehicle = catalog.rigid_skid_steer()
@@ -352,6 +358,7 @@ def test_a_motor_stalls_at_its_torque_and_recovers():
     assert rate[-1] == pytest.approx(5.0, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("section", [Disc(0.12), Sphere(0.12)])
 def test_discs_and_balls_stand_on_maps(section):
     x = np.linspace(-1, 1, 21)

@@ -15,6 +15,7 @@ from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.tree import GRAVITY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [2.0, 4.0])
 def test_inside_wheels_lift_at_the_speed_of_the_closed_form(radius):
     """``v^2 (h + sum I_a / (m R)) = g r b (1 - 2 s)`` for the share s of the inside wheels."""
@@ -57,6 +58,7 @@ def growth(stiffness):
     return float(np.linalg.eigvals(np.array(jacobian(at))).real.max())
 
 
+@pytest.mark.slow
 def test_free_tilts_need_the_spring_of_the_closed_form():
     """A spring of the load times the radius r2 holds them: 29.430 N m/rad."""
     vehicle = catalog.three_wheeler()
@@ -86,6 +88,7 @@ def turned(model, speed):
     return np.array([run["x"][-1], run["y"][-1]])
 
 
+@pytest.mark.slow
 def test_the_difference_from_quasi_statics_is_of_second_order_in_the_speed():
     """About 0.025 m over 1 m at 0.8 m/s, besides what the depth of the wheels shifts it by."""
     vehicle, apart = catalog.skid_steer(), []
@@ -114,6 +117,7 @@ def test_a_fast_turn_of_a_skid_steer_slips_less_than_a_slow_one():
         assert np.diff(run["heading"])[-1] / 2 == pytest.approx(expected, abs=2e-6)
 
 
+@pytest.mark.slow
 def test_a_car_off_a_ledge_flies_and_lands():
     """Off 0.3 m at 6 m/s: the centre of mass falls freely while no wheel touches."""
     drop = Analytic(lambda x, y: -0.15 * (1 + ca.tanh((y - 2) / 0.08)) + 0 * x, mu=0.7)

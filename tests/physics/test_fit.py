@@ -73,6 +73,7 @@ def _rates(motion: BodyMotion, count: int, seed: int = 0) -> Array:
     return np.column_stack([left if "left" in name else right for name in motion.names])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_derivatives_of_the_velocity(name: str) -> None:
     build, vehicle, law, unknowns = CASES[name]
@@ -88,6 +89,7 @@ def test_derivatives_of_the_velocity(name: str) -> None:
         assert_allclose(found.slopes[..., k], slope, atol=1e-6 * max(1, np.abs(slope).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["quasi-static", "closure", "pressed"])
 def test_velocity_is_that_of_a_simulation(name: str) -> None:
     build, vehicle, law, unknowns = CASES[name]
@@ -180,6 +182,7 @@ def test_known_numbers_are_found() -> None:
     assert found.at_bound == (False,) * 5
 
 
+@pytest.mark.slow
 def test_intervals_contain_the_truth() -> None:
     """8 draws with 5 unknowns: 40 intervals, of which 38 are expected to contain the truth."""
     inside = 0

@@ -83,6 +83,7 @@ def test_path_is_checked(points, words):
         Path(np.array(points))
 
 
+@pytest.mark.slow
 def test_straight_keeps_its_line_and_its_wheels_up():
     vehicle = three_wheeler()
     dae = closure_model(vehicle, Analytic(hills))
@@ -96,6 +97,7 @@ def test_straight_keeps_its_line_and_its_wheels_up():
         assert_allclose(np.hypot(run["x"][-1] - 1.0, run["y"][-1] + 2.0), 30, atol=0.1)
 
 
+@pytest.mark.slow
 def test_100_m_of_hills_and_the_same_without_the_tilt_term(monkeypatch):
     ground = blank((-10.0, 110.0), (-30.0, 30.0), 0.25)
     ground = power_law(ground, rms=0.15, hurst=0.9, longest=20.0, shortest=6.0, seed=4)

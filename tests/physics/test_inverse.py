@@ -84,6 +84,7 @@ def with_omega(run):
     return lambda name, k: values[name][k] if name in values else run[name][k]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", [OMEGA, EULER], ids=["omega", "euler"])
 def test_rates_come_back_at_recorded_states(family):
     """Every choice of three rates, at every state where it determines the others."""
@@ -149,6 +150,7 @@ def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
     assert_allclose(float(growth(x, z, system.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_unstable_steering_is_told():
     """Where the contact leads the steering axis the steering runs away, and it is said so."""
     vehicle = three_wheeler(mass=0.0, wheel_mass=0.0)  # else the front wheel lifts off before
@@ -185,6 +187,7 @@ def test_crossing_stops_the_rate_form_by_name():
         simulate(dae, run.part(slice(k, k + 1)), inputs, t)
 
 
+@pytest.mark.slow
 def test_path_passes_where_the_contact_crosses_the_steering_axis():
     t = np.linspace(0, 8, 161)
     direct, begin, run = direct_run(HILLS, t, tolerance=1e-13, x=1.0, y=0.5)
@@ -313,6 +316,7 @@ def test_conditions_on_flat_ground():
     assert_allclose(usable["velocity_x", "velocity_y", "omega_z"], 5.9, atol=0.05)
 
 
+@pytest.mark.slow
 def test_conditions_on_hills(rng):
     """Median, 90 % and maximum; (Vx, Vy, Oz) is by far the best in both forms."""
     ground, stands = Analytic(rough), []
@@ -351,6 +355,7 @@ def test_rate_form_has_no_start_on_flat_ground():
     assert words in dae.checks[-1].describe(x, z)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ground", "solve_for", "when"),
     [

@@ -212,6 +212,7 @@ def _gentle(seed=0):
     return Grid(axis, axis, 0.2 * np.sin(waves[0] * axis)[:, None] * np.cos(waves[1] * axis))
 
 
+@pytest.mark.slow
 def test_pickled_grounds_work_here_and_in_other_processes():
     grounds = [Bicubic(_gentle(seed)) for seed in range(3)]
     here = [_drive(ground) for ground in grounds]

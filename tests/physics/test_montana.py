@@ -95,6 +95,7 @@ def gap(first, second):
 # --- both formulations are one motion -----------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ground", GROUNDS)
 def test_formulations_agree_to_their_errors(ground):
     start = {} if ground == "case1" else {"x": 0.2, "y": -0.5} | START
@@ -181,6 +182,7 @@ def test_drift_of_a_minute(tolerance, allowed):
     assert np.abs(run["slip_along"]).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", [1.0, 50.0])
 def test_steps_hardly_depend_on_kappa(kappa):
     usual = minute().statistics["steps"]
@@ -396,6 +398,7 @@ def test_there_is_nothing_to_settle():
         settle(montana_model(three_wheeler(), GROUNDS["hills"]))
 
 
+@pytest.mark.slow
 def test_limits_are_watched_as_in_the_closure_model():
     vehicle = three_wheeler(tilt_stop=0.2)
     closure, montana = both(GROUNDS["hills"], T, vehicle=vehicle)

@@ -36,6 +36,7 @@ def driven(drive):
     return replace(vehicle, wheels=tuple(replace(each, drive=drive) for each in vehicle.wheels))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vehicle", [catalog.rigid_skid_steer(), catalog.rocky7()])
 def test_a_planar_vehicle_moves_as_a_symmetric_one_in_space(vehicle):
     """The ground does not vary along x; the start has no roll and no speed aside."""

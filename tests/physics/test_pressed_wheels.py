@@ -68,6 +68,7 @@ def rates(model, value):
     return model.inputs(**{name: value * (k < driven) for k, name in enumerate(names)})
 
 
+@pytest.mark.slow
 def test_loads_on_a_slope_have_a_closed_form():
     """Moments about the contacts give the loads of the axles; depth changes them at order d0."""
     slope, errors = np.radians(15), []
@@ -87,6 +88,7 @@ def test_loads_on_a_slope_have_a_closed_form():
     assert errors[0] / errors[1] == pytest.approx(10, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [catalog.three_wheeler, catalog.skid_steer])
 def test_exact_contact_is_the_limit_at_order_depth(make):
     vehicle, options = make(), SolverOptions(tolerance=1e-9)
@@ -114,6 +116,7 @@ def test_turning_on_the_spot_has_a_closed_form():
     assert np.abs([run["x"], run["y"]]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_the_motion_does_not_depend_on_the_origin_of_the_platform():
     """The same robot, described about its rear axle: its wheels move alike."""
     shift = np.array([0.05, -WHEELBASE / 2, 0.08])
@@ -162,6 +165,7 @@ def test_poor_starts_settle():
         assert start["load_share"][0].mean() > 0.9
 
 
+@pytest.mark.slow
 def test_a_robot_may_stand_on_different_wheels():
     ground = Analytic(hills(0.05))
     poses = stable_poses(direct_kinematics(ROBOT, ground), x=1.2, y=4.95)
@@ -171,6 +175,7 @@ def test_a_robot_may_stand_on_different_wheels():
     assert len(stable_poses(exact, x=1.2, y=4.95)) == 1
 
 
+@pytest.mark.slow
 def test_a_robot_rocks_and_says_when():
     model = direct_kinematics(ROBOT, Analytic(hills(0.05)))
     run = simulate(model, settle(model), rates(model, 6.0), np.linspace(0, 6, 301))
@@ -184,6 +189,7 @@ def test_a_robot_rocks_and_says_when():
     assert (run["depth"] < 0).any()
 
 
+@pytest.mark.slow
 def test_rates_of_commands_round_trip():
     options = SolverOptions(tolerance=1e-8)
     inverse = inverse_kinematics(ROBOT, HILLS, given=["forward", "yaw_rate"])

@@ -128,6 +128,7 @@ def test_a_skid_steered_cart_turns_less_by_its_length():
     assert_allclose(found["heading_rate"], turning, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("vehicle", "within"),
     [
@@ -178,6 +179,7 @@ def test_unknowns_are_as_many_as_the_formulas_say(name):
     assert len(vehicle.of("suspension")) == wheels - 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CATALOG)
 def test_rates_of_what_the_ground_decides_are_the_derivative_of_the_closure(name):
     vehicle = CATALOG[name]
@@ -222,6 +224,7 @@ def rocky_run(ground, r1=0.02, steer=0.0, tolerance=1e-8, duration=10.0):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ENDS)
 def test_rocky_7_ends_where_another_code_has_it(case):
     run = rocky_run(rover_ground(), *case)
@@ -244,6 +247,7 @@ def test_rocky_7_has_the_inertia_that_another_code_assumes():
     assert rocky7(mass=0.0).body.inertia is None
 
 
+@pytest.mark.slow
 def test_rocky_7_settles_from_poor_guesses(monkeypatch):
     """60 guesses off by up to 0.2 m and 0.4 rad: the one pose, wheels above the ground."""
     rng, vehicle = np.random.default_rng(7), rocky7(**LIGHT)
@@ -270,6 +274,7 @@ def test_rocky_7_settles_from_poor_guesses(monkeypatch):
     assert np.median(steps) <= 10 + 1  # and one for the rates
 
 
+@pytest.mark.slow
 def test_noise_that_no_wheel_follows_is_named_and_rolled_away():
     grid = rover_ground()
     noise = np.random.default_rng(5).normal(0, 0.005, grid.z.shape)
@@ -341,6 +346,7 @@ def hill_run(case, tolerance, duration=20.0):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", HILL_CASES)
 def test_hill_cases_at_a_tolerance_of_a_micrometre(case):
     run, exact = hill_run(case, 1e-6), hill_run(case, 1e-10)
@@ -353,6 +359,7 @@ def test_hill_cases_at_a_tolerance_of_a_micrometre(case):
     assert (run["center_z"] - HILLS.elevation(run["center_x"], run["center_y"])).min() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["ackermann", "articulated", "rocky7", "open_source_rover", "skid_steer"]
 )
@@ -402,6 +409,7 @@ def ahead(dae, vehicle, start):
     return straight(dae, vehicle, start, speed=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", MAKERS, ids=lambda make: make.__name__)
 def test_every_vehicle_stands_drives_and_creeps(make):
     vehicle = make()
@@ -428,6 +436,7 @@ def test_every_vehicle_stands_drives_and_creeps(make):
     assert np.linalg.norm(places[0] - places[1]) < 5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make", [differential_drive, articulated, rocky7], ids=lambda make: make.__name__
 )
@@ -466,6 +475,7 @@ def test_every_vehicle_is_planned_for(make):
 # Seven wheels on rollers
 
 
+@pytest.mark.slow
 def test_seven_wheels_go_anywhere_on_level_ground(rng):
     vehicle = seven_wheels()
     dae = closure_model(vehicle, Analytic(lambda x, _: 0 * x, mu=0.5))
@@ -507,6 +517,7 @@ def test_seven_wheels_on_ground_that_varies_ahead_alone_are_as_in_the_plane():
     assert max(np.abs(run["press_rear"]).max(), np.abs(run["press_front"]).max()) < 1e-4
 
 
+@pytest.mark.slow
 def test_seven_wheels_follow_and_are_given_three_rates():
     vehicle = seven_wheels()
     dae = closure_model(vehicle, FLAT)

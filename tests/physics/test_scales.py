@@ -19,6 +19,7 @@ AMPLIFIED = {"inverse, steering rate": 50.0}  # rounding changes the steps, and 
 at_scale_one = lru_cache(lambda name: CASES[name](1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-2, 1e3])
 @pytest.mark.parametrize("name", CASES)
 def test_scaled_problem_has_the_scaled_motion(name, scale):
@@ -29,6 +30,7 @@ def test_scaled_problem_has_the_scaled_motion(name, scale):
     assert gap < AMPLIFIED.get(name, MOST), quantity
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-6, 1e-4, 1e6])
 def test_extreme_scales_are_not_singular(scale):
     dae = direct_kinematics(scaled(three_wheeler(), scale), formula(scale))

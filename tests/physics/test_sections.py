@@ -155,6 +155,7 @@ def test_dimensions_that_are_not_positive_are_refused(value):
         Torus(value, 0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [direct_kinematics, montana_kinematics])
 def test_an_offset_tread_is_a_wheel_beside_its_place(model):
     """A section need not be symmetric: the same motion as of wheels that are moved instead."""

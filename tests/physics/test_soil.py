@@ -218,6 +218,7 @@ def up_the_slope(model_of, duration):
     return run
 
 
+@pytest.mark.slow
 def test_a_cart_climbs_sand_with_the_slip_of_its_balance():
     """An independent balance of forces on the level cart has slip 0.1393 on 8 degrees."""
     run = up_the_slope(dynamics, 6.0)
@@ -227,6 +228,7 @@ def test_a_cart_climbs_sand_with_the_slip_of_its_balance():
     assert np.abs(balance).max() < 1e-5 * run["work"][-1]
 
 
+@pytest.mark.slow
 def test_quasi_statics_in_soil_is_slow_dynamics():
     run = up_the_slope(dynamics, 6.0)
     slow = up_the_slope(quasi_statics, 1.0)

@@ -69,6 +69,7 @@ def test_later_regions_cover_earlier_ones():
     assert float(cohesion(100.0, 202.5)) == LOOSE.cohesion
 
 
+@pytest.mark.slow
 def test_wheels_sink_as_in_the_soil_of_their_place():
     vehicle = cart()
     model = quasi_statics(vehicle, ground(0.0), law=SOIL)
@@ -78,6 +79,7 @@ def test_wheels_sink_as_in_the_soil_of_their_place():
         assert start["sinkage"][0] == pytest.approx(np.full(4, expected), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_moving_wheel_sinks_at_the_border():
     model = dynamics(cart(), ground(0.0), law=SOIL)
     start = settle(model, x=100.0, y=198.0)
@@ -87,6 +89,7 @@ def test_a_moving_wheel_sinks_at_the_border():
     assert run["y"][-1] > 199.5
 
 
+@pytest.mark.slow
 def test_the_reserve_is_that_of_the_single_wheel():
     vehicle = cart()
     model = quasi_statics(vehicle, ground(0.1), law=SOIL)

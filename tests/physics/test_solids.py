@@ -92,6 +92,7 @@ def contact_function(prism, section, terrain=FLAT):
     return ca.Function("contact", [center, axle], found, {"cse": True})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "prism",
     [placed(step(0.09))[0], placed(ramp(np.pi / 4, 0.09))[0], Prism(BLOCK, half_width=0.04)],
@@ -165,6 +166,7 @@ def ground_contacts(terrain, section, search):
     return lambda *given: [np.array(each) for each in found.map(COUNT)(*given)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [3, 10, 20])
 def test_the_gap_of_a_wheel_along_an_edge(degrees):
     """The wheel leans on the edge of a step; alternating projections alone converge slowly."""
@@ -223,6 +225,7 @@ def ledger(run):
     return error / (100 * run.statistics["tolerance"] * np.abs(run["work"]).max())
 
 
+@pytest.mark.slow
 def test_rocky_7_climbs_a_step_higher_than_its_wheels_at_a_heading():
     """Mirror images agree, and all wheels end on the step."""
     ground = Solids(GRIPPY, placed(step(0.09), y=0.6))
@@ -238,6 +241,7 @@ def test_rocky_7_climbs_a_step_higher_than_its_wheels_at_a_heading():
     assert_allclose(right["z"], left["z"], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_rigid_four_wheeler_climbs_stairs_that_its_wheels_can():
     ground = Solids(GRIPPY, placed(stairs(0.05, 0.6, 2), y=1.2))
     run = climbing(catalog.rigid_skid_steer(), ground, 0.1, 0.4, 7.0)
@@ -251,6 +255,7 @@ def test_a_rigid_four_wheeler_climbs_stairs_that_its_wheels_can():
     assert "z = 0.1 m" in ending.words
 
 
+@pytest.mark.slow
 def test_with_too_little_friction_it_stays_below():
     ground = Solids(replace(FLAT, mu=0.2), placed(step(0.09), y=0.6))
     run = climbing(catalog.rocky7(), ground, 0.0, 0.2, 4.0)
@@ -268,6 +273,7 @@ def test_with_too_little_friction_it_stays_below():
     assert obstacle_ending(run, catalog.rocky7(), ()) is None
 
 
+@pytest.mark.slow
 def test_a_start_that_touches_a_solid_is_refused():
     model = dynamics(four_wheels(), Solids(FLAT, placed(step(0.1), y=0.5)))
     with pytest.raises(ModelError, match="touches a solid at the start"):

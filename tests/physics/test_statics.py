@@ -337,6 +337,7 @@ def test_wheels_that_stand_up_across_a_slope_need_less_friction(degrees, needed)
 # The free bodies of the three-wheeler
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose", POSES)
 @pytest.mark.parametrize(
     "vehicle",
@@ -417,6 +418,7 @@ H_TALL = R + 0.9 * 30 / 36
 TIPPING = np.arctan(2 / 3 * LA / H_TALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [0, 5, 15, 25, 32])
 @pytest.mark.parametrize("side", [1, -1])
 def test_tip_over_margin_across_a_slope(degrees, side):
@@ -492,6 +494,7 @@ def crossing(t, values):
     return brentq(spline, t[after - 1], t[after], xtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_drives_into_tipping_stops_there():
     vehicle, t = three_wheeler(**TALL), np.linspace(0, 23, 231)
     rates = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
@@ -515,6 +518,7 @@ def twisted(x, y):
     return 0.12 * x * y**2
 
 
+@pytest.mark.slow
 def test_a_wheel_that_a_stiff_spring_lifts_stops_the_motion_by_name():
     vehicle, t = loaded(stiffness=400.0), np.linspace(0, 8, 81)
     rates = {"rear_right_rate": 0.8, "rear_left_rate": 0.8, "steer_rate": 0.0}
@@ -540,6 +544,7 @@ def test_a_wheel_that_a_stiff_spring_lifts_stops_the_motion_by_name():
 # Springs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stiffness", "needed"), [(0, 0.60), (20, 0.18), (30, 0.05), (40, 0.25), (100, 1.5)]
 )
@@ -551,6 +556,7 @@ def test_a_spring_takes_over_what_tilted_wheels_push(stiffness, needed):
     assert_allclose(run["friction_needed"].max(), needed, rtol=0, atol=digits)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [0.0, 20.0, 30.0, 40.0])
 def test_sprung_tilts_by_hand(stiffness):
     """On two levels: moments about the tilt axes, and about the forward axis on the ground."""
@@ -572,6 +578,7 @@ def test_sprung_tilts_by_hand(stiffness):
     assert_allclose(run["force_across"][0], expected, rtol=0, atol=1e-11 * WEIGHT)
 
 
+@pytest.mark.slow
 def test_the_spring_that_just_holds_the_load_leaves_no_side_force_to_first_order():
     """Its stiffness is the load times r2; the front wheel's side force is then of third order."""
 
@@ -585,6 +592,7 @@ def test_the_spring_that_just_holds_the_load_leaves_no_side_force_to_first_order
     assert side(0.9 * best, 0.04) * side(1.1 * best, 0.04) < 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [0.0, 120.0])
 def test_a_sprung_rocker_on_flat_ground_by_hand(stiffness):
     """No friction is needed; moments about the rocker's axis and of the whole give the loads."""
@@ -615,6 +623,7 @@ def test_a_sprung_rocker_on_flat_ground_by_hand(stiffness):
     assert_allclose(run["force_normal"][0], np.array(expected) / 2 * G, rtol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["stiffness", "damping"])
 def test_springs_and_dampers_in_suspension_by_hand(key):
     """On hills, on the way: what the rocker bears balances its spring or its damper."""
@@ -703,6 +712,7 @@ def test_potential_energy_is_that_of_all_parts():
     assert_allclose(run["potential_energy"][0], heights + springs, rtol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axle", ["fixed", "prismatic", "actuated"])
 def test_work_is_the_energy_gained_and_lost(axle):
     run = climb(axle=axle)
@@ -726,6 +736,7 @@ def test_dissipation_is_what_slip_and_dampers_take():
     assert np.abs(wrong).max() < 1e3 * 1e-12 * np.abs(damped["work"]).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [{}, {"stiffness": 40.0}, {"damping": 5.0}, {"axle": "fixed"}, {"axle": "prismatic"}],
@@ -768,6 +779,7 @@ OPEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OPEN)
 def test_distributed_forces_are_in_equilibrium(name):
     vehicle, start = OPEN[name]
@@ -864,6 +876,7 @@ def compare(run, other, atol=1e-10):
         assert_allclose(other[name], run[name], rtol=0, atol=atol * WEIGHT, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axle", ["tilting", "fixed"])
 def test_forces_move_with_the_ground(axle):
     c, s = np.cos(0.7), np.sin(0.7)
@@ -875,6 +888,7 @@ def test_forces_move_with_the_ground(axle):
     compare(run, stand(vehicle, moved, x=x, y=y, heading=1.2, steer=0.2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axle", ["tilting", "fixed"])
 def test_forces_on_a_map_do_not_depend_on_where_it_lies(axle):
     axes = np.arange(-4, 4.01, 0.25)
@@ -887,6 +901,7 @@ def test_forces_on_a_map_do_not_depend_on_where_it_lies(axle):
     assert_allclose(moved["potential_energy"], here["potential_energy"], rtol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axle", ["tilting", "fixed"])
 def test_mirrored_ground_swaps_the_wheels(axle):
     mirrored = Analytic(lambda x, y: hills(-x, y))
@@ -974,6 +989,7 @@ def test_montanas_form_bears_the_same():
         assert_allclose(runs[1][name], runs[0][name], rtol=0, atol=1e-6 * size, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solve_for", ["rates", "angles"])
 def test_the_inverse_model_bears_the_same(solve_for):
     direct = closure_model(VEHICLE, HILLS, slip=Rolling())

@@ -105,6 +105,7 @@ def found_rates(direct, run):
     return {label.full: float(run[label.name][-1]) for label in leaves(direct.labels.u)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in CATALOG if CATALOG[name] is not ROVER])
 def test_every_vehicle_moves_over_hills_as_given(name):
     given = {"forward": 0.2, "yaw_rate": 0.1}
@@ -128,6 +129,7 @@ def test_every_vehicle_moves_over_hills_as_given(name):
     assert slip(run).max() < rolls.get(name, 1.5e-3)
 
 
+@pytest.mark.slow
 def test_a_turn_on_level_ground_is_free_of_slip_and_steers_to_its_centre():
     given = {"forward": 0.2, "yaw_rate": 0.2}
     direct, _, start = poised(ROVER, FLAT, given)
@@ -152,6 +154,7 @@ def test_a_turn_on_level_ground_is_free_of_slip_and_steers_to_its_centre():
     assert_allclose(start["wheel_rate"][0], speeds, rtol=2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "sought", "most"),
     [
@@ -171,6 +174,7 @@ def test_the_rough_ground_of_wmrde(given, sought, most):
         assert_allclose(planar(again)[name], value, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_wheel_rates_are_those_of_least_slip():
     vehicle, given = CATALOG["articulated"], {"forward": 0.2, "yaw_rate": 0.1}
     direct, _, start = poised(vehicle, HILLS, given)
@@ -190,6 +194,7 @@ def test_wheel_rates_are_those_of_least_slip():
         assert slip(other)[0] > slip(base)[0]
 
 
+@pytest.mark.slow
 def test_straight_ahead_three_rates_are_one_too_many_but_fit():
     vehicle = CATALOG["skid_steer"]
     direct = direct_kinematics(vehicle, FLAT)
@@ -232,6 +237,7 @@ def test_steering_that_is_off_costs_slip_and_decays_while_the_motion_is_exact():
     assert_allclose(slope, -GAIN, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_rates_may_jump_or_be_formulas_and_the_replay_agrees():
     vehicle, t = CATALOG["ackermann"], np.linspace(0, 1, 41)
     direct, dae, start = poised(vehicle, HILLS, {"forward": 0.2, "yaw_rate": 0.1}, heading=0.3)
@@ -268,6 +274,7 @@ def test_given_rates_are_checked(vehicle, given, words):
         inverse_kinematics(CATALOG[vehicle], FLAT, given=given)
 
 
+@pytest.mark.slow
 def test_sought_names_are_checked():
     _, dae, start = poised(CATALOG["ackermann"], FLAT, {"forward": 0.1})
     for states, least in ((["steering"], []), (["steer"], ["slip"])):
@@ -301,6 +308,7 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_folder")
 def test_problem_file() -> None:
     result = _invoke("given.yaw_rate=0.1*cos(0.5*t)")
@@ -325,6 +333,7 @@ def test_problem_file() -> None:
     assert {"front_right_rate", "steer_rear_left_rate", "right"} < set(run)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_folder")
 def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
     monkeypatch: pytest.MonkeyPatch,
@@ -345,6 +354,7 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
     assert run["steer_error"][0] > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_folder")
 @pytest.mark.parametrize(
     ("settings", "words"),
@@ -391,6 +401,7 @@ def test_what_cannot_be_is_refused(settings: list[str], words: str) -> None:
     assert words in result.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_folder")
 def test_what_the_integrator_reached_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: Any, start: Trajectory, *__: Any, **___: Any) -> None:

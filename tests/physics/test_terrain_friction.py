@@ -356,6 +356,7 @@ def _check(*settings):
     return [" ".join(line.split()) for line in result.stdout.splitlines()]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_check_tells_the_friction():
     assert "ground friction 0.6" in _check()

@@ -46,6 +46,7 @@ def built():
         pytest.skip("no C compiler was found when slipfree was installed")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("section", SECTIONS, ids=str)
 @pytest.mark.parametrize("noise", [0.0, 0.005, 0.05])
 def test_the_compiled_search_equals_the_graph(section, noise):
@@ -88,6 +89,7 @@ def test_a_search_without_a_residual_is_repeated_in_short_steps():
     assert not check(np.full(15, np.nan))
 
 
+@pytest.mark.slow
 def test_a_dynamic_motion_is_the_same_without_the_kernel(monkeypatch):
     def motion():
         terrain = ground(0.0)

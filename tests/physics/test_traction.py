@@ -54,6 +54,7 @@ def creeps(run):
     return np.hypot(run["slip_along"], run["slip_across"])[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eps", [1e-2, 1e-4, 1e-6])
 @pytest.mark.parametrize("degrees", [5, 10, 20, 30])
 def test_a_rigid_axle_creeps_straight_down_across_a_slope(degrees, eps):
@@ -98,6 +99,7 @@ def test_beyond_friction_a_start_is_refused_with_what_it_needs():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axle", ["tilting"])
 def test_small_creep_leads_to_rolling(axle):
     """First order in the creep where the vehicle can roll; steps do not grow."""
@@ -129,6 +131,7 @@ def test_small_creep_of_a_rigid_axle_leads_to_least_dissipation(rng):
     assert best.cost(least_slip_rates()) > best.cost(best.rates) + 100 * best.gap
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axle", ["tilting", "fixed", "prismatic", "sliding"])
 @pytest.mark.parametrize("mu", [0.6, 1.5])
 def test_random_starts_lead_to_one_solution(axle, mu, rng):
@@ -161,6 +164,7 @@ def test_no_equilibrium_is_a_stop_by_name():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-7, 1e-9])
 @pytest.mark.parametrize("damping", [0.0, 100.0])
 def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, tolerance):
@@ -175,6 +179,7 @@ def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, toleran
     assert run["slip_along", "right"][-1] < -0.1
 
 
+@pytest.mark.slow
 def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
     """Friction couples normal forces to the motion, which may go on with a jump only."""
     grid = power_law(
@@ -248,6 +253,7 @@ def test_the_edge_of_a_friction_map_is_a_stop_by_name():
     )
 
 
+@pytest.mark.slow
 def test_a_rigid_stop_of_a_tilt_ends_the_motion_by_name():
     """On flat ground a common tilt falls over; the stop is where it would be passed."""
     ground = slope(0.0, 0.6)
@@ -311,6 +317,7 @@ def test_a_damper_slows_the_fall():
     assert 0 < rates[1] < rates[0]
 
 
+@pytest.mark.slow
 def test_work_is_what_is_gained_and_what_is_lost():
     t = np.linspace(0, 10, 1001)
     run = moved(FIXED, Analytic(hills, mu=0.6), Coulomb(1e-3), t, UNEQUAL, tolerance=1e-10)

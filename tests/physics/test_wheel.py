@@ -54,6 +54,7 @@ def _files(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.*")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("packed", "folder"),
     [
@@ -79,6 +80,7 @@ def test_it_holds_the_modules_and_nothing_else(wheel: Path) -> None:
     assert names == {path.relative_to(sources).as_posix() for path in sources.rglob("*.py")}
 
 
+@pytest.mark.slow
 def test_installed_it_lists_copies_and_runs(installed: Mapping[str, str], tmp_path: Path) -> None:
     command = [sys.executable, "-m", "slipfree"]
     where = _done(

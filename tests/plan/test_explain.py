@@ -296,6 +296,7 @@ def driven(vehicle, terrain, goal, limits):
     return asked, start, guess
 
 
+@pytest.mark.slow
 def test_a_vehicle_is_told_that_its_goal_is_too_far_for_its_wheels():
     """3 m in 5 s on wheels of 0.3 m at 0.5 rad/s: about 0.75 m can be driven."""
     asked, start, guess = driven(
@@ -319,6 +320,7 @@ def test_a_vehicle_is_told_that_its_goal_is_too_far_for_its_wheels():
         assert f"  input {name}: at most 0.5 rad/s" in told
 
 
+@pytest.mark.slow
 def test_limits_of_wheels_and_of_the_model_are_named():
     """A stop of the tilt that the goal exceeds, and a limit that one wheel does not keep to."""
     asked, start, guess = driven(

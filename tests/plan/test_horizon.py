@@ -66,6 +66,7 @@ def away(run):
     return float(np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]))
 
 
+@pytest.mark.slow
 def test_the_end_of_a_plan_is_its_end_whatever_was_summed_up(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
     for one, other in zip(
@@ -88,6 +89,7 @@ def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
         assert one.violation < 1e-9
 
 
+@pytest.mark.slow
 def test_a_step_of_the_shifted_window_leads_to_its_solution(found):
     window, many = (
         horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=count)
@@ -111,6 +113,7 @@ def test_a_step_of_the_shifted_window_leads_to_its_solution(found):
         assert_allclose(each.motion.states(np.ones(1))[:2], at_end[:2], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_steps_converge(found):
     """From a start beside the plan, without moving: to what many iterations find at once."""
     window, many = (
@@ -127,6 +130,7 @@ def test_steps_converge(found):
     assert cycle.violation < 1e-6
 
 
+@pytest.mark.slow
 def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found):
     span = DURATION / 2
     once, many = (
@@ -140,6 +144,7 @@ def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found):
     assert cycles[-1] is cycles[-2]  # what is left of the last one that decides is driven on
 
 
+@pytest.mark.slow
 def test_inputs_keep_to_their_bounds(found):
     window = horizon(found, span=DURATION / 2, intervals=COUNT // 2)
     start = found.program.task.start.copy()
@@ -151,6 +156,7 @@ def test_inputs_keep_to_their_bounds(found):
     assert np.abs(rates).max() <= 2.0 + 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [0.3, 0.7])
 def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, period):
     """The last part is as long as what is left."""

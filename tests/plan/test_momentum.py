@@ -58,6 +58,7 @@ def crossing():
     return ground, vehicle, model, *straight_guess(model, vehicle, ground, 0.9, 1.7)
 
 
+@pytest.mark.slow
 def test_states_and_accelerations_at_rest_are_those_of_compliant_dynamics():
     ground = Analytic(lambda x, y: 0.2 * y + 0.1 * x, mu=0.8)
     rigid, compliant = rigid_dynamics(car(), ground), dynamics(car(), ground)
@@ -105,6 +106,7 @@ def test_model_refuses_what_it_cannot_plan():
         rigid_dynamics(car(), Analytic(lambda x, y: 0 * x * y))
 
 
+@pytest.mark.slow
 def test_guess_follows_the_kinematic_motion(crossing):
     *_, guess, start = crossing
     assert abs(guess["y"][0] - start["y"][0]) < 1e-9
@@ -117,6 +119,7 @@ def test_guess_follows_the_kinematic_motion(crossing):
     np.testing.assert_allclose(guess["omega_x"][1:-1], np.gradient(pitch, guess.t)[1:-1], atol=0.05)
 
 
+@pytest.mark.slow
 def test_plan_with_momentum_agrees_with_compliant_contact(crossing):
     """Torques too small for slow driving over the ridge carry the car over it with momentum."""
     ground, vehicle, model, guess, start = crossing
@@ -150,6 +153,7 @@ def test_plan_with_momentum_agrees_with_compliant_contact(crossing):
     assert found.replay.stop is None
 
 
+@pytest.mark.slow
 def test_rigid_four_wheeler_stands_on_soft_contacts():
     """At the same depths, loads of the soft contact follow from those of the compliant one."""
     vehicle = catalog.rigid_skid_steer()
@@ -163,6 +167,7 @@ def test_rigid_four_wheeler_stands_on_soft_contacts():
         np.testing.assert_allclose(loads, share * (pressed + np.hypot(pressed, 1)) / 2, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_plan_of_a_rigid_four_wheeler_with_momentum():
     vehicle = catalog.rigid_skid_steer()
     wheels = tuple(replace(wheel, drive=Torque()) for wheel in vehicle.wheels)

@@ -127,6 +127,7 @@ def planned(model, *, steer=STEER, x=GOAL[0], duration=DURATION, rate=0.1):
     )
 
 
+@pytest.mark.slow
 def test_prices_are_the_derivatives_of_the_least_cost(model):
     """Central differences of plans with limits on both sides."""
     found = planned(model)
@@ -176,6 +177,7 @@ def test_price_of_a_limited_cost_is_its_lagrange_multiplier(k):
     assert price.words.startswith(f"cost work at most {price.bound:.4g} m2/s: ")
 
 
+@pytest.mark.slow
 def test_prices_are_told_in_units_and_shares(model):
     found = planned(model)
     (price,) = (each for each in found.prices if each.label.name == "steer")

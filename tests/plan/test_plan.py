@@ -53,6 +53,7 @@ def rms_slip(run):
     return np.sqrt(np.trapezoid(squares.mean(axis=1), run.t) / (run.t[-1] - run.t[0]))
 
 
+@pytest.mark.slow
 def test_a_rigid_axle_reaches_its_goal_with_least_slip():
     """Slip and place are those of the simulation; more starts of the search in the benchmark."""
     _, _, found = asked(three_wheeler(axle="fixed"), limits={"steer": (-1.0, 1.0)})
@@ -66,6 +67,7 @@ def test_a_rigid_axle_reaches_its_goal_with_least_slip():
     assert np.abs(found.run["steer"]).max() <= 1.0 + 1e-8
 
 
+@pytest.mark.slow
 def test_effort_alone_slips_more():
     _, _, found = asked(
         three_wheeler(axle="fixed"), costs={"effort": 1.0}, limits={"steer": (-1.0, 1.0)}
@@ -74,6 +76,7 @@ def test_effort_alone_slips_more():
     assert found.costs["effort"] < 8.0
 
 
+@pytest.mark.slow
 def test_tilting_wheels_keep_to_their_limit_without_slip():
     """Slip is measured on the poses of the simulation."""
     vehicle, parts, count, duration = three_wheeler(), 20, 10, 10.0
@@ -101,6 +104,7 @@ def test_tilting_wheels_keep_to_their_limit_without_slip():
     assert slip[inside].max() < 1e-7  # at a kink of the inputs difference quotients are less exact
 
 
+@pytest.mark.slow
 def test_a_pose_a_way_point_and_a_range_of_durations():
     _, _, found = asked(
         three_wheeler(axle="fixed"),
@@ -121,6 +125,7 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
     assert np.abs(rates).max() <= 1.0 + 1e-6
 
 
+@pytest.mark.slow
 def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
     _, _, found = asked(
         three_wheeler(tilt_stop=0.04),
@@ -135,6 +140,7 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
         assert np.abs(found.run[name]).max() <= 0.04 + 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -160,6 +166,7 @@ def test_what_is_wrong_is_said(options, words):
         asked(three_wheeler(axle="fixed"), **options)
 
 
+@pytest.mark.slow
 def test_a_limited_cost_is_at_its_limit():
     """A limit on a term without weight; below the least value the explanation names the cost."""
     _, _, free = asked(three_wheeler(axle="fixed"), costs={"effort": 1.0})
@@ -176,6 +183,7 @@ def test_a_limited_cost_is_at_its_limit():
     assert "cost effort: " in none.run.stop.words
 
 
+@pytest.mark.slow
 def test_a_stopped_search_keeps_its_iterate():
     seen = []
 
@@ -198,6 +206,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_run_plans_simulates_and_tells():
     file = PROBLEMS / "plan_rigid_hills.toml"
@@ -216,6 +225,7 @@ def test_run_plans_simulates_and_tells():
     assert run.statistics["plan_iterations"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved():
     words = [

@@ -85,6 +85,7 @@ def planned(dae, start, count):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ground", [hills, saddle])
 def test_an_optimum_is_that_of_another_transcription(ground):
     """The two differ by less than the mesh does: half of the intervals are another plan."""

@@ -57,6 +57,7 @@ def coarse(model):
     return asked(model)
 
 
+@pytest.mark.slow
 def test_the_course_is_the_plan_at_its_points_and_the_simulation_between(coarse):
     way, run = coarse.motion, coarse.run
     names = ("x", "y", "heading", "steer")
@@ -70,6 +71,7 @@ def test_the_course_is_the_plan_at_its_points_and_the_simulation_between(coarse)
     assert gaps.max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("continuous", [False, True])
 def test_inputs_are_constant_or_linear_on_every_interval_and_so_simulated(model, continuous):
     found = asked(model, continuous=continuous, intervals=5)
@@ -83,6 +85,7 @@ def test_inputs_are_constant_or_linear_on_every_interval_and_so_simulated(model,
     assert_allclose(inner, np.repeat(inner[:, -1:], parts, axis=1), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_mesh_is_refined_until_the_simulation_agrees(model):
     """The simulation is so exact that the difference is the collocation's error."""
     options = {"intervals": 4, "degree": 2, "options": SolverOptions(tolerance=1e-11)}
@@ -96,6 +99,7 @@ def test_a_mesh_is_refined_until_the_simulation_agrees(model):
     assert found.stages[-1].words.endswith("intervals")
 
 
+@pytest.mark.slow
 def test_what_is_violated_between_the_points_is_told_and_made_small(model):
     """A disc that a straight way would cross; on two long intervals the way bulges into it."""
     x, y = model[0].x.x, model[0].x.y
@@ -118,6 +122,7 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
     assert finer.violation.get("disc", 0.0) <= 1e-3
 
 
+@pytest.mark.slow
 def test_an_accuracy_that_is_not_reached_is_said(model, monkeypatch):
     monkeypatch.setattr(planning, "MAX_REFINEMENTS", 1)
     found = asked(model, accuracy=1e-13, intervals=1, degree=1, costs={"effort": 1.0})
@@ -125,6 +130,7 @@ def test_an_accuracy_that_is_not_reached_is_said(model, monkeypatch):
     assert not found.accurate
 
 
+@pytest.mark.slow
 def test_a_search_that_gets_stuck_is_made_again_with_a_wider_filter(model, monkeypatch):
     growths, solve = [], planning.solve_program
 
@@ -150,6 +156,7 @@ def test_intervals_are_halved():
     assert_allclose(refine_mesh(mesh, np.array([False, True])).ends, [0, 0.5, 0.75, 1])
 
 
+@pytest.mark.slow
 def test_of_several_starts_the_cheapest_plan_counts(model):
     found = asked(model, guess(model), guess(model, 0.3, 0.05), costs={"effort": 1.0})
     words = [stage.words for stage in found.stages]
@@ -161,6 +168,7 @@ def test_of_several_starts_the_cheapest_plan_counts(model):
     assert found.costs["effort"] == pytest.approx(min(each.costs["effort"] for each in single))
 
 
+@pytest.mark.slow
 def test_a_plan_starts_from_itself_and_from_others(model, coarse):
     cold = sum(stage.iterations for stage in coarse.stages)
     again = asked(model, resume=coarse.saved)
@@ -179,6 +187,7 @@ def test_a_plan_starts_from_itself_and_from_others(model, coarse):
     assert other.success
 
 
+@pytest.mark.slow
 def test_limits_on_which_a_plan_rests_are_there_when_it_is_resumed():
     vehicle = three_wheeler(tilt_stop=0.04)
     dae = direct_kinematics(vehicle, Analytic(hills))
@@ -207,6 +216,7 @@ def test_another_model_runs_under_the_inputs_of_a_plan(coarse):
     assert abs(run["y"][-1] - coarse.replay["y"][-1]) < 5e-3
 
 
+@pytest.mark.slow
 def test_a_stopped_refinement_leaves_the_plan_before_it(model, coarse):
     found = asked(
         model,
@@ -219,6 +229,7 @@ def test_a_stopped_refinement_leaves_the_plan_before_it(model, coarse):
     assert found.stages[-1].status == "User_Requested_Stop"
 
 
+@pytest.mark.slow
 def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
     """Half the way later, on a model whose local coordinates begin there."""
     half = coarse.motion.states(np.array([0.5]))[:, 0]
@@ -239,6 +250,7 @@ def test_the_plan_of_another_vehicle_is_refused(coarse):
         asked((dae, settle(dae)), guess((dae, settle(dae))), resume=coarse.saved)
 
 
+@pytest.mark.slow
 def test_a_goal_that_the_simulation_misses_is_told(model, monkeypatch):
     monkeypatch.setattr(planning, "MAX_REFINEMENTS", 1)
     found = asked(model, intervals=2, degree=1, accuracy=1e-9, costs={"effort": 1.0})

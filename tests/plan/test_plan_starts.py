@@ -79,6 +79,7 @@ def planned(model, guess, **options):
     )
 
 
+@pytest.mark.slow
 def test_both_sides_of_a_hill_are_local_optima_and_the_cheaper_one_is_returned(model):
     left, right = led(model, -1), led(model, 1)
     one, other = planned(model, left), planned(model, right)
@@ -92,6 +93,7 @@ def test_both_sides_of_a_hill_are_local_optima_and_the_cheaper_one_is_returned(m
     assert count_distinct(both.optima) == 2
 
 
+@pytest.mark.slow
 def test_the_best_verified_plan_counts(model, monkeypatch):
     """The simulation of the cheapest plan is made to miss it."""
     calls = []
@@ -110,6 +112,7 @@ def test_the_best_verified_plan_counts(model, monkeypatch):
     assert both.solution.cost == both.optima[0].cost
 
 
+@pytest.mark.slow
 def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
     _, dae, start = model
     inputs = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
@@ -133,6 +136,7 @@ def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
     assert values.max() <= 0.55
 
 
+@pytest.mark.slow
 def test_a_plan_from_several_starts_is_reproducible(model):
     guess = led(model, 1)
     first, again = (planned(model, guess, starts=2, seed=4) for _ in range(2))
@@ -151,6 +155,7 @@ def table(words):
     return re.sub(r"; [^;\n]* s of search", "", words)
 
 
+@pytest.mark.slow
 def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
     out = tmp_path / "p.nc"
     words = [word for each in FEW for word in ("--set", each)]
@@ -165,6 +170,7 @@ def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
     assert_array_equal(stored["x"], alone["x"])
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
     monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
 
@@ -178,6 +184,7 @@ def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
     assert found.trajectory["y"][-1] == pytest.approx(2.6, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_starts_that_cannot_be_simulated_are_an_error(monkeypatch):
     monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
 

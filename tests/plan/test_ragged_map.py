@@ -66,6 +66,7 @@ def _clearance(result) -> np.ndarray:
     return distance.elevation(run["contact_x"], run["contact_y"]).min(axis=1)
 
 
+@pytest.mark.slow
 def test_a_plan_leads_around_the_hole(folder: Path) -> None:
     found = _solved(folder, PLAN)
     run, grid = found.trajectory, found.setup.ground.grid

@@ -50,6 +50,7 @@ def missed(run):
     return float(np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]))
 
 
+@pytest.mark.slow
 def test_on_its_own_ground_a_plan_is_reached(window):
     dae, times = window.program.task.dae, []
     tracked = track_plan(window, dae, settle(dae), period=0.8, progress=times.append)
@@ -60,6 +61,7 @@ def test_on_its_own_ground_a_plan_is_reached(window):
     assert (np.diff(tracked.run.t) > 0).all()
 
 
+@pytest.mark.slow
 def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
     world = direct_kinematics(VEHICLE, Bicubic(disturbed(GRID, 0.02, 1.0, 1)))
     start = settle(world, x=0.04, y=-0.03, heading=0.03)

@@ -273,6 +273,7 @@ def vehicle_program():
     return transcribe(everything, CollocationMesh(np.array([0.0, 0.2, 0.5, 1.0]), 2)), start
 
 
+@pytest.mark.slow
 def test_derivatives_are_exact(vehicle_program, rng):
     """Jacobian and Hessian, put together by index, against differences along random directions."""
     program, start = vehicle_program

@@ -54,6 +54,7 @@ def found(case):
     return windows(case)
 
 
+@pytest.mark.slow
 def test_the_goal_is_reached_in_several_accurate_windows(case, found):
     assert found.success
     assert found.accurate
@@ -88,6 +89,7 @@ def test_inputs_are_continuous_at_the_hand_overs(found):
         assert_allclose(before, after, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_windows_cost_little_more_than_one_plan(case, found):
     dae, law, start, route = case
     guess = simulate(dae, start, law(route), np.linspace(0, route.length / SPEED, 61))
@@ -103,6 +105,7 @@ def test_windows_cost_little_more_than_one_plan(case, found):
     assert 0.999 < ratio < 1.1
 
 
+@pytest.mark.slow
 def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
     def progress(words, _iterate):
         return not words.startswith("2 to")
@@ -128,6 +131,7 @@ def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
     assert_allclose(resumed.replay["y"][:shared], kept.replay["y"][:shared], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_window_without_solution_is_named_and_the_others_are_kept(case):
     limits = {"y": (-1.0, 2.2)}
     kept = windows(case, limits=limits)
@@ -163,6 +167,7 @@ def test_lengths_and_speeds_that_do_not_fit_are_refused(case, change, words):
         windows(case, **change)
 
 
+@pytest.mark.slow
 def test_initial_inputs_of_a_plan(case):
     dae, law, start, route = case
     guess = simulate(dae, start, law(route), np.linspace(0, 3, 13))

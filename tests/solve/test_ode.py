@@ -61,6 +61,7 @@ def test_a_limit_ends_the_motion_at_its_crossing():
     assert run["x"][-1] <= 2 + 1e-5
 
 
+@pytest.mark.slow
 def test_a_motion_that_goes_to_infinity_is_told_of():
     dae = model(lambda _t, x, u: x**2 + u)
     with pytest.raises(SolverError, match=r"stopped at t = (0\.99|1)") as caught:

@@ -63,6 +63,7 @@ def test_each_run_equals_a_simulation(dae):
     assert (found["end"] == T[-1]).all()
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_processes_or_order():
     inputs, p = rates(7), {"trail": [0.0, 0.3, 0.0, 0.3, 0.0, 0.0, 0.3]}
     arguments = {"p": p, "quantities": ("x", "z", "clearance"), "options": OPTIONS}
@@ -77,6 +78,7 @@ def test_results_do_not_depend_on_processes_or_order():
     assert np.ptp(alone["z"].values[:, 0]) > 0.29  # the parameter has an effect
 
 
+@pytest.mark.slow
 def test_processes_share_the_arrays_of_the_model():
     axis = np.linspace(-4, 4, 41)
     grid = Grid(axis, axis, 0.05 * np.add.outer(np.sin(axis), np.cos(axis)))

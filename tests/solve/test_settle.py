@@ -17,6 +17,7 @@ def on_hills():
     return direct_kinematics(three_wheeler(), Analytic(hills))
 
 
+@pytest.mark.slow
 def test_poor_starts_settle_to_the_right_root(on_hills, rng):
     """The explicit closure has no root with a wheel under the ground."""
     for _ in range(60):

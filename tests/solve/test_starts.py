@@ -13,6 +13,7 @@ from slipfree.solve.starts import settle_exchanged, settle_nearest
 HILLS = Analytic(hills)
 
 
+@pytest.mark.slow
 def test_start_from_one_contact(rng):
     for terrain in (HILLS, case1()[0]):
         dae = closure_model(three_wheeler(), terrain)
@@ -66,6 +67,7 @@ def test_nearest_pose_changes_least(rng):
     assert kept.statistics["change"] > change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vehicle", [three_wheeler(), open_source_rover()], ids=lambda v: v.name)
 @pytest.mark.parametrize("terrain", [HILLS, case1()[0]], ids=["hills", "map"])
 @pytest.mark.parametrize(("state", "unknown"), [("heading", "pitch"), ("x", "z")])
