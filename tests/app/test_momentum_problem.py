@@ -4,6 +4,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from slipfree import Outcome, catalog, load_problem, run_problem
 from slipfree.problem.verbs.plan import PlanVerb, with_offer
