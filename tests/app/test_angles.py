@@ -148,6 +148,7 @@ def test_a_plan_and_commands_in_degrees(tmp_path: Path) -> None:
     build(load_problem(path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "setting", "words"),
     [

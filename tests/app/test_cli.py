@@ -77,6 +77,7 @@ def test_run_writes_the_result_and_draws(folder: Path) -> None:
     assert list((folder / "p_figures").iterdir())
 
 
+@pytest.mark.slow
 def test_run_with_all_options(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(  # drawn above; here it is their place that matters
         "matplotlib.figure.Figure.savefig", lambda _, file, **__: Path(file).touch()

@@ -125,6 +125,7 @@ def test_run_tells_and_keeps_what_matters():
     assert _invoke("info", "r.nc", "--problem").output == RAMP_FILE.read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_what_does_not_climb_is_told():
     settings = [word for each in (*SLIPPERY, *COARSE) for word in ("--set", each)]
@@ -299,6 +300,7 @@ def test_the_least_friction_takes_no_coefficient():
 # What is refused
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

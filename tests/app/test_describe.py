@@ -48,6 +48,7 @@ def test_a_urdf_by_itself_is_drawn_with_its_guesses():
     assert any(words.startswith("guessed free: other wheels") for words in notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("build", "position", "rates", "weakest"),
     [

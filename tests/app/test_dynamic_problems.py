@@ -85,6 +85,7 @@ def test_skid_steering_depends_on_the_model_and_with_inertia_on_the_speed(tmp_pa
     assert 3 < fast / slow < 6
 
 
+@pytest.mark.slow
 def test_a_motor_spins_its_wheel_on_ice(tmp_path):
     file = tmp_path / "r.nc"
     done = invoke("run", PROBLEMS / "dynamics_ice.toml", "-o", file, "--no-draw")
@@ -126,6 +127,7 @@ def test_a_sampled_driver_ends_near_the_continuous_one(tmp_path):
     assert 1e-7 < np.linalg.norm(ends[0] - ends[1]) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_sampled_driver_stops_at_a_limit(tmp_path):
     file = tmp_path / "r.nc"
     settings = ("driver.period=0.005", "terrain.synthetic.x=[-3.0, 0.7]", "time.step=0.02")

@@ -177,6 +177,7 @@ def test_headings_of_a_path_are_in_the_frame_of_the_problem() -> None:
     assert _invoke("check", "path.toml", *words).exit_code == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_a_tilt_stop_ends_the_motion() -> None:
     for file, words in (("p.toml", []), ("path.toml", _set("time.duration=3", LOOSE))):
@@ -187,6 +188,7 @@ def test_a_tilt_stop_ends_the_motion() -> None:
         assert netcdf.read(file.replace("toml", "nc")).stop is not None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_steering_by_rate_warns_where_it_is_unstable() -> None:
     settings = _set("steering=rate", "time.duration=0.03", "time.step=0.01")
@@ -398,6 +400,7 @@ def test_interrupted_on_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (result.exit_code, result.stderr) == (130, "interrupted\n")
 
 
+@pytest.mark.slow
 def test_the_shipped_problems_run() -> None:
     given = run_problem(load_problem(PROBLEMS / "paper_inverse.toml", ["time.step=0.5"])).trajectory
     assert given.stop is not None

@@ -112,6 +112,7 @@ def span(motion: Trajectory, name: str, wheel: str) -> np.ndarray:
     return np.stack([motion[f"{name}_{axis}", wheel] for axis in "xyz"], axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camber", [0.0, 0.3])
 @pytest.mark.parametrize("slope", [0.0, 0.2])
 def test_it_rolls_as_the_closed_form_says(

@@ -107,6 +107,7 @@ def _called(*words: str, code: int = 0) -> str:
     return str(done.output)
 
 
+@pytest.mark.slow
 def test_commands_take_a_new_verb() -> None:
     found = _called("run", "p.toml")
     assert "load on wheel front" in found
@@ -155,6 +156,7 @@ class InProcess:
         """Have nothing to end."""
 
 
+@pytest.mark.slow
 def test_it_is_swept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slipfree.sweep.pools.ProcessPool", InProcess)
     found = _called("sweep", "p.toml", "--vary", "vehicle.mass=20:40:3", "--no-draw")

@@ -328,6 +328,7 @@ def test_slope_differs_from_the_pitch_by_reach_times_curvature(ax):
     assert reach.max() * curvature < 0.007
 
 
+@pytest.mark.slow
 def test_slip_has_a_panel_per_direction_above_rounding(run, grid):
     assert "slip" not in [plot.name for plot in motion_figures.motion_plots(run, grid)]
     slipping = changed(run, "slip_across", np.outer(np.sin(run.t), [1e-3, 2e-3, 3e-3]))
@@ -390,6 +391,7 @@ def test_filled_holes_are_hatched_on_the_map(run, grid):
     assert high == pytest.approx([grid.x[33], grid.y[28]], abs=0.02)
 
 
+@pytest.mark.slow
 def test_every_figure_says_why_the_motion_stopped(stopped, grid):
     assert stopped.stop is not None
     for figure in figures(with_mass(stopped), grid).values():
@@ -461,6 +463,7 @@ def test_vehicles_without_mass_have_no_figures_of_loads(run, grid):
     assert loads(run, grid) == {}
 
 
+@pytest.mark.slow
 def test_loads_are_drawn_for_vehicles_with_mass(loaded, grid):
     settings = dict(mpl.rcParams)
     drawings = figures(loaded, grid)
@@ -642,11 +645,13 @@ def test_a_quantity_that_is_missing_from_loads_is_named(loaded, grid):
         loads(replace(loaded, columns=columns), grid)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1])
 def test_loads_of_very_short_motions_are_drawn(loaded, grid, count):
     for figure in loads(loaded.part(slice(count)), grid).values():
         drawn(figure)
 
 
+@pytest.mark.slow
 def test_loads_on_flat_ground_are_drawn(loaded, grid):
     drawn(loads(loaded, replace(grid, z=0 * grid.z))["utilisation_map"])

@@ -97,7 +97,7 @@ def test_missing_heights_are_hatched_in_the_part_that_is_drawn(grid, ax):
     ragged = sf.Grid(grid.x, grid.y, grid.z, holes=holes)
     found = traversability(sf.Bicubic(ragged, mu=0.5), sf.catalog.three_wheeler(axle="fixed"))
     plan_figures.cost_map(found, ragged, ax, (15.0, 25.0, 15.0, 25.0))
-    assert {"no heights", "too close to a hole of the map"} <= {*labels(ax)}
+    assert {"no heights", "too close to a hole in the map"} <= {*labels(ax)}
     away = Figure().subplots()
     plan_figures.cost_map(found, ragged, away, (25.0, 30.0, 25.0, 30.0))
     assert "no heights" not in labels(away)
@@ -201,6 +201,7 @@ def test_figures_of_a_plan_are_complete_and_fit(run, grid, layers):
             assert box.y1 <= height + 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "limits"), [(0, LIMITS), (9, {})])
 def test_labels_of_the_panels_do_not_meet(run, grid, layers, count, limits):
     columns = {f"steer_rear_right_{k}_rate": run.columns["steer_rate"] for k in range(count)}

@@ -265,6 +265,7 @@ def test_empty_tables_and_notes_leave_nothing_behind() -> None:
     assert '<th scope="row" class="below">y</th><td>&lt;2&gt;</td>' in text
 
 
+@pytest.mark.slow
 def test_figures_of_a_long_motion_show_fewer_samples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,6 +75,7 @@ def run(file: str, *words: str, code: int = 0) -> str:
     return result.stdout
 
 
+@pytest.mark.slow
 def test_a_summary_has_wheels_in_the_air_and_rocks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

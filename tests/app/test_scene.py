@@ -411,6 +411,7 @@ def test_a_solved_plan_is_where_its_simulation_is(tmp_path: Path) -> None:
         assert np.linalg.norm(actor.contacts - wheels, axis=-1).max() < 0.31
 
 
+@pytest.mark.slow
 def test_a_climb_is_drawn_with_a_width(climb_file: Path) -> None:
     found = shown(climb_file, "step")
     scene = climb_scene([found])

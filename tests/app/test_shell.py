@@ -156,6 +156,7 @@ def test_quiet_prints_errors_alone() -> None:
     assert _invoke("check", "p.toml").stdout.endswith("ok\n")  # it is not remembered
 
 
+@pytest.mark.slow
 def test_verbose_says_what_is_done_and_when() -> None:
     plain = _invoke("run", "p.toml", "--no-draw")
     result = _invoke("run", "p.toml", "--no-draw", "-v")
@@ -250,6 +251,7 @@ def test_interruption_in_json(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _json("check", "p.toml", code=130)["errors"] == ["interrupted"]
 
 
+@pytest.mark.slow
 def test_check_vehicle_info_and_export_in_json() -> None:
     found = _json("check", "p.toml")
     assert found["start"]["z"]["unit"] == "m"

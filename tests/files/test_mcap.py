@@ -161,6 +161,7 @@ def test_messages_and_their_definitions_are_those_of_ros(drive: tuple[Path, Traj
             assert bare.hash_rihs01(kind) == STORE.hash_rihs01(kind)
 
 
+@pytest.mark.slow
 def test_a_vehicle_without_joints(tmp_path: Path) -> None:
     _ground(tmp_path)
     text = DRIVE.replace("rocky7", "rigid_skid_steer")

@@ -157,6 +157,7 @@ def test_a_urdf_named_in_a_vehicle_file_that_is_none(kind: str) -> None:
     assert KINDS[kind] in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["loop", "long"])
 def test_an_output_whose_name_cannot_be_used(folder: Path, kind: str) -> None:
     run = CliRunner().invoke(app, ["run", "p.toml", "-o", "x.nc", "--no-draw"])

@@ -266,6 +266,7 @@ def test_a_file_changed_by_others(motion: Trajectory, tmp_path: Path) -> None:
             netcdf.read(path)
 
 
+@pytest.mark.slow
 def test_any_damaged_byte_of_the_header_gives_no_other_error(
     motion: Trajectory, tmp_path: Path
 ) -> None:

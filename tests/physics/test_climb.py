@@ -129,6 +129,7 @@ def test_the_straight_way_needs_more_friction_than_there_is():
     assert 1.05 < best < weighted < best + 0.01
 
 
+@pytest.mark.slow
 def test_the_straight_way_ends_where_friction_does_not_hold():
     dae = model(quasi_statics)
     start = settle(dae, **START)
@@ -181,6 +182,7 @@ def test_the_simulation_of_the_plan_keeps_within_friction_and_reaches_the_goal()
     assert np.abs(run["steer"]).max() < STEER + 0.01
 
 
+@pytest.mark.slow
 def test_friction_holds_the_vehicle_at_every_node_of_the_plan():
     """Standing there under Coulomb friction, it creeps by ``eps U / sqrt(1 - U^2)``."""
     run, dae = climbed().run, model(quasi_statics)

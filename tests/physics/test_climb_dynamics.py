@@ -94,6 +94,7 @@ def test_standing_is_equilibrium_with_the_joint_anywhere():
         assert_allclose(run["center_y", "front"], 0.3, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_energy_balances():
     rough, fine = climb(RAMP, EXACT, TABLE_I), climb(RAMP, EXACT, TABLE_I, tolerance=1e-8)
     assert rough.imbalance < 2e-4

@@ -76,6 +76,7 @@ def test_speed_saves_friction(name):
     assert_allclose(creeping, most[2], atol=2e-3)
 
 
+@pytest.mark.slow
 def test_meshes_converge():
     coarse, fine = (
         planned("90 mm", leg, "friction", s=n)[1].statistics["mu"] for leg, n in ((2, 60), (2, 240))
@@ -99,6 +100,7 @@ def nodes_of_the_study(name, leg, height, climber):
     return low + (high - low) * np.linspace(0, 1, 60) ** 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("leg", "seconds"), [(0, 0.63), (1, 0.73), (2, 0.89)])
 def test_least_time(leg, seconds):
     light = replace(
@@ -145,6 +147,7 @@ def lagrange(climber):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [0.0, 0.06])
 @pytest.mark.parametrize("leg", [0, 1, 2])
 def test_equations_of_motion(leg, joint):

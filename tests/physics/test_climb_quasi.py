@@ -243,6 +243,7 @@ def test_friction_that_a_climb_needs(name, joint, expected, within):
     assert found.mu == max(demand.mu for demand in found.demands)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "demands"),
     [

@@ -170,6 +170,7 @@ def test_a_braking_car_pitches_as_its_springs_yield():
     assert run["pitch"][-1] == pytest.approx(-transfer / (spring * 0.7), rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [20, 35])
 def test_a_car_with_locked_wheels_creeps_or_slides_down_a_slope(degrees):
     law, tangent = Compliant(creep=1e-3), np.tan(np.deg2rad(degrees))
@@ -186,6 +187,7 @@ def test_a_car_with_locked_wheels_creeps_or_slides_down_a_slope(degrees):
         assert (along[2] - along[1]) / 2 == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
     rotors, t = (0.08, 0.04), np.linspace(0, 5, 6)
     motor = Motor(stall=1e6, no_load=1e6, kp=1e4)
@@ -293,6 +295,7 @@ def test_torque_on_a_wheel_accelerates_a_car():
     assert slope_of_speed == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_energy_ledger_contains_rotors_and_springs():
     motor = Motor(stall=8.0, no_load=40.0, kp=5.0, ki=20.0, rotor_inertia=0.05)
     vehicle = four_wheels(spring=4000.0, drive=motor)

@@ -101,6 +101,7 @@ def test_the_difference_from_quasi_statics_is_of_second_order_in_the_speed():
     assert fast / slow == pytest.approx(4, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_fast_turn_of_a_skid_steer_slips_less_than_a_slow_one():
     """Yaw rates of the lab: 0.638216 rad/s with inertia, 0.629508 rad/s without, at 0.8 m/s."""
     vehicle = catalog.skid_steer()

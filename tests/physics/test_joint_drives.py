@@ -86,6 +86,7 @@ def test_a_motor_stalls_and_reaches_its_rate():
     assert imbalance(run) < 100 * 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", [Torque(), replace(MOTOR, stall=20.0)])
 def test_the_energy_balance_contains_drives_springs_and_dampers_of_joints(drive):
     loads = {"stiffness": 20.0, "rest": 0.2, "damping": 0.4, "upper": 0.1, "bump": 400.0}
@@ -98,6 +99,7 @@ def test_the_energy_balance_contains_drives_springs_and_dampers_of_joints(drive)
         assert imbalance(run) < 100 * tolerance
 
 
+@pytest.mark.slow
 def test_a_prescribed_rate_equals_a_stiff_motor():
     """Of an arm with an eccentric mass, which a car swings to and fro."""
     stiff, t = Motor(stall=1e6, no_load=1e6, kp=1e5), np.linspace(0, 2, 41)
@@ -114,6 +116,7 @@ def test_a_prescribed_rate_equals_a_stiff_motor():
         assert np.abs(prescribed[name] - motor[name])[1:].max() < bound, name
 
 
+@pytest.mark.slow
 def test_quasi_statics_uses_the_rate_and_its_actuator_bears_spring_and_damper():
     """The torque at a rate is that of the rigid arm, less spring and damper."""
     ground, t = Analytic(lambda x, y: 0.02 * x * y, mu=0.8), np.linspace(0, 1, 3)

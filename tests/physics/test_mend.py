@@ -292,6 +292,7 @@ def test_filled_nodes_are_remembered_whatever_is_changed(tmp_path: Path) -> None
         Grid(grid.x, grid.y, grid.z, grid.filled.T[1:])
 
 
+@pytest.mark.slow
 def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> None:
     """On a plane the left wheel crosses 1.25 m of cells that touch a hole; the others do not."""
     x, y = 0.25 * np.arange(-20, 21), 0.25 * np.arange(-20, 41)

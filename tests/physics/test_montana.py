@@ -173,6 +173,7 @@ def minute(kappa=10.0, tolerance=1e-8, suppress=True):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tolerance", "allowed"), [(1e-8, 1e-6), (1e-10, 1e-8)], ids=str)
 def test_drift_of_a_minute(tolerance, allowed):
     run = minute(tolerance=tolerance)
@@ -189,6 +190,7 @@ def test_steps_hardly_depend_on_kappa(kappa):
     assert abs(minute(kappa=kappa).statistics["steps"] / usual - 1) < 0.25
 
 
+@pytest.mark.slow
 def test_the_error_test_must_leave_out_the_rates():
     """They carry the drift times kappa, which is noise to it."""
     wasteful = minute(suppress=False)
@@ -352,6 +354,7 @@ def test_straight_over_a_cylindrical_hill():
             assert_allclose(travelled - travelled[0], 0.3 * (turned - turned[0]), atol=2e-7)
 
 
+@pytest.mark.slow
 def test_the_disc_is_the_limit_of_thin_tori():
     def end(r1):
         vehicle = three_wheeler(r1=r1, r2=0.3 - r1)

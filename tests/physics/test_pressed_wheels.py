@@ -201,6 +201,7 @@ def test_rates_of_commands_round_trip():
     assert max(round_trip(direct, run, names).values()) < 1e-9
 
 
+@pytest.mark.slow
 def test_six_wheels_and_no_mass():
     robot = catalog.rigid_skid_steer(axles=3, mass=0.0, wheel_mass=0.0)
     assert robot.mass == 0

@@ -496,6 +496,7 @@ def test_seven_wheels_go_anywhere_on_level_ground(rng):
     assert rest["force_normal"].sum() == pytest.approx(21.6 * 9.81, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_seven_wheels_on_ground_that_varies_ahead_alone_are_as_in_the_plane():
     """All wheels of an axle find one height: springs between pairs hardly move, nothing rolls."""
     ground = Analytic(lambda _, y: 0.02 * ca.sin(3 * y), mu=0.9)

@@ -41,6 +41,7 @@ def test_extreme_scales_are_not_singular(scale):
         assert_allclose(found[name] / scale, expected[name], rtol=0, atol=TOLERANCE, err_msg=name)
 
 
+@pytest.mark.slow
 def test_tolerance_of_lengths_counts_in_sizes_of_the_vehicle():
     """As many steps at every scale: the error test sees the same numbers."""
     steps = [CASES["direct, map"](scale).statistics["steps"] for scale in (1e-3, 1e3)]

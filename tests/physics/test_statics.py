@@ -261,6 +261,7 @@ def massless(vehicle):
 # Closed forms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [5, 10, 20])
 def test_friction_needed_straight_up_and_down(degrees):
     steep = np.tan(np.radians(degrees))
@@ -287,6 +288,7 @@ def test_friction_needed_across(degrees, side):
         assert_allclose(run[name][0] / WEIGHT, expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [-20, 10, 20, 30])
 def test_tilted_wheels_push(degrees):
     """The forces on a free tilt pass through its axis; the front wheel bears what both push.
@@ -685,6 +687,7 @@ def lost(run):
     return make_interp_spline(run.t, run["dissipation"], k=5).antiderivative()(run.t)
 
 
+@pytest.mark.slow
 def test_work_of_the_drives_is_the_energy_gained():
     run = long_climb()
     assert run.stop is None
@@ -722,6 +725,7 @@ def test_work_is_the_energy_gained_and_lost(axle):
     assert np.abs(wrong).max() < 1e-6 * np.abs(lost(run)).max()
 
 
+@pytest.mark.slow
 def test_dissipation_is_what_slip_and_dampers_take():
     run = climb(axle="fixed")
     rubbed = sum(
@@ -934,6 +938,7 @@ def test_forces_scale_with_the_masses(axle):
 # Locks and actuators
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [("tilt_right",), ("tilt_left", "tilt_right")], ids=str)
 def test_a_lock_bears_the_moment_about_its_axis(names):
     vehicle = actuated(three_wheeler(**MASS), *names)
@@ -975,6 +980,7 @@ def test_a_lock_takes_out_springs():
 # Other models
 
 
+@pytest.mark.slow
 def test_montanas_form_bears_the_same():
     vehicle, t = three_wheeler(stiffness=20.0), np.linspace(0, 3, 7)
     closure, other = closure_model(vehicle, HILLS), montana_kinematics(vehicle, HILLS)

@@ -211,6 +211,7 @@ def test_straight_ahead_three_rates_are_one_too_many_but_fit():
         settle(inverse_kinematics(vehicle, FLAT, given=("forward", "right", "yaw_rate")))
 
 
+@pytest.mark.slow
 def test_what_wheels_hardly_reach_ends_at_the_start():
     with pytest.raises(
         ModelError, match="found a violation: platform rate 'right' cannot be imposed"
@@ -218,6 +219,7 @@ def test_what_wheels_hardly_reach_ends_at_the_start():
         poised(CATALOG["skid_steer"], HILLS, {"forward": 0.2, "right": 0.1}, x=0.3, heading=0.7)
 
 
+@pytest.mark.slow
 def test_steering_that_is_off_costs_slip_and_decays_while_the_motion_is_exact():
     given, vehicle = {"forward": 0.1, "yaw_rate": 0.06}, CATALOG["ackermann"]
     dae, t = inverse_kinematics(vehicle, FLAT, given=tuple(given)), np.linspace(0, 4, 81)

@@ -109,6 +109,7 @@ def test_small_creep_leads_to_rolling(axle):
     assert max(steps) < 250
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ground", [flat, hills])
 def test_large_friction_leads_to_the_linear_law(ground):
     """mu to infinity at fixed eps/mu: second order; on flat ground least slip, weighted by load."""
@@ -206,6 +207,7 @@ def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
     assert runs[0].stop.t == pytest.approx(runs[1].stop.t, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_friction_that_a_formula_makes_zero_is_a_stop_by_name():
     ground = Analytic(lambda x, y: 0 * x + 0 * y, mu=lambda _, y: 0.5 - 0.3 * y)
     rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}

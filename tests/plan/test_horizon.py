@@ -79,6 +79,7 @@ def test_the_end_of_a_plan_is_its_end_whatever_was_summed_up(found):
     assert_array_equal(lower[-len(GOAL) :], upper[-len(GOAL) :])
 
 
+@pytest.mark.slow
 def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
     first, count = first_cycle(window), found.motion.layout.duration
@@ -195,6 +196,7 @@ def test_what_depends_on_time_is_refused(found):
         horizon(replace(found, program=late), span=4.0)
 
 
+@pytest.mark.slow
 def test_states_that_are_none_and_steps_that_fail_are_told(found):
     window = horizon(found, span=4.0, intervals=6)
     first, start = first_cycle(window), found.program.task.start

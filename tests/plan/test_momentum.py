@@ -69,6 +69,7 @@ def test_states_and_accelerations_at_rest_are_those_of_compliant_dynamics():
     np.testing.assert_allclose(here["force_normal"], there["force_normal"], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_acceleration_on_level_ground():
     """Torques T on all wheels: (m + 4 I / R^2) a = 4 T / R."""
     vehicle = car()

@@ -192,6 +192,7 @@ def test_prices_are_told_in_units_and_shares(model):
     assert prices_words(()) == "no limit increases the cost noticeably"
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_not_solved_has_no_prices(model):
     dae, start, guess = model
     found = plan(

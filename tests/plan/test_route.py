@@ -572,6 +572,7 @@ def test_gradient_of_the_effort(rng):
         assert_allclose(gradient[k, axis], (values[0] - values[1]) / 2e-7, rtol=1e-4, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_large_map_is_coarsened():
     axis = np.arange(2000) * 0.25
     grid = Grid(axis, axis, 0.1 * np.sin(0.1 * axis)[:, None] * np.cos(0.07 * axis))

@@ -510,6 +510,7 @@ def test_kinks_of_inputs_take_no_new_start_and_jumps_do(monkeypatch):
     assert [(each[0], each[-1]) for each in made[1:]] == [(t[0], t[11]), (t[11], t[-1])]
 
 
+@pytest.mark.slow
 def test_new_starts_after_failures_pass_kinks(monkeypatch):
     """The integrator fails at every second sample: more often than one interval allows."""
     dae, solve = follows_input(), module._call_integrator
