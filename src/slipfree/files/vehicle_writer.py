@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from math import isfinite
 from typing import Any
+
+import tomlkit
 
 from slipfree.errors import ModelError
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
@@ -38,35 +39,17 @@ def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
             f"{vehicle.name!r}: expected a vehicle that moves in space, found one locked to a "
             "plane, which vehicle files do not describe; write the vehicle before 'planar'"
         )
-    lines = [*(f"# {line}" for line in comments), *_keys({"name": vehicle.name, "frame": "paper"})]
-    lines += _keys(_body(vehicle.body))
-    for name, tables in (
-        ("coordinates", map(_coordinate, vehicle.coordinates)),
-        ("joints", map(_joint, vehicle.joints)),
-        ("wheels", map(_wheel, vehicle.wheels)),
-    ):
-        for table in tables:
-            lines += ["", f"[[{name}]]", *_keys(table)]
-    return "\n".join([*lines, ""])
-
-
-def _keys(table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of the keys of a table."""
-    for key, value in table.items():
-        yield f"{key} = {_value(value)}"
-
-
-def _value(value: Any) -> str:
-    """Return a value in TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(map(_value, value))}]"
-    if isinstance(value, Mapping):
-        return f"{{ {', '.join(_keys(value))} }}"
-    return repr(float(value))
+    document = tomlkit.document()
+    for line in comments:
+        document.add(tomlkit.comment(line))
+    document.update({"name": vehicle.name, "frame": "paper", **_body(vehicle.body)})
+    tables = {
+        "coordinates": [_coordinate(each) for each in vehicle.coordinates],
+        "joints": [_joint(each) for each in vehicle.joints],
+        "wheels": [_wheel(each) for each in vehicle.wheels],
+    }
+    document.update({name: each for name, each in tables.items() if each})
+    return tomlkit.dumps(document)
 
 
 def _body(body: Body) -> dict[str, Any]:

@@ -32,9 +32,7 @@ Loss = Literal["soft_l1", "linear"]
 REWEIGHTINGS = 4  # estimates, each with the deviations of the residuals of the one before
 NORMAL_MEDIAN = 0.6745  # median of the absolute value of a standard normal variable
 LEAST_POSITION, LEAST_HEADING = 1e-6, 1e-6  # smallest deviations of residuals [m], [rad]
-SINGULAR = (
-    1e-12  # smaller eigenvalues of the scaled Hessian, relative to the largest, count as zero
-)
+SINGULAR = 1e-12  # smaller eigenvalues of the Hessian, over the largest, count as zero
 LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is undetermined
 WEAK = 0.1  # deviation of a direction, relative to its scale, from which it is weakly determined
 CONFIDENCE = 0.95
