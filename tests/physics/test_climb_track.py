@@ -112,7 +112,7 @@ def test_what_leads_down_is_refused():
 def test_unusable_trackings_are_refused():
     track = tracked_plan(plans())
     for name in ("proportional", "spare", "lead"):
-        with pytest.raises(ModelError, match=f"tracking: .* number as '{name}', found 0"):
+        with pytest.raises(ModelError, match=f"tracking: .* number for '{name}', found 0"):
             Tracking(track, **{name: 0.0})
     with pytest.raises(ModelError, match=r"between 0 and 0\.0005 s = 2 J / \(n kp\)"):
         climbing(CLIMBER, STEP, Tracking(track), period=1e-3)

@@ -123,7 +123,7 @@ class Tracking:
         for name in ("proportional", "spare", "lead"):
             if not getattr(self, name) > 0:
                 raise ModelError(
-                    f"tracking: expected a positive number as {name!r}, found "
+                    f"tracking: expected a positive number for {name!r}, found "
                     f"{getattr(self, name)}; increase it"
                 )
 

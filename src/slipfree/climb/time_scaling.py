@@ -159,7 +159,7 @@ def climb(
     """
     if cost not in COSTS:
         raise ModelError(
-            f"climb: expected one of {', '.join(COSTS)} as 'cost', found {cost!r}; choose one of "
+            f"climb: expected one of {', '.join(COSTS)} for 'cost', found {cost!r}; choose one of "
             "these names"
         )
     if (mu is None) != (cost == "friction"):
@@ -170,10 +170,10 @@ def climb(
         )
     if not speed > 0:
         raise ModelError(
-            f"climb: expected a positive number as 'speed', found {speed} m/s; increase it"
+            f"climb: expected a positive number for 'speed', found {speed} m/s; increase it"
         )
     if mu is not None and not mu > 0:
-        raise ModelError(f"climb: expected a positive number as 'mu', found {mu}; increase it")
+        raise ModelError(f"climb: expected a positive number for 'mu', found {mu}; increase it")
     ends = _mesh(leg, s, halt=halt) if isinstance(s, int) else np.asarray(s, dtype=float)
     if ends.ndim != 1 or ends.size < 3 or (np.diff(ends) <= 0).any():
         raise ModelError(

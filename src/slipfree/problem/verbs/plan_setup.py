@@ -400,7 +400,7 @@ class PlanSource(NamedTuple):
 
 
 def source_of(problem: Problem[Plan]) -> PlanSource:
-    """Return the source of a problem, with a new number of the run."""
+    """Return the source of a problem, with a new run number."""
     source = problem.source
     settings = tuple(dict.fromkeys(source.settings.values()))
     return PlanSource(source.path, source.text, settings, next(RUNS))
