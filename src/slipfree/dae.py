@@ -55,11 +55,10 @@ class Limit(NamedTuple):
     lower: float
     upper: float
     describe: Callable[[Array, Array], str] | None = None
+    outcome: Outcome = Outcome.LIMIT
 
     def __repr__(self) -> str:
         return field_overview(self)
-
-    outcome: Outcome = Outcome.LIMIT
 
 
 @dataclass(frozen=True, eq=False)
