@@ -224,8 +224,8 @@ def test_at_the_entry_of_a_step(method, monkeypatch):
 @pytest.mark.parametrize(
     ("where", "name"),
     [
-        (simulate._StepObserver, "has_eval_buffer"),
-        (simulate._StepObserver, "get_sparsity_in"),
+        (simulate._Relay, "has_eval_buffer"),
+        (simulate._Relay, "get_sparsity_in"),
         (simulate, "with_inputs"),
         (simulate, "to_trajectory"),
     ],
