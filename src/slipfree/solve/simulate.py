@@ -40,6 +40,7 @@ LIMIT_TOLERANCE = 1e-6  # tolerated violation of a limit [unit or scale of the l
 MAX_STEPS = 10_000  # maximum number of steps of the integrator between two samples
 NEWTON_SHARE = 0.01  # fraction of a step's allowed error at which CVODES ends Newton's method
 MAX_RESTARTS = 20  # maximum number of restarts after failures, per interval of the inputs
+PACE_TIMES = 33  # times in a motion whose inputs bound its pace
 MAX_COVERED = 2.0  # a step that covers more causes a repetition [allowed distances]
 ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
 MAX_IDLE = 64  # integrators kept for later calls; inputs that jump use one for each interval
@@ -301,10 +302,10 @@ def _call_integrator(
     IDAS may fail to compute a consistent start if the given start already is consistent to rounding
     accuracy. Newton's method then computes the start, and IDAS skips its own computation.
 
-    Steps are bounded by the pace at the start under all inputs. If the motion becomes faster and a
+    Steps are bounded by the pace that the start has under later inputs. If the motion becomes faster and a
     step covers too large a distance, the call is repeated with the largest pace.
     """
-    system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, u)
+    system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, t, u)
     x_size, m_size = (size[:, None] for size in _motion_scales(system))
     columns = np.column_stack([u[:, :1], u])  # that of an interval at the time that it ends
     while True:
@@ -334,13 +335,14 @@ def _call_integrator(
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
 
 
-def _pace_at_start(system: System, at: Samples, u: Array) -> float:
-    """Return the largest pace of a sample under the inputs of all intervals [1/s]."""
+def _pace_at_start(system: System, at: Samples, t: Array, u: Array) -> float:
+    """Return the largest pace of a sample under the inputs of several times [1/s]."""
     if system.dae.pace.is_zero():
         return 0.0
-    inputs = np.unique(u, axis=1)
+    times = np.linspace(t[0], t[-1], PACE_TIMES)
+    inputs = u[:, np.searchsorted(t[1:-1], times, side="right")]
     m = at.z[: system.motion_size, 0]
-    return float(np.array(system.watch(at.t[0], at.x[:, 0], m, inputs)[2]).max())
+    return float(np.array(system.watch(times[None], at.x[:, 0], m, inputs)[2]).max())
 
 
 def _run(
