@@ -16,7 +16,7 @@ from slipfree.errors import ModelError
 from slipfree.records import Label
 from slipfree.show import climb_figures as show
 from slipfree.show import plots
-from slipfree.show.climb_scene import Climbed, climb_scene
+from slipfree.show.climb_scene import climb_scene, in_space
 from slipfree.show.film import animate
 from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.climber import AXLES
@@ -150,7 +150,7 @@ def test_figures_are_written(case, tmp_path):
 def test_the_film_moves(case, tmp_path):
     climber, profile, run = case
     short = run.part(slice(int(np.searchsorted(run.t, run.t[0] + 0.6))))
-    scene = climb_scene([Climbed("step", short, climber, profile)])
+    scene = climb_scene([in_space("step", short, climber, profile)])
     animate(scene, tmp_path / "a.gif", "a step")
     with Image.open(tmp_path / "a.gif") as film:
         assert film.info["duration"] == 50  # in real time

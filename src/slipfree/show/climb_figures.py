@@ -6,7 +6,7 @@ axes; the caller adds the legend. ``climb_plots`` composes the figures.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -21,7 +21,7 @@ from slipfree.records import Array
 from slipfree.show import style
 from slipfree.show.plots import Panel, Plot, stack
 from slipfree.show.style import MM, PAGE, PLATFORM
-from slipfree.terrain.solids import Profile
+from slipfree.terrain.solids import Profile, Solid
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.climber import AXLES, Climber
 
@@ -33,17 +33,17 @@ ROOM, BELOW = 0.04, 0.03  # margins around and below the motions [m]
 HIGHEST = 100.0  # larger ratios are cut off [%]
 
 
-def ground(profile: Profile, ax: Axes) -> Axes:
+def ground(solids: Iterable[Solid], ax: Axes) -> Axes:
     """Draw the solids of a ground, filled.
 
     Parameters
     ----------
-    profile : Profile
+    solids : iterable of Solid
         The ground.
     ax : Axes
         The axes; their aspect becomes equal.
     """
-    for solid in profile.solids:
+    for solid in solids:
         ax.add_patch(Polygon(solid.points, fc=GROUND, ec=GROUND, lw=0.3, zorder=0))
     ax.set_aspect("equal")
     ax.set(xlabel="forward $x$ [m]", ylabel="height $z$ [m]")
@@ -69,7 +69,7 @@ def strobe(
     every : float
         Time between two dots. [s]
     """
-    ground(profile, ax)
+    ground(profile.solids, ax)
     for axle in AXLES:
         ax.plot(run["center_y", axle], run["center_z", axle], color="0.5", lw=0.6, zorder=2)
     duration = float(run.t[-1] - run.t[0])
@@ -80,7 +80,8 @@ def strobe(
             _pose(run, climber, int(k), ax, color)
         dots = {"mfc": "white", "mec": color, "mew": 0.8, "ms": 2.6, "ls": "none", "zorder": 4}
         ax.plot(run["center_y"][k], run["center_z"][k], "o", **dots)
-    return frame_motions([run], climber, ax)
+    above = max(climber.rear_body.above, climber.front_body.above)
+    return frame_motions([run], climber.radius, ax, above)
 
 
 def _pose(run: Trajectory, climber: Climber, k: int, ax: Axes, color: Any) -> None:
@@ -107,14 +108,17 @@ def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
     return np.stack([ends[0], joint, ends[1]], axis=1), np.stack(centers, axis=1)
 
 
-def frame_motions(runs: Sequence[Trajectory], climber: Climber, ax: Axes) -> Axes:
-    """Set the limits of axes to contain all motions, with a margin of ground below them."""
-    reach = climber.radius + ROOM
+def frame_motions(runs: Sequence[Trajectory], radius: float, ax: Axes, above: float = 0.0) -> Axes:
+    """Set the limits of axes to contain wheels of all motions, with a margin of ground below them.
+
+    The height of the margin above them includes ``above`` [m].
+    """
+    reach = radius + ROOM
     x, z = (
         np.concatenate([run[name].ravel() for run in runs]) for name in ("center_y", "center_z")
     )
-    top = z.max() + reach + max(climber.rear_body.above, climber.front_body.above)
-    ax.set(xlim=(x.min() - reach, x.max() + reach), ylim=(z.min() - climber.radius - BELOW, top))
+    top = z.max() + reach + above
+    ax.set(xlim=(x.min() - reach, x.max() + reach), ylim=(z.min() - radius - BELOW, top))
     return ax
 
 

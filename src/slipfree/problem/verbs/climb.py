@@ -60,7 +60,7 @@ from slipfree.vehicle.tree import GRAVITY
 
 if TYPE_CHECKING:
     from slipfree.plan.warm_start import SavedPlan
-    from slipfree.show.climb_scene import Climbed
+    from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
 
 SLACK = 1e-5  # largest distance of wheels from their equilibrium on the floor [m]
@@ -224,7 +224,7 @@ class ClimbVerb(MotionVerb):
 
         return Viewer("climbs", climb_scene)
 
-    def shown(self, result: Result, name: str) -> Climbed:
+    def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, as input of the viewer.
 
         Raises
@@ -232,11 +232,11 @@ class ClimbVerb(MotionVerb):
         DataError
             If the result is from a file without problem, or input files are missing.
         """
-        from slipfree.show.climb_scene import Climbed
+        from slipfree.show.climb_scene import in_space
 
         climber, profile = _vehicle_and_ground(result)
         plan = poses_of_plan(result.trajectory, result.arrays, climber)
-        return Climbed(name, result.trajectory, climber, profile, plan)
+        return in_space(name, result.trajectory, climber, profile, plan)
 
 
 def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
