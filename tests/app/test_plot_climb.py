@@ -96,15 +96,13 @@ def test_references_are_rim_speeds(case, ax):
     assert max(named(ax)["front"].get_ydata()) == pytest.approx(1.5 * 0.25)  # the cap
 
 
-def test_loads_are_those_of_all_solids_and_the_limit_is_drawn_when_near(case, ax):
-    climber, profile, run = case
-    show.loads(run, profile, ax)
-    assert_allclose(
-        named(ax)["middle"].get_ydata(),
-        run["solid_load_1", "middle"] + run["solid_load_2", "middle"],
-    )
+def test_peaks_of_loads_are_cut_off_and_the_limit_is_drawn_when_near(case, ax):
+    climber, _, run = case
+    show.loads(run, ax)
+    assert_allclose(named(ax)["middle"].get_ydata(), run["force_normal", "middle"])
+    assert ax.get_ylim()[1] < run["force_normal"].max() / 2
     torques = show.torques(run, climber, Figure().subplots())
-    limits = {line.get_ydata()[0] for line in torques.lines[3:]}
+    limits = {line.get_ydata()[0] for line in torques.lines[4:]}
     assert limits == {-climber.torque, climber.torque}
 
 
