@@ -51,7 +51,7 @@ PACKAGES = {"problem", "cli", "sweep", "show"}  # below the verbs nothing knows 
 VERBS = "slipfree.problem.verbs."
 KINDS = {  # schemas of verbs, their set-ups, shown motions
     *("Direct", "Inverse", "Plan", "Climb", "Compare", "Motion", "Modelled"),
-    *("Setup", "Planning", "Climbing", "Driven", "Climbed"),
+    *("Setup", "Planning", "Climbing", "Driven"),
 }
 PREDICATES = {"climbs", "is_climb"}
 RECORDS = {"columns", "statistics", "attributes", "counts", "arrays"}  # of results

@@ -16,7 +16,7 @@ from slipfree.errors import ModelError
 from slipfree.records import Label
 from slipfree.show import climb_figures as show
 from slipfree.show import plots
-from slipfree.show.climb_scene import Climbed, climb_scene
+from slipfree.show.climb_scene import climb_scene, in_space
 from slipfree.show.film import animate
 from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.climber import AXLES
@@ -96,15 +96,13 @@ def test_references_are_rim_speeds(case, ax):
     assert max(named(ax)["front"].get_ydata()) == pytest.approx(1.5 * 0.25)  # the cap
 
 
-def test_loads_are_those_of_all_solids_and_the_limit_is_drawn_when_near(case, ax):
-    climber, profile, run = case
-    show.loads(run, profile, ax)
-    assert_allclose(
-        named(ax)["middle"].get_ydata(),
-        run["solid_load_1", "middle"] + run["solid_load_2", "middle"],
-    )
+def test_peaks_of_loads_are_cut_off_and_the_limit_is_drawn_when_near(case, ax):
+    climber, _, run = case
+    show.loads(run, ax)
+    assert_allclose(named(ax)["middle"].get_ydata(), run["force_normal", "middle"])
+    assert ax.get_ylim()[1] < run["force_normal"].max() / 2
     torques = show.torques(run, climber, Figure().subplots())
-    limits = {line.get_ydata()[0] for line in torques.lines[3:]}
+    limits = {line.get_ydata()[0] for line in torques.lines[4:]}
     assert limits == {-climber.torque, climber.torque}
 
 
@@ -150,7 +148,7 @@ def test_figures_are_written(case, tmp_path):
 def test_the_film_moves(case, tmp_path):
     climber, profile, run = case
     short = run.part(slice(int(np.searchsorted(run.t, run.t[0] + 0.6))))
-    scene = climb_scene([Climbed("step", short, climber, profile)])
+    scene = climb_scene([in_space("step", short, climber, profile)])
     animate(scene, tmp_path / "a.gif", "a step")
     with Image.open(tmp_path / "a.gif") as film:
         assert film.info["duration"] == 50  # in real time

@@ -204,9 +204,10 @@ def test_largest_period_of_a_sampled_controller():
     [
         ({"law": "best"}, "expected one of projective, .* for 'law'"),
         ({"directions": "eyes"}, "expected one of contact, sensors for 'directions'"),
-        ({"smoothing": 0.0}, "positive number for 'smoothing'"),
-        ({"unwinding": -1.0}, "at least 0 for 'unwinding'"),
-        ({"cap": 0.9}, "'cap' >= 1"),
+        ({"smoothing": 0.0}, "'smoothing': expected a number > 0, found 0"),
+        ({"unwinding": -1.0}, "'unwinding': expected a number >= 0, found -1"),
+        ({"cap": 0.9}, "'cap': expected a number >= 1, found 0.9"),
+        ({"share": np.inf}, "'share': expected a number < inf"),
     ],
 )
 def test_unusable_controls_are_refused(values, words):

@@ -189,7 +189,7 @@ def test_noise_is_of_its_size_and_band_and_seed():
     assert strength[:, above].sum() < 1e-4 * strength.sum()
     assert_allclose(series(noise), found)
     assert np.abs(series(replace(noise, seed=5)) - found).max() > 0.1
-    with pytest.raises(ModelError, match="noise: expected a finite number > 0 for 'band', found 0"):
+    with pytest.raises(ModelError, match="Noise: 'band': expected a number > 0, found 0"):
         Noise(band=0.0)
 
 

@@ -94,22 +94,44 @@ def metrics(run: Trajectory, climber: Climber, profile: Profile) -> Metrics:
         If the front wheel touches only the floor.
     """
     window = climb_window(run, climber, profile)
-    solids, span = range(1, len(profile.solids) + 1), window.span
+    span = window.span
     rim = climber.radius * run["spin"][span]
-    loads = np.array([run[f"solid_load_{k}"][span] for k in solids])
-    slips = np.array([run[f"solid_slip_{k}"][span] for k in solids])
-    bearing = loads.max(axis=0) > MIN_LOAD
-    slip = np.take_along_axis(np.abs(slips), loads.argmax(axis=0)[None], axis=0)[0]
+    slip, loads = most_loaded(run, profile, "slip")[span], _at_solids(run, profile, "load")[:, span]
     motors = np.abs(run["motor_torque"][span]) * [axle.wheels for axle in climber.axles]
     return Metrics(
         window,
         _mean_size(slip_ratio(run, climber)[span]),
         _mean_size(disturbance_ratio(run)[span]),
-        np.where(bearing, slip, 0).sum(axis=0) / np.abs(rim).sum(axis=0),
+        np.nansum(np.abs(slip), axis=0) / np.abs(rim).sum(axis=0),
         motors.sum(axis=0) / motors.sum(),
         loads.sum(axis=(0, 1)) / loads.sum(),
         float(np.mean(run["torque_scale"][span] < 1)),
     )
+
+
+def most_loaded(run: Trajectory, profile: Profile, name: str) -> Array:
+    """Return a quantity of each axle's wheels at the solid with the largest load.
+
+    Parameters
+    ----------
+    run, profile : Trajectory, Profile
+        The motion and its ground.
+    name : {"load", "friction", "slip"}
+        Normal force, tangential force, or slip velocity at a solid.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        The quantity; NaN for wheels with a normal force below 1 N. [N or m/s]
+    """
+    loads, values = (_at_solids(run, profile, each) for each in ("load", name))
+    found = np.take_along_axis(values, loads.argmax(axis=0)[None], axis=0)[0]
+    return np.where(loads.max(axis=0) > MIN_LOAD, found, np.nan)
+
+
+def _at_solids(run: Trajectory, profile: Profile, name: str) -> Array:
+    """Return a quantity of each axle's wheels at each solid, shape (n_solids, n, 3)."""
+    return np.stack([run[f"solid_{name}_{k + 1}"] for k in range(len(profile.solids))])
 
 
 def climb_window(run: Trajectory, climber: Climber, profile: Profile) -> Window:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
+from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.control.reference_speeds import PerAxle, Tilts
-from slipfree.errors import ModelError
+from slipfree.laws.protocols import check_bounds
 
 TONES = 24  # number of tones in the noise of a sensor
 
@@ -42,20 +43,20 @@ class Noise:
         If a root mean square is negative, the band is not positive, or the seed is negative.
     """
 
-    tilt: float = 0.0
-    tilt_rate: float = 0.0
-    wheel_rate: float = 0.0
-    band: float = 50.0
-    seed: int = 0
+    tilt: Annotated[
+        float, Ge(0), Lt(math.inf), Unit("rad"), doc("root mean square for the bodies' tilts")
+    ] = 0.0
+    tilt_rate: Annotated[
+        float, Ge(0), Lt(math.inf), Unit("rad/s"), doc("root mean square for the tilt rates")
+    ] = 0.0
+    wheel_rate: Annotated[
+        float, Ge(0), Lt(math.inf), Unit("rad/s"), doc("root mean square for the wheel rates")
+    ] = 0.0
+    band: Annotated[float, Gt(0), Lt(math.inf), Unit("Hz"), doc("largest frequency")] = 50.0
+    seed: Annotated[int, Ge(0), doc("seed of the random numbers")] = 0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (0 <= value < math.inf and (value > 0 or name != "band")):
-                sign = ">" if name == "band" else ">="
-                raise ModelError(
-                    f"noise: expected a finite number {sign} 0 for {name!r}, found {value}; "
-                    "change it"
-                )
+        check_bounds(self)
 
 
 def measured(

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, get_args
 
 import casadi as ca
+from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.control.reference_speeds import Law, PerAxle
 from slipfree.control.sensor_noise import Noise
 from slipfree.errors import ModelError
+from slipfree.laws.protocols import check_bounds
 from slipfree.vehicle.climber import AXLES, Climber
 
 Directions = Literal["contact", "sensors"]
@@ -82,16 +84,48 @@ class Control:
         If a name is unknown or a number is out of range.
     """
 
-    law: Law = "projective"
-    directions: Directions = "sensors"
-    smoothing: float = 0.03
-    share: float = 1.0
-    cap: float = 1.5
-    proportional: float = 4.0
-    integral: float = 40.0
-    derivative: float = 0.0
-    lag: float = 0.005
-    unwinding: float = 0.0
+    law: Annotated[Law, doc("law of the axles' reference speeds")] = "projective"
+    directions: Annotated[
+        Directions,
+        doc(
+            "directions of the axles' motion: estimated from sensors, or true directions of the "
+            "contacts"
+        ),
+    ] = "sensors"
+    smoothing: Annotated[
+        float, Gt(0), Unit("s"), doc("time constant of the sensors' low-pass filter")
+    ] = 0.03
+    share: Annotated[
+        float,
+        Ge(0),
+        Lt(math.inf),
+        Unit("1"),
+        doc("factor that multiplies the true directions of the contacts"),
+    ] = 1.0
+    cap: Annotated[
+        float,
+        Ge(1),
+        Unit("1"),
+        doc("largest reference speed of an axle relative to the vehicle's speed"),
+    ] = 1.5
+    proportional: Annotated[
+        float, Gt(0), Unit("N m s/rad"), doc("proportional gain of the wheel-rate control")
+    ] = 4.0
+    integral: Annotated[
+        float, Gt(0), Unit("N m/rad"), doc("integral gain of the wheel-rate control")
+    ] = 40.0
+    derivative: Annotated[
+        float, Ge(0), Unit("N m s2/rad"), doc("derivative gain of the wheel-rate control")
+    ] = 0.0
+    lag: Annotated[
+        float, Gt(0), Unit("s"), doc("time constant of the filter of the derivative term")
+    ] = 0.005
+    unwinding: Annotated[
+        float,
+        Ge(0),
+        Unit("1/s"),
+        doc("anti-windup: rate at which torque above the limit is removed from the integral term"),
+    ] = 0.0
     noise: Noise | None = None
 
     def __post_init__(self) -> None:
@@ -101,23 +135,7 @@ class Control:
                     f"control: expected one of {', '.join(get_args(known))} for {name!r}, "
                     f"found {getattr(self, name)!r}; choose one of these names"
                 )
-        for name in ("smoothing", "proportional", "integral", "lag"):
-            if not getattr(self, name) > 0:
-                raise ModelError(
-                    f"control: expected a positive number for {name!r}, found "
-                    f"{getattr(self, name)}; increase it"
-                )
-        for name in ("derivative", "unwinding"):
-            if not getattr(self, name) >= 0:
-                raise ModelError(
-                    f"control: expected a number of at least 0 for {name!r}, found "
-                    f"{getattr(self, name)}; increase it"
-                )
-        if not (0 <= self.share < math.inf and self.cap >= 1):
-            raise ModelError(
-                "control: expected a finite 'share' >= 0 and 'cap' >= 1, found share = "
-                f"{self.share}, cap = {self.cap}; change these numbers"
-            )
+        check_bounds(self)
 
     @property
     def senses(self) -> bool:

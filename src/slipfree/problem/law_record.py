@@ -1,4 +1,4 @@
-"""Schema of the parameters of a law, from the annotations of its dataclass."""
+"""Schema of the parameters of a law or controller, from the annotations of its dataclass."""
 
 from __future__ import annotations
 
@@ -9,13 +9,18 @@ from typing import Annotated, Any, get_type_hints
 from annotated_types import DocInfo, Unit
 from pydantic import Field, create_model
 
-from slipfree.files.toml.angles import IN_RADIANS
+from slipfree.files.toml.angles import IN_RADIANS, IN_RADIANS_PER_SECOND
 from slipfree.files.toml.types import Record
+
+ANGULAR = {"rad": IN_RADIANS, "rad/s": IN_RADIANS_PER_SECOND}
 
 
 @cache
-def law_record(law: type) -> type[Record]:
-    """Return the record of a law's parameters, from the annotated fields of its dataclass."""
+def law_record(law: type, base: type[Record] = Record) -> type[Record]:
+    """Return the record of a law's parameters, from the annotated fields of its dataclass.
+
+    Keys of ``base`` come first.
+    """
     hints = get_type_hints(law, include_extras=True)
     keys: dict[str, Any] = {
         each.name: (
@@ -29,13 +34,15 @@ def law_record(law: type) -> type[Record]:
         if hasattr(hints[each.name], "__metadata__")
     }
     words = (law.__doc__ or "").partition("\n")[0]
-    return create_model(law.__name__, __base__=Record, __doc__=words, **keys)
+    return create_model(law.__name__, __base__=base, __doc__=words, **keys)
 
 
 def _with_unit(hint: Any) -> Any:
     """Return the annotation of a parameter; angles also accept text such as "30 deg"."""
-    units = [each.unit for each in getattr(hint, "__metadata__", ()) if isinstance(each, Unit)]
-    return Annotated[hint, IN_RADIANS] if units == ["rad"] else hint
+    for each in getattr(hint, "__metadata__", ()):
+        if isinstance(each, Unit) and each.unit in ANGULAR:
+            return Annotated[hint, ANGULAR[each.unit]]
+    return hint
 
 
 def _description(hint: Any) -> str:

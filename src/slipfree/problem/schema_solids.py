@@ -41,13 +41,18 @@ class Stairs(Record):
     count: Annotated[int, Field(ge=1)] = Field(description="number of steps")
 
 
-class Obstacle(Record):
-    """An obstacle on the ground: a profile with vertical sides, at a position and heading."""
+class Shapes(Record):
+    """Obstacles of which a problem gives one."""
 
     ramp: Incline | None = Field(default=None, description="a ramp up to a plateau")
     step: Step | None = Field(default=None, description="a step up to a plateau")
     kerb: Kerb | None = Field(default=None, description="a block")
     stairs: Stairs | None = Field(default=None, description="stairs up to a plateau")
+
+
+class Obstacle(Shapes):
+    """An obstacle on the ground: a profile with vertical sides, at a position and heading."""
+
     points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
         default=None,
         description="corners of a convex polygon: distance along the heading, and height [m]",

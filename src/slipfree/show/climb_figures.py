@@ -6,7 +6,7 @@ axes; the caller adds the legend. ``climb_plots`` composes the figures.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,12 +16,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from slipfree.climb.metrics import MIN_LOAD, disturbance_ratio, slip_ratio
+from slipfree.climb.metrics import MIN_LOAD, disturbance_ratio, most_loaded, slip_ratio
 from slipfree.records import Array
 from slipfree.show import style
+from slipfree.show.force_figures import normal_forces
 from slipfree.show.plots import Panel, Plot, stack
-from slipfree.show.style import MM, PAGE, PLATFORM
-from slipfree.terrain.solids import Profile
+from slipfree.show.style import MM, PAGE
+from slipfree.terrain.solids import Profile, Solid
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.climber import AXLES, Climber
 
@@ -33,17 +34,17 @@ ROOM, BELOW = 0.04, 0.03  # margins around and below the motions [m]
 HIGHEST = 100.0  # larger ratios are cut off [%]
 
 
-def ground(profile: Profile, ax: Axes) -> Axes:
+def ground(solids: Iterable[Solid], ax: Axes) -> Axes:
     """Draw the solids of a ground, filled.
 
     Parameters
     ----------
-    profile : Profile
+    solids : iterable of Solid
         The ground.
     ax : Axes
         The axes; their aspect becomes equal.
     """
-    for solid in profile.solids:
+    for solid in solids:
         ax.add_patch(Polygon(solid.points, fc=GROUND, ec=GROUND, lw=0.3, zorder=0))
     ax.set_aspect("equal")
     ax.set(xlabel="forward $x$ [m]", ylabel="height $z$ [m]")
@@ -69,7 +70,7 @@ def strobe(
     every : float
         Time between two dots. [s]
     """
-    ground(profile, ax)
+    ground(profile.solids, ax)
     for axle in AXLES:
         ax.plot(run["center_y", axle], run["center_z", axle], color="0.5", lw=0.6, zorder=2)
     duration = float(run.t[-1] - run.t[0])
@@ -80,7 +81,8 @@ def strobe(
             _pose(run, climber, int(k), ax, color)
         dots = {"mfc": "white", "mec": color, "mew": 0.8, "ms": 2.6, "ls": "none", "zorder": 4}
         ax.plot(run["center_y"][k], run["center_z"][k], "o", **dots)
-    return frame_motions([run], climber, ax)
+    above = max(climber.rear_body.above, climber.front_body.above)
+    return frame_motions([run], climber.radius, ax, above)
 
 
 def _pose(run: Trajectory, climber: Climber, k: int, ax: Axes, color: Any) -> None:
@@ -107,23 +109,24 @@ def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
     return np.stack([ends[0], joint, ends[1]], axis=1), np.stack(centers, axis=1)
 
 
-def frame_motions(runs: Sequence[Trajectory], climber: Climber, ax: Axes) -> Axes:
-    """Set the limits of axes to contain all motions, with a margin of ground below them."""
-    reach = climber.radius + ROOM
+def frame_motions(runs: Sequence[Trajectory], radius: float, ax: Axes, above: float = 0.0) -> Axes:
+    """Set the limits of axes to contain wheels of all motions, with a margin of ground below them.
+
+    The height of the margin above them includes ``above`` [m].
+    """
+    reach = radius + ROOM
     x, z = (
         np.concatenate([run[name].ravel() for run in runs]) for name in ("center_y", "center_z")
     )
-    top = z.max() + reach + max(climber.rear_body.above, climber.front_body.above)
-    ax.set(xlim=(x.min() - reach, x.max() + reach), ylim=(z.min() - climber.radius - BELOW, top))
+    top = z.max() + reach + above
+    ax.set(xlim=(x.min() - reach, x.max() + reach), ylim=(z.min() - radius - BELOW, top))
     return ax
 
 
 def references(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
     """Draw the reference and the actual rim speeds of the wheels over time."""
-    for k, axle in enumerate(AXLES):
-        look = style.look(k)
-        ax.plot(run.t, climber.radius * run["spin", axle], **look | {"lw": 0.6, "alpha": 0.5})
-        ax.plot(run.t, climber.radius * run["reference", axle], label=axle, **look)
+    style.by_wheel(run, climber.radius * run["spin"], ax, lw=0.6, alpha=0.5)
+    style.by_wheel(run, climber.radius * run["reference"], ax)
     ax.set_ylabel("rim speed [m/s]")
     return _over_time(run, ax)
 
@@ -138,13 +141,8 @@ def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> 
 
     The ratio is the slip velocity divided by the rim speed, at the contact with the largest load.
     """
-    solids = range(1, len(profile.solids) + 1)
-    loads = np.array([run[f"solid_load_{k}"] for k in solids])
-    slips = np.array([run[f"solid_slip_{k}"] for k in solids])
-    speed = np.take_along_axis(slips, loads.argmax(axis=0)[None], axis=0)[0]
-    rim = climber.radius * run["spin"]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(loads.max(axis=0) > MIN_LOAD, -speed / rim, np.nan)
+        ratio = -most_loaded(run, profile, "slip") / (climber.radius * run["spin"])
     return _ratios(run, ratio, "true slip [%]", ax)
 
 
@@ -154,36 +152,28 @@ def disturbance(run: Trajectory, ax: Axes) -> Axes:
 
 
 def _ratios(run: Trajectory, ratios: Array, words: str, ax: Axes) -> Axes:
-    shown = np.clip(100 * ratios, -HIGHEST, HIGHEST)
-    for k, axle in enumerate(AXLES):
-        ax.plot(run.t, shown[:, k], label=axle, **style.look(k) | {"lw": 0.9})
-    ax.axhline(0, color="0.4", lw=0.6)
+    style.by_wheel(run, np.clip(100 * ratios, -HIGHEST, HIGHEST), style.with_zero(ax), lw=0.9)
     ax.set_ylabel(words)
     return _over_time(run, ax)
 
 
 def tilts(run: Trajectory, ax: Axes) -> Axes:
     """Draw the tilts of both bodies over time."""
-    for name, dashes in (("rear", "-"), ("front", "--")):
-        ax.plot(run.t, run[f"tilt_{name}"], color=PLATFORM, ls=dashes, label=f"{name} body")
+    style.over_time(run, ("tilt_rear", "tilt_front"), ax, first=len(AXLES))
     ax.set_ylabel("tilt, nose up [rad]")
     return _over_time(run, style.degrees(ax))
 
 
-def loads(run: Trajectory, profile: Profile, ax: Axes) -> Axes:
-    """Draw the sum of the normal forces on each axle over time."""
-    total = np.sum([run[f"solid_load_{k}"] for k in range(1, len(profile.solids) + 1)], axis=0)
-    for k, axle in enumerate(AXLES):
-        ax.plot(run.t, total[:, k], label=axle, **style.look(k) | {"lw": 0.9})
-    ax.set_ylim(0, 1.1 * float(np.percentile(total, 99.5)))
-    ax.set_ylabel("normal force [N]")
+def loads(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the normal force on each axle over time, without the peaks of impacts."""
+    normal_forces(run, ax)
+    ax.set_ylim(0, 1.1 * float(np.percentile(run["force_normal"], 99.5)))
     return _over_time(run, ax)
 
 
 def torques(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
     """Draw the torque of one wheel of every axle over time, and the torque limits if near."""
-    for k, axle in enumerate(AXLES):
-        ax.plot(run.t, run["motor_torque", axle], label=axle, **style.look(k) | {"lw": 0.9})
+    style.by_wheel(run, run["motor_torque"], style.with_zero(ax))
     if climber.torque < 1.5 * np.abs(run["motor_torque"]).max():
         for limit in (-climber.torque, climber.torque):
             ax.axhline(limit, color="0.4", lw=0.8, ls="--")
@@ -207,7 +197,7 @@ def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes
     """
     plan_speeds, speeds = climber.radius * plan["wheel_rate"], climber.radius * run["spin"]
     ax.set_ylabel("rim speed [m/s]")
-    return _over_progress(_progress(run), speeds, plan, plan_speeds, ax)
+    return _over_progress(run, speeds, plan, plan_speeds, ax)
 
 
 def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Axes) -> Axes:
@@ -227,30 +217,20 @@ def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Ax
     ax : Axes
         The axes.
     """
-    normal = np.array([run[f"solid_load_{k}"] for k in range(1, len(profile.solids) + 1)])
-    along = np.array([run[f"solid_friction_{k}"] for k in range(1, len(profile.solids) + 1)])
-    most = normal.argmax(axis=0)[None]
-    force, load = (np.take_along_axis(each, most, axis=0)[0] for each in (along, normal))
-    used = np.where(load > MIN_LOAD, np.abs(force) / np.maximum(load, MIN_LOAD), np.nan)
+    force, load = (most_loaded(run, profile, name) for name in ("friction", "load"))
     wanted = np.abs(plan["friction"]) / np.maximum(plan["load"], MIN_LOAD)
     ax.axhline(plan.statistics["mu"], color="0.4", lw=0.8, ls="--")
     ax.set_ylabel("friction used [1]")
-    return _over_progress(_progress(run), used, plan, wanted, ax)
-
-
-def _progress(run: Trajectory) -> Array:
-    """Return the progress of a motion: the mean of x + z over the axles, shape (n,) [m]."""
-    return np.asarray((run["center_y"] + run["center_z"]).mean(axis=1))
+    return _over_progress(run, np.abs(force) / load, plan, wanted, ax)
 
 
 def _over_progress(
-    progress: Array, driven: Array, plan: Trajectory, planned: Array, ax: Axes
+    run: Trajectory, driven: Array, plan: Trajectory, planned: Array, ax: Axes
 ) -> Axes:
     """Draw planned values over the progress, and actual values as thin lines."""
-    for k, axle in enumerate(AXLES):
-        look = style.look(k)
-        ax.plot(progress, driven[:, k], **look | {"lw": 0.6, "alpha": 0.6})
-        ax.plot(plan["progress"], planned[:, k], label=axle, **look)
+    progress = (run["center_y"] + run["center_z"]).mean(axis=1)
+    style.by_wheel(run, driven, ax, progress, lw=0.6, alpha=0.6)
+    style.by_wheel(plan, planned, ax, plan["progress"])
     ax.set_xlabel("progress: mean over the axles of $x + z$ [m]")
     ax.margins(x=0.02)
     return ax
@@ -308,7 +288,7 @@ def climb_plots(
         "forces": (
             "Normal forces and torques of every axle.",
             [
-                Panel(partial(loads, run, profile)),
+                Panel(partial(loads, run)),
                 Panel(partial(torques, run, climber), has_legend=False),
             ],
             f"Short peaks of impacts are cut off. {left_out}",

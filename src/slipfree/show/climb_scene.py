@@ -8,35 +8,39 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from slipfree.climb.metrics import MIN_LOAD
 from slipfree.errors import ModelError
 from slipfree.geometry.mesh import Mesh
-from slipfree.records import Array, Label
+from slipfree.records import Array
+from slipfree.routing.traversability import extents
 from slipfree.show import climb_figures, scene
-from slipfree.show.drive_scene import solid_mesh, vehicle_bodies
+from slipfree.show.drive_scene import Driven, actors_of, solid_mesh
 from slipfree.show.meshes import joined
-from slipfree.show.scene import Actor, Arrows, Ground, Scene
-from slipfree.terrain.solids import Prism, Profile
-from slipfree.trajectory import Column, Trajectory
-from slipfree.vehicle.climber import FOLD, Climber, side_view
+from slipfree.show.scene import Ground, Scene
+from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.solids import Prism, Profile, Solid
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.climber import Climber, side_view
 from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Vehicle
 
 TRACK = 3.5  # half of the track width [wheel radius]
 WIDTH = 2.0  # half of the width of the ground [half track]
 TUBE = 0.35  # radius of the wheels' tube [wheel radius]
-ROOM = 4.0  # margin of the ground around a climb [wheel radius]
+ROOM = 4.0  # margin of the ground around a climb, and its depth [wheel radius]
+FORCES = ("force_along", "force_across", "force_normal")
 
 
-class Climbed(NamedTuple):
-    """A climb with its vehicle and ground.
+def in_space(
+    name: str, run: Trajectory, climber: Climber, profile: Profile, plan: Trajectory | None = None
+) -> Driven:
+    """Return a climb as a motion in space, with an assumed width of vehicle and ground.
 
-    Attributes
+    Parameters
     ----------
     name : str
         Displayed name.
@@ -44,24 +48,58 @@ class Climbed(NamedTuple):
         The motion.
     climber, profile : Climber, Profile
         The vehicle and the ground.
-    plan : Trajectory or None
-        The plan that the climb tracks.
+    plan : Trajectory, optional
+        Poses of the plan that the climb tracks.
     """
+    half = TRACK * climber.radius
+    counts = [axle.wheels for axle in climber.axles]
+    across = [np.linspace(-half, half, count) if count > 1 else np.zeros(1) for count in counts]
+    vehicle = _with_width(climber, across)
+    prisms = tuple(Prism(solid, half_width=WIDTH * half) for solid in profile.solids)
+    nodes = np.linspace(-half, half, 4)  # the ground below all solids, which nothing touches
+    bottom = min(z for solid in profile.solids for _, z in solid.points)
+    terrain = Bicubic(Grid(nodes, nodes, np.full((4, 4), bottom)))
+    moved, *planned = (
+        _side_by_side(each, vehicle, counts, across) for each in (run, plan) if each is not None
+    )
+    return Driven(name, moved, terrain, vehicle, plan=next(iter(planned), None), prisms=prisms)
 
-    name: str
-    run: Trajectory
-    climber: Climber
-    profile: Profile
-    plan: Trajectory | None = None
+
+def _with_width(climber: Climber, across: Sequence[Array]) -> Vehicle:
+    """Return the vehicle with all wheels of each axle side by side."""
+    section = Torus(TUBE * climber.radius, (1 - TUBE) * climber.radius)
+    flat = side_view(climber)
+    wheels = (
+        replace(wheel, name=f"{wheel.name}_{number}", at=(float(x), *wheel.at[1:]), section=section)
+        for wheel, places in zip(flat.wheels, across, strict=True)
+        for number, x in enumerate(places, 1)
+    )
+    return replace(flat, wheels=tuple(wheels), planar=False)
 
 
-def climb_scene(climbs: Sequence[Climbed]) -> Scene:
+def _side_by_side(
+    run: Trajectory, vehicle: Vehicle, counts: Sequence[int], across: Sequence[Array]
+) -> Trajectory:
+    """Return a motion with the quantities of all wheels of each axle, which share its forces."""
+    columns = {}
+    for name, column in run.columns.items():
+        values = column.values
+        if values.ndim == 2:
+            values = values / counts if name in FORCES else values
+            values = np.repeat(values, counts, axis=1)
+        if name == "contact_x":
+            values = values + np.concatenate(across)
+        columns[name] = column._replace(values=values)
+    return replace(run, columns=columns, wheels=tuple(wheel.name for wheel in vehicle.wheels))
+
+
+def climb_scene(climbs: Sequence[Driven]) -> Scene:
     """Return the scene of climbs over one profile.
 
     Parameters
     ----------
-    climbs : sequence of Climbed
-        Climbs to draw, at least one.
+    climbs : sequence of Driven
+        Results of `in_space`, at least one.
 
     Raises
     ------
@@ -70,41 +108,36 @@ def climb_scene(climbs: Sequence[Climbed]) -> Scene:
     """
     first = climbs[0]
     for each in climbs[1:]:
-        if each.profile != first.profile:
+        if _sections(each) != _sections(first):
             raise ModelError(
                 f"{each.name}: expected a climb over the profile of {first.name}, found another "
                 "profile; show the results separately"
             )
-    reach = max(_reach(each.climber) for each in climbs)
+    reach = max(extents(each.vehicle)[2] for each in climbs)
     runs = [run for each in climbs for run in (each.run, each.plan) if run is not None]
     places = np.concatenate([run["center_y"].ravel() for run in runs])
-    room = ROOM * first.climber.radius
+    room = ROOM * first.vehicle.wheels[0].radius
     left, right = float(places.min()) - room, float(places.max()) + room
     origin = np.round([0.0, (left + right) / 2, 0.0])
-    top = max(max(z for _, z in solid.points) for solid in first.profile.solids)
+    top = max(z for solid in _sections(first) for _, z in solid.points)
     mesh = _solids(first, left, right, origin)
     z = mesh.vertices[:, 2] + origin[2]
     ground = Ground(mesh, (scene.layer("height", z, f"0 to {top:.4g} m", 0.0, top),))
-    actors = []
-    for k, each in enumerate(climbs):
-        actors.append(_actor(each, each.run, each.name, k, origin))
-        if each.plan is not None:
-            actors.append(
-                _actor(each, each.plan, f"{each.name}: plan", k + len(climbs), origin, ghost=True)
-            )
+    backdrop = _backdrop(climbs, origin, reach)
     notes = [
         "A climb is computed in a plane: the widths of ground and vehicle are only for display."
     ]
-    return scene.framed(ground, actors, origin, reach, _backdrop(climbs, origin, reach), notes)
+    return scene.framed(ground, actors_of(climbs, origin), origin, reach, backdrop, notes)
 
 
-def _backdrop(climbs: Sequence[Climbed], origin: Array, reach: float) -> scene.Backdrop:
+def _backdrop(climbs: Sequence[Driven], origin: Array, reach: float) -> scene.Backdrop:
     """Return the ground of a film: its section, and the solids around the vehicle."""
     first = climbs[0]
 
     def draw(ax: Axes) -> Axes:
-        climb_figures.ground(first.profile, ax)
-        return climb_figures.frame_motions([each.run for each in climbs], first.climber, ax)
+        climb_figures.ground(_sections(first), ax)
+        radius = first.vehicle.wheels[0].radius
+        return climb_figures.frame_motions([each.run for each in climbs], radius, ax)
 
     def near(middle: Array, half: float) -> Sequence[Array]:
         y = float(middle[1] + origin[1])
@@ -114,86 +147,12 @@ def _backdrop(climbs: Sequence[Climbed], origin: Array, reach: float) -> scene.B
     return scene.Backdrop(draw, scene.SECTION, near, reach, (14.0, -25.0))
 
 
-def _reach(climber: Climber) -> float:
-    return climber.front.ahead - climber.rear.ahead + climber.radius
+def _sections(each: Driven) -> list[Solid]:
+    return [prism.section for prism in each.prisms]
 
 
-def _solids(each: Climbed, left: float, right: float, origin: Array) -> Mesh:
+def _solids(each: Driven, left: float, right: float, origin: Array) -> Mesh:
     """Return the mesh of the extruded profile between two positions along it [m]."""
-    half = WIDTH * TRACK * each.climber.radius
-    window, bottom = (-half, half, left, right), -ROOM * each.climber.radius
-    solids = (Prism(solid, half_width=half) for solid in each.profile.solids)
-    return joined(*(solid_mesh(solid, window, bottom, origin) for solid in solids))
-
-
-def _actor(
-    each: Climbed, run: Trajectory, name: str, k: int, origin: Array, ghost: bool = False
-) -> Actor:
-    color, vehicle = scene.color_of(k), _with_width(each.climber)
-    bodies = vehicle_bodies(vehicle, _in_space(each.climber, run), color)
-    contacts = np.full((run.t.size, 1, 3), np.nan)
-    arrows: tuple[Arrows, ...] = ()
-    if not ghost:  # plans have no loads
-        contacts, arrows = _contacts(each, run, origin)
-    moved = tuple(body._replace(origins=body.origins - origin) for body in bodies)
-    return Actor(name, color, run.t, moved, contacts, arrows, ghost, scene.stopped(run))
-
-
-def _abreast(climber: Climber, k: int) -> Array:
-    """Return the lateral positions of the wheels of an axle, positive to the right [m]."""
-    half, count = TRACK * climber.radius, climber.axles[k].wheels
-    return np.linspace(-half, half, count) if count > 1 else np.zeros(1)
-
-
-def _with_width(climber: Climber) -> Vehicle:
-    """Return the vehicle with all wheels of each axle side by side."""
-    section = Torus(TUBE * climber.radius, (1 - TUBE) * climber.radius)
-    flat = side_view(climber)
-    wheels = (
-        replace(wheel, name=f"{wheel.name}_{number}", at=(float(x), *wheel.at[1:]), section=section)
-        for k, wheel in enumerate(flat.wheels)
-        for number, x in enumerate(_abreast(climber, k), 1)
-    )
-    return replace(flat, wheels=tuple(wheels), planar=False)
-
-
-def _in_space(climber: Climber, run: Trajectory) -> Trajectory:
-    """Return the poses of a motion in space, with the angles of all wheels of each axle."""
-    zero, (rear, front) = np.zeros(run.t.size), (run["tilt_rear"], run["tilt_front"])
-    values = dict.fromkeys(("x", "heading", "roll"), zero)
-    values |= {"y": run["y"], "z": run["z"], "pitch": rear, FOLD: front - rear}
-    counts = [axle.wheels for axle in climber.axles]
-    values["wheel_angle"] = np.repeat(run["wheel_angle"], counts, axis=1)
-    columns = {name: Column(Label(name, "", name), each) for name, each in values.items()}
-    return Trajectory(run.t, columns)
-
-
-def _contacts(each: Climbed, run: Trajectory, origin: Array) -> tuple[Array, tuple[Arrows, ...]]:
-    """Return the contact points of all wheels, and the arrows of slip and forces there."""
-    points, slips, forces = [], [], []
-    for number, solid in enumerate(each.profile.solids, 1):
-        normals = solid.distance(run["center_y"], run["center_z"])[1]
-        tangents = np.stack([normals[..., 1], -normals[..., 0]], axis=-1)
-        for k, axle in enumerate(each.climber.axles):
-            normal, tangent = _to_space(normals[:, k]), _to_space(tangents[:, k])
-            load, rubbing, slip = (
-                run[f"solid_{name}_{number}"][:, k, None] for name in ("load", "friction", "slip")
-            )
-            center = _to_space(np.stack([run["center_y"], run["center_z"]], axis=2)[:, k])
-            touch = (
-                np.where(load > MIN_LOAD, center - each.climber.radius * normal, np.nan) - origin
-            )
-            for across in _abreast(each.climber, k):
-                points.append(touch + np.array([across, 0.0, 0.0]))
-                slips.append(slip * tangent)
-                forces.append((load * normal + rubbing * tangent) / axle.wheels)
-    at = np.stack(points, axis=1)
-    bears = np.isfinite(at)
-    vectors = (np.where(bears, np.stack(each, axis=1), np.nan) for each in (slips, forces))
-    arrows = tuple(Arrows(*pair) for pair in zip(("slip", "force"), (at, at), vectors, strict=True))
-    return at, arrows
-
-
-def _to_space(vectors: Array) -> Array:
-    """Return plane vectors (y, z), shape (n, 2), as vectors (0, y, z), shape (n, 3)."""
-    return np.insert(vectors, 0, 0.0, axis=1)
+    half, bottom = each.prisms[0].half_width, -ROOM * each.vehicle.wheels[0].radius
+    window = (-half, half, left, right)
+    return joined(*(solid_mesh(prism, window, bottom, origin) for prism in each.prisms))

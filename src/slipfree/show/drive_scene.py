@@ -124,22 +124,24 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
         each._replace(colors=fine.spread(each.colors)) for each in _layers(drawn, first, window)
     ]
     warnings = [*_off(drives, fine, SEEN), *_others(drives)]
-    actors = []
-    for k, drive in enumerate(drives):
-        actors.append(_actor(drive, drive.run, drive.name, k, origin))
-        if drive.plan is not None:
-            actors.append(
-                _actor(
-                    drive, drive.plan, f"{drive.name}: plan", k + len(drives), origin, ghost=True
-                )
-            )
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
     solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
     shade = fine.interpolated(ground_drawing.brightness(drawn)).ravel()
     lines = map_lines(drawn, first.terrain, window, origin, reach)
     ground = _with_solids(Ground(fine.mesh(origin), tuple(layers), shade, lines), solids)
     backdrop = _backdrop(first, window, origin, reach, solids)
-    return framed(ground, actors, origin, reach, backdrop, notes, warnings)
+    return framed(ground, actors_of(drives, origin), origin, reach, backdrop, notes, warnings)
+
+
+def actors_of(drives: Sequence[Driven], origin: Array) -> list[Actor]:
+    """Return the actors of motions and of their plans, relative to the scene's origin [m]."""
+    found = []
+    for k, drive in enumerate(drives):
+        found.append(_actor(drive, drive.run, drive.name, k, origin))
+        if drive.plan is not None:
+            name = f"{drive.name}: plan"
+            found.append(_actor(drive, drive.plan, name, k + len(drives), origin, ghost=True))
+    return found
 
 
 def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> Mesh:

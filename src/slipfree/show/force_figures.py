@@ -34,16 +34,16 @@ CASING = "0.15"  # colour of the edge of coloured tracks
 
 def normal_forces(run: Trajectory, ax: Axes) -> Axes:
     """Draw the normal force of every wheel over time; a wheel lifts off at zero force."""
-    _by_wheel(run, run["force_normal"], ax)
+    style.by_wheel(run, run["force_normal"], ax)
     ax.set_ylabel("normal force [N]")
-    return style.time_axis(run, _with_zero(ax))
+    return style.time_axis(run, style.with_zero(ax))
 
 
 def tangential_forces(run: Trajectory, ax: Axes) -> Axes:
     """Draw the tangential force of every wheel over time."""
-    _by_wheel(run, np.hypot(run["force_along"], run["force_across"]), ax)
+    style.by_wheel(run, np.hypot(run["force_along"], run["force_across"]), ax)
     ax.set_ylabel("tangential force [N]")
-    return style.time_axis(run, _with_zero(ax))
+    return style.time_axis(run, style.with_zero(ax))
 
 
 def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
@@ -59,13 +59,13 @@ def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
         ``"N m"`` for the torques of wheels and joints, ``"N"`` for the forces of sliding joints.
     """
     if unit == "N m":
-        _by_wheel(run, run["drive_torque"], ax, zeros=False)
+        style.by_wheel(run, run["drive_torque"], ax, zeros=False)
     for k, name in enumerate(_joints(run), start=len(run.wheels)):
         if run.columns[name].label.unit == unit:
             ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
     what = "torque" if unit == "N m" else "joint force"
     ax.set_ylabel(f"{what} [{unit}]")
-    return style.time_axis(run, _with_zero(ax))
+    return style.time_axis(run, style.with_zero(ax))
 
 
 def utilisation(run: Trajectory, ax: Axes) -> Axes:
@@ -75,8 +75,7 @@ def utilisation(run: Trajectory, ax: Axes) -> Axes:
     coefficient, the coefficient needed is drawn.
     """
     values = run["utilisation"]
-    for k, wheel in enumerate(run.wheels):
-        ax.plot(run.t, _finite(values[:, k]), label=style.words(wheel), **style.look(k))
+    style.by_wheel(run, _finite(values), ax)
     if "utilisation_best" in run:
         best = _finite(run["utilisation_best"])
         ax.plot(run.t, best, color="black", ls=":", lw=0.8, label="optimal distribution of forces")
@@ -97,7 +96,7 @@ def tip_over(run: Trajectory, ax: Axes) -> Axes:
     """Draw the tip-over margin over time; at zero the vehicle tips over."""
     ax.plot(run.t, run["tip_over_margin"], color=PLATFORM, label="tip-over margin")
     ax.set_ylabel("tip-over\nmargin [rad]")
-    return style.time_axis(run, style.degrees(_with_zero(ax)))
+    return style.time_axis(run, style.degrees(style.with_zero(ax)))
 
 
 def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
@@ -160,7 +159,7 @@ def energy(run: Trajectory, ax: Axes) -> Axes:
     ax.plot(run.t, height, label="potential energy", color=PALETTE[2], ls=(0, (6, 6)))
     ax.plot(run.t, lost, label="losses", color=PALETTE[1])
     ax.set_ylabel("energy since the start [J]")
-    return style.time_axis(run, _with_zero(ax))
+    return style.time_axis(run, style.with_zero(ax))
 
 
 def power(run: Trajectory, ax: Axes) -> Axes:
@@ -168,7 +167,7 @@ def power(run: Trajectory, ax: Axes) -> Axes:
     ax.plot(run.t, run["power"], label="drives", color=PALETTE[0])
     ax.plot(run.t, run["dissipation"], label="losses", color=PALETTE[1])
     ax.set_ylabel("power [W]")
-    return style.time_axis(run, _with_zero(ax))
+    return style.time_axis(run, style.with_zero(ax))
 
 
 def utilisation_plot(scene: Drive) -> Plot | None:
@@ -200,23 +199,23 @@ def forces_plot(scene: Drive) -> Plot | None:
 
 def depth(run: Trajectory, ax: Axes) -> Axes:
     """Draw the depth of every wheel in the ground over time; it is negative in the air."""
-    _by_wheel(run, 1e3 * _depth(run), ax)
+    style.by_wheel(run, 1e3 * _depth(run), ax)
     ax.set_ylabel("depth [mm]")
-    return style.time_axis(run, _with_zero(ax))
+    return style.time_axis(run, style.with_zero(ax))
 
 
 def slip_ratio(run: Trajectory, ax: Axes) -> Axes:
     """Draw the slip ratio of every wheel over time, while the wheel is on the ground."""
-    _by_wheel(run, np.where(_depth(run) > 0, run["slip_ratio"], np.nan), ax)
+    style.by_wheel(run, np.where(_depth(run) > 0, run["slip_ratio"], np.nan), ax)
     ax.set_ylabel("slip ratio [1]")
-    return style.time_axis(run, _with_zero(ax))
+    return style.time_axis(run, style.with_zero(ax))
 
 
 def drawbar_reserve(run: Trajectory, ax: Axes) -> Axes:
     """Draw the drawbar-pull reserve of every driven wheel over time."""
-    _by_wheel(run, run["drawbar_reserve"], ax, zeros=False)
+    style.by_wheel(run, run["drawbar_reserve"], ax, zeros=False)
     ax.set_ylabel("pull reserve [N]")
-    return style.time_axis(run, _with_zero(ax))
+    return style.time_axis(run, style.with_zero(ax))
 
 
 def contact_plot(scene: Drive) -> Plot | None:
@@ -260,13 +259,6 @@ def _utilisation_map(scene: Drive) -> Figure:
     return figure
 
 
-def _by_wheel(run: Trajectory, values: Array, ax: Axes, zeros: bool = True) -> None:
-    """Draw a line per wheel, with or without wheels whose values are identically zero."""
-    for k, wheel in enumerate(run.wheels):
-        if zeros or values[:, k].any():
-            ax.plot(run.t, values[:, k], label=style.words(wheel), **style.look(k))
-
-
 def _depth(run: Trajectory) -> Array:
     """Return the depths of the wheels in soil, or in a compliant ground, shape (n, n_wheels)."""
     return run["sinkage" if "sinkage" in run else "depth"]
@@ -279,12 +271,6 @@ def _joints(run: Trajectory) -> list[str]:
         n for u, end in ends.items() for n, c in columns if c.label.unit == u and n.endswith(end)
     ]
     return [name for name in ours if run[name].ndim == 1 and run[name].any()]
-
-
-def _with_zero(ax: Axes) -> Axes:
-    """Draw a line at zero below the other lines."""
-    ax.axhline(0, color="0.4", lw=0.6, zorder=1)
-    return ax
 
 
 def _finite(values: Array) -> Array:

@@ -173,9 +173,9 @@ def history(run: Trajectory, name: str, ax: Axes) -> Axes:
     run = to_problem_frame(run)
     values = run[name]
     unit = style.unit(run.columns[name].label.unit)
-    for k, wheel in enumerate(run.wheels if values.ndim == 2 else ()):
-        ax.plot(run.t, values[:, k], label=style.words(wheel), **style.look(k))
-    if values.ndim == 1:
+    if values.ndim == 2:
+        style.by_wheel(run, values, ax)
+    else:
         ax.plot(run.t, values, color=PLATFORM, label=style.words(name))
     ax.set_ylabel(f"{style.words(name)} [{unit}]")
     return style.time_axis(run, ax)
@@ -183,10 +183,7 @@ def history(run: Trajectory, name: str, ax: Axes) -> Axes:
 
 def tilts(run: Trajectory, ax: Axes) -> Axes:
     """Draw the angles of the joints over time: all tilts, and other moving joints."""
-    angles = _moving_joints(run)
-    for k, name in enumerate(angles):
-        ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
-    ax.set_ylabel("joint angle [rad]")
+    style.over_time(run, _moving_joints(run), ax).set_ylabel("joint angle [rad]")
     return style.time_axis(run, style.degrees(ax))
 
 
@@ -264,9 +261,7 @@ def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
     ax : Axes
         The axes; velocities are drawn in mm/s.
     """
-    values = run[f"slip_{direction}"]
-    for k, wheel in enumerate(run.wheels):
-        ax.plot(run.t, 1e3 * values[:, k], label=style.words(wheel), **style.look(k))
+    style.by_wheel(run, 1e3 * run[f"slip_{direction}"], ax)
     ax.set_ylabel(f"slip {direction} the wheel [mm/s]")
     return style.time_axis(run, ax)
 
@@ -288,7 +283,7 @@ def check(run: Trajectory, name: str, ax: Axes) -> Axes:
         if "tolerance" in run.statistics:
             ax.axhline(run.statistics["tolerance"], color="0.4", lw=0.8, ls="--", label="tolerance")
     else:
-        ax.axhline(0, color="0.4", lw=0.6)
+        style.with_zero(ax)
     return ax
 
 
@@ -463,8 +458,7 @@ def _drawn_extent(ax: Any) -> Any:
 
 
 def _joint_rates(run: Trajectory, names: Sequence[str], ax: Axes) -> Axes:
-    for k, name in enumerate(names, start=len(run.wheels)):
-        ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
+    style.over_time(run, names, ax, first=len(run.wheels))
     units = dict.fromkeys(style.unit(run.columns[name].label.unit) for name in names)
     ax.set_ylabel(f"joint rate [{', '.join(units)}]")
     return style.time_axis(run, ax)

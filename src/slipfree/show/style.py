@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
+from slipfree.records import Array
 from slipfree.trajectory import Trajectory, stop_words
 
 MM = 1 / 25.4  # [in]
@@ -137,6 +138,52 @@ def position_axis(axis: Any, name: str, low: float) -> None:
 def ticks(count: int) -> MaxNLocator:
     """Return a locator of about ``count`` round ticks."""
     return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
+
+
+def by_wheel(
+    run: Trajectory,
+    values: Array,
+    ax: Axes,
+    x: Array | None = None,
+    *,
+    zeros: bool = True,
+    **looks: Any,
+) -> Axes:
+    """Draw a line per wheel over time, or over other values `x`.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion, which has the names of the wheels.
+    values : ndarray, shape (n, n_wheels)
+        Values of the wheels.
+    ax : Axes
+        The axes.
+    x : ndarray, shape (n,), optional
+        Values on the horizontal axis; by default the times of the motion.
+    zeros : bool
+        Whether wheels whose values are identically zero have a line.
+    **looks
+        Arguments of ``plot``.
+    """
+    for k, wheel in enumerate(run.wheels):
+        if zeros or values[:, k].any():
+            at = run.t if x is None else x
+            ax.plot(at, values[:, k], label=words(wheel), **look(k) | looks)
+    return ax
+
+
+def over_time(run: Trajectory, names: Sequence[str], ax: Axes, first: int = 0) -> Axes:
+    """Draw quantities over time; the first one looks like the line with the number `first`."""
+    for k, name in enumerate(names, first):
+        ax.plot(run.t, run[name], label=words(name), **look(k))
+    return ax
+
+
+def with_zero(ax: Axes) -> Axes:
+    """Draw a line at zero below the other lines."""
+    ax.axhline(0, color="0.4", lw=0.6, zorder=1)
+    return ax
 
 
 def time_axis(run: Trajectory, ax: Axes) -> Axes:

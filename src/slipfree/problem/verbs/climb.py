@@ -60,7 +60,7 @@ from slipfree.vehicle.tree import GRAVITY
 
 if TYPE_CHECKING:
     from slipfree.plan.warm_start import SavedPlan
-    from slipfree.show.climb_scene import Climbed
+    from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
 
 SLACK = 1e-5  # largest distance of wheels from their equilibrium on the floor [m]
@@ -134,12 +134,9 @@ class ClimbVerb(MotionVerb):
         with at(problem, ("vehicle",)):
             climber = _climber(spec)
         with at(problem, ("control",)):
-            options = spec.control.model_dump(
-                exclude_none=True, exclude={"speed", "period", "noise"}
-            )
+            options = spec.control.model_dump(exclude={"speed", "period", "noise"})
             noise = spec.control.noise
-            sensed = None if noise is None else Noise(**noise.model_dump(exclude_none=True))
-            control = Control(**options, noise=sensed)
+            control = Control(**options, noise=None if noise is None else Noise(**dict(noise)))
         if spec.plan is not None:
             _check_tracking(problem)
         times = _times(problem, control, climber)
@@ -227,7 +224,7 @@ class ClimbVerb(MotionVerb):
 
         return Viewer("climbs", climb_scene)
 
-    def shown(self, result: Result, name: str) -> Climbed:
+    def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, as input of the viewer.
 
         Raises
@@ -235,11 +232,11 @@ class ClimbVerb(MotionVerb):
         DataError
             If the result is from a file without problem, or input files are missing.
         """
-        from slipfree.show.climb_scene import Climbed
+        from slipfree.show.climb_scene import in_space
 
         climber, profile = _vehicle_and_ground(result)
         plan = poses_of_plan(result.trajectory, result.arrays, climber)
-        return Climbed(name, result.trajectory, climber, profile, plan)
+        return in_space(name, result.trajectory, climber, profile, plan)
 
 
 def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
@@ -260,7 +257,7 @@ def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
 def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
     """Raise ProblemError for control keys or a friction that the tracking of a plan cannot use."""
     spec = problem.spec
-    given = spec.control.model_dump(exclude_none=True, exclude={"speed", "proportional"})
+    given = spec.control.model_dump(exclude_unset=True, exclude={"speed", "proportional"})
     words = "only the keys 'speed' and 'proportional' in [control] with a [plan]"
     faults = [Fault(("control", name), words, f"{name!r}; remove it") for name in given]
     mu = spec.plan.friction if spec.plan else None
@@ -520,7 +517,7 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
 
 def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Planned) -> Climbing:
     """Return the set-up of a climb with the controller that tracks a plan."""
-    given = problem.spec.control.model_dump(exclude_none=True, include={"proportional"})
+    given = problem.spec.control.model_dump(exclude_unset=True, include={"proportional"})
     with at(problem, ("plan",)):
         control = Tracking(tracked_plan(plan.parts), **given)
     dae = _model(problem, setup.climber, setup.profile, control)

@@ -16,7 +16,7 @@ from slipfree.problem.verbs import climb_schema as schema
 from slipfree.records import Array, Label
 from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Column, SolverError, Trajectory
-from slipfree.vehicle.climber import Climber
+from slipfree.vehicle.climber import FOLD, Climber
 
 AXLE_QUANTITIES = {
     "wheel_rate": "rad s-1",
@@ -212,13 +212,18 @@ def poses_of_plan(
     """
     if "plan_time" not in arrays:
         return None
-    columns = {name: Column(run.columns[name].label, arrays[f"plan_{name}"]) for name in POSE}
+    labels = {name: column.label for name, column in run.columns.items()}
+    columns = {name: Column(labels[name], arrays[f"plan_{name}"]) for name in POSE}
     x, z, rear, front = (columns[name].values for name in POSE)
     ahead = np.array([axle.ahead for axle in climber.axles])
     tilts = np.stack([rear, rear, front], axis=1)
     for name, start, turned in (("center_y", x, np.cos), ("center_z", z, np.sin)):
         places = start[:, None] + ahead * turned(tilts)
-        columns[name] = Column(run.columns[name].label, places)
+        columns[name] = Column(labels[name], places)
+    others = dict.fromkeys(("x", "heading", "roll"), np.zeros(x.size))
+    others |= {"pitch": rear, FOLD: front - rear}
+    others |= dict.fromkeys(("contact_x", "contact_y", "contact_z"), np.full((x.size, 3), np.nan))
+    columns |= {name: Column(labels[name], values) for name, values in others.items()}
     progress = (run["center_y"] + run["center_z"]).mean(axis=1)
     begins = run.t[int((progress > arrays[f"plan_{PROGRESS.name}"][0]).argmax())]
     t = begins + arrays["plan_time"]

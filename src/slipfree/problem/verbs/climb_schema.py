@@ -4,24 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import inf
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from slipfree.control.reference_speeds import Law
-from slipfree.control.step_climbing import Directions
+from slipfree.control import sensor_noise, step_climbing
 from slipfree.files.toml.source_lines import Place as KeyPath
-from slipfree.files.toml.types import (
-    Count,
-    NonNegative,
-    NonNegativeAngle,
-    NonNegativeRate,
-    Pair,
-    Positive,
-    Record,
-)
+from slipfree.files.toml.types import NonNegative, Pair, Positive, Record
+from slipfree.problem.law_record import law_record
 from slipfree.problem.schema import TOLERANCE, VERB, Runnable, Solver
-from slipfree.problem.schema_solids import Incline, Kerb, Stairs, Step
+from slipfree.problem.schema_solids import Shapes
 from slipfree.solve.options import MIN_TOLERANCE, Method
 from slipfree.vehicle import climber as vehicle
 
@@ -34,13 +26,9 @@ class Solid(Record):
     )
 
 
-class Profile(Record):
+class Profile(Shapes):
     """The ground of a climb: a floor with one obstacle, or polygons, given here or in a file."""
 
-    ramp: Incline | None = Field(default=None, description="a ramp up to a plateau")
-    step: Step | None = Field(default=None, description="a step up to a plateau")
-    kerb: Kerb | None = Field(default=None, description="a block")
-    stairs: Stairs | None = Field(default=None, description="stairs up to a plateau")
     solids: Annotated[tuple[Solid, ...], Field(strict=False)] | None = Field(
         default=None, description="convex polygons"
     )
@@ -119,59 +107,16 @@ class Compliance(Record):
     )
 
 
-class Noise(Record):
-    """Noise of a climb's sensors; by default zero, with a band of 50 Hz and the seed 0."""
-
-    tilt: NonNegativeAngle | None = Field(
-        default=None, description="root mean square for the bodies' tilts [rad]"
-    )
-    tilt_rate: NonNegativeRate | None = Field(
-        default=None, description="root mean square for the tilt rates [rad/s]"
-    )
-    wheel_rate: NonNegative | None = Field(
-        default=None, description="root mean square for the wheel rates [rad/s]"
-    )
-    band: Positive | None = Field(default=None, description="largest frequency [Hz]")
-    seed: Count | None = Field(default=None, description="seed of the random numbers")
+if TYPE_CHECKING:
+    Noise = Record
+else:
+    Noise = law_record(sensor_noise.Noise)
 
 
-class Control(Record):
-    """Control of the wheels; the defaults are those of `slipfree.control.step_climbing.Control`."""
+class ControlKeys(Record):
+    """Keys of the control of the wheels that are not parameters of the controller."""
 
     speed: Positive = Field(description="speed of the vehicle [m/s]")
-    law: Law | None = Field(default=None, description="law of the axles' reference speeds")
-    directions: Directions | None = Field(
-        default=None,
-        description="directions of the axles' motion: estimated from sensors, or true directions "
-        "of the contacts",
-    )
-    smoothing: Positive | None = Field(
-        default=None, description="time constant of the sensors' low-pass filter [s]"
-    )
-    share: NonNegative | None = Field(
-        default=None, description="factor that multiplies the true directions of the contacts [1]"
-    )
-    cap: Annotated[float, Field(ge=1)] | None = Field(
-        default=None,
-        description="largest reference speed of an axle relative to the vehicle's speed [1]",
-    )
-    proportional: Positive | None = Field(
-        default=None, description="proportional gain of the wheel-rate control [N m s/rad]"
-    )
-    integral: Positive | None = Field(
-        default=None, description="integral gain of the wheel-rate control [N m/rad]"
-    )
-    derivative: NonNegative | None = Field(
-        default=None, description="derivative gain of the wheel-rate control [N m s2/rad]"
-    )
-    lag: Positive | None = Field(
-        default=None, description="time constant of the filter of the derivative term [s]"
-    )
-    unwinding: NonNegative | None = Field(
-        default=None,
-        description="anti-windup: rate at which torque above the limit is removed from the "
-        "integral term [1/s]",
-    )
     period: Positive | None = Field(
         default=None,
         description="sample time of the controller; by default the control is continuous [s]",
@@ -179,6 +124,12 @@ class Control(Record):
     noise: Noise | None = Field(
         default=None, description="noise of the sensors; without this table, exact measurements"
     )
+
+
+if TYPE_CHECKING:
+    Control = ControlKeys
+else:
+    Control = law_record(step_climbing.Control, ControlKeys)
 
 
 class Approach(Record):
