@@ -47,6 +47,15 @@ def test_what_comes_up_climbs():
     assert_allclose(found.t, 2.5)
 
 
+def test_wheels_on_the_floor_are_not_on_a_low_step():
+    """Neither on one that is lower than 0.2 radii."""
+    low = prisms(step(0.1 * RADIUS))
+    assert obstacle_ending(motion(0.1 * T), side_view(step_climber()), low).name == "unfinished"
+    up = motion(0.1 * T, np.where(T < 2.5, RADIUS, 1.1 * RADIUS))
+    found = obstacle_ending(up, side_view(step_climber()), low)
+    assert (found.name, found.t) == ("climbs", pytest.approx(2.5))
+
+
 def test_what_gets_no_farther_stalls():
     assert ending(np.minimum(0.1 * T, 0.15)).name == "stalls"
     assert ending(np.minimum(0.1 * T, 0.15) + 0.004 * T).name == "stalls"

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.models.limits import UPRIGHT
-from slipfree.records import Array, Mask
+from slipfree.records import Mask
 from slipfree.terrain.solids import HEIGHT_TOLERANCE, Prism
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
@@ -97,8 +97,8 @@ def obstacle_ending(
     highest = max((prism for prism, _ in touched or obstacles), key=_top, default=None)
     if highest is None:
         return ObstacleEnding("unfinished", end, f"there is no obstacle{_stop_words(run)}")
-    met = np.logical_or.accumulate(np.any([met for _, met in obstacles], axis=0))
-    up = _on_top(run, vehicle, _top(highest)) & met[:, None]
+    met = np.cumsum(np.any([met for _, met in obstacles], axis=0)) > 0
+    up = is_on_top(run, vehicle, _top(highest)) & met[:, None]
     if up.any(axis=0).all():
         t = _last_time(run, up)
         words = f"by t = {t:.3g} s every wheel had reached the top, z = {_top(highest):.3g} m"
@@ -122,9 +122,29 @@ def _top(prism: Prism) -> float:
     return prism.z + max(z for _, z in prism.section.points)
 
 
-def _on_top(run: Trajectory, vehicle: Vehicle, top: float) -> Mask:
-    """Return whether each wheel is as high as on a level top, shape (n, n_wheels)."""
-    return np.asarray(run["center_z"] > top + TOP_SHARE * _radii(vehicle))
+def is_on_top(run: Trajectory, vehicle: Vehicle, top: float) -> Mask:
+    """Return whether each wheel is as high as on a level top.
+
+    Its centre may be 0.2 radii lower, but not lower than half-way from its height at the start.
+
+    Parameters
+    ----------
+    run : Trajectory
+        A motion with the heights of the wheels' centres.
+    vehicle : Vehicle
+        Vehicle of the motion.
+    top : float
+        Height of the top. [m]
+
+    Returns
+    -------
+    ndarray of bool, shape (n, n_wheels)
+        Whether a wheel is on top, at each sample.
+    """
+    radii = np.array([wheel.radius for wheel in vehicle.wheels])
+    rise = top + radii - run["center_z"][0]
+    below = np.minimum((1 - TOP_SHARE) * radii, np.where(rise > 0, rise / 2, np.inf))
+    return np.asarray(run["center_z"] > top + radii - below)
 
 
 def _is_past_front(run: Trajectory, prism: Prism) -> Mask:
@@ -147,7 +167,7 @@ def _final_motion(run: Trajectory, vehicle: Vehicle, touched: Sequence[Prism]) -
     if since < run.t[0]:
         return "unfinished"
     away = np.array([run[axis][-1] - np.interp(since, run.t, run[axis]) for axis in "xyz"])
-    rims = np.abs(run["wheel_rate"]) @ _radii(vehicle) / len(vehicle.wheels)
+    rims = np.abs(run["wheel_rate"]) @ [w.radius for w in vehicle.wheels] / len(vehicle.wheels)
     times = np.append(since, run.t[run.t > since])
     travel = np.trapezoid(np.interp(times, run.t, rims), times)
     small = max(STALL_DISTANCE, STALL_SHARE * travel)
@@ -155,10 +175,6 @@ def _final_motion(run: Trajectory, vehicle: Vehicle, touched: Sequence[Prism]) -
         return "stalls"
     advances = [np.linalg.norm((away @ prism.axes)[[0, 2]]) for prism in touched]
     return "moves along" if min(advances, default=np.inf) < small else "unfinished"
-
-
-def _radii(vehicle: Vehicle) -> Array:
-    return np.array([wheel.radius for wheel in vehicle.wheels])
 
 
 def _stop_words(run: Trajectory) -> str:
