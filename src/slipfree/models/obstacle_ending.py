@@ -89,7 +89,7 @@ def obstacle_ending(
         return ObstacleEnding("tips over", end, f"at t = {end:.3g} s {run.stop.words}")
     loads = (run[f"solid_load_{k}"] > 0 for k in range(1, len(prisms) + 1))
     obstacles = [  # all wheels stand on a floor at the start
-        (prism, load.any(axis=1))
+        (prism, np.asarray(load.any(axis=1)))
         for prism, load in zip(prisms, loads, strict=True)
         if not load[0].all()
     ]
@@ -112,7 +112,7 @@ def obstacle_ending(
         return ObstacleEnding("passes", t, words)
     if not touched:
         return ObstacleEnding("unfinished", end, f"{count}{_stop_words(run)}")
-    is_final = np.asarray(run.t > end - STALL_TIME)
+    is_final = run.t > end - STALL_TIME
     name = _final_motion(run, vehicle, [each for each, met in touched if met[is_final].any()])
     return ObstacleEnding(name, end, f"by t = {end:.3g} s {count}{_stop_words(run)}")
 
