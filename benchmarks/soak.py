@@ -1,10 +1,12 @@
-"""Solve random problems of all kinds in one process, and check that its memory does not grow.
+"""Solve random problems of all models in one process, and check that its memory does not grow.
 
-``python benchmarks/soak.py --minutes 60 [--seed N]`` makes a new random ground every time,
-simulates, plans, climbs, writes, reads, draws and reports, and prints the resources of the process:
-resident memory, open files and threads. At the end it prints the slope of memory per hour, from a
-line fitted to the second half, and its standard error. The exit code is 1 if a problem ended in a
-traceback.
+``python benchmarks/soak.py --minutes 60 [--seed N]`` makes a new random ground every time: it
+simulates kinematics, quasi-statics, dynamics on a map and over solids, and a soil law, follows
+given rates and paths, plans, climbs, fits and runs rollouts, with compiled and with interpreted
+equations. It writes, reads, draws and reports the results, and prints the resources of the process:
+resident memory, integrators kept for later calls, loaded libraries, open files and threads. At the
+end it prints the CPU of each kind, and the slope of memory per hour, from a line fitted to the
+second half, with its standard error. The exit code is 1 if a problem ended in a traceback.
 """
 
 from __future__ import annotations
@@ -15,10 +17,12 @@ import shutil
 import sys
 import tempfile
 import time
+import tomllib
 import traceback
 from collections import Counter
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import matplotlib as mpl
 
@@ -28,6 +32,7 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from helpers.fuzz_files import SIDE, bases, document
+from slipfree import Bicubic, SolverOptions, catalog, direct_kinematics, rollouts
 from slipfree.errors import SlipfreeError
 from slipfree.files import netcdf
 from slipfree.files.export import export_path
@@ -35,56 +40,121 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
 from slipfree.problem.result import motion_facts
 from slipfree.problem.solve import run_problem
+from slipfree.problem.verbs.fit import estimate_rows, facts, fit
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.show.html_report import page
 from slipfree.show.plots import save
+from slipfree.solve import simulate
+from slipfree.terrain.synthetic import blank, power_law
 
-KINDS = ("direct", "direct", "direct", "inverse", "inverse", "plan", "climb")
-COMPILED = ("direct", "plan")  # of these every third, what is compiled stays loaded
 ROOT = Path(__file__).parent.parent
+SHIPPED = {  # problems that get a random ground, and their settings
+    "quasi-statics": ("traction_hills", {"time": {"duration": 2.0, "step": 0.1}}),
+    "rigid": ("rigid_hills", {"time": {"duration": 1.0, "step": 0.1}}),
+    "dynamics": ("dynamics_rocks", {"time": {"duration": 0.5, "step": 0.05}}),
+    "solids": ("dynamics_step", {"time": {"duration": 2.0, "step": 0.1}}),
+    "soil": ("plan_sandy_slope", {"time": {"duration": 2.0, "step": 0.1}}),
+}
+KINDS = (*("direct", "inverse") * 2, "plan", "climb", "climb plan", "fit", "rollouts", *SHIPPED)
+COMPILED = ("direct", "plan", "quasi-statics", "rigid", "dynamics", "soil")  # every third compiled
+ROWS, RUNS = 121, 6  # of the log of a fit; of rollouts
 EVERY = 30.0  # between two lines [s]
+Table = dict[str, Any]
 
 
-def drawn(kind: str, rng: Random) -> str:
+def drawn(kind: str, rng: Random) -> Table:
     """Return a problem on a new random ground."""
-    data = dict(rng.choice(bases(kind)))
-    if kind == "climb":
+    if kind == "fit":
+        data = tomllib.loads((ROOT / "problems" / "fit_skid_steer.toml").read_text())
+        return data | {"law": {"coulomb": {"creep": rng.uniform(0.02, 0.2)}}}
+    if kind.startswith("climb"):
+        data = dict(rng.choice(bases("climb")))
         data["profile"] = {"step": {"height": rng.uniform(0.02, 0.09)}}
         data["time"] = {"duration": 0.6, "step": 0.005}
-    elif "file" not in data["terrain"]:
-        rough = {
-            "rms": rng.uniform(0.005, 0.06),
-            "hurst": rng.uniform(0.6, 1.0),
-            "longest": 8.0,
-            "shortest": 2.0,
-            "seed": rng.randrange(10**6),
-        }
-        made = {
-            "x": [-4, 4],
-            "y": [-4, 5],
-            "spacing": rng.choice([0.2, 0.25, 0.5]),
-            "power_law": rough,
-        }
-        data["terrain"] = {"synthetic": made}
+        if kind == "climb plan":
+            data["plan"] = {"cost": rng.choice(["time", "friction"]), "nodes": 20}
+            data["control"] = {"speed": 0.25}
+        return data
+    if kind in SHIPPED:
+        name, settings = SHIPPED[kind]
+        data = tomllib.loads((ROOT / "problems" / f"{name}.toml").read_text()) | settings
+        data.pop("output", None)
+    else:
+        data = dict(rng.choice(bases(kind)))
+    if kind == "soil":
+        rates = {name: rng.uniform(0.5, 3.0) for name in ("rear_right_rate", "rear_left_rate")}
+        data = {key: data[key] for key in ("title", "terrain", "vehicle", "start", "time", "law")}
+        data |= {"verb": "direct", "model": "quasi-static", "inputs": {**rates, "steer_rate": 0.0}}
+    ground = data["terrain"]
+    if "file" not in ground:
+        rest = {key: ground[key] for key in ("friction", "obstacles") if key in ground}
+        data["terrain"] = {"synthetic": _rough(rng), **rest}
+    if kind == "solids":
+        step = {"step": {"height": rng.uniform(0.02, 0.09)}, "y": rng.uniform(0.5, 0.55)}
+        data["terrain"]["obstacles"] = [{**step, "heading": "90 deg"}]
     if kind == "plan":
         data["plan"] = {"intervals": rng.choice([4, 6, 8]), "degree": rng.choice([2, 3])}
     if kind in COMPILED and rng.random() < 0.3:
         data["solver"] = {**data.get("solver", {}), "compiled": True}
-    return document(data)
+    return data
 
 
-def whole(text: str, folder: Path, rng: Random) -> str:
+def _rough(rng: Random) -> Table:
+    """Return the table of a random ground."""
+    rough = {
+        "rms": rng.uniform(0.005, 0.06),
+        "hurst": rng.uniform(0.6, 1.0),
+        "longest": 8.0,
+        "shortest": 2.0,
+        "seed": rng.randrange(10**6),
+    }
+    spacing = rng.choice([0.2, 0.25, 0.5])
+    return {"x": [-4, 4], "y": [-4, 5], "spacing": spacing, "power_law": rough}
+
+
+def solved(kind: str, rng: Random, folder: Path) -> str:
+    """Solve a random problem of a kind; return the outcome."""
+    if kind == "rollouts":
+        return _rolled(rng)
+    try:
+        return (_fitted if kind == "fit" else whole)(drawn(kind, rng), folder, rng)
+    except SlipfreeError as error:
+        return type(error).__name__
+
+
+def _rolled(rng: Random) -> str:
+    """Simulate a model several times, with random inputs; return the outcomes."""
+    rough = {"hurst": rng.uniform(0.6, 1.0), "longest": 8.0, "shortest": 2.0}
+    grid = power_law(blank((-4, 4), (-4, 5), 0.25), rms=0.03, seed=rng.randrange(10**6), **rough)
+    model = direct_kinematics(catalog.three_wheeler(), Bicubic(grid))
+    rates = np.random.default_rng(rng.randrange(10**6)).uniform(0.3, 0.6, (RUNS, 4))
+    inputs = {"right_rate": rates, "left_rate": rates, "steer_rate": 0.0}
+    options = SolverOptions(tolerance=1e-4, compiled=rng.random() < 0.3)
+    found = rollouts(model, {"heading": 0.0}, inputs, np.linspace(0, 2, 5), options=options)
+    return " and ".join(sorted(set(found["outcome"].values.tolist())))
+
+
+def _fitted(data: Table, folder: Path, rng: Random) -> str:
+    """Fit numbers to a part of a log; return the outcome."""
+    names, *rows = (ROOT / "problems" / "skid_steer_log.csv").read_text().splitlines()
+    first = rng.randrange(len(rows) - ROWS)
+    (folder / "skid_steer_log.csv").write_text("\n".join([names, *rows[first : first + ROWS]]))
+    (folder / "p.toml").write_text(document(data))
+    problem: Any = load_problem(folder / "p.toml", command="fit")
+    found = fit(problem)
+    facts(found), estimate_rows(found)
+    return "complete"
+
+
+def whole(data: Table, folder: Path, rng: Random) -> str:
     """Solve a problem, write, read and draw the result; return the outcome."""
     for name, content in SIDE.items():
         (folder / name).write_text(content)
     shutil.copy(ROOT / "problems" / "vehicles" / "trailer.toml", folder / "vehicle.toml")
     file = folder / "p.toml"
-    file.write_text(text)
-    try:
-        problem = load_problem(file)
-        outcome = run_problem(problem)
-    except SlipfreeError as error:
-        return type(error).__name__
+    file.write_text(document(data))
+    problem = load_problem(file)
+    outcome = run_problem(problem)
     netcdf.write(folder / "p.nc", outcome.trajectory, outcome.arrays)
     motion = netcdf.read(folder / "p.nc")
     motion_facts(motion)
@@ -100,23 +170,28 @@ def whole(text: str, folder: Path, rng: Random) -> str:
 
 def soak(minutes: float, seed: int) -> int:
     """Solve problems for a time, print the resources of the process; return 1 after an error."""
-    rng, ends, rows = Random(seed), Counter[str](), []
+    rng, ends, costs, rows = Random(seed), Counter[str](), Counter[str](), []
     process, begin, last = psutil.Process(), time.monotonic(), -EVERY
-    print(f"{'minutes':>8}{'problems':>10}{'resident MB':>13}{'open files':>12}{'threads':>9}")
+    print(" minutes  problems  resident MB  integrators  libraries  open files  threads")
     while (now := time.monotonic() - begin) < 60 * minutes:
         if now - last >= min(EVERY, 60 * minutes / 8):
             rows.append(_row(process, now, ends.total()))
             last = now
-        kind = rng.choice(KINDS)
-        text = drawn(kind, rng)
+        kind, state = rng.choice(KINDS), rng.getstate()
+        clock = time.process_time()
         with tempfile.TemporaryDirectory() as folder:
             try:
-                ends[f"{kind} {whole(text, Path(folder), rng)}"] += 1
+                ends[f"{kind} {solved(kind, rng, Path(folder))}"] += 1
             except Exception:  # what is to be found
                 ends[f"{kind} traceback"] += 1
-                print(text, traceback.format_exc(), sep="\n")
+                again = Random()
+                again.setstate(state)
+                text = "" if kind == "rollouts" else document(drawn(kind, again))
+                print(kind, text, traceback.format_exc(), sep="\n")
+        costs[kind] += time.process_time() - clock
     rows.append(_row(process, time.monotonic() - begin, ends.total()))
     print(", ".join(f"{name} {n}" for name, n in sorted(ends.items())))
+    print("CPU [s]: " + ", ".join(f"{kind} {cost:.0f}" for kind, cost in sorted(costs.items())))
     _slope(np.array(rows))
     return int(any(name.endswith("traceback") for name in ends))
 
@@ -125,8 +200,11 @@ def _row(process: psutil.Process, now: float, count: int) -> tuple[float, float,
     """Print the resources of the process; return minutes, resident memory [MB] and open files."""
     gc.collect()
     memory, files = process.memory_info().rss / 1e6, len([*Path("/proc/self/fd").iterdir()])
+    maps = Path("/proc/self/maps").read_text().split()
+    cached = {word for word in maps if "slipfree/compiled" in word}
     print(
-        f"{now / 60:>8.2f}{count:>10}{memory:>13.1f}{files:>12}{process.num_threads():>9}",
+        f"{now / 60:8.2f}{count:10}{memory:13.1f}{len(simulate._IDLE):13}{len(cached):11}"
+        f"{files:12}{process.num_threads():9}",
         flush=True,
     )
     return now / 60, memory, files

@@ -32,7 +32,7 @@ from slipfree import Analytic, ModelError, SolverError, SolverOptions, catalog, 
 from slipfree.catalog.step_climber import step_climber as climber
 from slipfree.climb.friction_demand import least_friction
 from slipfree.dae import Dae
-from slipfree.models.obstacle_ending import TOP_SHARE
+from slipfree.models.obstacle_ending import is_on_top
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.solids import Solids, placed, step
 from slipfree.trajectory import Trajectory
@@ -134,9 +134,7 @@ def climbs(case: Case, lane: int) -> bool:
             f"  ({case.name}, {case.height:g} m, {RESOLUTION * lane:g}: {error})", file=sys.stderr
         )
         return False
-    radii = np.array([wheel.radius for wheel in VEHICLES[case.name].wheels])
-    over = run["center_z"] - case.height > TOP_SHARE * radii
-    return bool(over.all(axis=1).any())
+    return bool(is_on_top(run, VEHICLES[case.name], case.height).all(axis=1).any())
 
 
 def least(case: Case) -> float | None:

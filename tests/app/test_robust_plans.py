@@ -77,8 +77,8 @@ def test_world_without_errors_keeps_the_bounds_of_the_plan():
     settings = (*NEAR, "plan.robust.map={rms=1e-9, correlation=1.0}", "plan.robust.goal=0.01")
     first = load_problem(HILLS, (*NEAR,))
     motion = from_arrays(run_problem(first).arrays, "first").motion
-    task = ReplayTask(source_of(load_problem(HILLS, settings)), motion, (0, 0, 0))
-    draw, replay = replay_draw(task)
+    task = ReplayTask(source_of(load_problem(HILLS, settings)), (motion,), (0, 0, 0))
+    draw, (replay,) = replay_draw(task)
     assert draw == (0, 0, 0)
     assert replay.holds
     assert replay.distance < 1e-3

@@ -18,9 +18,9 @@ from slipfree import Analytic, Solids, SolverOptions, catalog, settle, simulate
 from slipfree.dae import Dae
 from slipfree.errors import SlipfreeError
 from slipfree.models.dynamics import dynamics
-from slipfree.models.obstacle_ending import obstacle_ending
+from slipfree.models.obstacle_ending import ObstacleEnding, obstacle_ending
 from slipfree.terrain.solids import Profile, kerb, placed, ramp, stairs, step
-from slipfree.trajectory import SolverError, Trajectory
+from slipfree.trajectory import SolverError, Trajectory, joined
 from slipfree.vehicle.tree import Vehicle
 
 VEHICLES = (
@@ -40,6 +40,7 @@ LANE = 10.0  # width of a lane of constant friction [m]
 FRICTIONS = np.linspace(0.2, 1.2, 11)  # of the lanes
 TOLERANCE = 1e-5
 SAMPLES = 41
+LEGS = 6  # of a drive at most: a vehicle that has not ended by name drives on
 CLEARANCE = 0.2  # of the first wheel from the obstacle at the start [radii]
 
 
@@ -60,14 +61,14 @@ class World:
 
 @dataclass(frozen=True)
 class Climb:
-    """A climb in a world: lane, speed [m/s], heading [rad] and distance [lengths along y]."""
+    """A climb in a world: lane, speed [m/s], heading [rad] and leg [lengths along y]."""
 
     words: str
     group: int
     lane: int
     speed: float
     heading: float
-    distance: float
+    leg: float
 
 
 def world(group: int) -> World:
@@ -134,7 +135,7 @@ def start(case: Climb) -> Trajectory:
 
 
 def run(case: Climb, tolerance: float = TOLERANCE) -> Trajectory:
-    """Return the motion of a climb, from rest at the rates of its speed."""
+    """Return the motion of a climb, from rest at the rates of its speed, until it has an ending."""
     dae, _ = model(case.group)
     rates = {label.full: 0.0 for part in dae.labels.u for label in part}
     for wheel in world(case.group).vehicle.wheels:
@@ -142,9 +143,22 @@ def run(case: Climb, tolerance: float = TOLERANCE) -> Trajectory:
             rates[f"{wheel.name}_rate"] = case.speed / wheel.radius
     first = start(case)
     length = np.ptp(first["center_y"]) + 2 * world(case.group).radius
-    duration = case.distance * length / np.cos(case.heading) / case.speed
-    t = np.linspace(0, duration, SAMPLES)
-    return simulate(dae, first, dae.inputs(**rates), t, options=SolverOptions(tolerance))
+    duration = case.leg * length / np.cos(case.heading) / case.speed
+    t, options = np.linspace(0, duration, SAMPLES), SolverOptions(tolerance)
+    motion = simulate(dae, first, dae.inputs(**rates), t, options=options)
+    for k in range(1, LEGS):
+        if motion.stop is not None or over_obstacle(case, motion).name != "unfinished":
+            break
+        more = simulate(dae, motion, dae.inputs(**rates), t + k * duration, options=options)
+        motion = joined(motion, more.part(slice(1, None), more.stop))
+    return motion
+
+
+def over_obstacle(case: Climb, motion: Trajectory) -> ObstacleEnding:
+    """Return the ending of a motion by `obstacle_ending`."""
+    found = obstacle_ending(motion, world(case.group).vehicle, model(case.group)[1].prisms)
+    assert found is not None
+    return found
 
 
 def ending(case: Climb) -> Ending:
@@ -155,7 +169,7 @@ def ending(case: Climb) -> Ending:
         return Ending("failure", str(error), ledger(error.trajectory, TOLERANCE))
     except SlipfreeError as error:
         return Ending("refused", str(error))
-    found = obstacle_ending(motion, world(case.group).vehicle, model(case.group)[1].prisms)
+    found = over_obstacle(case, motion)
     kind = str(found.name)
     if motion.stop is not None and kind == "unfinished":
         kind = motion.outcome.name.lower()

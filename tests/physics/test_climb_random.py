@@ -18,11 +18,16 @@ N, RADIUS = 401, 0.066  # a sample every 10 ms
 T = np.arange(N) * 0.01
 
 
-def motion(y, z=None, stop=None, touching=True):
-    """The vehicle on the floor, and at a step from 0.5 s on, with its axles at a height z."""
+def motion(y, z=None, stop=None, touching=True, x=0 * T):
+    """The vehicle on the floor, and at a step from 0.5 s on, with its axles at a height z.
+
+    The step is 1 m ahead.
+    """
     z = np.full(N, RADIUS) if z is None else z
     columns = {
-        **{"x": 0 * T, "y": y, "z": z},
+        **{"x": x, "y": y, "z": z},
+        "center_x": np.tile(x[:, None], (1, 3)),
+        "center_y": np.tile(y[:, None] - 1.0, (1, 3)),
         "center_z": np.tile(z[:, None], (1, 3)),
         "wheel_rate": np.full((N, 3), 0.1 / RADIUS),
         "solid_load_1": np.full((N, 3), 70.0),
@@ -42,10 +47,36 @@ def test_what_comes_up_climbs():
     assert_allclose(found.t, 2.5)
 
 
+def test_wheels_on_the_floor_are_not_on_a_low_step():
+    """Neither on one that is lower than 0.2 radii."""
+    low = prisms(step(0.1 * RADIUS))
+    assert obstacle_ending(motion(0.1 * T), side_view(step_climber()), low).name == "unfinished"
+    up = motion(0.1 * T, np.where(T < 2.5, RADIUS, 1.1 * RADIUS))
+    found = obstacle_ending(up, side_view(step_climber()), low)
+    assert (found.name, found.t) == ("climbs", pytest.approx(2.5))
+
+
 def test_what_gets_no_farther_stalls():
     assert ending(np.minimum(0.1 * T, 0.15)).name == "stalls"
     assert ending(np.minimum(0.1 * T, 0.15) + 0.004 * T).name == "stalls"
     assert ending(0.1 * T).name == "unfinished"
+
+
+def test_what_slides_at_an_obstacle_moves_along():
+    stuck = np.minimum(0.1 * T, 0.15)
+    assert ending(stuck, x=0.05 * T).name == "moves along"
+    assert ending(stuck, x=0.05 * T, z=RADIUS + 0.01 * T).name == "unfinished"
+    assert ending(stuck, x=0.05 * T, touching=False).name == "unfinished"
+
+
+def test_beside_an_obstacle_it_passes():
+    found = ending(0.5 * T)
+    assert (found.name, found.t) == ("passes", pytest.approx(2.01))
+    assert "crossed the line of the front edge; 0 of 3 wheels had reached" in found.words
+    found = ending(0.5 * T, touching=False)
+    assert found.name == "passes"
+    assert found.words.endswith("no wheel touched an obstacle")
+    assert ending(1.5 + 0 * T).name == "stalls"
 
 
 def test_what_falls_over_tips():

@@ -1,9 +1,7 @@
-"""Random climbs: each completes, ends at a named limit, or is refused; energy balances hold.
+"""Random climbs: each ends by name, at a named limit, or is refused; energy balances hold.
 
-The energy balance errs by less than 100 x tolerance x energy. All of climbs 0 to 124 were run
-before steps of the integrator had a bound: 47 climb, 12 stall, 15 end at a limit of a joint and 51
-are unfinished when the drive ends. Longer drives do not help: with half the distance more, 15 of
-the first 33 are unfinished. The test repeats half of 120.
+The energy balance errs by less than 100 x tolerance x energy. COUNTS The test repeats a quarter
+of them, with all vehicles.
 """
 
 from __future__ import annotations
@@ -12,21 +10,21 @@ import pytest
 
 from helpers.random_climbs import GROUP, draw, ending
 
-COUNT, BATCH = 120, 2 * GROUP
+COUNT = 200
 GRAZING = 114  # a wheel touches the side of a ramp for 0.4 s, between steady motions
-COMPLETE = ("climbs", "stalls", "tips over", "unfinished")
+ENDINGS = ("climbs", "passes", "moves along", "stalls", "tips over", "limit", "refused")
 
 
 def check(index):
     case = draw(index)
     found = ending(case)
-    assert found.kind in (*COMPLETE, "limit", "refused"), (case.words, found)
+    assert found.kind in ENDINGS, (case.words, found)
     assert found.ledger < 1, (case.words, found)
 
 
-@pytest.mark.parametrize("begin", range(BATCH, COUNT, 2 * BATCH))
+@pytest.mark.parametrize("begin", range(0, COUNT, 4 * GROUP))
 def test_random_climbs_end_as_they_should(begin):
-    for index in range(begin, begin + BATCH):
+    for index in range(begin, begin + GROUP):
         check(index)
 
 

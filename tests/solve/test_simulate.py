@@ -1,5 +1,6 @@
 """Tests of the integrator on small systems with known solutions, and of its endings."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -536,3 +537,18 @@ def test_new_starts_after_failures_pass_kinks(monkeypatch):
     with pytest.raises(SolverError, match="none of those") as caught:
         simulate(dae, settle(dae), dae.inputs(speed=1.0), t)
     assert 1.5 < caught.value.trajectory.t[-1] < 2.5
+
+
+@pytest.mark.parametrize(("share", "calls"), [(1.0, 1), (0.2, 2)])
+def test_steps_are_bounded_by_the_pace_under_later_inputs(share, calls, monkeypatch):
+    """A second call is needed only if the motion is faster than its inputs tell at the start."""
+    dae = model(lambda t, x, u: u)
+    own = dae.u.rate
+    dae = replace(dae, pace=30 * (share * own + (1 - share) * dae.x.value))
+    made = []
+    monkeypatch.setattr(module, "_run", lambda *a, run=module._run: made.append(run(*a)) or made[-1])
+    inputs = dae.inputs(speed=ca.tanh(3 * dae.t))
+    run = simulate(dae, settle(dae, value=0.0), inputs, np.linspace(0, 4, 3))
+    assert len(made) == calls
+    assert run.statistics["steps"] > 4 * 30 * share
+    assert run["value"][-1] == pytest.approx(np.log(np.cosh(12)) / 3, abs=1e-6)

@@ -98,15 +98,17 @@ def write(
         coordinates or an unknown reference system.
     """
     _check(run)
+    on_map = position_columns(run)
 
     def fill(part: Path) -> None:
         with scipy.io.netcdf_file(str(part), "w", version=2) as file:
-            _fill(file, run)
+            _define(file, run, on_map)
             for name, values in arrays.items():
                 file.createDimension(f"{name}{SIZE}", values.size)
                 variable = file.createVariable(name, "f8", (f"{name}{SIZE}",))
                 variable[:] = values
                 variable.long_name = name.replace("_", " ")
+        _write_values(part, {**on_map, **run.columns})
 
     replace_file(Path(path), fill)
 
@@ -206,8 +208,11 @@ def _check(run: Trajectory) -> None:
         )
 
 
-def _fill(file: Any, run: Trajectory) -> None:
-    """Write a trajectory to an open netCDF file."""
+def _define(file: Any, run: Trajectory, on_map: Mapping[str, Column]) -> None:
+    """Write a trajectory to an open netCDF file, without the values of its quantities.
+
+    ``on_map`` are the columns of `position_columns`.
+    """
     _annotate(file, _attributes(run))
     file.createDimension("time", run.t.size)
     time = file.createVariable("time", "f8", ("time",))
@@ -225,13 +230,26 @@ def _fill(file: Any, run: Trajectory) -> None:
         number = file.createVariable(TRAJECTORY, "i4", ())
         number[...] = 1
         _annotate(number, TRAJECTORY_ATTRIBUTES)
-    on_map = position_columns(run)
     if on_map:
         _annotate(file.createVariable(CRS, "i4", ()), grid_mapping(run.attributes[MAP_CRS]))
     for name, column in {**on_map, **run.columns}.items():
         variable = file.createVariable(name, "f8", column.dimensions[::-1])
-        variable[:] = column.values.T
         _annotate(variable, column.metadata | coordinate_attributes(run, [*on_map], name))
+
+
+def _write_values(path: Path, columns: Mapping[str, Column]) -> None:
+    """Write the values of quantities to a netCDF file that defines them.
+
+    Values are converted in blocks: scipy's writer would hold a copy of all quantities in memory.
+    """
+    file = _open(path)
+    file.stream.close()
+    with path.open("rb+") as stream:
+        for name, column in columns.items():
+            stream.seek(file.variables[name].start)
+            for row in np.atleast_2d(column.values.T):
+                for k in range(0, row.size, BLOCK):
+                    stream.write(row[k : k + BLOCK].astype(">f8").data)
 
 
 def _annotate(node: Any, attributes: Mapping[str, Any]) -> None:

@@ -337,7 +337,7 @@ def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tup
 def _sample_motions(
     window: Horizon, motions: list[tuple[PolynomialMotion, float]], t: float, span: float
 ) -> Array:
-    """Return unknowns of the window at time ``t``, sampled from motions.
+    """Return unknowns of the window at time ``t``, sampled from motions, for `completed`.
 
     At each time the first motion that has not ended yet is used. ``motions`` are pairs of a motion
     and its start time. [s]
@@ -357,7 +357,7 @@ def _sample_motions(
     unknowns[layout.states] = states[:, 1:].T.reshape(layout.states.shape)
     unknowns[layout.unknowns] = unknown[:n_z, 1:].T.reshape(layout.unknowns.shape)
     unknowns[layout.inputs] = inputs.T
-    return completed(program, unknowns)
+    return unknowns
 
 
 def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:

@@ -164,7 +164,7 @@ class RobustPlan(NamedTuple, Generic[P]):
 def robust_plan(
     first: P,
     solve: Callable[[Tightening, P], P],
-    replay: Callable[[P, Sequence[Draw]], Replays],
+    replay: Callable[[Sequence[P], Sequence[Draw]], Sequence[Replays]],
     *,
     share: float,
     draws: int,
@@ -187,7 +187,7 @@ def robust_plan(
         Function of the tightening of the bounds and of the previous plan, for a warm start;
         returns a plan, or raises SlipfreeError if there is none.
     replay : callable
-        Function of a plan and of draws; returns the simulations.
+        Function of plans and of draws; returns the simulations of each plan.
     share : float
         Required share of simulations that satisfy all bounds. [1]
     draws, final_draws : int
@@ -204,7 +204,7 @@ def robust_plan(
     """
     now, tightening, rounds, failure = first, dict[Bound, float](), 0, ""
     for stream in range(FINAL + 1, FINAL + 1 + MAX_ROUNDS):
-        found = replay(now, _draws(seed, stream, draws))
+        (found,) = replay([now], _draws(seed, stream, draws))
         added = {} if found.share >= share else added_tightening(found, (1 + share) / 2)
         if not added:  # the share is reached, or the motions fail for another reason
             break
@@ -212,10 +212,9 @@ def robust_plan(
         if not done:
             break
         tightening, rounds = _sum(tightening, added, done), rounds + 1
-    final = _draws(seed, FINAL, final_draws)
-    before = replay(first, final)
-    after = replay(now, final) if rounds else before
-    return RobustPlan(now, before, after, tightening, rounds, failure)
+    plans = [first, now] if rounds else [first]
+    final = replay(plans, _draws(seed, FINAL, final_draws))
+    return RobustPlan(now, final[0], final[-1], tightening, rounds, failure)
 
 
 def _tighten_gradually(

@@ -327,4 +327,4 @@ def _sized(figure: Figure, ax: Axes, room: float = 17 * MM) -> None:
 def _outcome(run: Trajectory) -> str:
     """Return a sentence on the end of a climb; empty if the result has no description."""
     words = run.attributes.get("climb", "")
-    return f" The vehicle {words}." if words.startswith(("climbs", "stalls", "tips")) else ""
+    return "" if words.startswith("unfinished") or not words else f" The vehicle {words}."

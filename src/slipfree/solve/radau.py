@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,7 @@ class RadauBasis(NamedTuple):
         return np.asarray(at[:, None] * means, dtype=np.float64)
 
 
+@cache
 def radau_basis(degree: int) -> RadauBasis:
     """Return the collocation polynomials for ``degree`` Radau points."""
     difference = np.zeros(degree + 1)

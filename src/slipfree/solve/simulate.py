@@ -30,7 +30,7 @@ from slipfree.solve.stop_diagnosis import diagnose_stop
 from slipfree.solve.system import System, with_inputs
 from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.solver_codes import NO_START, sundials_words
-from slipfree.trajectory import SolverError, Stop, Trajectory, joined
+from slipfree.trajectory import Column, SolverError, Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 SUBINTERVALS = 64  # parts of an interval with a crossing, in each refinement
@@ -40,6 +40,7 @@ LIMIT_TOLERANCE = 1e-6  # tolerated violation of a limit [unit or scale of the l
 MAX_STEPS = 10_000  # maximum number of steps of the integrator between two samples
 NEWTON_SHARE = 0.01  # fraction of a step's allowed error at which CVODES ends Newton's method
 MAX_RESTARTS = 20  # maximum number of restarts after failures, per interval of the inputs
+PACE_TIMES = 33  # times in a motion whose inputs bound its pace
 MAX_COVERED = 2.0  # a step that covers more causes a repetition [allowed distances]
 ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
 MAX_IDLE = 64  # integrators kept for later calls; inputs that jump use one for each interval
@@ -301,10 +302,10 @@ def _call_integrator(
     IDAS may fail to compute a consistent start if the given start already is consistent to rounding
     accuracy. Newton's method then computes the start, and IDAS skips its own computation.
 
-    Steps are bounded by the pace at the start under all inputs. If the motion becomes faster and a
+    Steps are bounded by the pace that the start has under later inputs. If the motion becomes faster and a
     step covers too large a distance, the call is repeated with the largest pace.
     """
-    system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, u)
+    system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, t, u)
     x_size, m_size = (size[:, None] for size in _motion_scales(system))
     columns = np.column_stack([u[:, :1], u])  # that of an interval at the time that it ends
     while True:
@@ -326,21 +327,23 @@ def _call_integrator(
                 raise SolverError(words) from error
             at, given = start, {"calc_ic": False, "init_xdot": _scaled_rates(system, start)}
     solver.guard.check()
-    x, z = x * x_size, z * m_size
-    z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
+    x, found = x * x_size, z
+    z = np.full((len(at.z), t.size), np.nan)
+    z[: len(found)] = found * m_size
     x[:, :1], z[:, :1] = at.x, at.z
     counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
     inputs = np.column_stack([u, u[:, -1:]])
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
 
 
-def _pace_at_start(system: System, at: Samples, u: Array) -> float:
-    """Return the largest pace of a sample under the inputs of all intervals [1/s]."""
+def _pace_at_start(system: System, at: Samples, t: Array, u: Array) -> float:
+    """Return the largest pace of a sample under the inputs of several times [1/s]."""
     if system.dae.pace.is_zero():
         return 0.0
-    inputs = np.unique(u, axis=1)
+    times = np.linspace(t[0], t[-1], PACE_TIMES)
+    inputs = u[:, np.searchsorted(t[1:-1], times, side="right")]
     m = at.z[: system.motion_size, 0]
-    return float(np.array(system.watch(at.t[0], at.x[:, 0], m, inputs)[2]).max())
+    return float(np.array(system.watch(times[None], at.x[:, 0], m, inputs)[2]).max())
 
 
 def _run(
@@ -397,14 +400,10 @@ def _select(samples: Samples, k: slice | list[int] | Mask) -> Samples:
     return Samples(*(row[..., k] for row in samples))
 
 
-def _concatenate(parts: Sequence[Samples]) -> Samples:
-    """Return the concatenated samples of all parts."""
-    return Samples(*(np.concatenate(row, axis=-1) for row in zip(*parts, strict=True)))
-
-
 def _join_parts(parts: Sequence[Samples]) -> Samples:
     """Return the joined samples of parts; each starts at the last sample of the previous part."""
-    return _concatenate([*(part.head(-1) for part in parts[:-1]), parts[-1]])
+    rows = zip(*(part.head(-1) for part in parts[:-1]), parts[-1], strict=True)
+    return Samples(*(np.concatenate(row, axis=-1) for row in rows))
 
 
 def _add_counts(counts: dict[str, float], more: dict[str, float]) -> dict[str, float]:
@@ -424,10 +423,12 @@ def _check_samples(
 ) -> tuple[Trajectory, Samples, _Crossing | None]:
     """Correct the samples, and find the first that violates a limit or lies beyond an event.
 
-    Samples are processed in chunks; chunks after a violation are omitted. With ``limited`` false,
+    Samples are processed in chunks; chunks after a violation are omitted. Results are stored in
+    arrays for all samples, so that a million samples do not exist twice. With ``limited`` false,
     limits are not evaluated, which saves most of the time, and the trajectory has only times.
     """
-    system, runs, parts = solver.system, list[Trajectory](), list[Samples]()
+    system, z, count = solver.system, np.empty_like(samples.z), samples.t.size
+    run = Trajectory(samples.t, {})
     # Where all friction is used, states within the tolerance may have no exact equilibrium.
     unsolved = (
         max(UNSOLVED_RESIDUAL, RESIDUAL_FACTOR * solver.tolerance)
@@ -435,16 +436,22 @@ def _check_samples(
         else UNSOLVED_RESIDUAL
     )
     found = list[_Crossing]()
-    for left in range(0, samples.t.size, CHUNK_SIZE):
-        part = _select(samples, slice(left, left + CHUNK_SIZE))
-        part, report = correct_samples(system, part)
-        runs.append(to_trajectory(system, part, report) if limited else Trajectory(part.t, {}))
-        parts.append(part)
-        violation = first_violation(system, runs[-1], part, unsolved) if limited else None
+    for left in range(0, count, CHUNK_SIZE):
+        span = slice(left, left + CHUNK_SIZE)
+        part, report = correct_samples(system, _select(samples, span))
+        z[:, span] = part.z
+        if not limited:
+            continue
+        chunk = to_trajectory(system, part, report)
+        run = run if run.columns else _unfilled(chunk, samples.t)
+        for name, column in chunk.columns.items():
+            run[name][span] = column.values
+        violation = first_violation(system, chunk, part, unsolved)
         if violation is not None:
             found.append(_Crossing(left + violation[0], violation[1], None))
+            count = left + part.t.size
             break
-    run, samples = (joined(*runs), _concatenate(parts)) if len(runs) > 1 else (runs[0], parts[0])
+    run, samples = run.part(slice(count)), samples._replace(z=z).head(count)
     for each in watched:
         for k in crossing_indices(each, system, samples, solver.tolerance)[:1]:
             name = each.event.name
@@ -452,6 +459,15 @@ def _check_samples(
             stop = Stop(name, float(run.t[k]), words, Outcome.COMPLETE)
             found.append(_Crossing(k, stop, each))
     return run, samples, min(found, key=lambda one: one.k, default=None)
+
+
+def _unfilled(chunk: Trajectory, t: Array) -> Trajectory:
+    """Return a trajectory with the quantities of a chunk and uninitialised values at all times."""
+    columns = {
+        name: Column(label, np.empty((t.size, *values.shape[1:])))
+        for name, (label, values) in chunk.columns.items()
+    }
+    return Trajectory(t, columns, chunk.wheels)
 
 
 @contextmanager

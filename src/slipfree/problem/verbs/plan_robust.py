@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.outcome import Outcome
 from slipfree.plan.plan import Plan as FoundPlan
@@ -49,7 +50,7 @@ from slipfree.solve.options import MIN_TOLERANCE
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import disturbed
-from slipfree.trajectory import PLAN_SHARE, Stop
+from slipfree.trajectory import PLAN_SHARE, Stop, Trajectory
 
 Report = Callable[[str, str], None]
 MAX_LISTED = 4  # largest number of bounds in a line of the summary
@@ -78,11 +79,35 @@ class Tested(NamedTuple):
 
 
 class ReplayTask(NamedTuple):
-    """Simulation of a plan in a drawn world, for a process."""
+    """Simulations of plans in one drawn world, for a process."""
 
     source: PlanSource
-    motion: PolynomialMotion
+    motions: tuple[PolynomialMotion, ...]
     draw: Draw
+
+
+class World(NamedTuple):
+    """A drawn world: the problem, the model of the plan, and model, start and limits in the world.
+
+    Attributes
+    ----------
+    problem : Problem
+        The problem, whose robust plan draws the world.
+    planned : Dae
+        Model of the plan.
+    dae : Dae
+        Model of the vehicle in the drawn world.
+    start : Trajectory
+        Start of the motion in the drawn world.
+    arguments : mapping
+        Arguments of `slipfree.plan` for ``dae``.
+    """
+
+    problem: Problem[Plan]
+    planned: Dae
+    dae: Dae
+    start: Trajectory
+    arguments: Mapping[str, Any]
 
 
 def make_robust(
@@ -131,18 +156,19 @@ def make_robust(
     try:
         with local_tasks(replay_draw, robust.draws) as finish:
 
-            def replay(found: FoundPlan, draws: Sequence[Draw]) -> Replays:
-                done: dict[Draw, Replay] = {}
+            def replay(plans: Sequence[FoundPlan], draws: Sequence[Draw]) -> list[Replays]:
+                done: dict[Draw, tuple[Replay, ...]] = {}
 
                 def poll() -> None:
                     if report is not None:
                         words = f"{len(done)} of {len(draws)} drawn worlds are simulated"
                         report("drawn worlds", f"robust plan: {words}")
 
-                tasks = [ReplayTask(source, found.motion, draw) for draw in draws]
+                motions = tuple(each.motion for each in plans)
+                tasks = [ReplayTask(source, motions, draw) for draw in draws]
                 for draw, each in finish(tasks, poll):
                     done[draw] = each
-                return Replays(tuple(done[draw] for draw in draws))
+                return [Replays(each) for each in zip(*(done[draw] for draw in draws), strict=True)]
 
             found = robust_plan(
                 first,
@@ -166,26 +192,55 @@ def make_robust(
     return Tested(found.plan, _stop(found, robust), words, statistics)
 
 
-def replay_draw(task: ReplayTask) -> tuple[Draw, Replay]:
-    """Simulate a plan in a drawn world; return the draw and the comparison with the bounds."""
-    problem, setup = _planning(task.source)
-    spec, robust = problem.spec, problem.spec.plan.robust or Robust()
-    terrain = drawn_terrain(setup, task.draw, robust)
-    tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
-    options = replace(spec.solver.options, tolerance=tolerance)
+def replay_draw(task: ReplayTask) -> tuple[Draw, tuple[Replay, ...]]:
+    """Simulate plans in a drawn world; return the draw and a comparison with the bounds for each.
+
+    The world is built once for all plans, and once for all draws if only the inputs are drawn.
+    """
+    robust = _planning(task.source)[0].spec.plan.robust or Robust()
+    is_drawn = robust.map is not None or robust.friction > 0
     try:
-        dae = build_model(problem, spec, setup.vehicle, terrain)
-        motion = drawn_motion(task.motion, task.draw, robust.inputs)
-        run = simulate_plan(
-            dae, build_start(problem, dae), motion, step=spec.time.step, options=options
-        )
+        world = _drawn_world(task.source, task.draw if is_drawn else None)
     except SlipfreeError as error:
-        return task.draw, Replay({Bound(f"no motion ({error})"): np.inf}, np.nan)
+        return task.draw, (_without_motion(error),) * len(task.motions)
+    return task.draw, tuple(_replay_in(world, robust, motion, task.draw) for motion in task.motions)
+
+
+@lru_cache(1)
+def _drawn_world(source: PlanSource, draw: Draw | None) -> World:
+    """Return a drawn world, or the world of the problem if there is no draw."""
+    problem, setup = _planning(source)
+    spec = problem.spec
+    terrain = setup.terrain
+    if draw is not None:
+        terrain = drawn_terrain(setup, draw, spec.plan.robust or Robust())
+    dae = build_model(problem, spec, setup.vehicle, terrain)
     model = (dae, setup.vehicle, terrain)
     arguments = plan_arguments(problem, spec, setup.keep_out, model, setup.between)
-    return task.draw, replay_of(
-        dae, arguments, (setup.dae, task.motion), run, accuracy=spec.plan.accuracy, goal=robust.goal
+    return World(problem, setup.dae, dae, build_start(problem, dae), arguments)
+
+
+def _replay_in(world: World, robust: Robust, planned: PolynomialMotion, draw: Draw) -> Replay:
+    spec = world.problem.spec
+    tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
+    options = replace(spec.solver.options, tolerance=tolerance)
+    motion = drawn_motion(planned, draw, robust.inputs)
+    try:
+        run = simulate_plan(world.dae, world.start, motion, step=spec.time.step, options=options)
+    except SlipfreeError as error:
+        return _without_motion(error)
+    return replay_of(
+        world.dae,
+        world.arguments,
+        (world.planned, planned),
+        run,
+        accuracy=spec.plan.accuracy,
+        goal=robust.goal,
     )
+
+
+def _without_motion(error: SlipfreeError) -> Replay:
+    return Replay({Bound(f"no motion ({error})"): np.inf}, np.nan)
 
 
 @lru_cache(1)
