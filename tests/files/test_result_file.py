@@ -174,7 +174,7 @@ def test_an_old_file_survives_a_failure(
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(netcdf, "_fill", fail)
+    monkeypatch.setattr(netcdf, "_write_values", fail)
     with pytest.raises(DataError, match=r"a\.nc: cannot be written \(No space left"):
         netcdf.write(tmp_path / "a.nc", motion.part(slice(2)))
     _assert_same(netcdf.read(tmp_path / "a.nc"), motion)

@@ -30,9 +30,7 @@ def solve(tightening: Mapping[Bound, float], _before: float) -> float:
     return value
 
 
-def replay(
-    values: Sequence[float], draws: Sequence[Draw], spread: float = SPREAD
-) -> list[Replays]:
+def replay(values: Sequence[float], draws: Sequence[Draw], spread: float = SPREAD) -> list[Replays]:
     """Return the excess of disturbed values over their bound."""
     SEEN.append(draws)
     errors = [spread * np.random.default_rng(draw).normal() for draw in draws]

@@ -542,11 +542,13 @@ def test_new_starts_after_failures_pass_kinks(monkeypatch):
 @pytest.mark.parametrize(("share", "calls"), [(1.0, 1), (0.2, 2)])
 def test_steps_are_bounded_by_the_pace_under_later_inputs(share, calls, monkeypatch):
     """A second call is needed only if the motion is faster than its inputs tell at the start."""
-    dae = model(lambda t, x, u: u)
+    dae = model(lambda _t, _x, u: u)
     own = dae.u.rate
     dae = replace(dae, pace=30 * (share * own + (1 - share) * dae.x.value))
     made = []
-    monkeypatch.setattr(module, "_run", lambda *a, run=module._run: made.append(run(*a)) or made[-1])
+    monkeypatch.setattr(
+        module, "_run", lambda *a, run=module._run: made.append(run(*a)) or made[-1]
+    )
     inputs = dae.inputs(speed=ca.tanh(3 * dae.t))
     run = simulate(dae, settle(dae, value=0.0), inputs, np.linspace(0, 4, 3))
     assert len(made) == calls

@@ -112,7 +112,7 @@ def obstacle_ending(
         return ObstacleEnding("passes", t, words)
     if not touched:
         return ObstacleEnding("unfinished", end, f"{count}{_stop_words(run)}")
-    is_final = run.t > end - STALL_TIME
+    is_final = np.asarray(run.t > end - STALL_TIME)
     name = _final_motion(run, vehicle, [each for each, met in touched if met[is_final].any()])
     return ObstacleEnding(name, end, f"by t = {end:.3g} s {count}{_stop_words(run)}")
 

@@ -302,8 +302,8 @@ def _call_integrator(
     IDAS may fail to compute a consistent start if the given start already is consistent to rounding
     accuracy. Newton's method then computes the start, and IDAS skips its own computation.
 
-    Steps are bounded by the pace that the start has under later inputs. If the motion becomes faster and a
-    step covers too large a distance, the call is repeated with the largest pace.
+    Steps are bounded by the pace that the start has under later inputs. If the motion becomes
+    faster and a step covers too large a distance, the call is repeated with the largest pace.
     """
     system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, t, u)
     x_size, m_size = (size[:, None] for size in _motion_scales(system))
