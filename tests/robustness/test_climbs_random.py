@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import pytest
 
-from helpers.random_climbs import GROUP, draw, ending
+from helpers.random_climbs import GROUP, draw, ending, ledger, run
 
 COUNT = 200
+IMPACT = 131  # its largest error arises in one impact
 GRAZING = 114  # a wheel touches the side of a ramp for 0.4 s, between steady motions
 ENDINGS = ("climbs", "passes", "moves along", "stalls", "tips over", "limit", "refused")
 
@@ -33,3 +34,10 @@ def test_random_climbs_end_as_they_should(begin):
 def test_a_contact_between_steady_motions_is_not_missed():
     """Without a bound, one step of the integrator passes over the contact."""
     check(GRAZING)
+
+
+def test_the_error_of_an_impact_is_that_of_the_integrator():
+    """At a tolerance of 1e-5 the error of the energy balance exceeds its bound."""
+    tolerance = 1e-6
+    motion = run(draw(IMPACT), tolerance)
+    assert ledger(motion, tolerance) < 1

@@ -186,7 +186,7 @@ def test_nothing_of_a_user_is_run_as_code() -> None:
     Rollouts pickle a model for their own processes, and unpickle nothing else.
     """
     bad = []
-    for file in set(SOURCE.rglob("*.py")) - {SOURCE / "solve" / "rollouts.py"}:
+    for file in SOURCE.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             names: list[str] = []
             if isinstance(node, ast.Import):
@@ -200,7 +200,11 @@ def test_nothing_of_a_user_is_run_as_code() -> None:
                     for each in node.keywords
                     if each.arg == "allow_pickle" and ast.unparse(each.value) != "False"
                 ]
-            bad += [f"{file.name}:{node.lineno} {name}" for name in names if name in FORBIDDEN]
+            bad += [
+                f"{file.name}:{node.lineno} {name}"
+                for name in names
+                if name in FORBIDDEN and (file.name, name) != ("rollouts.py", "pickle")
+            ]
     assert bad == []
 
 
