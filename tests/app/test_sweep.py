@@ -510,6 +510,46 @@ def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.M
     assert work(task).row.words == "ZeroDivisionError: by chance"
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "is_shared"),
+    [
+        ("driver.speed=0.5", "driver.speed=0.6", True),
+        ("start.heading=0.1", "start.heading=0.2", True),
+        ("start.x=0.1", "start.x=0.2", False),
+        ("terrain.friction=0.5", "terrain.friction=0.6", False),
+        ("slip='least'", "slip='rolling'", False),
+    ],
+)
+def test_runs_share_a_model_unless_it_depends_on_the_key(
+    file: Path, monkeypatch: pytest.MonkeyPatch, first: str, second: str, is_shared: bool
+) -> None:
+    shared = dict[str, Any]()
+    monkeypatch.setattr("slipfree.sweep.worker.KEPT", shared)
+    before, after = tasks_of(file, first, second)
+    work(before)
+    model = shared["world"][1].dae
+    row = work(after).row
+    assert (shared["world"][1].dae is model) == is_shared
+    shared.clear()
+    alone = work(after).row
+    assert row.figures == alone.figures
+    assert row.outcome == alone.outcome == "complete"
+
+
+def test_runs_with_other_input_files_share_nothing(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shared = dict[str, Any]()
+    monkeypatch.setattr("slipfree.sweep.worker.KEPT", shared)
+    (task,) = tasks_of(file, "time.step=0.1")
+    work(task)
+    found = shared["map"][1]
+    work(task)
+    assert shared["map"][1] is found
+    work(task._replace(files="others"))
+    assert shared["map"][1] is not found
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "settings", "figures"),
@@ -533,7 +573,7 @@ def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.M
 )
 def test_every_verb_has_figures(file: str, settings: tuple[str, ...], figures: set[str]) -> None:
     path = PROBLEMS / file
-    row = work(Task(1, str(path), path.read_text(), settings, 0, False)).row
+    row = work(Task(1, str(path), path.read_text(), settings, 0, False, "")).row
     assert row.outcome == "complete", row.words
     assert figures <= set(row.figures)
     if "within_limits" in figures:
@@ -547,7 +587,7 @@ def test_every_verb_has_figures(file: str, settings: tuple[str, ...], figures: s
 def test_a_run_that_stops_is_told_by_name(file: Path) -> None:
     sweep = sweep_of(file, [f"{SPEED}=1.0,6.0"])
     rows = [
-        work(Task(run.number, str(file), PROBLEM, run.settings, 1, False)).row
+        work(Task(run.number, str(file), PROBLEM, run.settings, 1, False, "")).row
         for run in sweep.runs()
     ]
     assert [row.outcome for row in rows] == ["complete", "stopped by map_margin[front]"]

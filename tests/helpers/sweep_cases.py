@@ -100,5 +100,6 @@ def table_rows(folder: Path) -> list[dict[str, str]]:
 
 def tasks_of(file: Path, *settings: str) -> list[Task]:
     return [
-        Task(k, str(file), PROBLEM, (setting,), 1, False) for k, setting in enumerate(settings, 1)
+        Task(k, str(file), PROBLEM, (setting,), 1, False, "")
+        for k, setting in enumerate(settings, 1)
     ]

@@ -16,6 +16,7 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.source_lines import Place
 from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S
+from slipfree.problem.sharing import shared
 from slipfree.problem.summary import Facts
 from slipfree.terrain.base import Grid
 from slipfree.terrain.friction import check_friction
@@ -25,6 +26,7 @@ from slipfree.terrain.synthetic import Rock, blank, place_rocks
 from slipfree.trajectory import Trajectory
 
 OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys of map files only
+LATER = {"smooth", "error", "rolled", "friction", "obstacles"}  # keys that do not affect the map
 EARTH = -12000.0, 9000.0  # heights between the deepest ocean and the highest mountain [m]
 
 
@@ -217,7 +219,15 @@ def read_source(problem: Problem[Any]) -> tuple[Map, tuple[MapCoordinate, ...]]:
 
 
 def _source(problem: Problem[S]) -> tuple[Map, str]:
-    """Return the ground before scaling, and the description of its origin."""
+    """Return the ground before scaling, and the description of its origin.
+
+    Consecutive runs of a sweep share it, unless a key changes on which it depends.
+    """
+    key = problem.spec.terrain.model_dump_json(exclude=LATER, exclude_unset=True)
+    return shared("map", (problem.folder, key), lambda: _read(problem))
+
+
+def _read(problem: Problem[S]) -> tuple[Map, str]:
     spec = problem.spec.terrain
     if spec.file is not None:
         window, (horizontal, _) = spec.window, _scales(spec)

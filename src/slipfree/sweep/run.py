@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -84,9 +85,10 @@ def run_sweep(
 def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[Task]:
     """Yield the tasks of all runs that are not finished."""
     path, text = str(sweep.problem.source.path.resolve()), sweep.problem.source.text
+    files = json.dumps(dict(sweep.files))
     for run in sweep.runs():
         if run.number not in rows:
-            yield Task(run.number, path, text, run.settings, len(sweep.keys), keep)
+            yield Task(run.number, path, text, run.settings, len(sweep.keys), keep, files)
 
 
 def result_path(folder: Path, sweep: Sweep, number: int) -> Path:

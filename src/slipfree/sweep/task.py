@@ -30,6 +30,9 @@ class Task(NamedTuple):
         Number of settings that are specific to this run; they are the last ones.
     keep : bool
         Whether to return the motion.
+    files : str
+        Identifier of the content of the input files. Runs of one process share maps and models if
+        it is the same.
     """
 
     run: int
@@ -38,6 +41,7 @@ class Task(NamedTuple):
     settings: tuple[str, ...]
     own: int
     keep: bool
+    files: str
 
 
 class Done(NamedTuple):

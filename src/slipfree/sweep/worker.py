@@ -9,6 +9,7 @@ from pathlib import Path
 
 from slipfree.errors import SlipfreeError
 from slipfree.problem.load import load_again
+from slipfree.problem.sharing import Shared, sharing
 from slipfree.problem.solve import run_problem
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.log import FAILED, LOST, Row
@@ -17,6 +18,7 @@ from slipfree.sweep.task import Done, Task, own_settings, without_motion
 from slipfree.trajectory import SolverError
 
 ALONE = threading.Lock()  # CasADi's objects are not thread-safe
+KEPT: Shared = {}  # map and model of the latest run
 
 
 def work(task: Task) -> Done:
@@ -27,7 +29,7 @@ def work(task: Task) -> Done:
     """
     begin = time.perf_counter()
     try:
-        with ALONE:
+        with ALONE, sharing(KEPT, task.files):
             return _worked(task, begin)
     except SlipfreeError as error:
         outcome, words = FAILED, str(error)

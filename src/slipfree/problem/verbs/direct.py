@@ -18,17 +18,15 @@ from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.problem.build_common import (
     Setup,
     build_start,
-    build_terrain,
-    build_vehicle,
     check_names,
     sampled_times,
     samples,
     solver_options,
 )
 from slipfree.problem.build_driver import build_law
-from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.build_model import build_model, model_law
-from slipfree.problem.build_solids import build_solids
+from slipfree.problem.build_ground import at
+from slipfree.problem.build_model import model_law
+from slipfree.problem.build_world import build_world
 from slipfree.problem.joint_inputs import read_joint_inputs
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import FILE, VERB, Driver, Modelled, Task
@@ -109,13 +107,9 @@ class DirectVerb(DriveVerb):
             If ground, vehicle, law, start or inputs are not valid, or the model does not support
             the formulation of contact.
         """
-        spec, ground = problem.spec, build_ground(problem)
-        with at(problem, ("vehicle",)):
-            vehicle = build_vehicle(spec.vehicle, problem.folder)
-        terrain = build_terrain(problem, ground)
-        prisms = build_solids(problem, terrain)
-        dae: Dae
-        model = dae = build_model(problem, spec, vehicle, terrain, prisms)
+        spec = problem.spec
+        ground, terrain, vehicle, prisms, model = build_world(problem)
+        dae: Dae = model
         given, source = _given(problem, vehicle)
         check_names(problem, dae, given)
         start = build_start(problem, dae)

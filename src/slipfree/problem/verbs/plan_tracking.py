@@ -23,9 +23,9 @@ from slipfree.plan.plan import Plan
 from slipfree.plan.tracking import track_plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
-from slipfree.problem.build_common import build_start, build_terrain, build_vehicle
-from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.build_model import build_model, model_law
+from slipfree.problem.build_common import build_start
+from slipfree.problem.build_model import model_law
+from slipfree.problem.build_world import build_world
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import problem_of
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
@@ -170,12 +170,8 @@ def follow_plan(
 
 def _world(problem: Problem[Any]) -> World:
     """Return the changed world, with the model of its problem."""
-    ground = build_ground(problem)
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
-    terrain = build_terrain(problem, ground)
-    dae: Dae = build_model(problem, problem.spec, vehicle, terrain)
-    return World(vehicle, terrain, dae, build_start(problem, dae))
+    found = build_world(problem)
+    return World(found.vehicle, found.terrain, found.dae, build_start(problem, found.dae))
 
 
 def _with_forces(found: Plan, problem: Problem[Any], world: World) -> Iterator[Followed]:
