@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, get_args
 import casadi as ca
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
+from slipfree.bounds import check_bounds
 from slipfree.control.reference_speeds import Law, PerAxle
 from slipfree.control.sensor_noise import Noise
 from slipfree.errors import ModelError
-from slipfree.laws.protocols import check_bounds
 from slipfree.vehicle.climber import AXLES, Climber
 
 Directions = Literal["contact", "sensors"]

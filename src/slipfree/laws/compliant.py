@@ -15,8 +15,9 @@ from typing import Annotated
 import casadi as ca
 from annotated_types import Ge, Gt, Le, Unit, doc
 
+from slipfree.bounds import check_bounds
 from slipfree.errors import ModelError
-from slipfree.laws.protocols import GroundForce, WheelContact, check_bounds
+from slipfree.laws.protocols import GroundForce, WheelContact
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 from slipfree.vehicle.wheel import Wheel

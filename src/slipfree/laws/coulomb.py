@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
+from slipfree.bounds import check_bounds
 from slipfree.dae import Continuation, Limit
 from slipfree.errors import ModelError
 from slipfree.laws.protocols import (
@@ -22,7 +23,6 @@ from slipfree.laws.protocols import (
     Equations,
     Reaction,
     SlidingContacts,
-    check_bounds,
     wheel_labels,
 )
 from slipfree.outcome import Outcome

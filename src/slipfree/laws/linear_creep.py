@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from annotated_types import Gt, Le, Unit, doc
 
+from slipfree.bounds import check_bounds
 from slipfree.dae import Limit
 from slipfree.laws.coulomb import (
     MAX_CREEP,
@@ -23,7 +24,7 @@ from slipfree.laws.coulomb import (
     equation_labels,
     friction_unknowns,
 )
-from slipfree.laws.protocols import Equations, Reaction, SlidingContacts, check_bounds
+from slipfree.laws.protocols import Equations, Reaction, SlidingContacts
 from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
-from typing import Any, NamedTuple, Protocol, get_type_hints, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import casadi as ca
 
@@ -20,14 +19,6 @@ from slipfree.vehicle.wheel import Wheel
 ALONG = "force_along", "N", "force of the ground on the wheel along it, positive forward"
 ACROSS = "force_across", "N", "force of the ground on the wheel across it, positive to the right"
 NORMAL = "force_normal", "N", "force of the ground on the wheel along the normal"
-
-
-BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
-    "gt": (">", lambda value, edge: value > edge),
-    "ge": (">=", lambda value, edge: value >= edge),
-    "lt": ("<", lambda value, edge: value < edge),
-    "le": ("<=", lambda value, edge: value <= edge),
-}
 
 
 class Equations(NamedTuple):
@@ -268,23 +259,3 @@ def check_law(law: object, protocol: type, expected: str) -> None:
         raise ModelError(f"{expected}, found {law!r}; give an instance of such a class")
     if isinstance(law, type):
         raise ModelError(f"{expected}, found the class {law.__name__}; call it: {law.__name__}()")
-
-
-def check_bounds(law: Any) -> None:
-    """Raise ModelError if a field of a law violates its annotated bound.
-
-    Each field must have a default, which the message contains.
-    """
-    hints = get_type_hints(type(law), include_extras=True)
-    for field in fields(law):
-        value, annotation = getattr(law, field.name), hints[field.name]
-        if isinstance(value, ca.SX):  # a parameter
-            continue
-        for bound in getattr(annotation, "__metadata__", ()):
-            for key, (sign, holds) in BOUNDS.items():
-                edge = getattr(bound, key, None)
-                if edge is not None and not holds(value, edge):
-                    raise ModelError(
-                        f"{type(law).__name__}: {field.name!r}: expected a number {sign} {edge:g}, "
-                        f"found {value}; the default is {field.default}"
-                    )

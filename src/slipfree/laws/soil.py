@@ -44,6 +44,7 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
+from slipfree.bounds import check_bounds
 from slipfree.dae import Limit
 from slipfree.errors import ModelError
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
@@ -56,7 +57,6 @@ from slipfree.laws.protocols import (
     Reaction,
     SlidingContacts,
     WheelContact,
-    check_bounds,
     wheel_labels,
 )
 from slipfree.laws.soil_regions import SoilRegion, soil_at
