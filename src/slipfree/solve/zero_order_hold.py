@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -189,19 +190,20 @@ def _period_integrator(system: System, period: float, tolerance: float) -> ca.Fu
     """Return the integrator over one period; parameters are inputs and start time."""
     t, x = ca.MX.sym("t"), ca.MX.sym("x", system.dae.ode.numel())
     p, none = ca.MX.sym("p", system.u.shape[0] + 1), ca.MX.sym("none", 0)
-    at, u = (p[-1] + t, x, none), p[:-1]
+    at, u, jacobian = (p[-1] + t, x, none), p[:-1], system.jacobian
     ode, quad = system.core(*at, u)[0], system.watch(*at, u)[0]
-    jacobian = system.jacobian
     names = jacobian.name_in(), jacobian.name_out()
-    slopes = jacobian(*at, none, u)
-    options = {
+    slopes = ca.Function(
+        "jacF", [t, x, none, p, ca.MX.sym("u", 0)], list(jacobian(*at, none, u)), *names
+    )
+    equations: dict[str, Any] = {"t": t, "x": x, "p": p, "ode": ode, "quad": quad}
+    options: dict[str, Any] = {
         "reltol": tolerance,
         "abstol": tolerance,
         "max_num_steps": MAX_STEPS,
         "quad_err_con": True,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
-        "cache": {"jacF": ca.Function("jacF", [t, x, none, p, ca.MX.sym("u", 0)], slopes, *names)},
+        "cache": {"jacF": slopes},
     }
-    equations = {"t": t, "x": x, "p": p, "ode": ode, "quad": quad}
     return ca.integrator("period", "cvodes", equations, 0.0, period, options)
