@@ -429,6 +429,12 @@ def test_a_climb_is_drawn_with_a_width(climb_file: Path) -> None:
     top = scene.ground.mesh.vertices[:, 2] + scene.origin[2]
     assert_allclose(top.max(), 0.09)
     assert volume(scene.ground.mesh) > 0
+    rear, front = (
+        {body.name: body for body in actor.bodies}[n] for n in ("platform", "front_body")
+    )
+    for body, ends in ((rear, (-0.215, 0)), (front, (0, 0.255))):  # plates meet at the joint
+        places = np.concatenate([mesh.vertices for mesh, _ in body.meshes])
+        assert_allclose([places[:, 1].min(), places[:, 1].max()], ends, atol=0.01)
     with pytest.raises(ModelError, match="other: expected a climb over the profile of step"):
         climb_scene([found, found._replace(name="other", prisms=found.prisms[:1])])
 

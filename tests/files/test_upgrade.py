@@ -4,14 +4,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import netcdf_file
 
+from helpers.cases import DATA
 from slipfree.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.upgrade import sums_0_1, upgrade_0_1
 from slipfree.outcome import Outcome
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 from slipfree.records import Label
 from slipfree.trajectory import Column, Stop, Trajectory
 
+PROBLEMS = Path(__file__).parents[2] / "problems"
 STOPS_OF_0_1 = [
     ("map_margin[front]", "wheel front leaves the map", Outcome.LIMIT),
     ("no_equilibrium", "on level ground the vehicle tips over", Outcome.NO_EQUILIBRIUM),
@@ -107,3 +112,18 @@ def test_quantities_of_climbs_have_the_names_of_dynamics() -> None:
     assert found["lost_energy"] == {"rubbed": 1.0, "damped": 1.0}
     assert "axle_x" not in found
     assert sums_0_1({"x": Label("x", "m", "x")}) == {"x": {"x": 1.0}}
+
+
+def test_climbs_are_those_of_today() -> None:
+    """``slipfree run problems/climb_ramp.toml --set time.duration=0.6 --set time.step=0.1``.
+
+    The wheel angles of version 0.1 were absolute.
+    """
+    old = netcdf.read(DATA / "climb-0.1.0.nc")
+    problem = load_problem(PROBLEMS / "climb_ramp.toml", ["time.duration=0.6", "time.step=0.1"])
+    new = run_problem(problem).trajectory
+    assert old["tilt_front"].max() > 0.1
+    for name in ("y", "z", "center_y", "center_z", "tilt_rear", "tilt_front", "wheel_angle"):
+        np.testing.assert_allclose(new[name], old[name], atol=1e-5, err_msg=name)
+    stored = netcdf_file(DATA / "climb-0.1.0.nc", mmap=False).variables["wheel_angle"].data
+    assert np.abs(stored[:, 2] - old["wheel_angle", "front"]).max() > 0.1

@@ -254,7 +254,7 @@ def _march(
         return np.asarray(_direction(normals, axle_arms(climber, q[None]))[0])
 
     def meets(_s: float, q: Array) -> float:
-        return float(_other_gaps(climber, profile, q, solids)[0].min() + MAX_CONTACT_GAP)
+        return float(_gaps_and_normals(climber, profile, q, solids)[0].min() + MAX_CONTACT_GAP)
 
     def arrives(_s: float, q: Array) -> float:
         return float(end - q[0] - axle_arms(climber, q[None])[0, 0, 0])
@@ -288,29 +288,36 @@ def _march(
     top = float(level[0]) if level.size else length
     if arrived.size:
         return run.sol, length, top, None
-    gaps, _ = _other_gaps(climber, profile, run.y[:, -1], solids)
+    gaps, _ = _gaps_and_normals(climber, profile, run.y[:, -1], solids)
     i, k = np.unravel_index(gaps.argmin(), gaps.shape)
     return run.sol, length, top, (int(i), int(k))
+
+
+def _gaps_and_normals(
+    climber: Climber, profile: Profile, q: Array, solids: Solids
+) -> tuple[Array, Array]:
+    """Return the gaps between axles and solids, (3, n_solids) [m], and the normals of the solids.
+
+    The shape of the normals is (3, n_solids, 2). The gap of a wheel to the solid on which it stands
+    is infinite.
+    """
+    x, z = (q[:2] + axle_arms(climber, q[None])[0]).T
+    found = [solid.distance(x, z) for solid in profile.solids]
+    gaps, normals = (np.stack(each, axis=1) for each in zip(*found, strict=True))
+    gaps -= climber.radius
+    gaps[np.arange(3), solids] = np.inf
+    return gaps, normals
 
 
 def _other_gaps(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array]:
-    """Return the gaps between axles and solids [m], and their derivatives with respect to s [1].
-
-    Both have shape (3, n_solids). The gap of a wheel to the solid on which it stands is infinite.
-    """
+    """Return the gaps of `_gaps_and_normals`, and their derivatives with respect to s [1]."""
+    gaps, normals = _gaps_and_normals(climber, profile, q, solids)
     arms = axle_arms(climber, q[None])
-    x, z = (q[:2] + arms[0]).T
-    distances, normals = zip(*(solid.distance(x, z) for solid in profile.solids), strict=True)
-    gaps = np.stack(distances, axis=1) - climber.radius
-    own = np.arange(3), solids
-    first = _direction(np.stack(normals, axis=1)[own][None], arms)[0]
-    slopes = np.stack(
-        [_speed_jacobian(normal[None], arms)[0] @ first for normal in normals], axis=1
-    )
-    gaps[own] = np.inf
-    return gaps, slopes
+    first = _direction(normals[np.arange(3), solids][None], arms)[0]
+    slopes = [_speed_jacobian(each[None], arms)[0] @ first for each in normals.swapaxes(0, 1)]
+    return gaps, np.stack(slopes, axis=1)
 
 
 def _stuck_words(axle: str, q: Array, why: str) -> str:

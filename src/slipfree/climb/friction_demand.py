@@ -186,15 +186,15 @@ def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Ar
     from scipy.optimize import linprog  # imported here: the import takes 0.2 s
 
     count, size = len(load), load[:, 1].mean()
-    eye, blocks = np.eye(3), []
-    for friction, part in zip(mu, relative, strict=True):
-        column = (part / size)[:, None]
-        blocks.append(np.block([[-friction * eye, eye, column], [-friction * eye, -eye, column]]))
+    rows, axles = np.zeros((count, 2, 3, 7)), np.arange(3)  # of T and of -T, for each axle
+    rows[:, :, axles, axles] = -mu[:, None, None]
+    rows[:, :, axles, 3 + axles] = [[1.0], [-1.0]]
+    rows[..., 6] = (relative / size)[:, None]
     equations = np.concatenate([matrix, np.zeros((count, 4, 1))], axis=2)
     bounds = [*[(None, MAX_NORMAL_FORCE)] * 3, *[(None, None)] * 4]
     found = linprog(
         np.tile([0.0] * 6 + [-1.0], count),
-        scipy.sparse.block_diag(blocks, format="csc"),
+        scipy.sparse.block_diag(rows.reshape(count, 6, 7), format="csc"),
         np.zeros(6 * count),
         scipy.sparse.block_diag(equations, format="csc"),
         (load / size).ravel(),

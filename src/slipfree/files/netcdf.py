@@ -463,7 +463,7 @@ class _Columns(Mapping[str, Column]):
         parts = self._sums[name]
         label = replace(self._labels[next(iter(parts))], name=name)
         values = np.sum([factor * self._stored(part) for part, factor in parts.items()], axis=0)
-        return upgrade_column_0_1(Column(label, values))
+        return upgrade_column_0_1(Column(label, values), self._labels, self._stored)
 
     def _stored(self, name: str) -> Array:
         """Return the values of a stored quantity, shape (n,) or (n, n_wheels)."""

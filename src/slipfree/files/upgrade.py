@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.settings import replace_values
 from slipfree.outcome import Outcome
-from slipfree.records import Label
+from slipfree.records import Array, Label
 from slipfree.trajectory import OUTCOME, STATISTICS, STOP, Column
 
 CLIMBS = {  # current names of quantities of climbs
@@ -28,6 +28,7 @@ CLIMB_SUMS = {
     "lost_energy": {"rubbed": 1.0, "damped": 1.0},
     "fold_rate": {"tilt_front_rate": 1.0, "tilt_rear_rate": -1.0},
 }
+TILTS_OF_BODIES = ("tilt_rear", "tilt_rear", "tilt_front")  # of rear, middle and front axle
 ON_SOLIDS = ("gap", "load", "friction", "slip")  # quantities of climbs with the number of a solid
 NO_CLEARANCE = 1.0  # version 0.1 stored this for a wheel without a second near point [m]
 ROUNDING = 1e-6  # smaller violations of a limit count as rounding, in the unit of the limit
@@ -69,7 +70,7 @@ def sums_0_1(labels: Mapping[str, Label]) -> dict[str, dict[str, float]]:
     A current quantity is a sum of stored quantities with factors. Quantities of
     climbs have new names, since climbs are now computed by the dynamic model.
     """
-    if "axle_x" not in labels:
+    if not _is_climb(labels):
         return {name: {name: 1.0} for name in labels}
     found = dict[str, dict[str, float]]()
     for name in labels:
@@ -81,16 +82,36 @@ def sums_0_1(labels: Mapping[str, Label]) -> dict[str, dict[str, float]]:
     return found | CLIMB_SUMS
 
 
-def upgrade_column_0_1(column: Column) -> Column:
+def upgrade_column_0_1(
+    column: Column, names: Collection[str], stored: Callable[[str], Array]
+) -> Column:
     """Return a quantity of a result of version 0.1 with its current values.
 
     Clearances of 1 m or more become infinite: in version 0.1 they meant that no second point of the
-    ground is near.
+    ground is near. Wheel angles of climbs become relative to the bodies that carry the axles, which
+    turn nose up while wheels turn forward.
+
+    Parameters
+    ----------
+    column : Column
+        The quantity, with its current name.
+    names : collection of str
+        Names of all stored quantities.
+    stored : callable
+        Function that returns the values of a stored quantity.
     """
     label, values = column
-    if label.name != "clearance":
-        return column
-    return Column(label, np.where(values >= NO_CLEARANCE, np.inf, values))
+    if label.name == "clearance":
+        return Column(label, np.where(values >= NO_CLEARANCE, np.inf, values))
+    if label.name == "wheel_angle" and _is_climb(names):
+        tilts = np.stack([stored(name) for name in TILTS_OF_BODIES], axis=-1)
+        return Column(label, values + tilts - tilts[0])
+    return column
+
+
+def _is_climb(names: Collection[str]) -> bool:
+    """Return whether the quantities of a result of version 0.1 are those of a climb."""
+    return "axle_x" in names
 
 
 def _problem_attributes(attributes: Mapping[str, str | float]) -> dict[str, str]:

@@ -16,8 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
-from scipy.stats import t as student
+import scipy  # its parts are imported when they are used, since this takes 0.2 s
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
@@ -204,7 +203,7 @@ def estimate(
     for _ in range(REWEIGHTINGS):
         deviations = _deviations(predict(values).end - windows.end)
         cost = _cost(predict, windows, deviations, priors)
-        found = least_squares(
+        found = scipy.optimize.least_squares(
             cost[0],
             values,
             cost[1],
@@ -219,7 +218,8 @@ def estimate(
     covariance, directions = _covariance(
         predict(values), windows, deviations, priors, scales, ~at_bound, loss
     )
-    reach = float(student.ppf(0.5 + CONFIDENCE / 2, len(windows.end) - len(unknowns)))
+    freedom = len(windows.end) - len(unknowns)
+    reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
     spread = reach * np.sqrt(np.diag(covariance))
     return Estimate(
         labels,

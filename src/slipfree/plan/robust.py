@@ -13,8 +13,7 @@ from operator import itemgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
-from scipy.special import betaincinv
-from scipy.stats import rankdata
+import scipy  # its parts are imported when they are used, since scipy.stats takes 0.3 s
 
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError, SlipfreeError
@@ -113,8 +112,8 @@ class Replays(NamedTuple):
     def interval(self) -> tuple[float, float]:
         """Clopper-Pearson confidence interval of the share, at the level `CONFIDENCE`."""
         k, n, tail = self.held, self.draws, (1 - CONFIDENCE) / 2
-        low = float(betaincinv(k, n - k + 1, tail)) if k else 0.0
-        high = float(betaincinv(k + 1, n - k, 1 - tail)) if k < n else 1.0
+        low = float(scipy.special.betaincinv(k, n - k + 1, tail)) if k else 0.0
+        high = float(scipy.special.betaincinv(k + 1, n - k, 1 - tail)) if k < n else 1.0
         return low, high
 
     @property
@@ -254,7 +253,7 @@ def added_tightening(replays: Replays, share: float) -> dict[Bound, float]:
     if not bounds:
         return {}
     sizes = np.array([[excess.get(bound, -np.inf) for bound in bounds] for excess in finite])
-    ranks = rankdata(sizes, method="max", axis=0).astype(int)
+    ranks = scipy.stats.rankdata(sizes, method="max", axis=0).astype(int)
     needed = min(math.ceil(share * replays.draws), len(finite))
     level = np.sort(ranks.max(axis=1))[needed - 1]
     found = np.sort(sizes, axis=0)[level - 1].tolist()

@@ -308,9 +308,13 @@ def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[Body
 def _part_bodies(
     vehicle: Vehicle, parts: FramePoses, wheels: FramePoses, color: Color
 ) -> Iterable[Body]:
-    """Yield the bodies of platform and joints: rods to the joints and wheels that they carry."""
+    """Yield the bodies of platform and joints: rods to the joints and wheels that they carry.
+
+    The platform and each other half of the vehicle has a plate.
+    """
     radius = max(wheel.radius for wheel in vehicle.wheels)
     names = ["platform", *(joint.name for joint in vehicle.joints)]
+    spans = _plate_spans(vehicle, parts, wheels)
     for number, name in enumerate(names):
         origins, rotations = parts.origins[:, number], parts.rotations[:, number]
         carried: list[Joint | Wheel] = [*vehicle.joints, *vehicle.wheels]
@@ -325,11 +329,48 @@ def _part_bodies(
             for end in ends
             if np.linalg.norm(end) > ROD * radius
         ]
-        if name == "platform":
+        if name in spans:
             away = wheels.origins[0] - origins[0]
-            meshes.append(chassis(away @ rotations[0], radius))
+            meshes.append(chassis(away @ rotations[0], spans[name], radius))
         if meshes:
             yield Body(name, ((joined(*meshes), color),), origins, rotations)
+
+
+def _plate_spans(
+    vehicle: Vehicle, parts: FramePoses, wheels: FramePoses
+) -> dict[str, tuple[float, float]]:
+    """Return the rear and the front end of the plates of platform and other halves, by part [m].
+
+    Another half of the vehicle carries wheels on both sides, all of them ahead of its joint or all
+    behind it by more than a radius. Its plate extends from the joint to the wheels; the plate of
+    the platform then does not extend to these wheels.
+    """
+    base = parts.rotations[0, 0]
+    places, joints = ((each.origins[0] - parts.origins[0, 0]) @ base for each in (wheels, parts))
+    radius = max(wheel.radius for wheel in vehicle.wheels)
+    parents = {joint.name: joint.parent for joint in vehicle.joints}
+    halves = dict[tuple[bool, ...], int]()
+    for number, joint in enumerate(vehicle.joints, 1):
+        carried = tuple(_is_carried(joint.name, each.parent, parents) for each in vehicle.wheels)
+        x, y, _ = places[list(carried)].T
+        away = y - joints[number, 1]
+        if x.size and x.min() < 0 < x.max() and max(away.min(), -away.max()) > radius:
+            halves[carried] = number  # of several joints in a row, the last one
+    own = ~np.any([*halves, (False,) * len(places)], axis=0)
+    ends = np.append(places[own, 1], joints[list(halves.values()), 1])
+    found = {"platform": (float(ends.min()), float(ends.max()))}
+    for carried, number in halves.items():
+        away = places[list(carried), 1] - joints[number, 1]
+        span = float(away.min(initial=0)), float(away.max(initial=0))
+        found[vehicle.joints[number - 1].name] = span
+    return found
+
+
+def _is_carried(part: str, by: str, parents: Mapping[str, str]) -> bool:
+    """Return whether the part ``by`` is ``part``, or moves with it."""
+    while by != part and by in parents:
+        by = parents[by]
+    return by == part
 
 
 def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body]:

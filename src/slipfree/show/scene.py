@@ -323,19 +323,20 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
     return Layer(name, legend, ends, scale(parts, bytes=True)[:, :3])
 
 
-def chassis(positions: Array, radius: float) -> Mesh:
-    """Return the platform of a vehicle from the positions of its wheels' centres.
+def chassis(positions: Array, span: tuple[float, float], radius: float) -> Mesh:
+    """Return the plate of a part of a vehicle.
 
     Parameters
     ----------
     positions : ndarray, shape (k, 3)
-        Positions of the wheels' centres in the platform's frame, x right, y forward. [m]
+        Positions of all wheels' centres in the part's frame, x right, y forward. [m]
+    span : tuple of float
+        Rear and front end of the plate in this frame. [m]
     radius : float
         Radius of the wheels. [m]
     """
     half = NARROW * float(np.abs(positions[:, 0]).max())
-    rear, front = float(positions[:, 1].min()), float(positions[:, 1].max())
-    return plate(half, rear, front, PLATE * radius)
+    return plate(half, *span, PLATE * radius)
 
 
 def _vector_lengths(name: str, actors: Iterable[Actor]) -> Array:

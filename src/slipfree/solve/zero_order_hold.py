@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from slipfree.batch import run_buffered
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.interrupt import InterruptGuard
@@ -147,41 +149,61 @@ def _integrate_periods(
     """
     dae, n = system.dae, t.size
     integrator = _period_integrator(system, float(t[1] - t[0]), tolerance)
-    x, q = np.zeros((dae.ode.numel(), n)), np.zeros((dae.quad.numel(), n))
-    x[:, 0], q[:, 0] = dae.rows("x", start, -1), dae.rows("q", start, -1)
-    u, cost, failure, last = np.zeros((system.u.shape[0], n)), dict.fromkeys(COUNTS, 0.0), "", 0
+    sample = _sample_function(system, law)
+    names = [integrator.index_in("x0"), integrator.index_in("p")]
+    results = [integrator.index_out("xf"), integrator.index_out("qf")]
+    x, q = np.zeros((n, dae.ode.numel())), np.zeros((n, dae.quad.numel()))
+    x[0], q[0] = dae.rows("x", start, -1), dae.rows("q", start, -1)
+    u, margin = np.zeros((n, system.u.shape[0])), np.empty(1)
+    cost, failure, last = dict.fromkeys(COUNTS, 0.0), "", 0
     for k in range(n):
-        u[:, k] = np.array(law(t[k], x[:, k], system.u[:, min(k, n - 2)])).ravel()
+        numbers = system.u[:, min(k, n - 2)]
+        run_buffered(sample, {0: t[k : k + 1], 1: x[k], 2: numbers}, {0: u[k], 1: margin})
         last = k
-        if k == n - 1 or float(system.watch(t[k], x[:, k], [], u[:, k])[1]) < 0:
+        if k == n - 1 or margin[0] < 0:
             break
+        given = dict(zip(names, (x[k], np.append(u[k], t[k])), strict=True))
+        found = dict(zip(results, (x[k + 1], q[k + 1]), strict=True))
         try:
             with suppress_messages():
-                found = integrator(x0=x[:, k], p=np.append(u[:, k], t[k]))
+                buffer = run_buffered(integrator, given, found)
         except RuntimeError as error:
+            guard.check()
             failure = sundials_words(str(error))
             break
         guard.check()
-        x[:, k + 1] = np.array(found["xf"]).ravel()
-        q[:, k + 1] = q[:, k] + np.array(found["qf"]).ravel()
-        statistics = integrator.stats()
+        q[k + 1] += q[k]
+        statistics = buffer.stats()
         cost = {name: cost[name] + statistics[key] for name, key in COUNTS.items()}
-    return Samples(t, x, np.zeros((0, n)), q, u).head(last + 1), cost, failure
+    samples = Samples(t, x.T, np.zeros((0, n)), q.T, u.T)
+    return samples.head(last + 1), cost, failure
+
+
+def _sample_function(system: System, law: ca.Function) -> ca.Function:
+    """Return ``(t, x, numeric inputs) -> (inputs, least distance to a limit of the motion)``."""
+    t, x, numbers = law.mx_in()
+    u = law(t, x, numbers)
+    return ca.Function("sample", [t, x, numbers], [u, system.watch(t, x, ca.MX(0, 1), u)[1]])
 
 
 def _period_integrator(system: System, period: float, tolerance: float) -> ca.Function:
     """Return the integrator over one period; parameters are inputs and start time."""
     t, x = ca.MX.sym("t"), ca.MX.sym("x", system.dae.ode.numel())
-    p = ca.MX.sym("p", system.u.shape[0] + 1)
-    point = (p[-1] + t, x, ca.MX(0, 1), p[:-1])
-    ode, quad = system.core(*point)[0], system.watch(*point)[0]
-    equations = {"t": t, "x": x, "p": p, "ode": ode, "quad": quad}
-    options = {
+    p, none = ca.MX.sym("p", system.u.shape[0] + 1), ca.MX.sym("none", 0)
+    at, u, jacobian = (p[-1] + t, x, none), p[:-1], system.jacobian
+    ode, quad = system.core(*at, u)[0], system.watch(*at, u)[0]
+    names = jacobian.name_in(), jacobian.name_out()
+    slopes = ca.Function(
+        "jacF", [t, x, none, p, ca.MX.sym("u", 0)], list(jacobian(*at, none, u)), *names
+    )
+    equations: dict[str, Any] = {"t": t, "x": x, "p": p, "ode": ode, "quad": quad}
+    options: dict[str, Any] = {
         "reltol": tolerance,
         "abstol": tolerance,
         "max_num_steps": MAX_STEPS,
         "quad_err_con": True,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
+        "cache": {"jacF": slopes},
     }
     return ca.integrator("period", "cvodes", equations, 0.0, period, options)

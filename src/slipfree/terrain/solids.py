@@ -155,23 +155,23 @@ class Solid:
             Outward unit vectors.
         """
         place = np.stack(np.broadcast_arrays(np.asarray(x, float), np.asarray(z, float)), axis=-1)
-        from_corners = place[..., None, :] - np.array(self.points)
+        points, previous = self._corners
+        from_corners = place[..., None, :] - points
         faces = (from_corners * self.normals).sum(axis=-1)
-        past = (from_corners * np.roll(self.edges, 1, axis=0)).sum(axis=-1) > 0
+        past = (from_corners * previous).sum(axis=-1) > 0
         before = (from_corners * self.edges).sum(axis=-1) < 0
-        away = np.linalg.norm(from_corners, axis=-1)
+        away = np.sqrt((from_corners**2).sum(axis=-1))
         corners = np.where(past & before, away, -np.inf)
         all_of_them = np.concatenate([faces, corners], axis=-1)
-        directions = np.concatenate(
-            [
-                np.broadcast_to(self.normals, from_corners.shape),
-                from_corners / np.maximum(away, math.sqrt(ROOT_OFFSET))[..., None],
-            ],
-            axis=-2,
-        )
-        nearest = all_of_them.argmax(axis=-1)[..., None]
-        normal = np.take_along_axis(directions, nearest[..., None], axis=-2)[..., 0, :]
-        return np.take_along_axis(all_of_them, nearest, axis=-1)[..., 0], normal
+        nearest, distance = all_of_them.argmax(axis=-1), all_of_them.max(axis=-1)
+        at_corner, k = np.divmod(nearest, len(points))
+        from_corner = (place - points[k]) / np.maximum(distance, math.sqrt(ROOT_OFFSET))[..., None]
+        return distance, np.where(at_corner[..., None] > 0, from_corner, self.normals[k])
+
+    @cached_property
+    def _corners(self) -> tuple[Array, Array]:
+        """Corners, and unit vectors along the faces that end there, shape (n, 2)."""
+        return np.array(self.points), np.roll(self.edges, 1, axis=0)
 
 
 @dataclass(frozen=True)

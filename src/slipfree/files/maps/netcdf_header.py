@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scipy.io import netcdf_file
+import scipy  # scipy.io is imported when it is used, since this takes 0.2 s
 
 from slipfree.errors import DataError
 
@@ -21,7 +21,7 @@ def check_header(path: Path) -> None:
         if stream.read(4) not in CLASSIC:
             return
     try:
-        with path.open("rb") as stream, netcdf_file(stream, mmap=True):
+        with path.open("rb") as stream, scipy.io.netcdf_file(stream, mmap=True):
             pass
     except DAMAGED as error:
         raise DataError(

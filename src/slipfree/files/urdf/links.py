@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # scipy.spatial is imported when it is used, since this takes 0.1 s
 
 from slipfree.files.urdf.frames import FORWARD_YAW, facing_forward
 from slipfree.files.urdf.tree import Tree, UrdfJoint
@@ -17,6 +17,9 @@ from slipfree.geometry.frame import unit_vector
 from slipfree.records import Array
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Vehicle
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 
 class Robot(NamedTuple):
@@ -36,7 +39,7 @@ class Robot(NamedTuple):
     @property
     def root_turn(self) -> Rotation:
         """Rotation of the root link in the platform's frame (x forward, y left)."""
-        return Rotation.from_euler("z", -FORWARD_YAW[self.forward])
+        return scipy.spatial.transform.Rotation.from_euler("z", -FORWARD_YAW[self.forward])
 
 
 class LinkPoses(NamedTuple):
@@ -102,14 +105,15 @@ def joint_values(
 def link_poses(robot: Robot, values: Mapping[str, Array]) -> Iterator[LinkPoses]:
     """Yield the poses of all links but the root, for values of moving joints, shape (n,)."""
     n = next((value.size for value in values.values()), 1)
+    rotations = scipy.spatial.transform.Rotation
     for joint in robot.tree.joints.values():
         value = values.get(joint.name, np.zeros(n))
         axis = unit_vector(joint.axis) if joint.name in values else np.zeros(3)
         moved, still = value[:, None] * axis, np.zeros((n, 3))
         slid, turned = (moved, still) if joint.type == "prismatic" else (still, moved)
-        turn = Rotation.from_matrix(rotation_of(joint.turned))
+        turn = rotations.from_matrix(rotation_of(joint.turned))
         origins = np.asarray(joint.at) + turn.apply(slid)
-        yield LinkPoses(joint.parent, joint.child, origins, turn * Rotation.from_rotvec(turned))
+        yield LinkPoses(joint.parent, joint.child, origins, turn * rotations.from_rotvec(turned))
 
 
 def _wheel_signs(vehicle: Vehicle, robot: Robot) -> dict[str, float]:
