@@ -9,7 +9,8 @@ compares existing results.
 ``python benchmarks/versions.py times --old PYTHON [--new PYTHON] [--cases NAME ...]`` times the
 cases below with the interpreters of two environments in which the package is installed. One
 process each stays open, and they are called alternately, so that both see the same load. It prints
-the least CPU time of each and the ratio of these minima.
+the least CPU time of each and the ratio of these minima. A climb is the command in a new process;
+with ``motion`` it is the simulation alone, as the summary states it.
 
 ``python benchmarks/versions.py points --old PYTHON [--new PYTHON]`` evaluates residuals, Jacobians
 and the Hessians of plans at random points, for all models on all kinds of ground, and prints the
@@ -55,9 +56,17 @@ CASES = (
     "jacobian three_wheeler",
     "jacobian rover",
     "hessian 50",
+    "climb ramp",
+    "climb step",
+    "climb stairs",
+    "climb plan_step",
+    "climb ramp motion",
+    "climb step motion",
+    "climb stairs motion",
+    "climb plan_step motion",
 )
 WORKER = r"""
-import json, resource, sys, time
+import json, re, resource, subprocess, sys, tempfile, time
 import casadi as ca, numpy as np
 import slipfree as sf
 from dataclasses import replace
@@ -103,7 +112,20 @@ def best(function, number=200):
     return least
 
 
-if name.startswith("model"):
+if name.startswith("climb"):  # the command in a new process, or its simulation alone
+    problem = name.split()[1]
+    def call():
+        begin = resource.getrusage(resource.RUSAGE_CHILDREN)
+        with tempfile.TemporaryDirectory() as folder:
+            words = subprocess.run(
+                [sys.executable, "-m", "slipfree", "run", f"{sys.argv[2]}/climb_{problem}.toml",
+                 "--no-draw", "-o", folder + "/a.nc"], check=True, capture_output=True, text=True,
+            ).stdout
+        if name.endswith("motion"):
+            return float(re.search(r"([0-9.]+) s CPU", words).group(1))
+        end = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return end.ru_utime + end.ru_stime - begin.ru_utime - begin.ru_stime
+elif name.startswith("model"):
     def call():
         dae = model()
         begin = time.process_time()
@@ -500,7 +522,10 @@ def print_times(old: str, new: str, cases: list[str], repeats: int) -> None:
 def worker(python: str, case: str) -> Any:
     """Start a process that times a case on request."""
     process = subprocess.Popen(
-        [python, "-c", WORKER, case], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [python, "-c", WORKER, case, str(PROBLEMS)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     if process.stdout.readline().strip() != "ready":
         raise SystemExit(f"{python}: {case} did not start")

@@ -261,6 +261,15 @@ def test_help_needs_no_heavy_imports() -> None:
     assert "check" in found.stdout
 
 
+def test_problems_import_parts_of_scipy_when_they_use_them() -> None:
+    code = (
+        "import sys, slipfree.problem.solve\n"
+        "heavy = {'scipy.stats', 'scipy.io', 'scipy.optimize'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 OPTIONAL = {"trimesh", "xacro", "laspy", "lazrs", "mcap", "mcap_ros2", "rosbags", "yourdfpy"}
 OPTIONAL |= {"pyproj", "rasterio", "viser", "distributed", "xarray", "pandas"}
 
