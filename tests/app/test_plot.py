@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from weakref import ref as weakref
 
 import casadi as ca
 import matplotlib as mpl
@@ -378,6 +379,20 @@ def test_figures_come_by_name(run, grid):
 
 
 @pytest.mark.slow
+def test_written_figures_leave_the_memory(tmp_path):
+    made = list[weakref[Figure]]()
+
+    def make() -> Figure:
+        figure = Figure()
+        figure.subplots()
+        made.append(weakref(figure))
+        return figure
+
+    plots.save([plots.Plot(name, "", make) for name in "ab"], tmp_path, ("png", "svg"))
+    assert len([*tmp_path.iterdir()]) == 4
+    assert [figure() for figure in made] == [None, None]
+
+
 def test_filled_holes_are_hatched_on_the_map(run, grid):
     assert "filled holes" not in words(figures(run, grid)["map"])
     filled = np.zeros(grid.z.shape, dtype=bool)
