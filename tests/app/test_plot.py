@@ -378,7 +378,6 @@ def test_figures_come_by_name(run, grid):
     np.testing.assert_allclose(rise, analytic_slope(run), atol=1e-4)
 
 
-@pytest.mark.slow
 def test_written_figures_leave_the_memory(tmp_path):
     made = list[weakref[Figure]]()
 
@@ -393,6 +392,7 @@ def test_written_figures_leave_the_memory(tmp_path):
     assert [figure() for figure in made] == [None, None]
 
 
+@pytest.mark.slow
 def test_filled_holes_are_hatched_on_the_map(run, grid):
     assert "filled holes" not in words(figures(run, grid)["map"])
     filled = np.zeros(grid.z.shape, dtype=bool)
