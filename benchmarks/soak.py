@@ -4,14 +4,18 @@
 simulates kinematics, quasi-statics, dynamics on a map and over solids, and a soil law, follows
 given rates and paths, plans, climbs, fits and runs rollouts, with compiled and with interpreted
 equations. It writes, reads, draws and reports the results, and prints the resources of the process:
-resident memory, integrators kept for later calls, loaded libraries, open files and threads. At the
-end it prints the CPU of each kind, and the slope of memory per hour, from a line fitted to the
-second half, with its standard error. The exit code is 1 if a problem ended in a traceback.
+resident memory, memory in use, integrators kept for later calls, loaded libraries, open files and
+threads. Memory in use is that which C and C++ code, CasADi and numpy included, has allocated and
+not freed; resident memory also contains freed memory that the allocator of the C library keeps, and
+Python objects, whose number is printed. At the end it prints the CPU of each kind, and the slopes
+of both memories per hour, from lines fitted to the second half, with their standard errors. The
+exit code is 1 if a problem ended in a traceback.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import gc
 import shutil
 import sys
@@ -22,7 +26,7 @@ import traceback
 from collections import Counter
 from pathlib import Path
 from random import Random
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 
@@ -172,7 +176,10 @@ def soak(minutes: float, seed: int) -> int:
     """Solve problems for a time, print the resources of the process; return 1 after an error."""
     rng, ends, costs, rows = Random(seed), Counter[str](), Counter[str](), []
     process, begin, last = psutil.Process(), time.monotonic(), -EVERY
-    print(" minutes  problems  resident MB  integrators  libraries  open files  threads")
+    print(
+        " minutes  problems  resident MB  in use MB  Python objects  integrators  libraries"
+        "  open files  threads"
+    )
     while (now := time.monotonic() - begin) < 60 * minutes:
         if now - last >= min(EVERY, 60 * minutes / 8):
             rows.append(_row(process, now, ends.total()))
@@ -192,36 +199,67 @@ def soak(minutes: float, seed: int) -> int:
     rows.append(_row(process, time.monotonic() - begin, ends.total()))
     print(", ".join(f"{name} {n}" for name, n in sorted(ends.items())))
     print("CPU [s]: " + ", ".join(f"{kind} {cost:.0f}" for kind, cost in sorted(costs.items())))
-    _slope(np.array(rows))
+    _slope(rows)
     return int(any(name.endswith("traceback") for name in ends))
 
 
-def _row(process: psutil.Process, now: float, count: int) -> tuple[float, float, float]:
-    """Print the resources of the process; return minutes, resident memory [MB] and open files."""
+class Row(NamedTuple):
+    """Resources of the process at a time; memory in MB."""
+
+    minutes: float
+    resident: float
+    in_use: float
+    files: int
+
+
+class _Heap(ctypes.Structure):
+    """``struct mallinfo2`` of glibc: bytes of the heap and of blocks mapped one by one."""
+
+    NAMES = "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost"
+    _fields_ = tuple((name, ctypes.c_size_t) for name in NAMES.split())
+
+
+def _in_use() -> float:
+    """Return the memory that was allocated and not freed [MB], NaN without glibc."""
+    try:
+        read = ctypes.CDLL(None).mallinfo2
+    except (AttributeError, TypeError):
+        return float("nan")
+    read.restype = _Heap
+    heap = read()
+    return float(heap.uordblks + heap.hblkhd) / 1e6
+
+
+def _row(process: psutil.Process, now: float, count: int) -> Row:
+    """Print and return the resources of the process."""
     gc.collect()
     memory, files = process.memory_info().rss / 1e6, len([*Path("/proc/self/fd").iterdir()])
+    row = Row(now / 60, memory, _in_use(), files)
     maps = Path("/proc/self/maps").read_text().split()
     cached = {word for word in maps if "slipfree/compiled" in word}
     print(
-        f"{now / 60:8.2f}{count:10}{memory:13.1f}{len(simulate._IDLE):13}{len(cached):11}"
-        f"{files:12}{process.num_threads():9}",
+        f"{row.minutes:8.2f}{count:10}{memory:13.1f}{row.in_use:11.1f}{len(gc.get_objects()):16}"
+        f"{simulate.count_idle():13}{len(cached):11}{files:12}{process.num_threads():9}",
         flush=True,
     )
-    return now / 60, memory, files
+    return row
 
 
-def _slope(rows: np.ndarray) -> None:
-    """Print the slope of memory over the second half."""
-    late = rows[rows[:, 0] >= rows[-1, 0] / 2]
+def _slope(rows: list[Row]) -> None:
+    """Print the slopes of memory over the second half."""
+    late = [row for row in rows if row.minutes >= rows[-1].minutes / 2]
     if len(late) < 4:
         print("too short for a slope")
         return
-    (slope, _), covariance = np.polyfit(late[:, 0] / 60, late[:, 1], 1, cov=True)
-    print(
-        f"memory over the second half: {slope:+.1f} +- {np.sqrt(covariance[0, 0]):.1f} MB/h, "
-        f"{late[0, 1]:.1f} to {late[-1, 1]:.1f} MB; open files {late[0, 2]:.0f} to "
-        f"{late[-1, 2]:.0f}"
-    )
+    hours, *memories, files = np.array(late).T / [[60.0], [1.0], [1.0], [1.0]]
+    for name, memory in zip(("resident memory", "memory in use"), memories, strict=True):
+        (slope, _), covariance = np.polyfit(hours, memory, 1, cov=True)
+        print(
+            f"{name} over the second half: {slope:+.1f} +- {np.sqrt(covariance[0, 0]):.1f} MB/h, "
+            f"{memory[0]:.1f} to {memory[-1]:.1f} MB, range {memory.min():.1f} to "
+            f"{memory.max():.1f} MB"
+        )
+    print(f"open files {files[0]:.0f} to {files[-1]:.0f}")
 
 
 def main() -> int:

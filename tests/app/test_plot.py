@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from weakref import ref as weakref
 
 import casadi as ca
 import matplotlib as mpl
@@ -375,6 +376,20 @@ def test_figures_come_by_name(run, grid):
     assert {"whole ground", "around the path"} <= {ax.get_title() for ax in drawings["map"].axes}
     rise = drawings["elevation"].axes[1].lines[0].get_ydata()  # of the spline through the grid
     np.testing.assert_allclose(rise, analytic_slope(run), atol=1e-4)
+
+
+def test_written_figures_leave_the_memory(tmp_path):
+    made = list[weakref[Figure]]()
+
+    def make() -> Figure:
+        figure = Figure()
+        figure.subplots()
+        made.append(weakref(figure))
+        return figure
+
+    plots.save([plots.Plot(name, "", make) for name in "ab"], tmp_path, ("png", "svg"))
+    assert len([*tmp_path.iterdir()]) == 4
+    assert [figure() for figure in made] == [None, None]
 
 
 @pytest.mark.slow

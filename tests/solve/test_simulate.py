@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -25,6 +26,7 @@ from slipfree.outcome import Outcome
 from slipfree.records import Label, symbols
 from slipfree.solve import simulate as module
 from slipfree.solve.events import Event
+from slipfree.solve.system import _with_numbers as with_numbers
 from slipfree.trajectory import joined
 
 
@@ -509,6 +511,27 @@ def test_kinks_of_inputs_take_no_new_start_and_jumps_do(monkeypatch):
     higher = PiecewiseLinear(rate.base + np.where(t[:-1] < 11.05, 0.0, 1e-6), rate.slope)
     simulate(dae, settle(dae), dae.inputs(speed=higher), t)
     assert [(each[0], each[-1]) for each in made[1:]] == [(t[0], t[11]), (t[11], t[-1])]
+
+
+def test_integrators_are_kept_for_later_calls_and_end_with_their_model(monkeypatch):
+    dae, made, make = follows_input(), [], ca.integrator
+    monkeypatch.setattr(ca, "integrator", lambda *args: made.append(args[4]) or make(*args))
+    t = np.linspace(0, 2, 5)
+    monkeypatch.setattr(module, "_IDLE", WeakKeyDictionary())
+    for rates in ((1.0, 1.0, 2.0, 2.0), (3.0, 3.0, 4.0, 4.0)):
+        simulate(dae, settle(dae), dae.inputs(speed=np.array(rates)), t)
+        assert module.count_idle() == len(made) == 2
+    simulate(dae, settle(dae), dae.inputs(speed=-dae.x.value), t)  # a law has its own functions
+    assert len(made) == 3
+    assert module.count_idle() == 2
+    monkeypatch.setattr(module, "MAX_IDLE", 3)
+    other = follows_input()
+    simulate(other, settle(other), other.inputs(speed=np.array([1.0, 1.0, 2.0, 2.0])), t)
+    assert module.count_idle() == 3
+    simulate(dae, settle(dae), dae.inputs(speed=1.0), t)
+    assert module.count_idle() == 3
+    with_numbers.cache_clear()
+    assert module.count_idle() == 0
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ and labels the artists for the legend.
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -157,9 +158,18 @@ def save(
             f"{folder}: expected a folder for figures, found one that cannot be created "
             f"({error.strerror}); choose another folder"
         ) from error
-    drawn = draw(plots)
-    files = [(Path(folder) / f"{name}.{end}", drawn[name]) for name in drawn for end in formats]
+    files = [file for plot in plots for file in _save_figure(plot, Path(folder), formats)]
+    # Figures are reference cycles that hold images of several megabytes; without this, the figures
+    # of one or two motions stay in memory until Python happens to collect them.
+    gc.collect()
+    return files
+
+
+def _save_figure(plot: Plot, folder: Path, formats: Sequence[str]) -> list[Path]:
+    """Draw a figure, write it to a folder, and return the paths of the files."""
+    figure = draw([plot])[plot.name]
+    files = [folder / f"{plot.name}.{end}" for end in formats]
     with rc_context(STYLE):  # type: ignore[arg-type]
-        for file, figure in files:
+        for file in files:
             replace_file(file, partial(figure.savefig, dpi=DPI))
-    return [file for file, _ in files]
+    return files

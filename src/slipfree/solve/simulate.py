@@ -10,6 +10,7 @@ from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
 from io import StringIO
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -477,12 +478,13 @@ def _integrator(
     """Yield the integrator over ``t``, for states and unknowns divided by their sizes.
 
     Steps last at most one over the pace, unless it is zero. Integrators are reused, since the
-    construction of one takes as long as a short motion. Only one call at a time uses an integrator.
+    construction of one takes as long as a short motion, and deleted with the functions of their
+    model, without which no call can find them. Only one call at a time uses an integrator.
     """
     system = solver.system
-    key = system.core, system.watch, solver.tolerance, solver.method, t.tobytes(), str(given), pace
+    key = system.watch, solver.tolerance, solver.method, t.tobytes(), str(given), pace
     with _LOCK:
-        idle = _IDLE.pop(key, None)
+        idle = _IDLE.get(system.core, {}).pop(key, None)
     if idle is None:
         relay = _Relay()
         idle = relay, _new_integrator(solver, relay, t, given, pace)
@@ -491,13 +493,24 @@ def _integrator(
     yield integrator
     relay.observer = None
     with _LOCK:
-        _IDLE[key] = idle
-        while len(_IDLE) > MAX_IDLE:
-            del _IDLE[next(iter(_IDLE))]
+        own = _IDLE.pop(system.core, {})
+        own[key] = idle
+        _IDLE[system.core] = own  # last
+        for model, kept in list(_IDLE.items()):
+            while kept and count_idle() > MAX_IDLE:
+                del kept[next(iter(kept))]
+            if not kept:
+                del _IDLE[model]
+
+
+def count_idle() -> int:
+    """Return the number of integrators kept for later calls."""
+    return sum(len(kept) for kept in list(_IDLE.values()))
 
 
 _LOCK = threading.Lock()
-_IDLE: dict[tuple[Any, ...], tuple[_Relay, ca.Function]] = {}
+_IDLE: WeakKeyDictionary[ca.Function, dict[tuple[Any, ...], tuple[_Relay, ca.Function]]]
+_IDLE = WeakKeyDictionary()  # by ``core``, least recently used first
 
 
 def _new_integrator(
