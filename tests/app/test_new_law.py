@@ -18,6 +18,7 @@ from annotated_types import Gt, Unit, doc
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
+from slipfree.bounds import check_bounds
 from slipfree.cli import app
 from slipfree.files.netcdf import read
 from slipfree.laws.least_slip import LeastSlip, Multipliers, stationarity
@@ -27,7 +28,6 @@ from slipfree.laws.protocols import (
     Motion,
     Reaction,
     SlidingContacts,
-    check_bounds,
     wheel_labels,
 )
 from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
