@@ -9,18 +9,20 @@ wheels   vehicles of 3 to 12 wheels, three of them rigid and the others on sprin
          interpreted: building the model with its start, a step of the integrator, a sample
 map      nodes of a map: its ground, the model with its start, integration over 8 m
 plan     intervals: an iteration of IPOPT with compiled and cached functions
-sweep    points, with runs that cost nothing: checking the values, the runs with their log and
-         table, reading this log and writing the table again, the figure
+sweep    points, with runs that cost nothing and without waiting for the disk: checking the values,
+         the runs with their log and table, reading this log and writing the table again, a figure
 """
 
 from __future__ import annotations
 
-import json
+import os
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +53,7 @@ from slipfree.sweep.run import run_sweep
 from slipfree.sweep.table import choose_figures, grids
 from slipfree.sweep.task import Done, Task, own_settings
 from slipfree.sweep.worker import work
+from slipfree.threads import NAMES
 from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -181,7 +184,7 @@ def of_plan(intervals: int) -> Costs:
         return True
 
     planned(Analytic(hills), costs=EASY, intervals=intervals, compiled=True, progress=record)
-    each = [b[2] - a[2] for a, b in zip(times, times[1:], strict=False) if a[1] < b[1]]
+    each = [b[2] - a[2] for a, b in pairwise(times) if a[1] < b[1]]
     return {"iteration": 1e3 * float(np.mean(each))}
 
 
@@ -225,24 +228,35 @@ def of_sweep(points: int) -> Costs:
     return {"checking": checking, "log": running, "resumed": reading, "figure": drawing}
 
 
-def main(asked: Sequence[str]) -> None:
-    """Print the tables asked for."""
-    heading()
+def print_table(subject: str) -> None:
+    """Print the tables of a subject."""
     clock = Clock()
-    if "samples" in asked:
+    if subject == "samples":
         for name, case in (("Rocky 7", rocky()), ("three-wheeler", three())):
             table(f"samples, {name} [ms]", SAMPLES, of_samples(case, clock))
-    if "wheels" in asked:
+    elif subject == "wheels":
         for model in MODELS:
             table(f"wheels, {model} [ms]", WHEELS, of_wheels(model, clock))
-    if "map" in asked:
+    elif subject == "map":
         table("nodes of a map [ms]", [side**2 for side in SIDES], of_map(clock))
-    if "plan" in asked:
+    elif subject == "plan":
         of_plan(SIZES[0])  # compiles the functions
         table("intervals of a plan [ms]", SIZES, of_plan)
-    if "sweep" in asked:
+    else:
+        os.fsync = lambda _file: None  # 100 000 times a few milliseconds
         table("points of a sweep [ms]", POINTS, of_sweep)
 
 
+def main(subjects: Sequence[str]) -> None:
+    """Print the tables of subjects, each in a process with one thread."""
+    heading()
+    for subject in subjects:
+        command = [sys.executable, __file__, "--here", subject]
+        subprocess.run(command, env=os.environ | dict.fromkeys(NAMES, "1"), check=True)
+
+
 if __name__ == "__main__":
-    main(sys.argv[1:] or ["samples", "wheels", "map", "plan", "sweep"])
+    if sys.argv[1:2] == ["--here"]:
+        print_table(sys.argv[2])
+    else:
+        main(sys.argv[1:] or ["samples", "wheels", "map", "plan", "sweep"])
