@@ -62,6 +62,9 @@ class Stock:
         """Return a coefficient of friction of one, which is never used. [1]."""
         return ca.SX(1)
 
+    def hole_margin(self, _x: ca.SX, _y: ca.SX, _lookups: LookupTable) -> None:
+        """Return no distance: the map has no holes."""
+
 
 def surface(nodes: int) -> Grid:
     """Return hills with shorter waves on them, relief about 0.7 m, on a square map."""
