@@ -41,6 +41,7 @@ class Stock:
     """Terrain with CasADi's own spline: a fitted B-spline as one node of the graph."""
 
     origin = (0.0, 0.0, 0.0)
+    has_friction, friction_domain = False, None
 
     def __init__(self, grid: Grid) -> None:
         nodes = [list(grid.x), list(grid.y)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import casadi as ca
 
@@ -38,9 +39,9 @@ def tip_over_margin(
         return ca.mmin(ca.vertcat(*(ca.mmax(ca.vertcat(*each)) for each in ends)))
     points = [contact.point for contact in contacts]
     down, least = ca.SX([0, 0, -1]), ca.SX.inf()
-    here, is_polygon = _farthest(points), ca.SX(0)
+    here, is_polygon, next_corner = _farthest(points), ca.SX(0), _next_corner(len(points))
     for _ in points:
-        there, turns = _next_corner(here, points)
+        there, turns = next_corner(here, ca.horzcat(*points))
         is_polygon = ca.logic_or(is_polygon, turns)
         edge = there - here
         edge /= ca.norm_2(edge)
@@ -60,15 +61,18 @@ def _farthest(points: Sequence[ca.SX]) -> ca.SX:
     return best
 
 
-def _next_corner(here: ca.SX, points: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Return the next corner of the support polygon, and whether not all points are on one line.
+@cache
+def _next_corner(count: int) -> ca.Function:
+    """Return the function of the next corner of the support polygon.
 
-    It is the rightmost point as seen from the corner ``here`` in plan view, and the last one if
-    several lie on a line. A test of every pair of points against all others would need a number of
-    operations that grows with the cube of the number of wheels.
+    Its arguments are a corner ``here`` and a number of points in its columns. Results are the
+    rightmost point as seen from this corner in plan view, the last one if several lie on a line,
+    and whether not all points are on one line. A test of every pair of points against all others
+    would need a number of operations that grows with the cube of the number of wheels.
     """
+    here, points = ca.SX.sym("here", 3), ca.SX.sym("points", 3, count)
     there, edge, length, turns = here, ca.SX(2, 1), ca.SX(0), ca.SX(0)
-    for point in points:
+    for point in ca.horzsplit(points):
         arrow = (point - here)[:2]
         reach = ca.sumsqr(arrow)
         aside = edge[0] * arrow[1] - edge[1] * arrow[0]
@@ -78,4 +82,4 @@ def _next_corner(here: ca.SX, points: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
         turns = ca.logic_or(turns, ca.fabs(aside) > zero)
         chosen = (point, there), (arrow, edge), (reach, length)
         there, edge, length = (ca.if_else(is_chosen, new, old) for new, old in chosen)
-    return there, turns
+    return ca.Function("next_corner", [here, points], [there, turns])
