@@ -447,6 +447,8 @@ def measured(rough: float, model: str) -> dict[str, Line]:
         print(f"{name:13s}" + "  ".join(f"{cpu:.2f} ({error:.0e})" for cpu, error in line))
     for level, own in ((level, own) for own in OURS[:2] for level in LEVELS):
         least = at_error(lines[own], level)
+        if not np.isfinite(least):
+            continue
         others = ", ".join(
             f"{name} {beside(at_error(line, level) / least)}"
             for name, line in lines.items()
