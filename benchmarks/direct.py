@@ -41,6 +41,7 @@ class Stock:
     """Terrain with CasADi's own spline: a fitted B-spline as one node of the graph."""
 
     origin = (0.0, 0.0, 0.0)
+    has_friction, friction_domain = False, None
 
     def __init__(self, grid: Grid) -> None:
         nodes = [list(grid.x), list(grid.y)]
@@ -61,6 +62,9 @@ class Stock:
     def friction(self, _x: ca.SX, _y: ca.SX, _lookups: LookupTable) -> ca.SX:
         """Return a coefficient of friction of one, which is never used. [1]."""
         return ca.SX(1)
+
+    def hole_margin(self, _x: ca.SX, _y: ca.SX, _lookups: LookupTable) -> None:
+        """Return no distance: the map has no holes."""
 
 
 def surface(nodes: int) -> Grid:

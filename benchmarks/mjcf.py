@@ -80,7 +80,8 @@ def mujoco_model(vehicle: Vehicle, grid: Grid, mu: float, softness: float = SOFT
         _inertial(part, body.mass, body.at, inertia)
     for wheel in vehicle.wheels:
         _wheel(parts[wheel.parent], wheel, mu)
-        ElementTree.SubElement(actuator, "velocity", joint=f"wheel_{wheel.name}", kv=GAIN)
+        if wheel.driven:
+            ElementTree.SubElement(actuator, "velocity", joint=f"wheel_{wheel.name}", kv=GAIN)
     model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
     model.geom_solref[:] = softness, 1.0
     model.hfield_data[:] = ((grid.z.T - low) / relief).ravel()
@@ -106,7 +107,8 @@ def _wheel(part: ElementTree.Element, wheel: Wheel, mu: float) -> None:
     """Add a wheel to its part."""
     name, (tube, _) = f"wheel_{wheel.name}", wheel.section.torus_radii
     body = ElementTree.SubElement(part, "body", name=name, **placed(wheel.mount))
-    ElementTree.SubElement(body, "joint", name=name, type="hinge", axis="-1 0 0", armature=ROTOR)
+    rotor = {"armature": ROTOR} if wheel.driven else {}
+    ElementTree.SubElement(body, "joint", rotor, name=name, type="hinge", axis="-1 0 0")
     axial, across = wheel_inertia(wheel)
     _inertial(body, wheel.mass, (0.0, 0.0, 0.0), np.diag([axial, across, across]))
     size = numbers(np.sqrt(tube * wheel.radius), wheel.radius, wheel.radius)
@@ -159,7 +161,7 @@ def settled(model: Any, vehicle: Vehicle, start: Trajectory, step: float) -> Any
 def driven(model: Any, state: Any, rates: Any, step: float) -> tuple[float, Any]:
     """Return the CPU time [s] of a motion and its states, one after each step and the first.
 
-    ``rates`` are those of the wheels, a row for each step.
+    ``rates`` are those of the driven wheels, a row for each step.
     """
     import mujoco
     from mujoco import rollout

@@ -1,25 +1,26 @@
-"""Compare error and CPU time per metre of other ways to compute the three-wheeler's motion.
+"""Compare error and CPU time per metre of several ways to compute a three-wheeler's motion.
 
 ``python benchmarks/peers.py --plot peers.png`` (extra ``bench``)
 
-The paper's three-wheeler drives 5 m straight over a map of 200 x 200 nodes, smooth and with 2 mm of
-noise; the driving law limits its tilts. CPU time is that of the integration alone, the least of
-three rounds of a few runs, since the speed of machines varies. The error of a curve is the largest
-position error of any sample, against its own model at the tightest tolerance or, for MuJoCo,
-against its own motion at the smallest step.
+The paper's three-wheeler with a rigid axle drives 5 m over a map of 200 x 200 nodes, smooth and
+with 2 mm of noise, in three models: kinematics, quasi-statics and dynamics. The rates of its wheels
+rise smoothly from zero in half a second. CPU time is that of the integration alone, the least of
+five runs, since the speed of machines varies; a line ends where a run takes more than a second. The
+error is the largest position error of any sample, against ``simulate`` of the same equations at a
+tolerance of 1e-10 or, for naive and MuJoCo, against their own motions at this tolerance and at the
+smallest step.
 
-ours        closure and least slip, IDAS as in ``simulate``, but without evaluation of limits
+ours        IDAS or CVODES on our equations, without limits and quadratures
 compiled    the same with compiled equations; the compilation is not counted
-naive       a straightforward implementation with CasADi: Montana's contact equations, CasADi's
-            B-spline, IDAS with its defaults and CasADi's own derivatives
-scipy       our model, interpreted, with the algebraic unknowns eliminated: LSODA, DOP853, Radau,
+simulate    the integration of ``simulate``, compiled, with limits and quadratures
+naive       a straightforward implementation of kinematics with CasADi: Montana's contact equations,
+            CasADi's B-spline, IDAS with its defaults and CasADi's own derivatives
+scipy       our equations, interpreted, with the algebraic unknowns eliminated: LSODA, BDF, Radau,
             which form Jacobians by differences
-sundae      our model, interpreted, by scikit-sundae: IDA on residual and Jacobian, called from
+sundae      our equations, interpreted, by scikit-sundae: IDA on residual and Jacobian, called from
             Python; CVODE on the equations with the algebraic unknowns eliminated
-MuJoCo      a dynamic simulation, which solves another problem: soft contacts of ellipsoids with the
-            radii of the torus, on a height field of the same nodes, servos in place of given rates.
-            Its vehicle has a rigid axle, since free tilts fall over in dynamics, and its wheels
-            turn as those of our model with that axle; the distance of both ends is printed.
+MuJoCo      dynamics with soft contacts of ellipsoids with the radii of the torus, on a height field
+            of the same nodes, servos in place of given rates; the distance of both ends is printed
 """
 
 from __future__ import annotations
@@ -32,35 +33,53 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import matplotlib as mpl
 import numpy as np
-from direct import Stock, surface, wrapped, written_out
+from direct import Stock, surface, written_out
+from mjcf import Motion, driven, mujoco_model, settled
 from reference import heading
+from samples import Clock
 from scipy.integrate import solve_ivp
 from work_precision import cvodes
 
-from slipfree import Bicubic, Grid, SolverOptions, direct_kinematics, settle, simulate, straight
+from slipfree import (
+    Bicubic,
+    Grid,
+    SlipfreeError,
+    SolverOptions,
+    direct_kinematics,
+    dynamics,
+    quasi_statics,
+    settle,
+    simulate,
+)
 from slipfree.catalog import three_wheeler
 from slipfree.codegen_cache import FOLDER
 from slipfree.models.montana import montana_kinematics
+from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.initial_conditions import solve_initial_conditions
+from slipfree.solve.simulate import NEWTON_SHARE, _motion_scales
 from slipfree.solve.system import System, with_inputs
-from slipfree.trajectory import Trajectory, path_length
+from slipfree.trajectory import Trajectory
 
-NODES, SPEED, DURATION, SAMPLES = 200, 0.5, 10.0, 101
+NODES, SPEED, DURATION, SAMPLES, RISE = 200, 0.5, 10.0, 101, 0.5
 START = {"x": 5.0, "y": 4.0, "heading": -0.2}
 TOLERANCES = 10.0 ** -np.arange(3, 9)
-EXACT, REPEATS, ROUNDS, PATIENCE = 1e-10, 3, 3, 400
+EXACT, REPEATS, PATIENCE = 1e-10, 5, 600
+SLOW = 1.0  # CPU time after which a line ends [s]
 NOISES = (0.0, 0.002)  # of the nodes' heights, standard deviation [m]
-STEPS = (0.02, 0.01, 0.005, 0.002, 0.001)  # of MuJoCo [s]
-FINEST = 0.00025
-OURS = ("ours", "compiled")
+STEPS = (0.002, 0.001, 0.0005, 0.00025)  # of MuJoCo [s]
+FINEST, MU = 0.000125, 0.8  # [s]; friction [1]
+OURS = ("ours", "compiled", "simulate")
 LEVELS = (1e-4, 1e-6)  # errors at which lines are compared [m]
-T = np.linspace(0, DURATION, SAMPLES)
+T, LENGTH = np.linspace(0, DURATION, SAMPLES), SPEED * DURATION  # [s], of the path, about [m]
+VEHICLE = three_wheeler(axle="fixed")
+MODELS = {"kinematics": direct_kinematics, "quasi-statics": quasi_statics, "dynamics": dynamics}
 Line = list[tuple[float, float]]  # CPU time per metre [ms] and error [m]
 
 
@@ -71,19 +90,34 @@ def ground(rough: float) -> Grid:
     return Grid(grid.x, grid.y, grid.z + noise)
 
 
-def prepared(
-    rough: float, axle: str = "tilting", *, naive: bool = False, compiled: bool = False
-) -> tuple[Any, Trajectory, System, Any]:
-    """Return the model, its start, and its equations under the driving law."""
+class Case(NamedTuple):
+    """A model with its start and inputs, and the equations without limits and quadratures."""
+
+    dae: Any
+    start: Trajectory
+    inputs: Any
+    system: System
+    at: dict[str, Any]
+
+
+def prepared(model: str, rough: float, *, naive: bool = False) -> Case:
+    """Return the motion to compute in a model on a ground."""
     grid = ground(rough)
-    vehicle = three_wheeler(axle=axle, mass=0.0, wheel_mass=0.0)
-    model = montana_kinematics if naive else direct_kinematics
-    dae = model(vehicle, Stock(grid) if naive else Bicubic(grid))
-    standing = direct_kinematics(vehicle, Bicubic(grid)) if naive else dae
+    vehicle = three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0) if naive else VEHICLE
+    standing = MODELS[model](vehicle, Bicubic(grid, mu=MU))
+    dae = montana_kinematics(vehicle, Stock(grid)) if naive else standing
     start = settle(standing, **START)
-    law = straight(dae, vehicle, start, speed=SPEED)
-    options = SolverOptions(compiled=compiled)
-    return dae, start, with_inputs(dae, law, SAMPLES - 1, options), law
+    rates = {f"{w.name}_rate": speed(dae.t) / w.radius for w in vehicle.wheels if w.driven}
+    inputs = dae.inputs(**rates, steer_rate=0.0)
+    system = with_inputs(dae, inputs, SAMPLES - 1)
+    x, u = dae.rows("x", start, -1), system.u[:, 0]
+    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), u)[: system.motion_size]
+    return Case(dae, start, inputs, system, {"x0": x, "z0": z, "u": u})
+
+
+def speed(t: Any) -> Any:
+    """Return the speed at the tread of the driven wheels at a time. [m/s]."""
+    return SPEED * (np if isinstance(t, np.ndarray) else ca).tanh((t / RISE) ** 2)
 
 
 def least(task: Callable[[], Any]) -> tuple[float, Any]:
@@ -93,31 +127,76 @@ def least(task: Callable[[], Any]) -> tuple[float, Any]:
         clock = time.process_time()
         found = task()
         times.append(time.process_time() - clock)
+        if times[0] > SLOW:
+            break
     return min(times), found
 
 
-def points(run: Callable[[float], tuple[float, np.ndarray]], metres: float) -> Line:
-    """Return CPU time per metre and error for each tolerance; failed runs are omitted."""
-    exact = run(EXACT)[1]
-    line = []
+Run = Callable[[float], tuple[float, np.ndarray]]  # tolerance -> CPU time [s], positions [m]
+
+
+def points(run: Run, exact: np.ndarray) -> Line:
+    """Return CPU time per metre and error for each tolerance; failed runs are omitted.
+
+    Positions count from the start, since those of the states have the middle of the map as origin.
+    """
+    line, exact = [], exact - exact[:, :1]
     for tolerance in TOLERANCES:
         try:
             cpu, way = run(tolerance)
-        except RuntimeError as error:
+        except (RuntimeError, SlipfreeError) as error:
             print(f"    {tolerance:.0e}: {str(error).strip().splitlines()[-1]}", file=sys.stderr)
             continue
-        line.append((1e3 * cpu / metres, float(np.abs(way - exact).max())))
+        line.append((1e3 * cpu / LENGTH, float(np.abs(way - way[:, :1] - exact).max())))
+        if cpu > SLOW:
+            break
     return line
 
 
-def by_idas(
-    equations: dict[str, Any], own: dict[str, Any], at: dict[str, Any]
-) -> Callable[[float], Any]:
-    """Return an integration by CasADi's IDAS for each tolerance, with its own options."""
+def simulated(case: Case, *, compiled: bool = False) -> Run:
+    """Return the integration of ``simulate`` for each tolerance."""
+    clock = Clock()
+
+    def run(tolerance: float) -> tuple[float, np.ndarray]:
+        options, seconds = SolverOptions(tolerance=tolerance, compiled=compiled), []
+        for _ in range(REPEATS):
+            clock.seconds = 0.0
+            found = simulate(case.dae, case.start, case.inputs, T, options=options)
+            seconds.append(clock.seconds)
+        if found.stop is not None:
+            raise RuntimeError(found.stop.words)
+        return min(seconds), np.array([found["x"], found["y"]])
+
+    return run
+
+
+def by_us(system: System, at: dict[str, Any]) -> Run:
+    """Return our integration, scaled as in ``simulate``, without limits and quadratures."""
+    x_size, m_size = _motion_scales(system)
+    t, x, m, u = (ca.MX.sym(name, system.core.size1_in(k)) for k, name in enumerate("txmu"))
+    ode, alg = system.core(t, x * ca.DM(x_size), m * ca.DM(m_size), u)
+    equations = {"t": t, "x": x, "z": m, "u": u, "ode": ode / ca.DM(x_size), "alg": alg}
+    own: dict[str, Any] = {"cache": {"jacF": scaled_jacobian(system.jacobian, x_size, m_size)}}
+    if system.motion_size:
+        kind, own["suppress_algebraic"] = "idas", system.dae.suppress_algebraic
+    else:
+        kind, own["nonlin_conv_coeff"] = "cvodes", NEWTON_SHARE
+    scaled = at | {"x0": at["x0"] / x_size, "z0": at["z0"] / m_size}
+    scaled_run = by_casadi(kind, equations, own, scaled)
+
+    def run(tolerance: float) -> tuple[float, np.ndarray]:
+        cpu, way = scaled_run(tolerance)
+        return cpu, way * x_size[:2, None]
+
+    return run
+
+
+def by_casadi(kind: str, equations: dict[str, Any], own: dict[str, Any], at: dict[str, Any]) -> Run:
+    """Return an integration by a method of CasADi for each tolerance, with its own options."""
 
     def run(tolerance: float) -> tuple[float, np.ndarray]:
         options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6, **own}
-        solver = ca.integrator("motion", "idas", equations, 0.0, T, options)
+        solver = ca.integrator("motion", kind, equations, 0.0, T, options)
         cpu, found = least(lambda: solver(**at))
         return cpu, np.array(found["xf"])[:2]
 
@@ -152,7 +231,7 @@ def explicit(system: System, at: dict[str, Any]) -> ca.Function:
     return ca.Function("rates", given, [ca.densify(function(*given, at["u"]))])
 
 
-def by_scipy(kind: str, rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
+def by_scipy(kind: str, rates: ca.Function, at: dict[str, Any]) -> Run:
     """Return an integration by SciPy for each tolerance."""
     call = buffered(rates, rates.size1_in(1))
 
@@ -175,7 +254,7 @@ def by_scipy(kind: str, rates: ca.Function, at: dict[str, Any]) -> Callable[[flo
     return run
 
 
-def by_cvode(rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
+def by_cvode(kind: str, rates: ca.Function, at: dict[str, Any]) -> Run:
     """Return an integration by scikit-sundae's CVODE for each tolerance."""
     from sksundae.cvode import CVODE
 
@@ -185,14 +264,16 @@ def by_cvode(rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
         found[:] = call(t, x)[0]
 
     def run(tolerance: float) -> tuple[float, np.ndarray]:
-        solver = CVODE(right, rtol=tolerance, atol=tolerance, method="Adams", max_num_steps=10**6)
+        solver = CVODE(right, rtol=tolerance, atol=tolerance, method=kind, max_num_steps=10**6)
         cpu, found = least(lambda: solver.solve(T, at["x0"]))
+        if not found.success:
+            raise RuntimeError(found.message)
         return cpu, found.y.T[:2]
 
     return run
 
 
-def by_ida(system: System, at: dict[str, Any]) -> Callable[[float], Any]:
+def by_ida(system: System, at: dict[str, Any]) -> Run:
     """Return an integration by scikit-sundae's IDA for each tolerance."""
     from sksundae.ida import IDA
 
@@ -226,121 +307,63 @@ def by_ida(system: System, at: dict[str, Any]) -> Callable[[float], Any]:
             max_num_steps=10**6,
         )
         cpu, found = least(lambda: solver.solve(T, first, rates))
+        if not found.success:
+            raise RuntimeError(found.message)
         return cpu, found.y.T[:2]
 
     return run
 
 
-def ours(rough: float) -> dict[str, Line]:
-    """Return the curves of our model with every integrator."""
-    dae, start, system, _ = prepared(rough)
-    x = dae.rows("x", start, -1)
-    u = system.u[:, 0]
-    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), u)[: system.motion_size]
-    at = {"x0": x, "z0": z, "u": u}
-    metres = SPEED * DURATION
-    rates = explicit(system, at)
-    lines = {"ours": points(by_idas(*wrapped(system), at), metres)}
-    lines |= compiled(rough, at)
-    for kind in ("LSODA", "DOP853", "Radau"):
-        lines[f"scipy {kind}"] = points(by_scipy(kind, rates, at), metres)
-    lines["sundae CVODE"] = points(by_cvode(rates, at), metres)
-    lines["sundae IDA"] = points(by_ida(system, at), metres)
-    return lines
-
-
-def compiled(rough: float, at: dict[str, Any]) -> dict[str, Line]:
-    """Return the curve of our model with compiled equations."""
+def ours(model: str, rough: float) -> dict[str, Line]:
+    """Return the curves of a model of ours with every integrator."""
+    case = prepared(model, rough)
+    system, at, exact = case.system, case.at, simulated(case)(EXACT)[1]
+    runs = {"ours": by_us(system, at), "simulate": simulated(case, compiled=True)}
+    if (
+        model != "quasi-statics"
+    ):  # Newton's method does not eliminate its unknowns from a fixed guess
+        rates = explicit(system, at)
+        runs |= {f"scipy {kind}": by_scipy(kind, rates, at) for kind in ("LSODA", "BDF", "Radau")}
+        runs["sundae CVODE"] = by_cvode("Adams" if model == "kinematics" else "BDF", rates, at)
+    if model != "dynamics":
+        runs["sundae IDA"] = by_ida(system, at)
     with tempfile.TemporaryDirectory() as folder:
         os.environ[FOLDER] = folder
-        _, _, system, _ = prepared(rough, compiled=True)
-        return {"compiled": points(by_idas(*wrapped(system), at), SPEED * DURATION)}
+        options = SolverOptions(compiled=True)
+        runs["compiled"] = by_us(with_inputs(case.dae, case.inputs, SAMPLES - 1, options), at)
+        return {name: points(run, exact) for name, run in runs.items()}
 
 
 def naive(rough: float) -> dict[str, Line]:
     """Return the curve of a straightforward implementation with CasADi."""
-    dae, start, system, law = prepared(rough, naive=True)
-    x = dae.rows("x", start, -1)
-    u = system.u[:, 0]
-    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), u)[: system.motion_size]
-    at = {"x0": x, "z0": z, "u": u}
-    return {"naive": points(by_idas(written_out(system, law), {}, at), SPEED * DURATION)}
-
-
-def quicker(one: Line, other: Line) -> Line:
-    """Return the points of a curve with the least CPU time of two rounds; errors are equal."""
-    least = {error: cpu for cpu, error in other}
-    least |= {error: min(cpu, least.get(error, cpu)) for cpu, error in one}
-    return [(least[error], error) for error in sorted(least, reverse=True)]
-
-
-BODY = """<mujoco>
-<option integrator="implicitfast" cone="elliptic" impratio="10" timestep="{step}"/>
-<asset><hfield name="ground" nrow="{n}" ncol="{n}" size="{half} {half} {relief} 1"/></asset>
-<worldbody><geom type="hfield" hfield="ground" pos="{half} {half} {low}" friction="1 0.01 0.0001"/>
-<body name="platform" pos="{x} {y} {z}" quat="{quaternion}"><freejoint/>
-<inertial pos="0 0 0" mass="30" diaginertia="3 3 3"/>{rear}
-<body name="fork" pos="0 1 0"><joint name="steer" axis="0 0 1"/>
-<inertial pos="0 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/>{front}</body></body></worldbody>
-<actuator><velocity joint="right" kv="100"/><velocity joint="left" kv="100"/>
-<position joint="steer" kp="300" kv="20"/></actuator></mujoco>"""
-WHEEL = """<body name="{name}" pos="{at}"><joint name="{name}" axis="-1 0 0"/>
-<geom type="ellipsoid" size="0.12247 0.3 0.3" mass="2" condim="3" friction="1 0.01 0.0001"/>
-</body>"""
+    case = prepared("kinematics", rough, naive=True)
+    run = by_casadi("idas", written_out(case.system, case.inputs), {}, case.at)
+    return {"naive": points(run, run(EXACT)[1])}
 
 
 def mujoco(rough: float) -> dict[str, Any]:
     """Return MuJoCo's curve, and the distance of its end at the smallest step from ours [m]."""
-    import mujoco as mj
-
-    dae, start, *_ = prepared(rough, "fixed")
-    vehicle = three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0)
-    law = straight(dae, vehicle, start, speed=SPEED)
-    run = simulate(dae, start, law, T, options=SolverOptions(tolerance=1e-8))
     grid = ground(rough)
-    low, relief = float(grid.z.min()), float(np.ptp(grid.z))
-    turn = np.array(run["heading"][0])
-    placed = {
-        "n": NODES,
-        "half": grid.x[-1] / 2,
-        "relief": relief,
-        "low": low,
-        "x": run["x"][0],
-        "y": run["y"][0],
-        "z": run["z"][0] + 0.003,
-        "quaternion": f"{np.cos(turn / 2)} 0 0 {np.sin(turn / 2)}",
-        "rear": WHEEL.format(name="right", at="1 -0.5 0")
-        + WHEEL.format(name="left", at="-1 -0.5 0"),
-        "front": WHEEL.format(name="front", at="0 0 0"),
-    }
+    case = prepared("dynamics", rough)
+    model = mujoco_model(VEHICLE, grid, MU)
+    state = settled(model, VEHICLE, case.start, FINEST)
 
     def drive(step: float) -> tuple[float, np.ndarray]:
-        model = mj.MjModel.from_xml_string(BODY.format(step=step, **placed))
-        model.hfield_data[:] = ((grid.z.T - low) / relief).ravel()
-        best, way = np.inf, np.zeros((2, SAMPLES))
-        for _ in range(REPEATS if step > FINEST else 1):
-            data = mj.MjData(model)
-            mj.mj_forward(model, data)
-            for _ in range(round(1.0 / step)):  # it sinks in
-                mj.mj_step(model, data)
-            moved = data.qpos[:2].copy()
-            each, clock = round(T[1] / step), time.process_time()
-            for k in range(SAMPLES):
-                way[:, k] = data.qpos[:2] - moved
-                data.ctrl[:] = run["right_rate"][k], run["left_rate"][k], run["steer"][k]
-                if k < SAMPLES - 1:
-                    mj.mj_step(model, data, each)
-            best = min(best, time.process_time() - clock)
-        return best, way.copy()
+        driven_wheels = [wheel for wheel in VEHICLE.wheels if wheel.driven]
+        t = step * np.arange(round(DURATION / step))
+        rates = np.column_stack([speed(t) / wheel.radius for wheel in driven_wheels])
+        runs = [driven(model, state, rates, step) for _ in range(2)]
+        way = Motion(runs[0][1][:: round(T[1] / step)]).position[:, :2].T
+        return min(cpu for cpu, _ in runs), way
 
     exact = drive(FINEST)[1]
-    metres = path_length(run)
     line = []
     for step in STEPS:
         cpu, way = drive(step)
-        line.append((1e3 * cpu / metres, float(np.abs(way - exact).max())))
-    own = np.array([run["x"] - run["x"][0], run["y"] - run["y"][0]])
-    return {"MuJoCo": line, "gap": float(np.linalg.norm(exact[:, -1] - own[:, -1]))}
+        line.append((1e3 * cpu / LENGTH, float(np.abs(way - exact).max())))
+    own = simulated(case)(EXACT)[1]
+    moved = exact[:, -1] - exact[:, 0] - (own[:, -1] - own[:, 0])
+    return {"MuJoCo": line, "gap": float(np.linalg.norm(moved))}
 
 
 def at_error(line: Line, error: float) -> float:
@@ -356,22 +379,32 @@ def at_error(line: Line, error: float) -> float:
 
 def beside(times: float) -> str:
     """Return a ratio as text."""
-    return f"{times:.1f} times" if np.isfinite(times) else "not reached"
+    return f"{times:.1f} times" if np.isfinite(times) else "not known"
 
 
-def plot(found: dict[float, dict[str, Line]], file: Path) -> None:
-    """Draw all curves, one panel per ground."""
+def plot(found: dict[tuple[float, str], dict[str, Line]], file: Path) -> None:
+    """Draw all curves, a row per ground and a panel per model."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, panels = plt.subplots(1, len(found), figsize=(11, 5), sharey=True, layout="constrained")
-    for axes, (rough, lines) in zip(panels, found.items(), strict=True):
-        for k, (name, line) in enumerate(lines.items()):
-            axes.loglog(*np.array(line).T, "osx^vDP*X"[k % 9] + "-", label=name)
-        axes.set(xlabel="CPU time per metre [ms/m]", title=words(rough))
+    names = list(dict.fromkeys([*OURS, *(name for lines in found.values() for name in lines)]))
+    figure, panels = plt.subplots(
+        len(NOISES), len(MODELS), figsize=(11, 8), sharex=True, sharey=True, layout="constrained"
+    )
+    drawn = dict[str, Any]()
+    for axes, ((rough, model), lines) in zip(panels.flat, found.items(), strict=True):
+        for name, line in lines.items():
+            k = names.index(name)
+            style = {"marker": "os^v<Dx+P*X"[k], "color": f"C{k}", "ms": 5, "lw": 1.2}
+            (drawn[name],) = axes.loglog(*np.array(line).T, **style)
+        axes.set_title(f"{model}, {words(rough)}", fontsize=10)
         axes.grid(visible=True, alpha=0.3)
-    panels[0].set_ylabel("largest error of the position [m]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    for axes in panels[-1]:
+        axes.set_xlabel("CPU time per metre [ms/m]")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("largest error of the position [m]")
+    labels = [name for name in names if name in drawn]
+    figure.legend([drawn[name] for name in labels], labels, loc="outside lower center", ncols=5)
     figure.savefig(file, dpi=150)
 
 
@@ -380,13 +413,18 @@ def words(rough: float) -> str:
     return f"with {1e3 * rough:g} mm of noise" if rough else "smooth"
 
 
-PARTS = {"ours": ours, "naive": naive, "mujoco": mujoco}
+PARTS: dict[str, Callable[[float], dict[str, Any]]] = {
+    **{model: partial(ours, model) for model in MODELS},
+    "naive": naive,
+    "mujoco": mujoco,
+}
+PARTS_OF = {"kinematics": ("kinematics", "naive"), "dynamics": ("dynamics", "mujoco")}
 
 
-def measured(rough: float) -> dict[str, Line]:
-    """Return the curves on a ground and print them; each runs in a process, since it may crash."""
+def measured(rough: float, model: str) -> dict[str, Line]:
+    """Return the curves of a model and print them; each part runs in a process: it may crash."""
     lines, gap = dict[str, Line](), np.nan
-    for part in ROUNDS * [*PARTS]:
+    for part in PARTS_OF.get(model, (model,)):
         command = [sys.executable, __file__, "--part", part, "--noise", str(rough)]
         try:
             done = subprocess.run(
@@ -395,27 +433,30 @@ def measured(rough: float) -> dict[str, Line]:
         except subprocess.TimeoutExpired:
             print(f"{part}: no result in {PATIENCE} s")
             continue
-        print(done.stderr, end="")
+        notes = [note for note in done.stderr.splitlines() if note.startswith("    1e-")]
+        if notes:
+            print("\n".join([f"{part}, no point at", *notes]))
         if done.returncode:
-            print(f"{part}: ended with code {done.returncode}")
+            print(f"{part}: ended with code {done.returncode}\n{done.stderr}")
             continue
         found = json.loads(done.stdout.splitlines()[-1])
         gap = found.pop("gap", gap)
-        lines |= {name: quicker(line, lines.get(name, line)) for name, line in found.items()}
-    print(f"\n{words(rough)}: ms of CPU a metre (largest error of the position [m])")
+        lines |= found
+    print(f"\n{model}, {words(rough)}: ms of CPU per metre (largest error of the position [m])")
     for name, line in lines.items():
         print(f"{name:13s}" + "  ".join(f"{cpu:.2f} ({error:.0e})" for cpu, error in line))
-    for level, own in ((level, own) for own in OURS for level in LEVELS):
+    for level, own in ((level, own) for own in OURS[:2] for level in LEVELS):
         least = at_error(lines[own], level)
+        if not np.isfinite(least):
+            continue
         others = ", ".join(
             f"{name} {beside(at_error(line, level) / least)}"
             for name, line in lines.items()
             if name not in OURS
         )
         print(f"at an error of {level:.0e} m: {own} {least:.2f} ms/m; {others}")
-    print(
-        f"MuJoCo, at its smallest step, ends {gap:.3f} m from ours with the rigid axle", flush=True
-    )
+    if np.isfinite(gap):
+        print(f"MuJoCo, at its smallest step, ends {gap:.3f} m from ours")
     return lines
 
 
@@ -430,7 +471,7 @@ def main() -> None:
         print(json.dumps(PARTS[given.part](given.noise)))
         return
     heading()
-    found = {rough: measured(rough) for rough in NOISES}
+    found = {(rough, model): measured(rough, model) for rough in NOISES for model in MODELS}
     if given.plot:
         plot(found, given.plot)
 

@@ -478,8 +478,6 @@ def surface() -> Grid:
 class StockMap(Stock):
     """Terrain of any extent with CasADi's own spline."""
 
-    has_friction, friction_domain = False, None
-
     def __init__(self, grid: Grid) -> None:
         super().__init__(grid)
         self.domain = grid.domain

@@ -40,7 +40,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.models.montana import montana_kinematics
 from slipfree.records import leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
-from slipfree.solve.system import Block, System, with_inputs
+from slipfree.solve.system import System, _solve_symbolically, with_inputs
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.trajectory import Trajectory, path_length
 
@@ -101,29 +101,10 @@ def cvodes(system: System) -> dict[str, ca.MX]:
     sizes = {name: system.core.size1_in(k) for k, name in enumerate("txzu") if name != "z"}
     symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     t, x, u = symbols.values()
-    z = ca.Function("guess", [system.dae.columns()[0]], [system.dae.guess])(x)
+    z = system.dae.function("guess", [system.dae.columns()[0]], [system.dae.guess])(x)
     for block in system.blocks:
-        solved = _linear(block, t, x, z, u) if block.linear else _newton(block, t, x, z, u)
-        z = ca.vertcat(z[: block.span.start], solved, z[block.span.stop :])
-    return symbols | {"ode": system.core(t, x, z, u)[0]}
-
-
-def _linear(block: Block, t: ca.MX, x: ca.MX, z: ca.MX, u: ca.MX) -> ca.MX:
-    count = block.span.stop - block.span.start
-    at = ca.vertcat(z[: block.span.start], ca.MX.zeros(count), z[block.span.stop :])
-    return -ca.solve(block.jacobian(t, x, at, u, 0), block.residual(t, x, at, u, 0), "qr")
-
-
-def _newton(block: Block, t: ca.MX, x: ca.MX, z: ca.MX, u: ca.MX) -> ca.MX:
-    """Return the unknowns of a block by Newton's method from the model's own guess."""
-    unknowns = ca.MX.sym("unknowns", block.span.stop - block.span.start)
-    rest = [ca.MX.sym(name, each.numel()) for name, each in zip("txzu", (t, x, z, u), strict=True)]
-    full = ca.vertcat(rest[2][: block.span.start], unknowns, rest[2][block.span.stop :])
-    residual = block.residual(rest[0], rest[1], full, rest[3], 0)
-    options = {"abstol": 1e-13, "abstolStep": 1e-15, "max_iter": 50}
-    problem = {"x": unknowns, "p": ca.vertcat(*rest), "g": residual}
-    finder = ca.rootfinder("standing", "newton", problem, options)
-    return finder(x0=z[block.span], p=ca.vertcat(t, x, z, u))["x"]
+        z = _solve_symbolically(block, [t, x, z, u])
+    return symbols | {"ode": system.core(t, x, z[: system.motion_size], u)[0]}
 
 
 INTEGRATORS = ("idas", "idas test", "cvodes")

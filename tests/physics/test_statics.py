@@ -6,6 +6,8 @@ parts are computed again, every part is cut free, and its forces and moments are
 
 from dataclasses import replace
 from functools import cache
+from itertools import permutations
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import casadi as ca
@@ -33,9 +35,11 @@ from slipfree.catalog import three_wheeler
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.montana import montana_kinematics
+from slipfree.models.records import Configuration, Dependent
+from slipfree.models.tip_over import tip_over_margin
 from slipfree.records import leaves
 from slipfree.vehicle.sections.torus import Torus
-from slipfree.vehicle.tree import Body, Coordinate, actuated
+from slipfree.vehicle.tree import Body, Coordinate, Vehicle, actuated
 from slipfree.vehicle.wheel import Wheel
 
 G = 9.81
@@ -447,6 +451,57 @@ def test_tip_over_margin_up_and_down(heading, reach):
         assert_allclose(run["tip_over_margin"][0], side, rtol=0, atol=1e-12)
     else:
         assert_allclose(run["tip_over_margin"][0], np.arctan2(reach, H_TALL) - s, atol=1e-12)
+
+
+ROWS = np.array([[-0.4, 0.4] * 4, np.repeat(np.arange(4) * 0.35, 2)])  # two rows of wheels
+
+
+def margin_of_all_pairs(points, center):
+    """Return the least lean of the pairs with no contact right of them or beyond their ends."""
+    least = np.inf
+    for i, j in permutations(range(points.shape[1]), 2):
+        edge, arms = points[:, j] - points[:, i], (points.T - points[:, i])[:, :2]
+        across = edge[0] * arms[:, 1] - edge[1] * arms[:, 0]
+        along = arms @ edge[:2] / (edge[:2] @ edge[:2])
+        on_line = np.abs(across) < 1e-12
+        between = on_line & (along > -1e-12) & (along < 1 + 1e-12)
+        if on_line.all() or not ((across > 1e-12) | between).all():
+            continue
+        arm = points[:, i] - center
+        arm -= arm @ edge / (edge @ edge) * edge
+        lean = np.cross(arm, [0.0, 0.0, -1.0]) @ edge / np.linalg.norm(edge)
+        least = min(least, np.arctan2(lean, -arm[2]))
+    return least if np.isfinite(least) else -np.pi
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    "places",
+    [
+        *(np.random.default_rng(count).standard_normal((2, count)) for count in (3, 4, 6, 12)),
+        ROWS,
+        turned("z", 0.3)[:2, :2] @ ROWS,
+        turned("z", np.pi / 2)[:2, :2] @ ROWS,
+        ROWS[:, ::2],  # all on one line
+    ],
+)
+def test_tip_over_margin_is_that_of_the_polygon_around_all_contacts(places, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.permutation(
+        np.vstack([places, 0.3 * rng.standard_normal(places.shape[1])]), axis=1
+    )
+    center = (*(points[:2].mean(axis=1) + 0.2 * rng.standard_normal(2)), 0.8)
+    wheels = tuple(
+        Wheel(f"wheel_{k}", "platform", (*p, 0.0), Torus(R1, R2), driven=False)
+        for k, p in enumerate(points.T[:, :2])
+    )
+    vehicle = Vehicle("rover", (), (), wheels, Body(10.0, center))
+    contacts = [SimpleNamespace(point=ca.SX(point)) for point in points.T]
+    zero = ca.SX(0)
+    found = tip_over_margin(
+        vehicle, Configuration(zero, zero, zero, ()), Dependent(zero, zero, zero, (), ()), contacts
+    )
+    assert_allclose(float(found), margin_of_all_pairs(points, center), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("side", [RIGHT, LEFT])

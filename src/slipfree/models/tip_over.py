@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import permutations
+from functools import cache
 
 import casadi as ca
 
@@ -37,35 +37,49 @@ def tip_over_margin(
         arms = [contact.point - center for contact in contacts]
         ends = ([sign * ca.atan2(arm[1], -arm[2]) for arm in arms] for sign in (1, -1))
         return ca.mmin(ca.vertcat(*(ca.mmax(ca.vertcat(*each)) for each in ends)))
+    points = [contact.point for contact in contacts]
     down, least = ca.SX([0, 0, -1]), ca.SX.inf()
-    for i, j in permutations(range(len(contacts)), 2):
-        edge = contacts[j].point - contacts[i].point
-        outer = _is_outer(contacts, i, j)
+    here, is_polygon, next_corner = _farthest(points), ca.SX(0), _next_corner(len(points))
+    for _ in points:
+        there, turns = next_corner(here, ca.horzcat(*points))
+        is_polygon = ca.logic_or(is_polygon, turns)
+        edge = there - here
         edge /= ca.norm_2(edge)
-        arm = contacts[i].point - center
+        arm = here - center
         arm -= ca.dot(arm, edge) * edge
         lean = ca.atan2(ca.dot(edge, ca.cross(arm, down)), ca.dot(arm, down))
-        least = ca.fmin(least, ca.if_else(outer, lean, ca.SX.inf()))
-    return ca.if_else(least > ca.pi, -ca.pi, least)  # contacts on one line: no support polygon
+        least, here = ca.fmin(least, lean), there
+    return ca.if_else(is_polygon, least, -ca.pi)
 
 
-def _is_outer(contacts: Sequence[ContactFrame], i: int, j: int) -> ca.SX:
-    """Return whether the line from contact i to contact j is an edge of the support polygon.
+def _farthest(points: Sequence[ca.SX]) -> ca.SX:
+    """Return the point farthest from the first one in plan view: a corner of the polygon."""
+    best, most = points[0], ca.SX(0)
+    for point in points[1:]:
+        away = ca.sumsqr((point - points[0])[:2])
+        best, most = ca.if_else(away > most, point, best), ca.fmax(away, most)
+    return best
 
-    All other contacts then lie left of the line in plan view, or on it between its ends.
+
+@cache
+def _next_corner(count: int) -> ca.Function:
+    """Return the function of the next corner of the support polygon.
+
+    Its arguments are a corner ``here`` and a number of points in its columns. Results are the
+    rightmost point as seen from this corner in plan view, the last one if several lie on a line,
+    and whether not all points are on one line. A test of every pair of points against all others
+    would need a number of operations that grows with the cube of the number of wheels.
     """
-    here = contacts[i].point[:2]
-    edge = contacts[j].point[:2] - here
-    length, outer, aside = ca.sumsqr(edge), ca.SX(1), ca.SX(0)
-    for k, other in enumerate(contacts):
-        if k in (i, j):
-            continue
-        off = (edge[0] * (other.point[1] - here[1]) - edge[1] * (other.point[0] - here[0])) / length
-        ahead = ca.dot(other.point[:2] - here, edge) / length
-        left = off > DISTANCE_ROUNDING
-        between = ca.logic_and(
-            ca.fabs(off) <= DISTANCE_ROUNDING, ca.logic_and(ahead > 0, ahead < 1)
-        )
-        outer = ca.logic_and(outer, ca.logic_or(left, between))
-        aside = ca.logic_or(aside, left)
-    return ca.logic_and(outer, aside)
+    here, points = ca.SX.sym("here", 3), ca.SX.sym("points", 3, count)
+    there, edge, length, turns = here, ca.SX(2, 1), ca.SX(0), ca.SX(0)
+    for point in ca.horzsplit(points):
+        arrow = (point - here)[:2]
+        reach = ca.sumsqr(arrow)
+        aside = edge[0] * arrow[1] - edge[1] * arrow[0]
+        zero = DISTANCE_ROUNDING * ca.fmax(length, reach)
+        is_last = ca.logic_and(aside <= zero, reach > length)
+        is_chosen = ca.logic_or(aside < -zero, is_last)
+        turns = ca.logic_or(turns, ca.fabs(aside) > zero)
+        chosen = (point, there), (arrow, edge), (reach, length)
+        there, edge, length = (ca.if_else(is_chosen, new, old) for new, old in chosen)
+    return ca.Function("next_corner", [here, points], [there, turns])

@@ -81,15 +81,16 @@ def _model_block(
     inputs.
     """
     x, z, v = dae.columns()
-    rows = ca.densify(ca.vertcat(ca.SX(0, 1), *dae.residuals)[slice(*span)])
+    # Before differentiation: of the Jacobian, it takes five times as long for 3 % fewer operations.
+    rows = ca.cse(ca.densify(ca.vertcat(ca.SX(0, 1), *dae.residuals)[slice(*span)]))
     lookups = needed_lookups(dae.lookups, [rows])
     given = [dae.t, x, z, v, continuation, found_column(lookups)]
     by = ca.vertcat(z[slice(*span)], v) if follows else z[slice(*span)]
-    residual = ca.Function("residual_v" if follows else "residual", given, [rows], {"cse": True})
+    residual = ca.Function("residual_v" if follows else "residual", given, [rows])
 
     def make() -> list[ca.Function]:
         slopes = ca.jacobian(rows, by, FORWARD)
-        return [residual, ca.Function("newton", given, [rows, slopes], {"cse": True})]
+        return [residual, ca.Function("newton", given, [rows, slopes])]
 
     names = (residual.name(), "newton")
     values, newton = compiled_functions(residual, names, make, compiled=compiled)

@@ -166,7 +166,7 @@ def _model_equations(dae: Dae, count: int, *, compiled: bool) -> _ModelEquations
     lookups = needed_lookups(dae.lookups, [rows])
     given = [dae.t, x, z[:count], v, found_column(lookups)]
     parts = ca.vertsplit(rows, [0, x.numel(), rows.numel()])
-    values = ca.Function("values", given, parts, {"cse": True})
+    values = ca.Function("values", given, parts)
 
     held, key = dae.held, values
     if held is not None:

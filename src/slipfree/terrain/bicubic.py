@@ -22,6 +22,7 @@ TILE = 16  # side of a square with common bounds of the derivatives, in cells
 CHUNK = 8192  # points evaluated at once, so that temporary arrays stay in the cache
 CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
 MAX_FOURFOLD_SIZE = 2**21  # larger tables of coefficients are stored once, not four times
+COLUMNS_AT_ONCE = 64  # splines solved together; their values stay in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,9 +369,12 @@ def _solve_not_a_knot(values: Array) -> Array:
     for column, weight in enumerate((1, -4, 6, -4, 1)):
         bands[4 - column, column] = weight
         bands[8 - column, n - 3 + column] = weight
-    right = np.zeros((n + 2, values.shape[1]))
-    right[1:-1] = values
-    solution: Array = solve_banded((4, 4), bands, right, overwrite_ab=True, overwrite_b=True)
+    solution = np.empty((n + 2, values.shape[1]))
+    for start in range(0, values.shape[1], COLUMNS_AT_ONCE):
+        part = values[:, start : start + COLUMNS_AT_ONCE]
+        right = np.zeros((n + 2, part.shape[1]))
+        right[1:-1] = part
+        solution[:, start : start + COLUMNS_AT_ONCE] = solve_banded((4, 4), bands, right)
     return solution
 
 

@@ -1,0 +1,262 @@
+"""Measure how CPU times grow with samples, wheels, map nodes, plan intervals and sweep points.
+
+``python benchmarks/growth.py`` prints five tables; ``... wheels plan`` prints those named. The last
+lines of a table are exponents: the slope of a line through the logarithms of all rows, and that of
+the last two rows, to which fixed costs contribute least.
+
+samples  `simulate` of one motion, compiled: integration, the whole call
+wheels   vehicles of 3 to 12 wheels, three of them rigid and the others on springs, over hills,
+         interpreted: building the model with its start, a step of the integrator, a sample
+map      nodes of a map: its ground, the model with its start, integration over 8 m
+plan     intervals: an iteration of IPOPT with compiled and cached functions
+sweep    points, with runs that cost nothing and without waiting for the disk: checking the values,
+         the runs with their log and table, reading this log and writing the table again, a figure
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from reference import heading
+from samples import Case, Clock, least, rocky, three
+from sweep import PROBLEM
+
+from plan import EASY, SIZES, hills, planned
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    SolverOptions,
+    direct_kinematics,
+    dynamics,
+    quasi_statics,
+    settle,
+    simulate,
+    straight,
+)
+from slipfree.catalog import three_wheeler
+from slipfree.plan.ipopt import Iterate
+from slipfree.show.sweep_figures import save_sweep_figures
+from slipfree.sweep.grid import sweep_of
+from slipfree.sweep.log import Row
+from slipfree.sweep.run import run_sweep
+from slipfree.sweep.table import choose_figures, grids
+from slipfree.sweep.task import Done, Task, own_settings
+from slipfree.sweep.worker import work
+from slipfree.threads import NAMES
+from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+SAMPLES, WHEELS = (1001, 10001, 100001), (3, 4, 6, 8, 10, 12)
+SIDES, POINTS = (200, 500, 1000, 2000, 4000), (100, 1000, 10000, 100000)
+MODELS = {"kinematics": direct_kinematics, "quasi-statics": quasi_statics, "dynamics": dynamics}
+SPACING, SPEED, FEW, MANY = 0.1, 0.5, 2, 101  # [m], [m/s], samples
+Costs = dict[str, float]
+
+
+def table(words: str, sizes: Sequence[int], costs: Callable[[int], Costs]) -> None:
+    """Print the costs of each size in milliseconds, and their exponents."""
+    rows = [costs(size) for size in sizes]
+    x, y = np.log(sizes), np.log([[*row.values()] for row in rows])
+    slopes = {"exponent": np.polyfit(x, y, 1)[0], "at the end": (y[-1] - y[-2]) / (x[-1] - x[-2])}
+    lines = [(str(size), [*row.values()]) for size, row in zip(sizes, rows, strict=True)]
+    print(f"\n{words:24}" + "".join(f"{name:>17}" for name in rows[0]))
+    for first, values in lines:
+        print(f"{first:>24}" + "".join(f"{value:17.4g}" for value in values))
+    for first, values in slopes.items():
+        print(f"{first:>24}" + "".join(f"{value:17.2f}" for value in values), flush=True)
+
+
+def timed(task: Callable[[], Any]) -> tuple[Any, float]:
+    """Return the result of a task and its CPU time [ms]."""
+    begin = time.process_time()
+    return task(), 1e3 * (time.process_time() - begin)
+
+
+def of_samples(case: Case, clock: Clock) -> Callable[[int], Costs]:
+    """Return the function of the costs of a motion by number of samples."""
+    model, start, inputs, duration, _ = case
+    options = SolverOptions(tolerance=1e-4, compiled=True)
+
+    def costs(count: int) -> Costs:
+        t = np.linspace(0, duration, count)
+        whole, way = least(
+            lambda: simulate(model, start, inputs, t, options=options),
+            clock,
+            5 if count < 1e4 else 1,
+        )
+        return {"integration": way, "call": whole}
+
+    return costs
+
+
+def vehicle(count: int) -> Vehicle:
+    """Return a vehicle of three rigid wheels and others on springs, in two rows."""
+    rigid = {"right": (0.4, 0.0), "left": (-0.4, 0.0), "front": (0.0, 1.8)}
+    sprung = {f"sprung_{k}": (0.4 * (-1) ** k, 0.3 * (1 + k // 2)) for k in range(count - 3)}
+    wheels = [
+        Wheel(
+            name,
+            name if name in sprung else "platform",
+            (0.0, 0.0, 0.0) if name in sprung else (*rigid[name], 0.0),
+            Torus(0.03, 0.12),
+            driven=True,
+            mass=2.0,
+        )
+        for name in (*rigid, *sprung)
+    ]
+    springs, slides = list[Coordinate](), list[Joint]()
+    for name, at in sprung.items():
+        spring = {"stiffness": 1500.0, "rest": -0.02, "damping": 60.0}
+        springs.append(Coordinate(f"travel_{name}", "suspension", "travel", **spring))
+        slides.append(Joint(name, "platform", "z", (*at, 0.0), f"travel_{name}", motion="slide"))
+    body = Body(60.0, (0.0, 0.7, 0.1))
+    return Vehicle(f"{count} wheels", tuple(springs), tuple(slides), tuple(wheels), body)
+
+
+def of_wheels(model: str, clock: Clock) -> Callable[[int], Costs]:
+    """Return the function of the costs of a motion in a model by number of wheels."""
+    ground, options = (
+        Analytic(lambda x, y: 0.3 * hills(x, y), mu=0.7),
+        SolverOptions(tolerance=1e-6),
+    )
+
+    def build(made: Vehicle) -> tuple[Any, Any]:
+        dae = MODELS[model](made, ground)
+        return dae, settle(dae, x=0.1, y=0.0)
+
+    def costs(count: int) -> Costs:
+        made = vehicle(count)
+        building, _ = least(lambda: build(made), clock, 3)
+        dae, start = build(made)
+        inputs = dae.inputs(**{f"{w.name}_rate": SPEED / w.radius for w in made.wheels})
+
+        def drive(samples: int) -> Any:
+            t = np.linspace(0, 2 / SPEED, samples)
+            return simulate(dae, start, inputs, t, options=options)
+
+        (two, way), (many, _) = (least(lambda n=n: drive(n), clock, 5) for n in (FEW, MANY))
+        steps = drive(FEW).statistics["steps"]
+        return {"building": building, "step": way / steps, "sample": (many - two) / (MANY - FEW)}
+
+    return costs
+
+
+def of_map(clock: Clock) -> Callable[[int], Costs]:
+    """Return the function of the costs of a drive by number of nodes."""
+    body = three_wheeler(mass=0.0, wheel_mass=0.0)
+
+    def costs(nodes: int) -> Costs:
+        side = round(nodes**0.5)
+        axis = SPACING * (np.arange(side) - side // 2)
+        grid = Grid(axis, axis, 0.1 * np.add.outer(np.sin(axis), np.cos(1.3 * axis)))
+        terrain, making = timed(lambda: Bicubic(grid))
+        (dae, start), building = timed(lambda: build(terrain))
+        inputs = straight(dae, body, start, speed=SPEED)
+        t = np.linspace(0, 8 / SPEED, MANY)
+        _, way = least(lambda: simulate(dae, start, inputs, t), clock, 3)
+        return {"ground": making, "model": building, "integration": way}
+
+    def build(terrain: Bicubic) -> tuple[Any, Any]:
+        dae = direct_kinematics(body, terrain)
+        return dae, settle(dae, x=0.0, y=-4.0)
+
+    return costs
+
+
+def of_plan(intervals: int) -> Costs:
+    """Return the costs of an iteration by number of intervals."""
+    times = list[tuple[str, int, float]]()
+
+    def record(words: str, iterate: Iterate) -> bool:
+        times.append((words, iterate.number, time.process_time()))
+        return True
+
+    planned(Analytic(hills), costs=EASY, intervals=intervals, compiled=True, progress=record)
+    each = [b[2] - a[2] for a, b in pairwise(times) if a[1] < b[1]]
+    return {"iteration": 1e3 * float(np.mean(each))}
+
+
+class Idle:
+    """Pool whose runs all end like the first one, without computation."""
+
+    def __init__(self, row: Row) -> None:
+        self.row = row
+
+    def room(self) -> int:
+        """Return the number of tasks at a time."""
+        return 1
+
+    def submit(self, task: Task) -> Future[Done]:
+        """Return the finished future of a task."""
+        future = Future[Done]()
+        future.set_result(Done(self.row._replace(run=task.run, settings=own_settings(task))))
+        return future
+
+    def result(self, future: Future[Done], _task: Task) -> Done:
+        """Return the result of a future."""
+        return future.result()
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def of_sweep(points: int) -> Costs:
+    """Return the costs of a sweep by number of points, without the runs."""
+    sweep, checking = timed(lambda: sweep_of(PROBLEM, [f"start.heading=0:1:{points}"]))
+    first = next(sweep.runs())
+    task = Task(1, str(PROBLEM), PROBLEM.read_text(), first.settings, 1, keep=False)
+    pool = Idle(work(task).row)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _, running = timed(lambda: run_sweep(sweep, folder, lambda: pool))
+        rows, reading = timed(lambda: run_sweep(sweep, folder, lambda: pool))
+        names = choose_figures(sweep, rows, ())[:1]
+        found = grids(sweep, rows, names)
+        _, drawing = timed(lambda: save_sweep_figures([found[names[0]]], folder, ["png"]))
+    return {"checking": checking, "log": running, "resumed": reading, "figure": drawing}
+
+
+def print_table(subject: str) -> None:
+    """Print the tables of a subject."""
+    clock = Clock()
+    if subject == "samples":
+        for name, case in (("Rocky 7", rocky()), ("three-wheeler", three())):
+            table(f"samples, {name} [ms]", SAMPLES, of_samples(case, clock))
+    elif subject == "wheels":
+        for model in MODELS:
+            table(f"wheels, {model} [ms]", WHEELS, of_wheels(model, clock))
+    elif subject == "map":
+        table("nodes of a map [ms]", [side**2 for side in SIDES], of_map(clock))
+    elif subject == "plan":
+        of_plan(SIZES[0])  # compiles the functions
+        table("intervals of a plan [ms]", SIZES, of_plan)
+    else:
+        os.fsync = lambda _file: None  # 100 000 times a few milliseconds
+        table("points of a sweep [ms]", POINTS, of_sweep)
+
+
+def main(subjects: Sequence[str]) -> None:
+    """Print the tables of subjects, each in a process with one thread."""
+    heading()
+    for subject in subjects:
+        command = [sys.executable, __file__, "--here", subject]
+        subprocess.run(command, env=os.environ | dict.fromkeys(NAMES, "1"), check=True)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--here"]:
+        print_table(sys.argv[2])
+    else:
+        main(sys.argv[1:] or ["samples", "wheels", "map", "plan", "sweep"])
