@@ -66,9 +66,13 @@ def test_the_compiled_search_equals_the_graph(section, noise):
     inverse, hessian = (
         np.maximum(1, np.abs(part).max(axis=0)) for part in (expected[2:6], expected[9:])
     )
+    # beyond the map, the cubic polynomial of the last cell increases its rounding
+    x_0, y_0, _ = terrain.origin
+    half = terrain.domain[1] - x_0, terrain.domain[3] - y_0
+    cells = np.maximum(0, (np.abs(expected[:2].T) - half).max(axis=1) / 0.1)
     off, kept = np.abs(found - expected), ~failed.any(axis=0)
     assert off[:2, kept].max() < 1e-12
-    assert (off / (inverse**2 * hessian))[:, kept].max() < 1e-12
+    assert (off / (inverse**2 * hessian * (1 + cells) ** 3))[:, kept].max() < 1e-12
 
 
 @pytest.mark.parametrize("bad", [0, 4])

@@ -34,7 +34,7 @@ from slipfree.models.limits import limits_of
 from slipfree.models.quantities import Quantities
 from slipfree.models.records import Algebraic
 from slipfree.models.slip import slip_velocities
-from slipfree.models.statics import force_outputs, mechanics
+from slipfree.models.statics import force_outputs, mechanics, with_tangential
 from slipfree.models.tip_over import tip_over_margin
 from slipfree.records import symbols
 from slipfree.terrain.base import Terrain
@@ -51,19 +51,20 @@ def closure_quantities(
         contact_frame(terrain, place.x, place.y, pose.rotation[:, 0], lookups)
         for place, pose in zip(z.position.contacts, poses, strict=True)
     )
+    parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups)
     return z, Quantities(
         vehicle,
         terrain,
         x,
         z.position,
         z.rates,
-        z.forces,
+        with_tangential(z.forces, parts),
         u,
         poses,
         contacts,
         slip_velocities(vehicle, x, z.position, contacts, z.rates, u),
         spins(vehicle, z.rates, u),
-        mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups),
+        parts,
         tip_over_margin(vehicle, x, z.position, contacts),
         lookups,
     )

@@ -68,9 +68,9 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     work = Label("work", "J", "work of the drives and actuators")
     q = Totals(wheel_labels(vehicle, "wheel_angle", "rad", words), (work,) if vehicle.mass else ())
     closures = component_labels(vehicle, "closure", "m", "contact condition")
-    are_unknown = follow or any(label.name == ALONG[0] for label in leaves(law))
-    y = _output_labels(vehicle, follow=are_unknown)
     forces, equations = _force_labels(vehicle, rates) if follow else (Forces(), ())
+    are_unknown = any(label.name == ALONG[0] for label in leaves((law, forces)))
+    y = _output_labels(vehicle, follow=are_unknown)
     z = Algebraic(position, rates, forces)
     return Labels(x, z, q, u, y, (closures, (), equations))
 
@@ -130,8 +130,9 @@ def _force_labels(vehicle: Vehicle, rates: Rates) -> tuple[Forces, tuple[Label, 
     if not vehicle.mass:
         return Forces(), ()
     equilibrium = equilibrium_labels(rates)
-    along, across, normal = (wheel_labels(vehicle, *each) for each in (ALONG, ACROSS, NORMAL))
+    normal = wheel_labels(vehicle, *NORMAL)
     if is_determinate(vehicle):
+        along, across = wheel_labels(vehicle, *ALONG), wheel_labels(vehicle, *ACROSS)
         return Forces(along, across, normal), equilibrium
     virtual = tuple(
         Label(
@@ -139,8 +140,9 @@ def _force_labels(vehicle: Vehicle, rates: Rates) -> tuple[Forces, tuple[Label, 
         )
         for each in leaves(rates.motion)
     )
-    shared = component_labels(vehicle, "distribution", "1", "law of the force distribution")
-    return Forces(along, across, normal, virtual), (*equilibrium, *shared)
+    words = "normal velocity of the contact for the virtual rates"
+    kept = wheel_labels(vehicle, "distribution", "1", words)
+    return Forces(normal=normal, virtual=virtual), (*equilibrium, *kept)
 
 
 def equilibrium_labels(rates: Rates) -> tuple[Label, ...]:

@@ -52,7 +52,7 @@ from slipfree.models.records import (
     Inputs,
     Rates,
 )
-from slipfree.models.statics import following_forces, force_outputs, mechanics
+from slipfree.models.statics import following_forces, force_outputs, mechanics, with_tangential
 from slipfree.models.tip_over import tip_over_margin
 from slipfree.records import Array, Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
@@ -277,19 +277,20 @@ def _quantities(
         for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True)
     ]
     contacts = tuple(roll.contact for roll in rolls)
+    parts = mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u, lookups)
     quantities = Quantities(
         vehicle,
         terrain,
         configuration,
         position,
         z.rates,
-        z.forces,
+        with_tangential(z.forces, parts),
         u,
         tuple(roll.pose for roll in rolls),
         contacts,
         tuple(roll.slip for roll in rolls),
         turning,
-        mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u, lookups),
+        parts,
         tip_over_margin(vehicle, configuration, position, contacts),
         lookups,
     )

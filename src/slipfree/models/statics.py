@@ -22,6 +22,7 @@ from slipfree.models.records import (
     Configuration,
     Dependent,
     ForceOutputs,
+    Forces,
     Inputs,
     Rates,
     is_determinate,
@@ -103,27 +104,35 @@ def following_forces(q: Quantities) -> ca.SX:
 
     Where equilibrium does not determine the forces, the tangential forces ``f_t`` minimise ``sum
     |f_t|^2 / (mu N)``, with the friction limits ``mu N`` of the wheels as fixed weights. The
-    conditions are ``f_t = -mu N s_t`` and ``s_n = 0``, where ``s_t`` and ``s_n`` are the tangential
-    and normal velocities of a contact for the virtual rates. This is the limit of regularised
-    Coulomb friction for small slip. Forces of least norm would not be plausible, since a wheel with
-    a small load cannot bear a large force.
+    conditions are ``f_t = -mu N s_t`` (`with_tangential`) and ``s_n = 0``, where ``s_t`` and
+    ``s_n`` are the tangential and normal velocities of a contact for the virtual rates. This is the
+    limit of regularised Coulomb friction for small slip. Forces of least norm would not be
+    plausible, since a wheel with a small load cannot bear a large force.
     """
     if not q.vehicle.mass:
         return ca.SX(0, 1)
-    parts, forces = q.mechanics, q.forces
-    balanced = equilibrium(parts, forces.column)
+    balanced = equilibrium(q.mechanics, q.forces.column)
     if is_determinate(q.vehicle):
         return balanced
+    slip = q.mechanics.free @ pack(q.forces.virtual)
+    return ca.vertcat(balanced, slip[2::3])
+
+
+def with_tangential(forces: Forces, parts: Mechanics) -> Forces:
+    """Return forces with the tangential ones that follow from virtual rates: ``-mu N s_t``."""
+    if not forces.virtual:
+        return forces
     slip = parts.free @ pack(forces.virtual)
-    law = []
-    for k, mu in enumerate(parts.friction):
-        bearing = mu * forces.normal[k] / parts.weight
-        law += [
-            forces.along[k] / parts.weight + bearing * slip[3 * k],
-            forces.across[k] / parts.weight + bearing * slip[3 * k + 1],
-            slip[3 * k + 2],
-        ]
-    return ca.vertcat(balanced, *law)
+    along, across = (
+        tuple(
+            -mu * normal * s
+            for mu, normal, s in zip(
+                parts.friction, forces.normal, ca.vertsplit(slip[k::3]), strict=True
+            )
+        )
+        for k in range(2)
+    )
+    return forces._replace(along=along, across=across)
 
 
 def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutputs | tuple[()]:

@@ -231,9 +231,9 @@ def _contact_facts(vehicle: Vehicle, dae: Dae, unknowns: str) -> Iterator[tuple[
 
 
 def _has_ground_law(dae: Dae) -> bool:
-    """Return whether tangential forces are outputs of a wheel-ground law, not unknowns."""
-    forces = dae.labels.y.forces
-    return bool(forces and forces.along and not dae.rest.numel())
+    """Return whether a wheel-ground law gives the forces, which do not follow from the motion."""
+    follow = any(leaves(dae.labels.z.forces))
+    return bool(dae.labels.y.forces) and not follow and not dae.rest.numel()
 
 
 def _equations(dae: Dae) -> str:
