@@ -216,7 +216,7 @@ def of_sweep(points: int) -> Costs:
     """Return the costs of a sweep by number of points, without the runs."""
     sweep, checking = timed(lambda: sweep_of(PROBLEM, [f"start.heading=0:1:{points}"]))
     first = next(sweep.runs())
-    task = Task(1, str(PROBLEM), PROBLEM.read_text(), first.settings, 1, keep=False)
+    task = Task(1, str(PROBLEM), PROBLEM.read_text(), first.settings, 1, keep=False, files="")
     pool = Idle(work(task).row)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

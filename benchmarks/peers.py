@@ -63,7 +63,7 @@ from slipfree.codegen_cache import FOLDER
 from slipfree.models.montana import montana_kinematics
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.initial_conditions import solve_initial_conditions
-from slipfree.solve.simulate import NEWTON_SHARE, _motion_scales
+from slipfree.solve.simulate import NEWTON_SHARE, motion_scales
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import Trajectory
 
@@ -172,7 +172,7 @@ def simulated(case: Case, *, compiled: bool = False) -> Run:
 
 def by_us(system: System, at: dict[str, Any]) -> Run:
     """Return our integration, scaled as in ``simulate``, without limits and quadratures."""
-    x_size, m_size = _motion_scales(system)
+    x_size, m_size = motion_scales(system)
     t, x, m, u = (ca.MX.sym(name, system.core.size1_in(k)) for k, name in enumerate("txmu"))
     ode, alg = system.core(t, x * ca.DM(x_size), m * ca.DM(m_size), u)
     equations = {"t": t, "x": x, "z": m, "u": u, "ode": ode / ca.DM(x_size), "alg": alg}

@@ -6,7 +6,9 @@
    thread, and their ratio; also the time that the workers spend on the runs themselves, and the
    throughput of two independent processes on this machine relative to one;
 2. the same sweep on two processes, killed with SIGKILL half-way and resumed: the numbers of
-   finished runs that were kept and of runs done twice, and whether the tables are identical.
+   finished runs that were kept and of runs done twice, and whether the tables are identical;
+3. the CPU time of a run that shares map and model with the run before, relative to one that does
+   not, and whether their results are identical, for three problems and a key of each.
 """
 
 from __future__ import annotations
@@ -22,10 +24,18 @@ from pathlib import Path
 
 from reference import heading
 
+from slipfree.sweep.task import Task
+from slipfree.sweep.worker import KEPT, work
+
 PROBLEM = Path(__file__).parent.parent / "problems" / "paper_direct.toml"
 RUNS = 200
 ALONE = 300  # solutions of the reference NLP
 TICK = 0.02  # between two looks at the log [s]
+SHARED = (
+    ("paper_direct", "inputs.right_rate", (0.5, 0.51, 0.52)),
+    ("real_dem_direct", "driver.speed", (0.5, 0.51, 0.52)),
+    ("dynamics_rocks", "start.heading", (0.1, 0.2, 0.3)),
+)
 
 
 def command(folder: Path, processes: int, runs: int) -> list[str]:
@@ -96,8 +106,32 @@ def killed(folder: Path, runs: int) -> list[dict[str, object]]:
     return rows(folder)
 
 
+def shared(name: str, key: str, values: tuple[float, ...]) -> str:
+    """Return the CPU time of runs that share their model, and whether results are identical."""
+    file = PROBLEM.with_name(f"{name}.toml")
+    tasks = [
+        Task(k, str(file), file.read_text(), (f"{key}={value}",), 1, keep=False, files="")
+        for k, value in enumerate(values)
+    ]
+
+    def results(*, share: bool) -> tuple[float, list[object]]:
+        work(tasks[0])
+        begin, found = time.process_time(), list[object]()
+        for task in tasks[1:]:
+            if not share:
+                KEPT.clear()
+            found.append(work(task).row.figures)
+        return time.process_time() - begin, found
+
+    (alone, expected), (together, found) = results(share=False), results(share=True)
+    same = "the same" if found == expected else "other ones"
+    return (
+        f"{name}, {key}: {together / alone:.2f} times the CPU time of a run alone, results {same}"
+    )
+
+
 def main(runs: int) -> None:
-    """Print the times of a sweep, and the remaining runs of a killed one."""
+    """Print the times of a sweep, the remaining runs of a killed one, and the gain of sharing."""
     heading()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -123,6 +157,8 @@ def main(runs: int) -> None:
             f"killed after {len(before)} runs and resumed: {kept} kept, {twice} twice, "
             f"{len(after)} in all; table {'the same' if len(tables) == 1 else 'another one'}"
         )
+    for name, key, values in SHARED:
+        print(shared(name, key, values))
 
 
 if __name__ == "__main__":

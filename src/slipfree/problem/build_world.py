@@ -62,6 +62,7 @@ def build_world(problem: Problem[S]) -> World:
 
 
 def _built(problem: Problem[S]) -> World:
+    """Return ground, vehicle and model of a problem, built anew."""
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(problem.spec.vehicle, problem.folder)

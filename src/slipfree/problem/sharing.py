@@ -15,7 +15,7 @@ _SHARED: ContextVar[tuple[Shared, str] | None] = ContextVar("_SHARED", default=N
 
 @contextmanager
 def sharing(kept: Shared, files: str) -> Iterator[None]:
-    """Let the problems of the block share what `shared` makes.
+    """Let the problems of the block share the objects that `shared` returns.
 
     Parameters
     ----------
@@ -32,7 +32,17 @@ def sharing(kept: Shared, files: str) -> Iterator[None]:
 
 
 def shared(kind: str, key: Hashable, make: Callable[[], T]) -> T:
-    """Return an object; within `sharing`, the latest of its kind if that was made for this key."""
+    """Return an object, made now or, within `sharing`, kept from an earlier call.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the object; at most one of each kind is kept.
+    key : hashable
+        Values that the object depends on, except the content of input files.
+    make : callable
+        Function that returns the object.
+    """
     sharing_now = _SHARED.get()
     if sharing_now is None:
         return make()

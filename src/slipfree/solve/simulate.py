@@ -307,7 +307,7 @@ def _call_integrator(
     faster and a step covers too large a distance, the call is repeated with the largest pace.
     """
     system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, t, u)
-    x_size, m_size = (size[:, None] for size in _motion_scales(system))
+    x_size, m_size = (size[:, None] for size in motion_scales(system))
     columns = np.column_stack([u[:, :1], u])  # that of an interval at the time that it ends
     while True:
         arguments = at.x / x_size, at.z[: system.motion_size] / m_size, columns
@@ -517,7 +517,7 @@ def _new_integrator(
     solver: _Solver, relay: _Relay, t: Array, given: dict[str, Any], pace: float
 ) -> ca.Function:
     system, dae = solver.system, solver.system.dae
-    x_size, m_size = _motion_scales(system)
+    x_size, m_size = motion_scales(system)
     counts = [x_size.size, m_size.size, system.u.shape[0]]
     symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", counts, strict=True))]
     t_0, x, m, u = symbols
@@ -547,7 +547,7 @@ def _new_integrator(
     return ca.integrator("motion", solver.method, problem, float(t[0]), t, options)
 
 
-def _motion_scales(system: System) -> tuple[Array, Array]:
+def motion_scales(system: System) -> tuple[Array, Array]:
     """Return the sizes of the states and of the motion's unknowns."""
     return system.dae.sizes.x, system.dae.sizes.z[: system.motion_size]
 
