@@ -10,6 +10,7 @@ from the existence of an equilibrium; and the friction that the paper's direct r
 from __future__ import annotations
 
 import sys
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -191,12 +192,10 @@ def steps() -> None:
 
 def standing() -> None:
     """Print the least coefficient of friction with which each axle can stand on a slope."""
-    print(
-        "least friction to stand on, massless wheels: best distribution / equilibrium exists / lab"
-    )
-    print(f"{'':14}" + "".join(f"{f'{slope} deg, heading {way}':24}" for slope, way in PLACES))
-    for name, options in AXLES.items():
-        vehicle = three_wheeler(wheel_mass=0.0, **options)
+    print("least friction to stand on: best distribution / equilibrium exists / lab")
+    print(f"{'':22}" + "".join(f"{f'{slope} deg, heading {way}':24}" for slope, way in PLACES))
+    for (name, options), wheel_mass in product(AXLES.items(), (0.0, 2.0)):
+        vehicle = three_wheeler(wheel_mass=wheel_mass, **options)
         cells = []
         for (degrees, way), lab in zip(PLACES, LAB[name], strict=True):
             start = {"heading": np.radians(way)}
@@ -204,8 +203,9 @@ def standing() -> None:
             run = settle(direct_kinematics(vehicle, ground), **start)
             best = best_utilisation(vehicle, ground, run)["utilisation_best"][0]
             exists = least_mu(vehicle, np.radians(degrees), start)
-            cells.append(f"{best:.4f} / {exists:.4f} / {lab:.3f}")
-        print(f"{name:14}" + "".join(f"{cell:24}" for cell in cells))
+            known = "-" if wheel_mass else f"{lab:.3f}"  # the lab's wheels have no mass
+            cells.append(f"{best:.4f} / {exists:.4f} / {known}")
+        print(f"{name:14} {wheel_mass:g} kg   " + "".join(f"{cell:24}" for cell in cells))
 
 
 def least_mu(vehicle: Any, angle: float, start: dict[str, float]) -> float:

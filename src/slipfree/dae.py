@@ -20,6 +20,7 @@ from slipfree.outcome import Outcome
 from slipfree.records import (
     Array,
     Label,
+    Mask,
     Record,
     field_overview,
     leaves,
@@ -30,9 +31,13 @@ from slipfree.records import (
 )
 from slipfree.trajectory import Trajectory
 
+LIMIT_TOLERANCE = 1e-6  # tolerated violation of a limit [unit or scale of the limited quantity]
+
 
 class Limit(NamedTuple):
     """Limit of a motion: the motion ends where ``lower <= expression <= upper`` is violated.
+
+    A violation of less than `LIMIT_TOLERANCE` counts as none: a joint may rest at its stop.
 
     Attributes
     ----------
@@ -59,6 +64,11 @@ class Limit(NamedTuple):
 
     def __repr__(self) -> str:
         return field_overview(self)
+
+    def violated_by(self, values: Array, size: float) -> Mask:
+        """Return which values violate the limit; ``size`` is the scale of the limited quantity."""
+        slack = LIMIT_TOLERANCE * size
+        return ~((values >= self.lower - slack) & (values <= self.upper + slack))  # also nan
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from slipfree import (
+    Analytic,
     Bicubic,
     Grid,
     ModelError,
@@ -105,6 +106,20 @@ def test_the_reserve_is_that_of_the_single_wheel():
     assert run["slip_ratio"][-1] == pytest.approx(np.full(4, 1 - speed / (0.15 * 1.5)), rel=1e-4)
     assert run["slip_ratio"][-1].max() < SLIP_LIMIT
     assert run["drawbar_reserve"][-1].min() > 0
+
+
+@pytest.mark.slow
+def test_the_reserve_is_the_same_backwards():
+    """A symmetric cart climbs a slope forwards and, turned round, backwards."""
+    vehicle, soil = catalog.skid_steer(mass=20.0), Soil()
+    model = quasi_statics(vehicle, Analytic(lambda x, y: 0.14 * y + 0 * x), law=soil)
+    reserves = []
+    for heading, rate in ((0.0, 1.0), (np.pi, -1.0)):
+        inputs = model.inputs(**{label.full: rate for label in model.labels.u.wheels})
+        run = simulate(model, settle(model, heading=heading), inputs, np.linspace(0, 0.2, 3))
+        assert (rate * run["force_along"][-1] > 5).all()
+        reserves.append(np.sort(drawbar_reserve(vehicle, soil, run)["drawbar_reserve"][-1]))
+    assert reserves[1] == pytest.approx(reserves[0], rel=1e-6)
 
 
 def test_regions_are_checked():

@@ -27,8 +27,8 @@ def drawbar_reserve(vehicle: Vehicle, soil: Soil, run: Trajectory) -> Trajectory
     """Return a motion in soil with the drawbar-pull reserve of its wheels.
 
     The reserve of a driven wheel is its pull at the slip ratio `SLIP_LIMIT`, under its load and at
-    its slip angle, minus the pull that it transmits. It is negative if the wheel slips more, and
-    nan where the wheel would sink to its axle.
+    its slip angle, minus the pull that it transmits in the direction in which it rolls. It is
+    negative if the wheel slips more, and nan where the wheel would sink to its axle.
 
     Parameters
     ----------
@@ -42,12 +42,15 @@ def drawbar_reserve(vehicle: Vehicle, soil: Soil, run: Trajectory) -> Trajectory
     found = np.zeros(run["force_normal"].shape)
     for k, wheel in enumerate(vehicle.wheels):
         if wheel.driven:
-            forward = run["slip_along"][:, k] + wheel.radius * run["wheel_rate"][:, k]
+            rim = wheel.radius * run["wheel_rate"][:, k]
+            forward = run["slip_along"][:, k] + rim
+            # The law mirrors front and rear where the sum is negative; at rest, forward counts.
+            direction = np.where(rim + forward < 0, -1.0, 1.0)
             sideways = np.abs(run["slip_across"][:, k])
             angle = np.minimum(np.arctan2(sideways, np.abs(forward)), MAX_ANGLE)
             at = run["contact_x"][:, k], run["contact_y"][:, k], angle
             largest = _pull_at_limit(soil, wheel_size(wheel), run["force_normal"][:, k], *at)
-            found[:, k] = largest - run["force_along"][:, k]
+            found[:, k] = largest - direction * run["force_along"][:, k]
     columns = {**run.columns, RESERVE.name: Column(RESERVE, found)}
     return replace(run, columns=columns)
 

@@ -167,7 +167,7 @@ def _failure_message(system: System, block: Block, point: tuple[Any, ...], first
 def _violation_message(system: System, x: Array, z: Array, u: Array) -> str:
     _, values, _ = system.outputs(0.0, x, z, u)
     for limit, value in zip(system.dae.limits, np.array(values).ravel(), strict=True):
-        if not limit.lower <= value <= limit.upper:
+        if limit.violated_by(value, system.dae.size_of(limit.label)):
             return limit_message(
                 limit.label.words, value, limit.lower, limit.upper, limit.label.unit
             )

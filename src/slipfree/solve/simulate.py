@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.batch import run_buffered
-from slipfree.dae import Dae
+from slipfree.dae import LIMIT_TOLERANCE, Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import InterruptGuard
@@ -29,7 +29,7 @@ from slipfree.solve.options import Method, SolverOptions
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
 from slipfree.solve.stop_diagnosis import diagnose_stop
 from slipfree.solve.system import System, with_inputs
-from slipfree.solve.violations import first_violation, invalid_start
+from slipfree.solve.violations import first_violation, invalid_start, limit_at_failure
 from slipfree.solver_codes import NO_START, sundials_words
 from slipfree.trajectory import Column, SolverError, Stop, Trajectory, joined
 
@@ -37,7 +37,6 @@ COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 SUBINTERVALS = 64  # parts of an interval with a crossing, in each refinement
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 RESIDUAL_FACTOR = 100.0  # residual allowed at samples of models with a continuation [tolerance]
-LIMIT_TOLERANCE = 1e-6  # tolerated violation of a limit [unit or scale of the limit]
 MAX_STEPS = 10_000  # maximum number of steps of the integrator between two samples
 NEWTON_SHARE = 0.01  # fraction of a step's allowed error at which CVODES ends Newton's method
 MAX_RESTARTS = 20  # maximum number of restarts after failures, per interval of the inputs
@@ -660,7 +659,8 @@ def _finish_motion(
     """Return the motion with its stop; raise SolverError if the integrator failed."""
     t, failed = float(run.t[-1]), isinstance(end, SolverError) and found is None
     if failed or (run.stop and run.stop.name.endswith("_residual")):
-        why = diagnose_stop(system, samples, found.k if found else None)
+        k = found.k if found else None
+        why = diagnose_stop(system, samples, k) or limit_at_failure(system, run, samples, k)
         if why is not None:
             return replace(run, stop=why._replace(t=t))
     if failed:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from slipfree.dae import Limit
+from slipfree.dae import LIMIT_TOLERANCE, Limit
 from slipfree.errors import ModelError
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Mask
@@ -14,6 +14,8 @@ from slipfree.solve.initial_conditions import limit_message
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples
 from slipfree.solve.system import System
 from slipfree.trajectory import Stop, Trajectory
+
+NEARLY_REACHED = 1e-3  # margin at a failure [largest margin of the motion]
 
 
 def _limit_message(limit: Limit, value: float, x: Array, z: Array) -> str:
@@ -48,10 +50,10 @@ def first_violation(
             found = k, Stop(name, float(run.t[k]), words(k), outcome)
 
     for limit in system.dae.limits:
-        label, lower, upper = limit.label, limit.lower, limit.upper
+        label = limit.label
         values = run.of(label)
         consider(
-            ~((values >= lower) & (values <= upper)),
+            limit.violated_by(values, system.dae.size_of(label)),
             label.full,
             lambda k, v=values, of=limit: _limit_message(
                 of, float(v[k]), samples.x[:, k], samples.z[:, k]
@@ -86,3 +88,40 @@ def first_violation(
             ),
         )
     return found
+
+
+def limit_at_failure(
+    system: System, run: Trajectory, samples: Samples, violation: int | None
+) -> Stop | None:
+    """Return the stop at the limit that explains a failure of the solver; None without one.
+
+    Equations may become singular at a limit: the contact of a wheel moves infinitely fast where the
+    ground becomes as concave as the wheel, and a distribution of forces by loads fails where a
+    wheel lifts off. The motion then ends shortly before the limit.
+
+    Parameters
+    ----------
+    system : System
+        The model under inputs.
+    run : Trajectory
+        The motion up to the failure.
+    samples : Samples
+        Samples that the integrator reached.
+    violation : int or None
+        Index of the sample that does not satisfy the equations; None if the integrator failed.
+    """
+    nearest, least = None, NEARLY_REACHED
+    for limit in system.dae.limits:
+        values = run.of(limit.label)
+        margins = np.minimum(values - limit.lower, limit.upper - values)
+        largest = margins.max()
+        if largest <= LIMIT_TOLERANCE * system.dae.size_of(limit.label):
+            continue  # at rest at the limit
+        if margins[-1] < least * largest and margins[-1] < margins[-2]:
+            nearest, least = limit, margins[-1] / largest
+    if nearest is None:
+        return None
+    value = float(run.of(nearest.label)[-1])
+    k = -1 if violation is None else violation
+    words = _limit_message(nearest, value, samples.x[:, k], samples.z[:, k])
+    return Stop(nearest.label.full, float(run.t[-1]), words, nearest.outcome)
