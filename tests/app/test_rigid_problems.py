@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -131,3 +132,16 @@ def observed(monkeypatch: pytest.MonkeyPatch, fails: Outcome | None = None) -> l
 
     monkeypatch.setattr(module, "plan", planned)
     return models
+
+
+def test_remedies_for_a_rigid_vehicle_are_values_of_the_file(tmp_path, monkeypatch):
+    """Quasi-statics cannot place a rigid vehicle; each model that its message names can."""
+    monkeypatch.chdir(tmp_path)
+    text = DRIVE.replace('"direct"', '"direct"\nmodel = "quasi-static"\nterrain.friction = 0.8')
+    Path("p.toml").write_text(text)
+    result = CliRunner().invoke(app, ["run", "p.toml", "--no-draw"])
+    assert result.exit_code == 2
+    remedies = re.findall(r"'(\w+)'", result.stderr.split(";")[-1])
+    assert remedies == ["dynamics", "kinematics"]
+    for model in remedies:
+        run("p.toml", "--set", f"model={model}", "--set", "time.duration=0.2")

@@ -221,9 +221,9 @@ def test_a_vehicle_that_topples_has_no_start():
 @pytest.mark.parametrize(
     ("name", "build"),
     [
-        ("Rolling\\(\\)", lambda: direct_kinematics(ROBOT, HILLS, slip=Rolling())),
-        ("quasi_statics", lambda: quasi_statics(ROBOT, HILLS, law=Coulomb())),
-        ("montana_kinematics", lambda: montana_kinematics(ROBOT, HILLS)),
+        ("rolling without slip", lambda: direct_kinematics(ROBOT, HILLS, slip=Rolling())),
+        ("quasi-static model", lambda: quasi_statics(ROBOT, HILLS, law=Coulomb())),
+        ("Montana's form", lambda: montana_kinematics(ROBOT, HILLS)),
         ("best_utilisation", lambda: best_utilisation(ROBOT, HILLS, None)),
     ],
 )

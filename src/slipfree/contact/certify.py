@@ -99,8 +99,8 @@ class SecondContact:
         spot = self._nearest(*evaluate(self.pose, x[:, None], z[:, None]))[1][0]
         return (
             f"wheel {self.wheel.name} touches a second time at ({spot[0]:.3f}, {spot[1]:.3f}) m, "
-            "apart from its contact point; fill hollows narrower than the wheel with "
-            "terrain.rolled(radius), or choose another path"
+            "apart from its contact point; fill hollows narrower than the wheel (terrain.rolled), "
+            "or choose another path"
         )
 
     def _nearest(self, center: Array, rotation: Array, normal: Array) -> tuple[Array, Array]:

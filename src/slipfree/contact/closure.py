@@ -85,12 +85,12 @@ def support_fault(vehicle: Vehicle) -> str:
 def check_exact_closure(
     vehicle: Vehicle,
     model: str,
-    remedy: str = "use direct_kinematics or inverse_kinematics with least slip, which press the "
-    "wheels into the ground",
+    remedy: str = "use the model 'dynamics', which also answers with friction, or 'kinematics' with "
+    "least slip, which press the wheels into the ground",
 ) -> None:
     """Raise ModelError if not all wheels of a vehicle can touch a rigid ground.
 
-    The message begins with ``model``, the name of the function or law that requires it. It ends
+    The message begins with ``model``, the model or law that requires it. It ends
     with ``remedy`` if the vehicle can be modelled with pressed wheels.
     """
     fault = support_fault(vehicle)

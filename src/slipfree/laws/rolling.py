@@ -30,7 +30,7 @@ class Rolling:
                 "which slip sideways; use least slip: LeastSlip(), or slip = 'least' in a "
                 "problem file"
             )
-        check_exact_closure(vehicle, "Rolling()")
+        check_exact_closure(vehicle, "rolling without slip")
         found, needed = rolling_counts(vehicle)
         if found != needed:
             raise ModelError(

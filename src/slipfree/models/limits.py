@@ -79,8 +79,8 @@ def relative_curvature(q: Quantities) -> Iterator[Limit]:
     for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
         words = (
             f"the ground under wheel {wheel.name} is more concave than the wheel, so that its "
-            "contact is not unique; terrain.rolled(radius) fills the hollows that are too narrow "
-            "for the wheel (relative curvature)"
+            "contact is not unique; a rolled ground (terrain.rolled) has no hollows that are too "
+            "narrow for the wheel (relative curvature)"
         )
         label = Label("relative_curvature", "m-1", words, wheel.name)
         yield Limit(label, curvature_of(wheel, contact), 0.0, np.inf)

@@ -237,7 +237,7 @@ def montana_kinematics(
 
 
 def _check(vehicle: Vehicle, kappa: float) -> None:
-    check_exact_closure(vehicle, "montana_kinematics")
+    check_exact_closure(vehicle, "Montana's form")
     rollers = [wheel.name for wheel in vehicle.wheels if wheel.rollers]
     if rollers:
         raise ModelError(

@@ -74,7 +74,7 @@ def quasi_statics(
             f"quasi-statics: expected a vehicle with mass, found none in {vehicle.name!r}; give "
             "its platform or its wheels a mass"
         )
-    check_exact_closure(vehicle, "quasi_statics")
+    check_exact_closure(vehicle, "quasi-static model")
     law.check(vehicle, terrain)
     labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
     labels = labels._replace(y=labels.y._replace(slip_ratio=slip_ratio_labels(vehicle)))
