@@ -2,7 +2,7 @@
 
 ``python .ci/commands.py`` works in a temporary folder, on all cores, and prints a line for each
 command. After the first that fails it prints what that printed, and ends with exit code 1. With
-``--quick`` it leaves out the plans that take longest, which use no other part of a library.
+``--few`` it runs those that use every package once.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STOPS_EARLY = (
     "traction_ice",
     "dynamics_tip_over",
 )  # exit code 1 (docs/problems.md)
-SLOW = ("plan_long_dem", "plan_real_dem", "plan_climb_ramp", "plan_rigid_robot", "plan_parking")
+FEW = ("real_dem_direct", "plan_parking")  # of --few: a map, figures and files; rsplan and IPOPT
 PACKAGES = (
     "slipfree",
     "casadi",
@@ -65,23 +65,28 @@ AFTER = {
     ],
     "plan_tilt_limits": ["export plan_tilt_limits.nc --rates plan_rates.csv"],
 }
+ALSO = [  # of --few as well: a library that is compiled and kept, a file written by tomlkit
+    ["run problems/paper_direct.toml --set solver.compiled=true --no-draw -o compiled.nc"],
+    ["migrate problems/traction_hills.toml"],
+]
 OTHERS = [
     ["--version"],
-    ["migrate problems/traction_hills.toml"],
     ["--json check problems/rover_inverse.toml"],
     ["check problems/plan_crater_field.toml"],
     ["vehicle problems/rover_inverse.toml"],
     ["vehicle problems/vehicles/trailer.toml"],
     ["vehicle problems/vehicles/trike.toml"],
     *(
-        [f"new {kind} {kind}", f"run {kind}.toml"]
+        [f"new {kind} {kind}", f"run {kind}.toml --no-draw"]
         for kind in ("direct", "inverse", "plan", "climb")
     ),
     ["run problems/paper_direct.toml --cross-check --csv table.csv --no-draw -o crossed.nc"],
-    ["run problems/paper_direct.toml --set solver.compiled=true --no-draw -o compiled.nc"],
     ["run problems/traction_ice.toml --set terrain.friction=0.9 --no-draw -o arrives.nc"],
     ["run problems/dynamics_skid_turn.toml --set model=quasi-static --no-draw -o slow_turn.nc"],
-    ["run problems/climb_step.toml --animation climb_step.gif --no-draw -o animated.nc"],
+    [
+        "run problems/climb_step.toml --animation climb_step.gif --set time.duration=0.5 --no-draw"
+        " -o animated.nc"
+    ],
     [
         "sweep problems/paper_direct.toml --vary inputs.left_rate=0.3:0.5:3"
         " --vary vehicle.axle=tilting,fixed --set time.duration=2 --processes 2 -o axles"
@@ -148,14 +153,14 @@ def problem(file: Path) -> list[Callable[[], None]]:
 
 def all_commands() -> list[list[Callable[[], None]]]:
     """Return the commands, in groups of some that follow one another; slow groups first."""
-    left_out = SLOW if "--quick" in sys.argv else ()
+    few = "--few" in sys.argv
     shipped = sorted(
-        (file for file in Path("problems").glob("*.toml") if file.stem not in left_out),
+        (file for file in Path("problems").glob("*.toml") if not few or file.stem in FEW),
         key=lambda file: (file.stem[:4] != "plan", file),
     )
     return [
         *map(problem, shipped),
-        *([slipfree(line) for line in lines] for lines in OTHERS),
+        *([slipfree(line) for line in lines] for lines in (ALSO if few else [*ALSO, *OTHERS])),
         [
             python("write a GeoTIFF", GEOTIFF),
             slipfree(f"run problems/paper_direct.toml {MAP} --no-draw -o site.nc"),

@@ -7,6 +7,8 @@ Every kind runs in a separate process with limited address space, which is kille
 too long. The exit code is 1 if a case was mishandled.
 
 ``python benchmarks/fuzz.py --only direct:17 [--seed N]`` repeats one case and keeps its files.
+``--kinds mutated_urdf,mutated_raster`` reads URDFs and rasters with a few changes; what these print
+on standard error is an error too.
 """
 
 from __future__ import annotations
@@ -28,13 +30,14 @@ from random import Random
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from helpers.fuzz_checks import READ, REFUSED, Verdict, judged
 from helpers.fuzz_files import KINDS, drawn
+from helpers.fuzz_mutants import MUTANTS, judged_silently
 
 SHARES = {"direct": 4, "inverse": 2, "plan": 2, "climb": 2, "vehicle": 3, "result": 2}  # others: 2
 MEMORY = 6 * 2**30  # of addresses that a process may have [B]
 LONGEST = 60.0  # that a case may take, on a busy machine [s]
 BEGIN = 120.0  # that a process may take to start [s]
 DEEP = 0.04  # part of the cases that are solved as well, for a short time
-FAULTS = ("traceback", "warning", "unclear", "hang", "death")
+FAULTS = ("traceback", "warning", "unclear", "hang", "death", "print")
 HEAD = f"{'kind':9}{'cases':>7}{'read':>7}{'refused':>9}" + "".join(
     f"{n + 's':>12}" for n in FAULTS
 )
@@ -69,6 +72,9 @@ class Tally:
 def one(kind: str, number: int, seed: int, folder: Path) -> Verdict:
     """Return the outcome of a case."""
     rng = Random(f"{seed}-{kind}-{number}")
+    if kind in MUTANTS:
+        with tempfile.TemporaryDirectory() as told:
+            return judged_silently(MUTANTS[kind](rng), folder, Path(told) / "stderr")
     return judged(drawn(kind, rng), folder, deep=rng.random() < DEEP)
 
 
@@ -134,11 +140,11 @@ def _followed(process: subprocess.Popen[bytes], number: int, tally: Tally) -> in
             tally.memory, number = max(tally.memory, peak), number + 1
 
 
-def shared(cases: int) -> dict[str, int]:
+def shared(cases: int, kinds: list[str]) -> dict[str, int]:
     """Return the number of cases of each kind."""
-    parts = {kind: SHARES.get(kind, 2) for kind in KINDS}
+    parts = {kind: SHARES.get(kind, 2) for kind in kinds}
     counts = {kind: cases * part // sum(parts.values()) for kind, part in parts.items()}
-    counts["direct"] += cases - sum(counts.values())
+    counts[kinds[0]] += cases - sum(counts.values())
     return counts
 
 
@@ -169,9 +175,7 @@ def table(cases: int, seed: int, kinds: list[str]) -> int:
     )
     print(f"{HEAD}  slowest              memory")
     total, begin, bad = Tally(), time.perf_counter(), []
-    for kind, count in shared(cases).items():
-        if kind not in kinds:
-            continue
+    for kind, count in shared(cases, kinds).items():
         found = kind_of_cases(kind, count, seed)
         print(found.line(kind), flush=True)
         total.counts += found.counts

@@ -209,10 +209,10 @@ def mutated_raster(rng: Random) -> Case:
     return Case("raster", {f"ground{ending}": raw}, f"ground{ending}")
 
 
-MUTANTS = {"urdf": mutated_urdf, "raster": mutated_raster}
+MUTANTS = {"mutated_urdf": mutated_urdf, "mutated_raster": mutated_raster}
 
 
-def _judge_silent(case: Case, folder: Path, told: Path) -> Verdict:
+def judged_silently(case: Case, folder: Path, told: Path) -> Verdict:
     """Return what becomes of a case; what is printed on standard error is an error."""
     with told.open("w+") as stream:
         kept = os.dup(2)
@@ -224,7 +224,7 @@ def _judge_silent(case: Case, folder: Path, told: Path) -> Verdict:
             os.dup2(kept, 2)
             os.close(kept)
     words = told.read_text(errors="replace")
-    return Verdict("printed", words[:2000]) if words else found
+    return Verdict("print", words[:2000]) if words else found
 
 
 def main(kind: str, begin: str, end: str) -> None:
@@ -237,7 +237,7 @@ def main(kind: str, begin: str, end: str) -> None:
             folder = Path(scratch) / "files"
             folder.mkdir()
             faulthandler.dump_traceback_later(LIMIT, exit=True, file=alarm)
-            found = _judge_silent(case, folder, Path(scratch) / "stderr")
+            found = judged_silently(case, folder, Path(scratch) / "stderr")
             faulthandler.cancel_dump_traceback_later()
         print(json.dumps({"seed": seed, **found._asdict()}), flush=True)  # noqa: T201
 

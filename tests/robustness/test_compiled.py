@@ -42,6 +42,8 @@ from slipfree.solve.system import with_inputs
 from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.vehicle.sections.torus import Torus
 
+pytestmark = pytest.mark.slow
+
 QUICK = ("-O0", *codegen_cache.FLAGS[1:])
 needs_compiler = pytest.mark.skipif(codegen_cache.compiler() is None, reason="no C compiler here")
 

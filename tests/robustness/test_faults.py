@@ -30,6 +30,8 @@ from slipfree.show.plots import save as save_figures
 from slipfree.sweep.log import WORDS, Log, Row
 from slipfree.trajectory import Trajectory
 
+pytestmark = pytest.mark.slow
+
 OLD = b"what was here before"
 BEGIN = "import sys; from slipfree.__main__ import main; print('begun', flush=True); main()"
 ENDS = (errno.ENOSPC, errno.EROFS, errno.EIO, errno.EDQUOT)

@@ -13,6 +13,7 @@ from slipfree import Analytic, SlipfreeError, direct_kinematics, forks, settle, 
 from slipfree.catalog import three_wheeler
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
     pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning"),
 ]

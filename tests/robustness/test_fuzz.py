@@ -28,6 +28,8 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.result import problem_of
 from slipfree.vehicle.formula import names_in
 
+pytestmark = pytest.mark.slow
+
 SOURCE = Path(__file__).parents[2] / "src" / "slipfree"
 CAREFUL = settings(
     derandomize=True,

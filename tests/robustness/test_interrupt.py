@@ -33,6 +33,8 @@ from slipfree.plan.external_nlp import solve_nlp
 from slipfree.problem.verbs import driving as runner
 from slipfree.solve import simulate, zero_order_hold
 
+pytestmark = pytest.mark.slow
+
 HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 SMALL = [
     word

@@ -7,6 +7,8 @@ import pytest
 
 from helpers.random_cases import FAULTS, SOUND, draw, outcome
 
+pytestmark = pytest.mark.slow
+
 SEEDS = {
     "complete": (124, 158, 160, 168, 182, 187, 202, 229, 230, 249, 305, 308),
     "stopped": (36, 83, 131, 200, 257, 260, 281),

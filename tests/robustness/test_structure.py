@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 TOP, LATE, TYPING = "at module level", "in functions", "under TYPE_CHECKING"
 PLACES = {TOP, LATE, TYPING}

@@ -16,7 +16,10 @@ from helpers.fuzz_files import bases, document
 from slipfree.cli import app
 from slipfree.show.plots import Plot, save
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell"),
+]
 FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 CHECK = "check disk, folder and permissions"
 

@@ -37,6 +37,8 @@ from slipfree.sweep.table import sweep_facts
 from slipfree.sweep.worker import work
 from slipfree.version import __version__
 
+pytestmark = pytest.mark.slow
+
 SLOW = [*GRID, "--set", "time.step=0.003"]  # so long that many are left when it is killed
 
 
