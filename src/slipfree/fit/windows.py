@@ -13,7 +13,8 @@ from slipfree.errors import ModelError
 from slipfree.fit.body_motion import evaluate
 from slipfree.records import Array, Mask
 
-SMALL_ANGLE = 1e-3  # below which the functions of an arc are series [rad]
+POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # quadrature over the time between samples
+MAX_SAMPLES = 1_000_000  # windows times samples of the longest one; an estimate takes 2 kB for each
 
 
 class Windows(NamedTuple):
@@ -21,6 +22,8 @@ class Windows(NamedTuple):
 
     Attributes
     ----------
+    number, start : ndarray, shape (n,)
+        Number of each window in the log, and time of its first sample [s].
     dt : ndarray, shape (n, k)
         Times between samples; zero after the end of a shorter window. [s]
     given : ndarray, shape (n, k + 1, n_given)
@@ -30,6 +33,8 @@ class Windows(NamedTuple):
         forward [m], and change of heading, counter-clockwise and continuous over turns [rad].
     """
 
+    number: Array
+    start: Array
     dt: Array
     given: Array
     end: Array
@@ -67,7 +72,8 @@ def cut(log: Log) -> Windows:
     Raises
     ------
     ModelError
-        If there is no window of two samples, or times decrease within a window.
+        If there is no window of two samples, there are too many samples, or times decrease within a
+        window.
     """
     starts = np.flatnonzero(np.append(True, np.diff(log.window) != 0))
     parts = [
@@ -75,9 +81,17 @@ def cut(log: Log) -> Windows:
     ]
     if not parts:
         raise ModelError(
-            "windows: expected at least one window with two samples, found none; use longer windows"
+            "windows: expected at least one window with two samples, found none: samples are "
+            f"{np.median(np.diff(log.t)) if len(log.t) > 1 else 0:.3g} s apart (median); correct "
+            "the unit of the times if they are not in seconds, or use longer windows"
         )
     longest = max(part.stop - part.start for part in parts)
+    if longest * len(parts) > MAX_SAMPLES:
+        raise ModelError(
+            f"windows: expected at most {MAX_SAMPLES} samples (windows times samples of the "
+            f"longest one), found {len(parts)} windows of up to {longest} samples; use a part of "
+            "the log, windows of similar length, or fewer samples per second"
+        )
     dt, given = (
         np.zeros((len(parts), longest - 1)),
         np.zeros((len(parts), longest, log.given.shape[1])),
@@ -94,7 +108,8 @@ def cut(log: Log) -> Windows:
         given[k, :count], given[k, count:] = log.given[part], log.given[part.stop - 1]
         x, y, heading = log.pose[part].T
         end[k] = _relative(np.column_stack([x, y, np.unwrap(heading)]))
-    return Windows(dt, given, end)
+    first = [part.start for part in parts]
+    return Windows(log.window[first], log.t[first], dt, given, end)
 
 
 def _relative(poses: Array) -> Array:
@@ -107,7 +122,8 @@ def _relative(poses: Array) -> Array:
 def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, Array, Array]:
     """Return the predicted end poses of windows, and their derivatives.
 
-    Velocities are constant in the platform's axes between two samples: the mean of both.
+    Between two samples, the velocity in the platform's axes is linear in time. The heading is then
+    quadratic in time, and the position is integrated by Gauss quadrature.
 
     Parameters
     ----------
@@ -147,15 +163,12 @@ def _end_function(samples: int) -> ca.Function:
     )
     place, heading = ca.SX.zeros(2), ca.SX(0)
     for k in range(samples - 1):
-        mean = dt[k] * (velocity[3 * k : 3 * k + 3] + velocity[3 * k + 3 : 3 * k + 6]) / 2
-        turn = mean[2]
-        small = ca.fabs(turn) < SMALL_ANGLE
-        safe = ca.if_else(small, 1, turn)
-        sine = ca.if_else(small, 1 - turn**2 / 6, ca.sin(safe) / safe)
-        cosine = ca.if_else(small, turn / 2 - turn**3 / 24, (1 - ca.cos(safe)) / safe)
-        step = ca.vertcat(sine * mean[0] - cosine * mean[1], cosine * mean[0] + sine * mean[1])
-        place += _rotation(heading) @ step
-        heading += turn
+        first, last = velocity[3 * k : 3 * k + 3], velocity[3 * k + 3 : 3 * k + 6]
+        for point, weight in zip((1 + POINTS) / 2, WEIGHTS / 2, strict=True):
+            turn = dt[k] * point * (first[2] + point * (last[2] - first[2]) / 2)
+            speed = first[:2] + point * (last[:2] - first[:2])
+            place += dt[k] * weight * _rotation(heading + turn) @ speed
+        heading += dt[k] * (first[2] + last[2]) / 2
     at, turned = sensor[:2], _rotation(sensor[2])
     seen = turned.T @ (place + _rotation(heading) @ at - at)
     end = ca.vertcat(seen, heading)
