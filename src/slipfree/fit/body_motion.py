@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
@@ -296,7 +297,7 @@ def _is_stable(jac: Array, relaxing: int) -> Mask:
     return np.asarray((np.linalg.eigvals(reduced).real < 0).all(axis=1))
 
 
-def _check(good: Mask, samples: Array, words: str) -> None:
+def _check(good: Mask, samples: npt.NDArray[np.intp], words: str) -> None:
     """Raise MotionError for the first sample that is not good."""
     if not good.all():
         raise MotionError(words, int(samples[~good].min()))
@@ -435,6 +436,12 @@ def evaluate(function: ca.Function, *arguments: Array) -> tuple[Array, ...]:
     Arguments have one row per sample. A buffer avoids CasADi's slow conversion of matrices.
     """
     count = len(arguments[0])
+    if count > BATCHES[-1]:
+        starts = range(0, count, BATCHES[-1])
+        parts = [
+            evaluate(function, *(each[k : k + BATCHES[-1]] for each in arguments)) for k in starts
+        ]
+        return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
     size = next(each for each in BATCHES if each >= count)
     buffer: Any
     buffer, run = _mapped(function, size).buffer()

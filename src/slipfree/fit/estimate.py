@@ -265,7 +265,7 @@ def estimate(
     covariance, directions = _covariance(
         prediction, windows, deviations, priors, scales, ~at_bound, loss
     )
-    for k in np.flatnonzero(np.sqrt(np.diag(covariance)) > scales):
+    for k in np.flatnonzero(np.sqrt(np.diag(covariance)) > scales).tolist():
         other = values.copy()
         other[k] = nominal[k]
         _check_extremum(windows, (prediction, predict(other)), labels[k], values[k], k)
@@ -308,10 +308,11 @@ def _check_extremum(
     raise ModelError(
         "estimate: expected a log that the model can follow, found that the vehicle turns "
         f"{superlative} with {label.name} = {value:.4g} {label.unit} and the log turns "
-        f"{comparative}: in window {windows.number[row]:g}, from t = {windows.start[row]:.6g} s, by "
-        f"{np.abs(windows.end[row, 2]):.4g} rad, the model with any {label.name!r} by at "
-        f"{'most' if sign > 0 else 'least'} {turns[row]:.4g} rad; correct the rates of the log or "
-        f"the vehicle, use another model, or give a prior of {label.name!r}"
+        f"{comparative}: by {np.abs(windows.end[row, 2]):.4g} rad in window "
+        f"{windows.number[row]:g}, from t = {windows.start[row]:.6g} s; the model turns by at "
+        f"{'most' if sign > 0 else 'least'} {turns[row]:.4g} rad with any {label.name!r}; correct "
+        "the rates of the log or the vehicle, use another model, or give a prior of "
+        f"{label.name!r}"
     )
 
 

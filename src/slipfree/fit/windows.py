@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from typing import NamedTuple
 
 import casadi as ca
@@ -109,7 +109,7 @@ def cut(log: Log) -> Windows:
         x, y, heading = log.pose[part].T
         end[k] = _relative(np.column_stack([x, y, np.unwrap(heading)]))
     first = [part.start for part in parts]
-    return Windows(log.window[first], log.t[first], dt, given, end)
+    return Windows(log.window[first].astype(float), log.t[first], dt, given, end)
 
 
 def _relative(poses: Array) -> Array:
@@ -145,35 +145,60 @@ def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, 
         Derivatives with respect to the sensor's pose.
     """
     count, samples, _ = velocity.shape
-    function = _end_function(samples)
-    flat = velocity.reshape(count, -1)
-    end, by_velocity, by_sensor = evaluate(
-        function, windows.dt, flat, np.broadcast_to(sensor, (count, 3))
-    )
-    return end[..., 0], by_velocity.reshape(count, 3, samples, 3), by_sensor
+    pairs = np.concatenate([velocity[:, :-1], velocity[:, 1:]], axis=2).reshape(-1, 6)
+    steps, by_pairs = evaluate(_interval_function(), windows.dt.reshape(-1, 1), pairs)
+    moved, by_steps = _chained(steps.reshape(count, samples - 1, 3))
+    here = np.broadcast_to(sensor, (count, 3))
+    end, by_moved, by_sensor = evaluate(_sensor_function(), moved, here)
+    slopes = by_steps @ by_pairs.reshape(count, samples - 1, 3, 6)
+    slopes = by_moved[:, None] @ slopes
+    by_velocity = np.zeros((count, samples, 3, 3))
+    by_velocity[:, :-1] += slopes[..., :3]
+    by_velocity[:, 1:] += slopes[..., 3:]
+    return end[..., 0], by_velocity.transpose(0, 2, 1, 3), by_sensor
 
 
-@lru_cache(maxsize=16)
-def _end_function(samples: int) -> ca.Function:
-    """Return the function of times, velocities and sensor to the end pose and its derivatives."""
-    dt, velocity, sensor = (
-        ca.SX.sym("dt", samples - 1),
-        ca.SX.sym("velocity", 3 * samples),
-        ca.SX.sym("sensor", 3),
-    )
-    place, heading = ca.SX.zeros(2), ca.SX(0)
-    for k in range(samples - 1):
-        first, last = velocity[3 * k : 3 * k + 3], velocity[3 * k + 3 : 3 * k + 6]
-        for point, weight in zip((1 + POINTS) / 2, WEIGHTS / 2, strict=True):
-            turn = dt[k] * point * (first[2] + point * (last[2] - first[2]) / 2)
-            speed = first[:2] + point * (last[:2] - first[:2])
-            place += dt[k] * weight * _rotation(heading + turn) @ speed
-        heading += dt[k] * (first[2] + last[2]) / 2
-    at, turned = sensor[:2], _rotation(sensor[2])
-    seen = turned.T @ (place + _rotation(heading) @ at - at)
-    end = ca.vertcat(seen, heading)
-    slopes = [ca.densify(ca.jacobian(end, by)) for by in (velocity, sensor)]
-    return ca.Function("end", [dt, velocity, sensor], [end, *slopes], {"cse": True})
+def _chained(steps: Array) -> tuple[Array, Array]:
+    """Return pose changes over several intervals, and their derivatives with respect to each.
+
+    The change ``(right, ahead, turn)`` over an interval, shape (n, k, 3), is in the axes at its
+    beginning; the result, shapes (n, 3) and (n, k, 3, 3), in those at the first one.
+    """
+    ahead = np.cumsum(steps[..., 2], axis=1)
+    before = ahead - steps[..., 2]
+    c, s = np.cos(before), np.sin(before)
+    moved = np.stack([c * steps[..., 0] - s * steps[..., 1], s * steps[..., 0] + c * steps[..., 1]])
+    place = moved.sum(axis=2)
+    later = place[..., None] - np.cumsum(moved, axis=2)  # a turn rotates what follows
+    slopes = np.zeros((*steps.shape, 3))
+    slopes[..., 0, :] = np.stack([c, -s, -later[1]], axis=-1)
+    slopes[..., 1, :] = np.stack([s, c, later[0]], axis=-1)
+    slopes[..., 2, 2] = 1
+    return np.column_stack([*place, ahead[:, -1]]), slopes
+
+
+@cache
+def _interval_function() -> ca.Function:
+    """Return the function of time and velocities at both ends to the pose change, and its slope."""
+    dt, pair = ca.SX.sym("dt"), ca.SX.sym("pair", 6)
+    first, last = pair[:3], pair[3:]
+    place = ca.SX.zeros(2)
+    for point, weight in zip((1 + POINTS) / 2, WEIGHTS / 2, strict=True):
+        turn = dt * point * (first[2] + point * (last[2] - first[2]) / 2)
+        place += dt * weight * _rotation(turn) @ (first + point * (last - first))[:2]
+    step = ca.vertcat(place, dt * (first[2] + last[2]) / 2)
+    return ca.Function("step", [dt, pair], [step, ca.densify(ca.jacobian(step, pair))])
+
+
+@cache
+def _sensor_function() -> ca.Function:
+    """Return the function of pose change and sensor to the sensor's, and its slopes by both."""
+    moved, sensor = ca.SX.sym("moved", 3), ca.SX.sym("sensor", 3)
+    at = sensor[:2]
+    seen = _rotation(sensor[2]).T @ (moved[:2] + _rotation(moved[2]) @ at - at)
+    end = ca.vertcat(seen, moved[2])
+    slopes = [ca.densify(ca.jacobian(end, by)) for by in (moved, sensor)]
+    return ca.Function("sensor", [moved, sensor], [end, *slopes])
 
 
 def _rotation(angle: ca.SX) -> ca.SX:
