@@ -268,7 +268,7 @@ def estimate(
     for k in np.flatnonzero(np.sqrt(np.diag(covariance)) > scales).tolist():
         other = values.copy()
         other[k] = nominal[k]
-        _check_extremum(windows, (prediction, predict(other)), labels[k], values[k], k)
+        _check_extremum(predict, (prediction, predict(other)), labels[k], values[k], k)
     freedom = len(windows.end) - len(unknowns)
     reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
     spread = reach * np.sqrt(np.diag(covariance))
@@ -287,7 +287,7 @@ def estimate(
 
 
 def _check_extremum(
-    windows: Windows,
+    predict: Predictor,
     predictions: tuple[Prediction, Prediction],
     label: Label,
     value: float,
@@ -301,6 +301,7 @@ def _check_extremum(
     here, there = (float(np.linalg.norm(each.slopes[:, :, k])) for each in predictions)
     if not here < EXTREMUM * there:
         return
+    windows = predict.windows
     turns, others = (np.abs(each.end[:, 2]) for each in predictions)
     sign = 1 if turns.sum() > others.sum() else -1
     superlative, comparative = ("fastest", "faster") if sign > 0 else ("slowest", "slower")
@@ -309,7 +310,8 @@ def _check_extremum(
         "estimate: expected a log that the model can follow, found that the vehicle turns "
         f"{superlative} with {label.name} = {value:.4g} {label.unit} and the log turns "
         f"{comparative}: by {np.abs(windows.end[row, 2]):.4g} rad in window "
-        f"{windows.number[row]:g}, from t = {windows.start[row]:.6g} s; the model turns by at "
+        f"{windows.number[row]:g}, from t = {windows.start[row]:.6g} s, with "
+        f"{_words(predict.motion.names, windows.given[row, 0])}; the model turns by at "
         f"{'most' if sign > 0 else 'least'} {turns[row]:.4g} rad with any {label.name!r}; correct "
         "the rates of the log or the vehicle, use another model, or give a prior of "
         f"{label.name!r}"
