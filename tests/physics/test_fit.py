@@ -151,7 +151,8 @@ def _windows(motion: BodyMotion, p: Array, sensor: Array | None = None) -> Windo
     count = 60
     given = np.repeat(_rates(motion, count)[:, None], 3, axis=1)
     speed = velocities(motion, given[:, 0], p).values
-    windows = Windows(np.ones((count, 2)), given, np.zeros((count, 3)))
+    order = np.arange(float(count))
+    windows = Windows(order, 3 * order, np.ones((count, 2)), given, np.zeros((count, 3)))
     at = np.zeros(3) if sensor is None else sensor
     end, *_ = end_poses(windows, np.repeat(speed[:, None], 3, axis=1), at)
     return windows._replace(end=end)
@@ -212,7 +213,8 @@ def test_undetermined_combinations_are_named() -> None:
     dae = parametric_model(build, vehicle, law, unknowns)
     motion = body_motion(dae)
     given = np.repeat(np.linspace(1, 4, 20)[:, None, None] * np.ones(4), 2, axis=1)
-    windows = Windows(np.ones((20, 1)), given, np.zeros((20, 3)))
+    order = np.arange(20.0)
+    windows = Windows(order, order, np.ones((20, 1)), given, np.zeros((20, 3)))
     speed = velocities(motion, given[:, 0], np.array([0.17, 0.57])).values
     end, *_ = end_poses(windows, np.repeat(speed[:, None], 2, axis=1), np.zeros(3))
     end += np.random.default_rng(1).normal(size=end.shape) * 0.01

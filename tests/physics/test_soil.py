@@ -45,13 +45,14 @@ def numbers(forces):
 
 
 def by_quadrature(soil, size, depth, s, beta):
-    """Return the forces by adaptive quadrature of the published integrands, for 0 <= s <= 1."""
+    """Return the forces by adaptive quadrature of the published integrands."""
     r, b = size
     entry, leaving = acos(1 - depth / r), -acos(1 - soil.exit_depth * depth / r)
     peak = (soil.peak + soil.peak_rate * s) * entry
     k_x = soil.shear_along + soil.shear_along_rate * abs(beta)
     k_y = soil.shear_across + soil.shear_across_rate * abs(beta)
     phi, r_s = soil.friction_angle, r + soil.grouser_height
+    ratio = 1 - s if s >= 0 else 1 / (1 + s)  # of the speed of the centre to that of the rim
     x_c = pi / 4 - phi / 2
     d_1, d_2 = 1 / tan(x_c) + tan(x_c + phi), 1 / tan(x_c) + tan(phi) / tan(x_c) ** 2
 
@@ -60,8 +61,8 @@ def by_quadrature(soil, size, depth, s, beta):
         ref = theta if ahead else entry - (theta - leaving) / (peak - leaving) * (entry - peak)
         sigma = stiffness(soil, size) * max(r * (cos(ref) - cos(entry)), 0) ** soil.exponent
         strength = soil.cohesion + sigma * tan(phi)
-        j_x = r_s * (entry - theta - (1 - s) * (sin(entry) - sin(theta)))
-        j_y = r_s * (1 - s) * (entry - theta) * tan(beta)
+        j_x = r_s * (entry - theta - ratio * (sin(entry) - sin(theta)))
+        j_y = r_s * ratio * (entry - theta) * tan(beta)
         size_x, size_y = (1 - exp(-abs(j) / k) for j, k in ((j_x, k_x), (j_y, k_y)))
         along, across = strength * np.copysign(size_x, j_x), strength * np.copysign(size_y, j_y)
         height = r * (cos(theta) - cos(entry))
@@ -71,7 +72,7 @@ def by_quadrature(soil, size, depth, s, beta):
 
     def integral(part):
         options = {"epsabs": 1e-11, "epsrel": 1e-12, "limit": 200}
-        breaks = sorted({leaving, peak, entry, *_sign_changes(r_s, entry, s, leaving)})
+        breaks = sorted({leaving, peak, entry, *_sign_changes(entry, ratio, leaving)})
         pairs = pairwise(breaks)
         return sum(quad(lambda t: part(t, *stresses(t)), *pair, **options)[0] for pair in pairs)
 
@@ -85,10 +86,10 @@ def by_quadrature(soil, size, depth, s, beta):
     )
 
 
-def _sign_changes(r_s, entry, s, leaving):
+def _sign_changes(entry, ratio, leaving):
     """Return the angles at which the shear path along the wheel changes its sign."""
     theta = np.linspace(leaving, entry, 4001)[:-1]
-    path = r_s * (entry - theta - (1 - s) * (np.sin(entry) - np.sin(theta)))
+    path = entry - theta - ratio * (np.sin(entry) - np.sin(theta))
     return theta[:-1][np.diff(np.sign(path)) != 0].tolist()
 
 
@@ -120,26 +121,25 @@ def test_hard_soil_is_coulomb_friction(slip):
 
 
 @pytest.mark.parametrize("name", SOILS)
-@pytest.mark.parametrize("slip", [0.0, 0.1, 0.3, 0.6, 0.95])
+@pytest.mark.parametrize("slip", [-0.99, -0.9, -0.5, -0.15, 0.0, 0.1, 0.3, 0.6, 0.95])
 def test_the_forces_are_those_of_the_published_integrals(name, slip, monkeypatch):
+    """The shear path of a braked wheel changes its sign, or saturates within a small angle."""
     soil = replace(known_soil(name), grouser_height=0.005)
-    with_eight, converged = [], []
+    errors, converged = [], []
     for depth, beta in ((0.004, 0.0), (0.015, radians(10)), (0.03, radians(30))):
         expected = by_quadrature(soil, SIZE, depth, slip, beta)
         scale = np.array([1, 1, 1, SIZE.radius]) * expected[0]
         found = numbers(forces_at_slip(soil, SIZE, depth, slip, beta))
-        with_eight.append(np.abs(found - expected) / scale)
+        errors.append(np.abs(found - expected) / scale)
         with monkeypatch.context() as patch:
             points, weights = np.polynomial.legendre.leggauss(40)
             patch.setattr(law, "POINTS", points)
             patch.setattr(law, "WEIGHTS", weights)
             found = numbers(forces_at_slip(soil, SIZE, depth, slip, beta))
         converged.append(np.abs(found - expected) / scale)
-    # a stress with an exponent that is not an integer has a branch point at both edges, a shear
-    # path that changes its direction has a kink
-    smooth = soil.exponent == 1
-    assert np.max(with_eight) < (1e-10 if smooth else 1e-5)
-    if smooth and slip >= 0.3:
+    smooth = soil.exponent == 1  # otherwise the stress has a branch point at both edges
+    assert np.max(errors) < (1e-4 if slip < 0 else 1e-10 if smooth else 2e-9)
+    if smooth and slip >= 0:
         assert np.max(converged) < 1e-12
 
 

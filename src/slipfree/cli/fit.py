@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from slipfree.cli.common import (
+    STOPPED,
     File,
     Settings,
     about,
@@ -16,7 +17,7 @@ from slipfree.cli.common import (
     refuse_result,
     reported,
 )
-from slipfree.cli.messages import add_json, add_json_file, print_line
+from slipfree.cli.messages import add_json, add_json_file, print_error, print_line
 from slipfree.cli.new import write_new_file
 
 
@@ -46,7 +47,8 @@ def fit(
     """Fit numbers of a vehicle and of a law to a log of wheel rates and poses.
 
     Print the estimates with 95 % intervals, the combinations of unknowns that the log does not
-    determine, and the errors of predictions over windows that were not used for the fit.
+    determine, and the errors of predictions over windows that were not used for the fit. If the log
+    does not determine an unknown, the exit code is 1 and no vehicle is written.
     """
     with reported(), about(file):
         from slipfree.files.tables import write_rows
@@ -74,7 +76,8 @@ def fit(
         write_rows(others, *window_rows(fitted))
         add_json("estimates", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
         written = [table, others]
-        if write is not None:
+        lost = fitted.calibration.estimate.undetermined
+        if write is not None and not lost:
             write_new_file(vehicle_text(fitted.vehicle, vehicle_comments(fitted)), write, force)
             written.append(write)
         if draw:
@@ -85,3 +88,10 @@ def fit(
         for path in written:
             add_json_file(path)
         print_line(f"wrote {' and '.join(map(str, written))}")
+        if lost:
+            print_error(
+                f"{file}: expected a log that determines all unknowns, found no information on "
+                f"{', '.join(lost)}{'; no vehicle was written' if write else ''}; give priors, fit "
+                "fewer unknowns, or use a log with other manoeuvres"
+            )
+            raise typer.Exit(STOPPED)

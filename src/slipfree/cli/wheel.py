@@ -51,7 +51,7 @@ def wheel(
             from slipfree.show.wheel_figures import DrawnWheel, wheel_plot
 
             values = {name: getattr(test.curves, name) for name in QUANTITIES}
-            drawn = DrawnWheel(test.curves.angle, test.curves.slip, values, test.measured)
+            drawn = DrawnWheel(*test.curves[:2], test.load, values, test.measured)
             written += save([wheel_plot(picture.stem, drawn)], picture.parent)
         for path in written:
             add_json_file(path)

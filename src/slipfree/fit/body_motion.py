@@ -3,26 +3,43 @@
 On level, homogeneous ground the velocity of a vehicle relative to its platform does not depend on
 position and heading. It follows from the rates of wheels and joints and the values of the joints;
 the parameters change it through the implicit function theorem.
+
+A vehicle may have several poses in which its equations hold, such as one on two wheels. Its pose is
+therefore computed first, at rest, from the model's initial guess, as `slipfree.settle` does; rates
+are then solved for in this pose. So a velocity depends on rates and parameters only, never on the
+parameters that were tried before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
-from slipfree.dae import Dae
+from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.records import Array, Mask, leaves
+from slipfree.solve.initial_conditions import MAX_DIVISIONS, MAX_STEP, limit_message
 
 MAX_STEPS = 30  # of Newton's method
 MAX_HALVINGS = 6  # of a step that does not reduce the residual
+MAX_STANDING_STEPS = 100  # of Newton's method for the pose at rest
 SOLVED_RESIDUAL = 1e-11  # without unit
+STAGE_RATIO = 0.2  # smallest ratio of consecutive values of the continuation parameter
 BATCHES = (1, 4, 16, 64, 256, 1024)  # numbers of samples that are evaluated at once
 POSE = ("x", "y", "heading")
+
+
+class MotionError(ModelError):
+    """Failure to find the motion of a vehicle at a sample; ``sample`` is its index."""
+
+    def __init__(self, message: str, sample: int) -> None:
+        super().__init__(message)
+        self.sample = sample
 
 
 class BodyMotion(NamedTuple):
@@ -32,15 +49,30 @@ class BodyMotion(NamedTuple):
     ----------
     names : tuple of str
         Names of the given quantities: inputs, then values of the joints that are states.
+    inputs : int
+        Number of inputs.
     parameters : tuple of str
         Names of the parameters. If the model has a continuation parameter that is none of them, it
         is the last argument ``p``, without a name.
+    pose : int
+        Number of unknowns of the pose; they are the first ones.
+    relaxing : int
+        Number of unknowns of the pose that follow from equilibrium, the first ones of it; their
+        rates are the last equations.
+    scale : ndarray, shape (n_z,)
+        Typical sizes of the unknowns.
+    size : float
+        Unit of length of the model. [m]
     newton : casadi Function
         ``(z, given, p) -> (residual, its Jacobian by z)``.
     slopes : casadi Function
         ``(z, given, p) -> (residual by p, velocity, velocity by z, velocity by p)``.
     guess : casadi Function
         ``(given, p) -> z``.
+    limits : tuple of Limit
+        Limits of the model that the unknowns may violate.
+    limited : casadi Function
+        ``(z, given, p) -> values of the limits``.
     stages : tuple of float
         Values of the continuation parameter, in the order of solution; empty for none.
     stage : int
@@ -48,10 +80,17 @@ class BodyMotion(NamedTuple):
     """
 
     names: tuple[str, ...]
+    inputs: int
     parameters: tuple[str, ...]
+    pose: int
+    relaxing: int
+    scale: Array
+    size: float
     newton: ca.Function
     slopes: ca.Function
     guess: ca.Function
+    limits: tuple[Limit, ...]
+    limited: ca.Function
     stages: tuple[float, ...]
     stage: int
 
@@ -105,11 +144,17 @@ def body_motion(dae: Dae) -> BodyMotion:
         at[k] = x[k]
     symbols, stages, stage = _parameters(dae)
     count = _motion_size(dae)
+    limits = _limits_of_unknowns(dae, first, count)
     equations = ca.vertcat(*dae.residuals)[:count]
     velocity, still = dae.ode[[names.index(name) for name in POSE]], dae.ode[first:]
     first_guess = ca.substitute(dae.rest, x, at)
-    rows = [ca.vertcat(equations, still), velocity, ca.vertcat(first_guess, dae.guess[:count])]
-    alg, velocity, guess = ca.substitute(rows, [x], [at])
+    rows = [
+        ca.vertcat(equations, still),
+        velocity,
+        ca.vertcat(first_guess, dae.guess[:count]),
+        ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits)),
+    ]
+    alg, velocity, guess, limited = ca.substitute(rows, [x], [at])
     guess = ca.substitute(guess, x[first:], first_guess) if dae.rest.numel() else guess
     p, given = ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(u, x[joints])
     unknown = ca.vertcat(x[first:], z[:count])
@@ -123,12 +168,31 @@ def body_motion(dae: Dae) -> BodyMotion:
     full = {"cse": True}
     return BodyMotion(
         (*(label.full for label in leaves(dae.labels.u)), *(names[k] for k in joints)),
+        u.numel(),
         tuple(each.label.name for each in dae.p),
+        dae.rest.numel() + len(list(leaves(dae.z[0]))),
+        dae.rest.numel(),
+        np.append(dae.sizes.x[first:], dae.scale[:count]),
+        dae.size,
         ca.Function("newton", arguments, [alg, ca.densify(ca.jacobian(alg, unknown))], full),
         ca.Function("slopes", arguments, [ca.densify(each) for each in slopes], full),
         ca.Function("guess", [given, p], [ca.densify(guess)]),
+        limits,
+        ca.Function("limited", arguments, [ca.densify(limited)], full),
         stages,
         stage,
+    )
+
+
+def _limits_of_unknowns(dae: Dae, first: int, count: int) -> tuple[Limit, ...]:
+    """Return the limits that depend on unknowns of the motion, and on no others."""
+    x, z, _ = dae.columns()
+    own, others = ca.vertcat(x[first:], z[:count]), z[count:]
+    return tuple(
+        limit
+        for limit in dae.limits
+        if ca.depends_on(limit.expression, own)
+        and not (others.numel() and ca.depends_on(limit.expression, others))
     )
 
 
@@ -171,94 +235,190 @@ def velocities(
     p : ndarray, shape (n_p,)
         Values of the parameters, in their units.
     near : Velocities, optional
-        Result at the same samples for other parameters, from which Newton's method starts.
+        Result at the same samples for other parameters, from which the rates start.
 
     Raises
     ------
-    ModelError
-        If the equations have no solution at a sample.
+    MotionError
+        If the vehicle has no stable pose or violates a limit of the model, or its equations have no
+        solution at a sample.
     """
     guess = None if near is None else near.z + near.z_slopes @ (p - near.p)
-    parts = [slice(k, k + BATCHES[-1]) for k in range(0, len(given), BATCHES[-1])]
-    found = [
-        _velocities(motion, given[part], p, None if guess is None else guess[part])
-        for part in parts
-    ]
+    full = p if motion.stage < len(motion.parameters) else np.append(p, motion.stages[-1])
+    pose = _standing_poses(motion, given, full)
+    found = list[tuple[Array, ...]]()
+    for k in range(0, len(given), BATCHES[-1]):
+        part = slice(k, k + BATCHES[-1])
+        at = (given[part], full, pose[part], None if guess is None else guess[part])
+        try:
+            found.append(_velocities(motion, *at))
+        except MotionError as error:
+            raise MotionError(str(error), k + error.sample) from error
     values, slopes, z, z_slopes = (np.concatenate(each) for each in zip(*found, strict=True))
     return Velocities(values, slopes, p, z, z_slopes)
 
 
+def _standing_poses(motion: BodyMotion, given: Array, p: Array) -> Array:
+    """Return the unknowns of the vehicle at rest with the joints of each sample, shape (n, n_z).
+
+    Raises
+    ------
+    MotionError
+        If Newton's method does not converge, or the equilibrium is not stable.
+    """
+    joints, first, inverse = np.unique(
+        given[:, motion.inputs :], axis=0, return_index=True, return_inverse=True
+    )
+    still = np.concatenate([np.zeros((len(joints), motion.inputs)), joints], axis=1)
+    found = np.empty((len(joints), motion.scale.size))
+    for k in range(0, len(joints), BATCHES[-1]):
+        part = slice(k, k + BATCHES[-1])
+        here, many = still[part], _repeated(p, len(still[part]))
+        guess = evaluate(motion.guess, here, many)[0][..., 0]
+        z, jac, solved = _solve(motion, here, many, guess, MAX_STANDING_STEPS, motion.scale)
+        _check(solved, first[part], "the vehicle has no pose in which it stands on level ground")
+        words = "the vehicle would fall from the pose in which its wheels bear it"
+        _check(_is_stable(jac, motion.relaxing), first[part], words)
+        found[part] = z
+    return found[inverse.ravel()]
+
+
+def _is_stable(jac: Array, relaxing: int) -> Mask:
+    """Return whether the coordinates that relax return to equilibrium after a small displacement.
+
+    The rates of these coordinates, the last equations, are linear in them near the equilibrium, if
+    the other unknowns follow from the other equations.
+    """
+    if not relaxing:
+        return np.ones(len(jac), dtype=bool)
+    equations, rates = jac[:, :-relaxing], jac[:, -relaxing:]
+    others = -_solved_linear(equations[:, :, relaxing:], equations[:, :, :relaxing])
+    reduced = rates[:, :, :relaxing] + rates[:, :, relaxing:] @ others
+    return np.asarray((np.linalg.eigvals(reduced).real < 0).all(axis=1))
+
+
+def _check(good: Mask, samples: npt.NDArray[np.intp], words: str) -> None:
+    """Raise MotionError for the first sample that is not good."""
+    if not good.all():
+        raise MotionError(words, int(samples[~good].min()))
+
+
 def _velocities(
-    motion: BodyMotion, given: Array, p: Array, guess: Array | None
+    motion: BodyMotion, given: Array, p: Array, pose: Array, guess: Array | None
 ) -> tuple[Array, Array, Array, Array]:
     """Return values, slopes, unknowns and their slopes at samples that are solved at once."""
-    named = len(motion.parameters)
-    full = p if motion.stage < named else np.append(p, motion.stages[-1])
-    if guess is None:
-        z, jac = _solve_cold(motion, given, full)
-    else:
-        z, jac, solved = _solve(motion, given, full, guess)
-        if not solved.all():
-            z[~solved], jac[~solved] = _solve_cold(motion, given[~solved], full)
-    by_p, value, by_z, direct = evaluate(motion.slopes, z, given, _repeated(full, len(given)))
-    z_slopes = np.asarray(-np.linalg.solve(jac, by_p))
+    many, named = _repeated(p, len(given)), len(motion.parameters)
+    cold = np.ones(len(given), dtype=bool)
+    z, jac = pose.copy(), np.zeros((*pose.shape, pose.shape[1]))
+    if guess is not None:
+        z[:, motion.pose :] = guess[:, motion.pose :]
+        z, jac, solved = _solve(motion, given, many, z)
+        cold = ~solved
+    if cold.any():
+        z[cold], jac[cold], solved = _solve_cold(motion, given[cold], many[cold], pose[cold])
+        _check(solved, np.flatnonzero(cold), "the equations of the model have no solution")
+    _check_limits(motion, z, given, many)
+    by_p, value, by_z, direct = evaluate(motion.slopes, z, given, many)
+    z_slopes = -_solved_linear(jac, by_p)
     slopes = direct + by_z @ z_slopes
     return value[..., 0], slopes[..., :named], z, z_slopes[..., :named]
 
 
-def _solve_cold(motion: BodyMotion, given: Array, p: Array) -> tuple[Array, Array]:
-    """Return unknowns and Jacobians from the model's initial guess, through the continuation.
+def _check_limits(motion: BodyMotion, z: Array, given: Array, many: Array) -> None:
+    """Raise MotionError at the first sample that violates a limit of the model."""
+    if not motion.limits:
+        return
+    values = evaluate(motion.limited, z, given, many)[0][..., 0]
+    for limit, column in zip(motion.limits, values.T, strict=True):
+        label, inside = limit.label, (limit.lower <= column) & (column <= limit.upper)
+        for value in column[~inside][:1]:
+            words = limit_message(label.words, value, limit.lower, limit.upper, label.unit)
+            _check(inside, np.arange(len(column)), words)
 
-    Raises
-    ------
-    ModelError
-        If Newton's method does not converge.
+
+def _solve_cold(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[Array, Array, Mask]:
+    """Return unknowns, Jacobians and mask of solved samples, from poses at rest.
+
+    The continuation begins at the largest velocity of a sample, where it exceeds the model's first
+    value: friction with this creep speed is nearly viscous.
     """
-    z = evaluate(motion.guess, given, _repeated(p, len(given)))[0][..., 0]
-    end = p[motion.stage] if motion.stages else 0.0
-    for stage in (*(each for each in motion.stages[:-1] if each > end), end):
-        now = p.copy()
-        if motion.stages:
-            now[motion.stage] = stage
-        z, jac, good = _solve(motion, given, now, z)
-    if not good.all():
-        words = _words(motion.names, given[~good][0])
-        raise ModelError(
-            f"body_motion: no solution was found at {words}, with "
-            f"{_words(motion.parameters, p)}; narrow the bounds of the unknowns, or use a model "
-            "that can follow these rates"
-        )
-    return z, jac
+    if not motion.stages:
+        return _solve(motion, given, p, z)
+    end = p[:, motion.stage]
+    fastest = motion.size * np.abs(given[:, : motion.inputs]).max(axis=1, initial=0.0)
+    begin = np.maximum(np.maximum(motion.stages[0], fastest), end)
+    count = int(np.ceil(np.log((end / begin).min()) / np.log(STAGE_RATIO))) + 1
+    values = begin * (end / begin) ** np.linspace(0, 1, count)[:, None]
+    z, jac, good = _solve(motion, given, _with_stage(motion, p, values[0]), z)
+    for pair in pairwise(values):
+        z, jac, good = _solve_stage(motion, given, p, z, pair, MAX_DIVISIONS)
+    return z, jac, good
 
 
-def _words(names: Sequence[str], values: Array) -> str:
-    """Return names with their values, for messages."""
-    return ", ".join(f"{name} = {each:.4g}" for name, each in zip(names, values, strict=False))
+def _solve_stage(
+    motion: BodyMotion, given: Array, p: Array, z: Array, pair: tuple[Array, Array], depth: int
+) -> tuple[Array, Array, Mask]:
+    """Return the result of `_solve` at the second value of the continuation parameter.
+
+    Where Newton's method fails, the stage is divided at the geometric mean of its two values,
+    recursively at most ``depth`` times.
+    """
+    found, jac, good = _solve(motion, given, _with_stage(motion, p, pair[1]), z)
+    if depth and not good.all():
+        bad = ~good
+        begin, end = (each[bad] for each in pair)
+        at = motion, given[bad], p[bad]
+        between, *_ = _solve_stage(*at, z[bad], (begin, np.sqrt(begin * end)), depth - 1)
+        parts = _solve_stage(*at, between, (np.sqrt(begin * end), end), depth - 1)
+        found[bad], jac[bad], good[bad] = parts
+    return found, jac, good
 
 
-def _solve(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[Array, Array, Mask]:
+def _with_stage(motion: BodyMotion, p: Array, values: Array) -> Array:
+    """Return parameters with other values of the continuation parameter, for each sample."""
+    p = p.copy()
+    p[:, motion.stage] = values
+    return p
+
+
+def _solve(
+    motion: BodyMotion,
+    given: Array,
+    p: Array,
+    z: Array,
+    steps: int = MAX_STEPS,
+    scale: Array | float = np.inf,
+) -> tuple[Array, Array, Mask]:
     """Return unknowns and Jacobians after Newton's method, and the mask of solved samples.
 
-    A step that does not reduce the largest residual is halved.
+    A step is limited to `MAX_STEP` scales; one that does not reduce the largest residual is halved.
     """
-    z, many = z.copy(), _repeated(p, len(given))
-    residual, jac = (each.copy() for each in evaluate(motion.newton, z, given, many))
+    z = z.copy()
+    residual, jac = (each.copy() for each in evaluate(motion.newton, z, given, p))
     size = _size(residual)
-    for _ in range(MAX_STEPS):
-        rows = np.flatnonzero(~(size < SOLVED_RESIDUAL))
+    for _ in range(steps):
+        rows = np.flatnonzero(~(size < SOLVED_RESIDUAL) & np.isfinite(jac).all(axis=(1, 2)))
         if not rows.size:
             break
-        step = np.linalg.solve(jac[rows], residual[rows])[..., 0]
-        damping = np.ones(rows.size)
+        step = _solved_linear(jac[rows], residual[rows])[..., 0]
+        damping = MAX_STEP / np.maximum(np.abs(step / scale).max(axis=1), MAX_STEP)
         for _ in range(MAX_HALVINGS):
             trial = z[rows] - damping[:, None] * step
-            new, new_jac = evaluate(motion.newton, trial, given[rows], many[rows])
+            new, new_jac = evaluate(motion.newton, trial, given[rows], p[rows])
             worse = ~(_size(new) < size[rows])
             if not worse.any():
                 break
             damping[worse] /= 2
         z[rows], residual[rows], jac[rows], size[rows] = trial, new, new_jac, _size(new)
     return z, jac, size < SOLVED_RESIDUAL
+
+
+def _solved_linear(matrices: Array, right: Array) -> Array:
+    """Return the solutions of linear equations; those of least norm where a matrix is singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, right))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(matrices) @ right)
 
 
 def _repeated(p: Array, count: int) -> Array:
@@ -276,6 +436,12 @@ def evaluate(function: ca.Function, *arguments: Array) -> tuple[Array, ...]:
     Arguments have one row per sample. A buffer avoids CasADi's slow conversion of matrices.
     """
     count = len(arguments[0])
+    if count > BATCHES[-1]:
+        starts = range(0, count, BATCHES[-1])
+        parts = [
+            evaluate(function, *(each[k : k + BATCHES[-1]] for each in arguments)) for k in starts
+        ]
+        return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
     size = next(each for each in BATCHES if each >= count)
     buffer: Any
     buffer, run = _mapped(function, size).buffer()

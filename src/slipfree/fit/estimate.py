@@ -11,8 +11,8 @@ Robust Statistics, 1981, 6.3; Liang and Zeger, Biometrika 73, 1986).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,13 @@ import scipy  # its parts are imported when they are used, since this takes 0.2 
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.fit.body_motion import BodyMotion, Velocities, body_motion, velocities
+from slipfree.fit.body_motion import (
+    BodyMotion,
+    MotionError,
+    Velocities,
+    body_motion,
+    velocities,
+)
 from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
 from slipfree.fit.windows import Windows, end_poses
 from slipfree.records import Array, Label, Mask
@@ -35,6 +41,7 @@ SINGULAR = 1e-12  # smaller eigenvalues of the Hessian, over the largest, count 
 LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is undetermined
 WEAK = 0.1  # deviation of a direction, relative to its scale, from which it is weakly determined
 CONFIDENCE = 0.95
+EXTREMUM = 0.02  # ratio of derivatives, to that at the nominal value, at an extremum
 EDGE = 1e-4  # distance of estimates from their bounds [scales]
 AT_BOUND = 1e-3  # distance from a bound that counts as zero [scales]
 
@@ -90,6 +97,14 @@ class Estimate(NamedTuple):
     deviations: Array
     evaluations: int
 
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the unknowns whose standard deviation is larger than their scale."""
+        wide = np.sqrt(np.diag(self.covariance)) > self.scales
+        return tuple(
+            label.name for label, is_wide in zip(self.labels, wide, strict=True) if is_wide
+        )
+
 
 class Prediction(NamedTuple):
     """Predicted end poses of windows, and their derivatives.
@@ -109,7 +124,7 @@ class Prediction(NamedTuple):
 class Predictor:
     """Predictions of a model over windows, as a function of the unknowns.
 
-    Each prediction starts from the unknowns of the model in the one before.
+    Each prediction starts from the accepted one; others do not influence it.
 
     Parameters
     ----------
@@ -124,6 +139,7 @@ class Predictor:
     def __init__(self, dae: Dae, unknowns: Sequence[Unknown], windows: Windows) -> None:
         self.motion: BodyMotion = body_motion(dae)
         self.windows = windows
+        self._unknowns = unknowns
         self._of_sensor = [k for k, u in enumerate(unknowns) if u.quantity in SENSOR]
         self._of_model = [k for k, u in enumerate(unknowns) if u.quantity not in SENSOR]
         self._axes = [list(SENSOR).index(unknowns[k].quantity) for k in self._of_sensor]
@@ -132,15 +148,24 @@ class Predictor:
         self._given, self._inverse = np.unique(rows, axis=0, return_inverse=True)
         self._shape = count, samples, 3
         self._near: Velocities | None = None
-        self._last: tuple[Array, Prediction] | None = None
+        self._last: tuple[Array, Prediction, Velocities] | None = None
         self.evaluations = 0
 
     def __call__(self, values: Array) -> Prediction:
-        """Return the prediction for values of the unknowns, in their units."""
+        """Return the prediction for values of the unknowns, in their units.
+
+        Raises
+        ------
+        MotionError
+            If the vehicle has no stable pose, or the model has no motion at a sample.
+        """
         if self._last is not None and np.array_equal(self._last[0], values):
             return self._last[1]
         self.evaluations += 1
-        found = velocities(self.motion, self._given, values[self._of_model], self._near)
+        try:
+            found = velocities(self.motion, self._given, values[self._of_model], self._near)
+        except MotionError as error:
+            raise MotionError(self._message(error, values), error.sample) from error
         sensor = np.zeros(3)
         sensor[self._axes] = values[self._of_sensor]
         at = self._inverse.ravel()
@@ -152,9 +177,26 @@ class Predictor:
             "nikj,nkjp->nip", by_velocity, by_model, optimize=True
         )
         slopes[..., self._of_sensor] = by_sensor[..., self._axes]
-        self._near = found
-        self._last = values.copy(), Prediction(end, slopes)
+        self._last = values.copy(), Prediction(end, slopes), found
         return self._last[1]
+
+    def accept(self, values: Array) -> Prediction:
+        """Return the prediction for values, from which the following ones start."""
+        found = self(values)
+        if self._last is not None:
+            self._near = self._last[2]
+        return found
+
+    def _message(self, error: MotionError, values: Array) -> str:
+        """Return the message of a sample without motion: reason, window, time, rates, values."""
+        window, k = divmod(int(np.argmax(self._inverse.ravel() == error.sample)), self._shape[1])
+        number, start, dt, *_ = (part[window] for part in self.windows)
+        rates = _words(self.motion.names, self._given[error.sample])
+        return (
+            f"window {number:g}, t = {start + dt[:k].sum():.6g} s: expected a motion of the "
+            f"vehicle at {rates}, with {_words([each.name for each in self._unknowns], values)}, "
+            f"found none: {error}; correct the log or the vehicle, or use another model"
+        )
 
 
 def estimate(
@@ -184,8 +226,10 @@ def estimate(
     Raises
     ------
     ModelError
-        If there are no unknowns or too few windows, if a nominal value is outside its bounds, or if
-        the model has no motion at a sample.
+        If there are no unknowns or too few windows, if a nominal value is outside its bounds, if
+        the model has no motion at a sample with the nominal values, or if the search does not
+        converge, or ends at the edge of the values with a motion or at an extremum of the
+        prediction.
     """
     labels = tuple(label_of(each, law) for each in unknowns)
     nominal = np.array([value_of(each, vehicle, law) for each in unknowns])
@@ -200,24 +244,31 @@ def estimate(
     predict = Predictor(dae, unknowns, windows)
     values = np.clip(nominal, *bounds)
     priors = _Priors.of(unknowns)
+    predict.accept(values)
     for _ in range(REWEIGHTINGS):
         deviations = _deviations(predict(values).end - windows.end)
-        cost = _cost(predict, windows, deviations, priors)
+        search = _Search(predict, windows, deviations, priors)
         found = scipy.optimize.least_squares(
-            cost[0],
+            search.residual,
             values,
-            cost[1],
+            search.jacobian,
             bounds=bounds,
             x_scale=scales,
             loss=loss,
             xtol=1e-10,
         )
         values = np.asarray(found.x)
+    search.check(found, scales)
+    prediction = predict(values)
     edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
     at_bound = edges < AT_BOUND * scales
     covariance, directions = _covariance(
-        predict(values), windows, deviations, priors, scales, ~at_bound, loss
+        prediction, windows, deviations, priors, scales, ~at_bound, loss
     )
+    for k in np.flatnonzero(np.sqrt(np.diag(covariance)) > scales).tolist():
+        other = values.copy()
+        other[k] = nominal[k]
+        _check_extremum(predict, (prediction, predict(other)), labels[k], values[k], k)
     freedom = len(windows.end) - len(unknowns)
     reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
     spread = reach * np.sqrt(np.diag(covariance))
@@ -232,6 +283,38 @@ def estimate(
         directions,
         deviations,
         predict.evaluations,
+    )
+
+
+def _check_extremum(
+    predict: Predictor,
+    predictions: tuple[Prediction, Prediction],
+    label: Label,
+    value: float,
+    k: int,
+) -> None:
+    """Raise ModelError if the predicted motion has an extremum at the estimate of an unknown.
+
+    The log then favours a motion beyond all those of the model, which biases the other estimates.
+    The second prediction is that at the nominal value of the unknown.
+    """
+    here, there = (float(np.linalg.norm(each.slopes[:, :, k])) for each in predictions)
+    if not here < EXTREMUM * there:
+        return
+    windows = predict.windows
+    turns, others = (np.abs(each.end[:, 2]) for each in predictions)
+    sign = 1 if turns.sum() > others.sum() else -1
+    superlative, comparative = ("fastest", "faster") if sign > 0 else ("slowest", "slower")
+    row = int(np.argmax(sign * (np.abs(windows.end[:, 2]) - turns)))
+    raise ModelError(
+        "estimate: expected a log that the model can follow, found that the vehicle turns "
+        f"{superlative} with {label.name} = {value:.4g} {label.unit} and the log turns "
+        f"{comparative}: by {np.abs(windows.end[row, 2]):.4g} rad in window "
+        f"{windows.number[row]:g}, from t = {windows.start[row]:.6g} s, with "
+        f"{_words(predict.motion.names, windows.given[row, 0])}; the model turns by at "
+        f"{'most' if sign > 0 else 'least'} {turns[row]:.4g} rad with any {label.name!r}; correct "
+        "the rates of the log or the vehicle, use another model, or give a prior of "
+        f"{label.name!r}"
     )
 
 
@@ -292,22 +375,53 @@ def _deviations(residual: Array) -> Array:
     )
 
 
-def _cost(
-    predict: Predictor, windows: Windows, deviations: Array, priors: _Priors
-) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
-    """Return the functions of residuals and of their Jacobian, without unit."""
+class _Search:
+    """Functions of residuals and of their Jacobian, without unit, and rejected values.
 
-    def residual(values: Array) -> Array:
-        missed = (predict(values).end - windows.end) / deviations
+    `scipy.optimize.least_squares` rejects a trial whose residuals are not finite, and requests the
+    Jacobian only where it accepts one.
+    """
+
+    def __init__(
+        self, predict: Predictor, windows: Windows, deviations: Array, priors: _Priors
+    ) -> None:
+        self._predict, self._windows = predict, windows
+        self._deviations, self._priors = deviations, priors
+        self._rejected = list[tuple[Array, MotionError]]()
+
+    def residual(self, values: Array) -> Array:
+        priors = self._priors
+        try:
+            missed = (self._predict(values).end - self._windows.end) / self._deviations
+        except MotionError as error:
+            self._rejected.append((values.copy(), error))
+            missed = np.full(self._windows.end.shape, np.nan)
         return np.append(missed, (values[priors.rows] - priors.mean) / priors.deviation)
 
-    def jacobian(values: Array) -> Array:
-        slopes = predict(values).slopes / deviations[:, None]
-        rows = np.zeros((priors.rows.size, values.size))
-        rows[np.arange(priors.rows.size), priors.rows] = 1 / priors.deviation
+    def jacobian(self, values: Array) -> Array:
+        slopes = self._predict.accept(values).slopes / self._deviations[:, None]
+        rows = np.zeros((self._priors.rows.size, values.size))
+        rows[np.arange(self._priors.rows.size), self._priors.rows] = 1 / self._priors.deviation
         return np.concatenate([slopes.reshape(-1, values.size), rows])
 
-    return residual, jacobian
+    def check(self, found: Any, scales: Array) -> None:
+        """Raise ModelError if a search ended beside rejected values, or did not converge."""
+        for values, error in self._rejected:
+            if np.abs((values - found.x) / scales).max() < AT_BOUND:
+                raise ModelError(
+                    "estimate: expected estimates within the range in which the vehicle can move, "
+                    f"found that the log favours values beyond it: {error}"
+                ) from error
+        if not found.status:
+            raise ModelError(
+                f"estimate: expected convergence, found none after {found.nfev} evaluations; give "
+                "bounds or priors of the unknowns, or fit fewer of them"
+            )
+
+
+def _words(names: Sequence[str], values: Array) -> str:
+    """Return names with their values, for messages."""
+    return ", ".join(f"{name} = {each:.4g}" for name, each in zip(names, values, strict=True))
 
 
 def _covariance(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from typing import NamedTuple
 
 import casadi as ca
@@ -13,7 +13,8 @@ from slipfree.errors import ModelError
 from slipfree.fit.body_motion import evaluate
 from slipfree.records import Array, Mask
 
-SMALL_ANGLE = 1e-3  # below which the functions of an arc are series [rad]
+POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # quadrature over the time between samples
+MAX_SAMPLES = 1_000_000  # windows times samples of the longest one; an estimate takes 2 kB for each
 
 
 class Windows(NamedTuple):
@@ -21,6 +22,8 @@ class Windows(NamedTuple):
 
     Attributes
     ----------
+    number, start : ndarray, shape (n,)
+        Number of each window in the log, and time of its first sample [s].
     dt : ndarray, shape (n, k)
         Times between samples; zero after the end of a shorter window. [s]
     given : ndarray, shape (n, k + 1, n_given)
@@ -30,6 +33,8 @@ class Windows(NamedTuple):
         forward [m], and change of heading, counter-clockwise and continuous over turns [rad].
     """
 
+    number: Array
+    start: Array
     dt: Array
     given: Array
     end: Array
@@ -67,7 +72,8 @@ def cut(log: Log) -> Windows:
     Raises
     ------
     ModelError
-        If there is no window of two samples, or times decrease within a window.
+        If there is no window of two samples, there are too many samples, or times decrease within a
+        window.
     """
     starts = np.flatnonzero(np.append(True, np.diff(log.window) != 0))
     parts = [
@@ -75,9 +81,17 @@ def cut(log: Log) -> Windows:
     ]
     if not parts:
         raise ModelError(
-            "windows: expected at least one window with two samples, found none; use longer windows"
+            "windows: expected at least one window with two samples, found none: samples are "
+            f"{np.median(np.diff(log.t)) if len(log.t) > 1 else 0:.3g} s apart (median); correct "
+            "the unit of the times if they are not in seconds, or use longer windows"
         )
     longest = max(part.stop - part.start for part in parts)
+    if longest * len(parts) > MAX_SAMPLES:
+        raise ModelError(
+            f"windows: expected at most {MAX_SAMPLES} samples (windows times samples of the "
+            f"longest one), found {len(parts)} windows of up to {longest} samples; use a part of "
+            "the log, windows of similar length, or fewer samples per second"
+        )
     dt, given = (
         np.zeros((len(parts), longest - 1)),
         np.zeros((len(parts), longest, log.given.shape[1])),
@@ -94,7 +108,8 @@ def cut(log: Log) -> Windows:
         given[k, :count], given[k, count:] = log.given[part], log.given[part.stop - 1]
         x, y, heading = log.pose[part].T
         end[k] = _relative(np.column_stack([x, y, np.unwrap(heading)]))
-    return Windows(dt, given, end)
+    first = [part.start for part in parts]
+    return Windows(log.window[first].astype(float), log.t[first], dt, given, end)
 
 
 def _relative(poses: Array) -> Array:
@@ -107,7 +122,8 @@ def _relative(poses: Array) -> Array:
 def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, Array, Array]:
     """Return the predicted end poses of windows, and their derivatives.
 
-    Velocities are constant in the platform's axes between two samples: the mean of both.
+    Between two samples, the velocity in the platform's axes is linear in time. The heading is then
+    quadratic in time, and the position is integrated by Gauss quadrature.
 
     Parameters
     ----------
@@ -129,38 +145,60 @@ def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, 
         Derivatives with respect to the sensor's pose.
     """
     count, samples, _ = velocity.shape
-    function = _end_function(samples)
-    flat = velocity.reshape(count, -1)
-    end, by_velocity, by_sensor = evaluate(
-        function, windows.dt, flat, np.broadcast_to(sensor, (count, 3))
-    )
-    return end[..., 0], by_velocity.reshape(count, 3, samples, 3), by_sensor
+    pairs = np.concatenate([velocity[:, :-1], velocity[:, 1:]], axis=2).reshape(-1, 6)
+    steps, by_pairs = evaluate(_interval_function(), windows.dt.reshape(-1, 1), pairs)
+    moved, by_steps = _chained(steps.reshape(count, samples - 1, 3))
+    here = np.broadcast_to(sensor, (count, 3))
+    end, by_moved, by_sensor = evaluate(_sensor_function(), moved, here)
+    slopes = by_steps @ by_pairs.reshape(count, samples - 1, 3, 6)
+    slopes = by_moved[:, None] @ slopes
+    by_velocity = np.zeros((count, samples, 3, 3))
+    by_velocity[:, :-1] += slopes[..., :3]
+    by_velocity[:, 1:] += slopes[..., 3:]
+    return end[..., 0], by_velocity.transpose(0, 2, 1, 3), by_sensor
 
 
-@lru_cache(maxsize=16)
-def _end_function(samples: int) -> ca.Function:
-    """Return the function of times, velocities and sensor to the end pose and its derivatives."""
-    dt, velocity, sensor = (
-        ca.SX.sym("dt", samples - 1),
-        ca.SX.sym("velocity", 3 * samples),
-        ca.SX.sym("sensor", 3),
-    )
-    place, heading = ca.SX.zeros(2), ca.SX(0)
-    for k in range(samples - 1):
-        mean = dt[k] * (velocity[3 * k : 3 * k + 3] + velocity[3 * k + 3 : 3 * k + 6]) / 2
-        turn = mean[2]
-        small = ca.fabs(turn) < SMALL_ANGLE
-        safe = ca.if_else(small, 1, turn)
-        sine = ca.if_else(small, 1 - turn**2 / 6, ca.sin(safe) / safe)
-        cosine = ca.if_else(small, turn / 2 - turn**3 / 24, (1 - ca.cos(safe)) / safe)
-        step = ca.vertcat(sine * mean[0] - cosine * mean[1], cosine * mean[0] + sine * mean[1])
-        place += _rotation(heading) @ step
-        heading += turn
-    at, turned = sensor[:2], _rotation(sensor[2])
-    seen = turned.T @ (place + _rotation(heading) @ at - at)
-    end = ca.vertcat(seen, heading)
-    slopes = [ca.densify(ca.jacobian(end, by)) for by in (velocity, sensor)]
-    return ca.Function("end", [dt, velocity, sensor], [end, *slopes], {"cse": True})
+def _chained(steps: Array) -> tuple[Array, Array]:
+    """Return pose changes over several intervals, and their derivatives with respect to each.
+
+    The change ``(right, ahead, turn)`` over an interval, shape (n, k, 3), is in the axes at its
+    beginning; the result, shapes (n, 3) and (n, k, 3, 3), in those at the first one.
+    """
+    ahead = np.cumsum(steps[..., 2], axis=1)
+    before = ahead - steps[..., 2]
+    c, s = np.cos(before), np.sin(before)
+    moved = np.stack([c * steps[..., 0] - s * steps[..., 1], s * steps[..., 0] + c * steps[..., 1]])
+    place = moved.sum(axis=2)
+    later = place[..., None] - np.cumsum(moved, axis=2)  # a turn rotates what follows
+    slopes = np.zeros((*steps.shape, 3))
+    slopes[..., 0, :] = np.stack([c, -s, -later[1]], axis=-1)
+    slopes[..., 1, :] = np.stack([s, c, later[0]], axis=-1)
+    slopes[..., 2, 2] = 1
+    return np.column_stack([*place, ahead[:, -1]]), slopes
+
+
+@cache
+def _interval_function() -> ca.Function:
+    """Return the function of time and velocities at both ends to the pose change, and its slope."""
+    dt, pair = ca.SX.sym("dt"), ca.SX.sym("pair", 6)
+    first, last = pair[:3], pair[3:]
+    place = ca.SX.zeros(2)
+    for point, weight in zip((1 + POINTS) / 2, WEIGHTS / 2, strict=True):
+        turn = dt * point * (first[2] + point * (last[2] - first[2]) / 2)
+        place += dt * weight * _rotation(turn) @ (first + point * (last - first))[:2]
+    step = ca.vertcat(place, dt * (first[2] + last[2]) / 2)
+    return ca.Function("step", [dt, pair], [step, ca.densify(ca.jacobian(step, pair))])
+
+
+@cache
+def _sensor_function() -> ca.Function:
+    """Return the function of pose change and sensor to the sensor's, and its slopes by both."""
+    moved, sensor = ca.SX.sym("moved", 3), ca.SX.sym("sensor", 3)
+    at = sensor[:2]
+    seen = _rotation(sensor[2]).T @ (moved[:2] + _rotation(moved[2]) @ at - at)
+    end = ca.vertcat(seen, moved[2])
+    slopes = [ca.densify(ca.jacobian(end, by)) for by in (moved, sensor)]
+    return ca.Function("sensor", [moved, sensor], [end, *slopes])
 
 
 def _rotation(angle: ca.SX) -> ca.SX:

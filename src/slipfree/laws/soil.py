@@ -22,7 +22,9 @@ Hanamoto). Shear deformation moduli grow with the slip angle (Ishigami):
 - Normal force ``r b int(sigma cos + tau_x sin)``, drawbar pull ``r b int(tau_x cos - sigma sin)``,
   side force ``int(r b tau_y + R_b (r - h' cos))`` and resistance torque ``r r_s b int(tau_x)`` (8).
 
-Each integral is computed with eight Gauss points ahead of the peak and eight behind it.
+Each integral is computed with twelve Gauss points ahead of the peak and twelve behind it, in the
+square root of the angle from the edge: there the stress has a branch point if ``n`` is not an
+integer, and the shear stress of a braked wheel saturates within a small angle.
 
 The published formulas apply to a wheel that is driven forward. Here they are expressed by the rim
 speed ``u = r_s omega``, for the angular velocity ``omega`` of the wheel, and the speeds ``v_x``,
@@ -65,7 +67,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # Gauss points on each side of the peak
+POINTS, WEIGHTS = np.polynomial.legendre.leggauss(12)  # Gauss points on each side of the peak
 SMALLEST_DEPTH = 1e-9  # of a wheel; angles have no derivative at zero depth [wheel radii]
 STEADY_CREEP = 1e-8  # creep speed in steady motion [larger of rim and forward speed]
 ANGLE_SMOOTHING = 0.01  # slip angle whose smoothed sign in (6) and (7) is 0.76 [rad]
@@ -411,7 +413,8 @@ def forces_at_speeds(
     contact = _contact(soil, size, depth, rim, forward, creep)
     motion = _shear_motion(soil, rim, forward, sideways, creep)
     totals = [0, 0, 0, 0]
-    for point, weight in zip((POINTS + 1) / 2, WEIGHTS / 2, strict=True):
+    for root, factor in zip((POINTS + 1) / 2, WEIGHTS / 2, strict=True):
+        point, weight = root**2, 2 * root * factor
         stress = _normal_stress(soil, size, contact, point)
         for edge in (contact.front, contact.rear):
             theta = edge + point * (contact.peak - edge)

@@ -44,6 +44,15 @@ class WheelCurves(NamedTuple):
     torque: Array
 
 
+class SteadyForces(NamedTuple):
+    """Sinkage, drawbar pull, side force and torque at n points, as in `WheelCurves`."""
+
+    sinkage: Array
+    pull: Array
+    side: Array
+    torque: Array
+
+
 def single_wheel(
     soil: Soil,
     size: WheelSize,
@@ -83,24 +92,47 @@ def single_wheel(
     10.2 N, 15.7 mm
     """
     slip, angle = np.asarray(slips, dtype=float), np.asarray(angles, dtype=float)
+    s, beta = (each.ravel() for each in np.meshgrid(slip, angle))
+    found = steady_forces(soil, size, np.full_like(s, load), s, beta)
+    return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in found))
+
+
+def steady_forces(
+    soil: Soil, size: WheelSize, load: Array, slip: Array, angle: Array
+) -> SteadyForces:
+    """Return sinkage and forces of a wheel at n points of steady motion.
+
+    Parameters
+    ----------
+    soil : Soil
+        The soil.
+    size : WheelSize
+        Radius and width of the wheel.
+    load, slip, angle : ndarray, shape (n,)
+        Vertical loads [N], slip ratios [1] and slip angles [rad]; bounds as in `single_wheel`.
+
+    Raises
+    ------
+    ModelError
+        If a value is outside its bounds, or the wheel sinks to its axle.
+    """
     _check(load, slip, angle)
-    s, beta = (each.ravel()[None] for each in np.meshgrid(slip, angle))
+    s, beta = slip[None], angle[None]
     forces = _forces(soil, size)
-    borne = forces(np.full_like(s, size.radius), s, beta)[0].full()
-    if borne.min() < load:
-        k = borne.argmin()
+    borne = forces(np.full_like(s, size.radius), s, beta)[0].full()[0]
+    if (borne < load).any():
+        k = (borne - load).argmin()
         raise ModelError(
             "single_wheel: expected a sinkage smaller than the wheel's radius, "
-            f"{size.radius:g} m, found that the soil bears only {borne.min():.4g} N of "
-            f"{load:.4g} N at that depth, at slip {s[0, k]:g} and slip angle {beta[0, k]:g} rad; "
+            f"{size.radius:g} m, found that the soil bears only {borne[k]:.4g} N of "
+            f"{load[k]:.4g} N at that depth, at slip {slip[k]:g} and slip angle {angle[k]:g} rad; "
             "reduce the load, or use a larger wheel"
         )
     depth = depth_under_load(
-        lambda depths: forces(depths, s, beta)[0].full(), size.radius, np.full_like(s, load)
+        lambda depths: forces(depths, s, beta)[0].full(), size.radius, load[None]
     )
-    _, pull, side, torque = (each.full() for each in forces(depth, s, beta))
-    columns = (depth, pull, -np.sign(beta) * side, torque)
-    return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in columns))
+    _, pull, side, torque = (each.full()[0] for each in forces(depth, s, beta))
+    return SteadyForces(depth[0], pull, -np.sign(angle) * side, torque)
 
 
 def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Array) -> Array:
@@ -123,22 +155,21 @@ def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Arra
     return np.asarray((low + high) / 2)
 
 
-def _check(load: float, slip: Array, angle: Array) -> None:
-    """Raise ModelError if an argument of `single_wheel` is outside its bounds."""
-    if not 0 < load < np.inf:
-        raise ModelError(
-            f"single_wheel: load: expected a finite positive force in N, found {load}; increase it"
-        )
-    if not (slip.size and np.all(np.abs(slip) <= 1)):
-        raise ModelError(
-            f"single_wheel: slips: expected slip ratios from -1 to 1, found {slip.tolist()}; "
-            "remove the others"
-        )
-    if not (angle.size and np.all(np.abs(angle) < np.pi / 2)):
-        raise ModelError(
-            "single_wheel: angles: expected slip angles between -pi/2 and pi/2, in radians, found "
-            f"{angle.tolist()}; remove the others"
-        )
+def _check(load: Array, slip: Array, angle: Array) -> None:
+    """Raise ModelError if an argument of `steady_forces` is outside its bounds."""
+    checks = (
+        ("load: expected a finite positive force in N", load, (load > 0) & (load < np.inf)),
+        ("slips: expected slip ratios from -1 to 1", slip, np.abs(slip) <= 1),
+        (
+            "angles: expected slip angles between -pi/2 and pi/2, in radians",
+            angle,
+            np.abs(angle) < np.pi / 2,
+        ),
+    )
+    for expected, values, good in checks:
+        if not good.all() or not values.size:
+            found = f"{values[~good][0]:g}; correct it" if values.size else "none; add one"
+            raise ModelError(f"single_wheel: {expected}, found {found}")
 
 
 def _forces(soil: Soil, size: WheelSize) -> ca.Function:

@@ -19,7 +19,7 @@ from slipfree.files.toml.settings import replace_values
 from slipfree.files.toml.source_lines import Source, key_lines
 from slipfree.files.toml.types import Positive, Record
 from slipfree.laws.soil import Soil, WheelSize
-from slipfree.models.single_wheel import WheelCurves, single_wheel
+from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
 from slipfree.problem.law_record import given_values
 from slipfree.problem.soil_table import named_soil, soil_of
 from slipfree.problem.summary import Facts
@@ -56,8 +56,9 @@ class TestTable(Record):
     )
     measured: str | None = Field(
         default=None,
-        description="CSV file of measured points: a column 'slip', a column 'slip_angle' [rad] "
-        f"and one of {', '.join(QUANTITIES)}",
+        description="CSV file of measured points: a column 'slip', one of "
+        f"{', '.join(QUANTITIES)}, and, where they are not zero and wheel.load, columns "
+        "'slip_angle' [rad] and 'load' [N]",
     )
 
 
@@ -74,10 +75,11 @@ def wheel_file() -> type[Record]:
 
 
 class Measured(NamedTuple):
-    """Measured points of one quantity: slip ratio [1], slip angle [rad] and value, shape (n,)."""
+    """Measured points: slip ratio [1], slip angle [rad], load [N] and a value, shape (n,)."""
 
     slip: Array
     angle: Array
+    load: Array
     value: Array
 
 
@@ -138,10 +140,8 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     curves = single_wheel(soil, size, spec.wheel.load, slips, spec.test.slip_angles)
     measured = {}
     if spec.test.measured is not None:
-        measured = _read_measured(path.parent / spec.test.measured)
-    errors = {
-        name: _error(soil, size, spec.wheel.load, name, points) for name, points in measured.items()
-    }
+        measured = _read_measured(path.parent / spec.test.measured, spec.wheel.load)
+    errors = {name: _error(soil, size, name, points) for name, points in measured.items()}
     title = spec.title or path.stem
     return WheelTest(title, soil, size, spec.wheel.load, curves, measured, errors)
 
@@ -176,31 +176,27 @@ def _faults(spec: Any) -> Iterator[Fault]:
         yield Fault(("test", "points"), expected, f"{count}; reduce the number of points")
 
 
-def _read_measured(path: Path) -> dict[str, Measured]:
-    """Return the measured points in a CSV file, by quantity."""
+def _read_measured(path: Path, load: float) -> dict[str, Measured]:
+    """Return the measured points in a CSV file, by quantity; ``load`` is that of the wheel file."""
     names = read_names(path, "measured points")
     found = [name for name in QUANTITIES if name in names]
-    if not ({"slip", "slip_angle"} <= {*names} and found):
+    if not ("slip" in names and found):
         raise DataError(
-            f"{path}: expected a first line with 'slip', 'slip_angle' and one of "
-            f"{', '.join(QUANTITIES)}, found {', '.join(names)}; add the names of the columns"
+            f"{path}: expected a first line with 'slip' and one of {', '.join(QUANTITIES)}, found "
+            f"{', '.join(names)}; add the names of the columns"
         )
-    rows = np.array(read_columns(path, ["slip", "slip_angle", *found], "measured points")).T
-    return {
-        name: Measured(rows[0], rows[1], values)
-        for name, values in zip(found, rows[2:], strict=True)
-    }
+    given = ["slip", *(name for name in ("slip_angle", "load") if name in names)]
+    rows = np.array(read_columns(path, [*given, *found], "measured points")).T
+    columns = dict(zip([*given, *found], rows, strict=True))
+    angle = columns.get("slip_angle", np.zeros_like(rows[0]))
+    loads = columns.get("load", np.full_like(rows[0], load))
+    return {name: Measured(columns["slip"], angle, loads, columns[name]) for name in found}
 
 
-def _error(
-    soil: Soil, size: WheelSize, load: float, name: str, points: Measured
-) -> tuple[float, float]:
+def _error(soil: Soil, size: WheelSize, name: str, points: Measured) -> tuple[float, float]:
     """Return root mean square and mean of computed minus measured values."""
-    misses = np.empty(points.slip.size)
-    for angle in np.unique(points.angle):
-        at = points.angle == angle
-        curves = single_wheel(soil, size, load, points.slip[at], [float(angle)])
-        misses[at] = getattr(curves, name)[0] - points.value[at]
+    found = steady_forces(soil, size, points.load, points.slip, points.angle)
+    misses = getattr(found, name) - points.value
     return float(np.sqrt(np.mean(misses**2))), float(np.mean(misses))
 
 

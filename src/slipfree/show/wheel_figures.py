@@ -21,6 +21,7 @@ PANELS = (
     ("torque", "torque [N m]", 1.0),
     ("sinkage", "sinkage [mm]", 1e3),
 )  # quantity, axis label, factor from SI units
+SAME_LOAD = 0.01  # relative difference from the load of the curves [1]
 SAME_ANGLE = np.deg2rad(0.5)  # measured points within this angle of a curve have its colour [rad]
 
 
@@ -33,16 +34,20 @@ class DrawnWheel(NamedTuple):
         Slip angles. [rad]
     slip : ndarray, shape (n_slips,)
         Slip ratios. [1]
+    load : float
+        Vertical load of the curves. [N]
     values : mapping of str and ndarray, shape (n_angles, n_slips)
         Computed quantities by name.
-    measured : mapping of str and tuple of 3 ndarrays, shape (n,)
-        Slip ratios [1], slip angles [rad] and values of measured points, by quantity.
+    measured : mapping of str and tuple of 4 ndarrays, shape (n,)
+        Slip ratios [1], slip angles [rad], loads [N] and values of measured points, by quantity.
+        Those at the load of the curves are circles, others are crosses.
     """
 
     angle: Array
     slip: Array
+    load: float
     values: Mapping[str, Array]
-    measured: Mapping[str, tuple[Array, Array, Array]]
+    measured: Mapping[str, tuple[Array, Array, Array, Array]]
 
 
 def wheel_plot(name: str, test: DrawnWheel) -> Plot:
@@ -70,9 +75,9 @@ def _draw(test: DrawnWheel, name: str, factor: float, ax: Axes) -> None:
         label = f"{np.rad2deg(angle):.3g} deg"
         ax.plot(test.slip, factor * test.values[name][k], label=label, **style.look(k))
         if name in test.measured:
-            slip, angles, values = test.measured[name]
+            slip, angles, loads, values = test.measured[name]
             near = np.abs(angles - angle) < SAME_ANGLE
-            color = style.look(k)["color"]
-            ax.plot(
-                slip[near], factor * values[near], "o", ms=2.5, mfc="none", mew=0.6, color=color
-            )
+            same = np.abs(loads / test.load - 1) < SAME_LOAD
+            for marker, rows in (("o", near & same), ("x", near & ~same)):
+                look = {"ms": 2.5, "mfc": "none", "mew": 0.6, "color": style.look(k)["color"]}
+                ax.plot(slip[rows], factor * values[rows], marker, ls="", **look)

@@ -339,17 +339,17 @@ def _divided(log: Log, duration: float) -> Log:
     t, slack = log.t - log.t[0], TIME_SLACK * duration
     if np.diff(t).min(initial=0.0) < 0:
         raise ModelError("expected times that do not decrease, found a decrease; sort the log")
-    count = int((t[-1] + slack) / duration)
-    ends = duration * np.arange(count + 1)
-    first = np.searchsorted(t, ends[:-1] - slack)
-    last = np.searchsorted(t, ends[1:] + slack)
-    rows = [np.arange(a, b) for a, b in zip(first, last, strict=True)]
-    if not rows:
+    numbers = np.unique(np.floor((t + slack) / duration))
+    numbers = numbers[duration * (numbers + 1) <= t[-1] + slack]
+    if not numbers.size:
         raise ModelError(
             f"expected a log of at least one window, {duration:g} s, found {t[-1]:g} s; reduce "
             "data.window"
         )
-    window = np.repeat(np.arange(count), [each.size for each in rows])
+    first = np.searchsorted(t, duration * numbers - slack)
+    last = np.searchsorted(t, duration * (numbers + 1) + slack)
+    rows = [np.arange(a, b) for a, b in zip(first, last, strict=True)]
+    window = np.repeat(numbers, [each.size for each in rows])
     at_rows = np.concatenate(rows)
     return Log(log.t[at_rows], log.given[at_rows], log.pose[at_rows], window)
 
@@ -373,7 +373,7 @@ def _estimates(found: Estimate) -> Iterator[tuple[str, str]]:
         low, high = found.intervals[k]
         if found.at_bound[k]:
             words = "at its bound: the data favour values beyond it"
-        elif not np.isfinite(high):
+        elif label.name in found.undetermined:
             words = "not determined by these data"
         else:
             words = f"95 % interval {low:.5g} to {high:.5g}"
