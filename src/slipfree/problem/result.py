@@ -106,7 +106,7 @@ def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
     check_motion(file, read(file, lazy=True), ("x", "y", "z", "wheel_angle", "slip_along"))
     result = open_result(file, folder)
     vehicle, problem = vehicle_of(result), result.problem
-    robot = read_robot(problem.spec.vehicle, problem.folder)
+    robot = read_robot(problem.spec.vehicle, problem)
     write_mcap(out, result.trajectory, vehicle, robot)
 
 

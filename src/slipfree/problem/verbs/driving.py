@@ -207,7 +207,7 @@ class DriveVerb(MotionVerb):
         terrain, vehicle = build_terrain(problem, ground_of(result)), vehicle_of(result)
         prisms = build_solids(problem, terrain)
         _check_ground(run, terrain, prisms, vehicle, problem)
-        robot = read_robot(problem.spec.vehicle, problem.folder)
+        robot = read_robot(problem.spec.vehicle, problem)
         return Driven(
             name, run, terrain, vehicle, prisms=prisms, robot=robot, visuals=_visuals(robot)
         )
@@ -271,7 +271,7 @@ def vehicle_of(result: Result) -> Vehicle:
     """Return the vehicle of a result; raise DataError if it does not match the motion."""
     problem = result.problem
     with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+        vehicle = build_vehicle(problem.spec.vehicle, problem)
     _check_vehicle(result.trajectory, vehicle, problem)
     return vehicle
 
