@@ -147,11 +147,13 @@ def info(
     with reported(), about(file):
         from slipfree.files.netcdf import read
         from slipfree.problem.result import motion_facts
+        from slipfree.problem.stored_inputs import STORED
         from slipfree.problem.summary import outcome_fact, ranges
 
         motion = read(file, lazy=True)
         attributes = dict(motion.attributes)
         text = attributes.pop("problem", None)
+        attributes.pop(STORED, None)
         if problem:
             if text is None:
                 raise DataError(

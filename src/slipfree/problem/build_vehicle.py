@@ -140,10 +140,21 @@ class UrdfTable(Record):
 
 
 class VehicleFile(NamedTuple):
-    """Contents of a vehicle file: the vehicle, and the URDF from which it was read or None."""
+    """Contents of a vehicle file.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    robot : Robot or None
+        The URDF from which it was read, if any.
+    meshes : mapping of str to str, or None
+        In a result, the SHA-256 of the visible meshes of the URDF, by name; no others are read.
+    """
 
     vehicle: Vehicle
     robot: Robot | None
+    meshes: Mapping[str, str] | None = None
 
 
 def build_vehicle(spec: schema.Vehicle, problem: Problem[Any]) -> Vehicle:
