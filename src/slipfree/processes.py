@@ -1,15 +1,18 @@
-"""Pools of processes for long tasks: an interface, the loop over futures, spawned processes."""
+"""Processes: pools for long tasks, and single calls with limits of time and memory."""
 
 from __future__ import annotations
 
 import os
+import pickle
 import signal
+import subprocess
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from itertools import islice
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
@@ -30,7 +33,7 @@ D_co = TypeVar("D_co", covariant=True)
 
 
 class ProcessDiedError(SlipfreeError):
-    """Error for a task whose process died."""
+    """Error for a task whose process died or exceeded its limits."""
 
 
 class Pool(Protocol[T_contra, D_co]):
@@ -250,3 +253,110 @@ def _end_with_parent() -> None:
     if (parent := parent_process()) is not None:
         wait([parent.sentinel])
         os._exit(1)
+
+
+def bounded_call(
+    function: Callable[..., T], *arguments: Any, seconds: float, memory: float = 2e9
+) -> T:
+    """Return the result of a function that is called in a process of its own, with limits.
+
+    This is for libraries that may hang, crash or exhaust the memory while they read a file of
+    somebody else. The process prints nothing and does not import the user's main module.
+
+    Parameters
+    ----------
+    function : callable
+        Function at module level.
+    *arguments
+        Its arguments, which can be pickled.
+    seconds : float
+        Maximum duration, including the start of the process of about 0.2 s. [s]
+    memory : float
+        Maximum size of the process, where the operating system supports limits. [bytes]
+
+    Raises
+    ------
+    ProcessDiedError
+        If the call exceeds a limit or its process dies; the message is a clause about "it".
+    Exception
+        Any exception of the function that can be pickled.
+    """
+    limits = pickle.dumps((sys.path, seconds, int(memory)))
+    names = {**os.environ, **dict.fromkeys(NAMES, "1")}
+    process = subprocess.Popen(
+        # -P: the current folder may contain modules of somebody else
+        [sys.executable, "-P", "-c", _BOUNDED],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=names,
+        start_new_session=True,
+    )
+    try:
+        answer, _ = process.communicate(limits + pickle.dumps((function, arguments)), seconds)
+    except subprocess.TimeoutExpired as error:
+        raise ProcessDiedError(f"it takes longer than {seconds:g} s") from error
+    finally:
+        _kill_group(process)
+    if not answer:
+        how = f"its process died ({_exit_words(process.returncode)})"
+        raise ProcessDiedError(how)
+    succeeded, result = pickle.loads(answer)
+    if succeeded:
+        return result  # type: ignore[no-any-return]
+    if isinstance(result, MemoryError):
+        raise ProcessDiedError(f"it needs more than {memory / 1e9:g} GB of memory")
+    raise result
+
+
+_BOUNDED = """
+import pickle, sys
+sys.path[:], seconds, memory = pickle.load(sys.stdin.buffer)
+from slipfree.processes import _answer
+_answer(seconds, memory)
+"""
+
+
+def _answer(seconds: float, memory: int) -> None:
+    """Call the function on stdin with limits, and write its result or its error to stdout."""
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # the function must not print into the result
+    if sys.platform != "win32":
+        import resource
+
+        signal.alarm(int(seconds) + 2)  # if the parent dies
+        for limit, most in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0)):
+            hard = resource.getrlimit(limit)[1]
+            most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+            resource.setrlimit(limit, (most, hard))
+    try:
+        function, arguments = pickle.load(sys.stdin.buffer)
+        answer = pickle.dumps((True, function(*arguments)))
+    except Exception as error:
+        answer = _pickled_error(error)
+    with out:
+        out.write(answer)
+
+
+def _pickled_error(error: Exception) -> bytes:
+    """Return an exception for the parent; one that cannot be pickled becomes a SlipfreeError."""
+    if isinstance(error, MemoryError):
+        return pickle.dumps((False, MemoryError()))
+    try:
+        found = pickle.dumps((False, error.with_traceback(None)))
+        pickle.loads(found)
+    except Exception:
+        return pickle.dumps((False, SlipfreeError(f"{type(error).__name__}: {error}")))
+    return found
+
+
+def _kill_group(process: subprocess.Popen[bytes]) -> None:
+    """Kill a process and those that it started, and wait for its end."""
+    if sys.platform != "win32":
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            stream.close()
+    process.wait()

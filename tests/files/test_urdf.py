@@ -266,10 +266,14 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
         (
             '<robot name="cart">',
             '<robot name="cart" xmlns:xacro="x"><xacro:include filename="b"/>',
-            "cart.urdf:3: expected plain URDF, found xacro in <xacro:include>, which may "
-            "belong to the drive train; expand it first: xacro cart.urdf > ",
+            "cart.urdf:3: expected plain URDF, found xacro, <xacro:include>, which may belong to "
+            "the drive train; xacro is a program, which runs only if you trust it",
         ),
-        ('xyz="0 0.25 0"', 'xyz="0 ${a} 0"', "expected plain URDF, found xacro"),
+        (
+            'xyz="0 0.25 0"',
+            'xyz="0 ${a} 0"',
+            "found xacro, '0 ${a} 0' in the attribute 'xyz' of <origin>",
+        ),
         (
             '<?xml version="1.0"?>',
             '<?xml version="1.0" encoding="klingon"?>',

@@ -38,13 +38,13 @@ def robot(tmp_path):
 
 
 def test_macros_includes_and_arguments_are_expanded(robot):
-    vehicle = read_vehicle(robot)
+    vehicle = read_vehicle(robot, trust=True)
     assert [each.at for each in vehicle.wheels] == [(-0.2, 0.2, 0), (0.2, 0.2, 0), (0, -0.2, 0)]
     assert [each.radius for each in vehicle.wheels] == [0.1] * 3
     assert is_vehicle_file(robot)
     completion = robot.parent / "cart.toml"
     completion.write_text('urdf = "cart.urdf.xacro"\narguments = { radius = "0.15" }')
-    assert [each.radius for each in read_vehicle(completion).wheels] == [0.15] * 3
+    assert [each.radius for each in read_vehicle(completion, trust=[robot]).wheels] == [0.15] * 3
     assert "ament_index_python" not in sys.modules
 
 
@@ -62,7 +62,7 @@ def test_macros_includes_and_arguments_are_expanded(robot):
 def test_xacro_that_cannot_be_expanded_is_named(old, new, words, robot):
     robot.write_text(ROBOT.replace(old, new))
     with pytest.raises(VehicleError) as found:
-        read_vehicle(robot)
+        read_vehicle(robot, trust=True)
     assert str(robot) in str(found.value)
     assert words in str(found.value)
     assert "DataError" not in str(found.value)
@@ -71,7 +71,7 @@ def test_xacro_that_cannot_be_expanded_is_named(old, new, words, robot):
 def test_without_the_package_the_command_is_named(robot, monkeypatch):
     monkeypatch.setitem(sys.modules, "xacro", None)
     with pytest.raises(VehicleError, match=r"pip install '\.\[urdf\]'; or expand the file"):
-        read_vehicle(robot)
+        read_vehicle(robot, trust=True)
 
 
 def test_a_missing_file_is_named(tmp_path):

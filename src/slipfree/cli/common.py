@@ -51,6 +51,14 @@ Settings = Annotated[
 ]
 
 
+Trust = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE",
+        help="Expand this xacro file, which the problem or vehicle file names. Xacro is a program: "
+        "trust only files that you would execute. Repeatable.",
+    ),
+]
 InputFolder = Annotated[
     Path | None,
     typer.Option(
@@ -105,12 +113,20 @@ def about(file: Path) -> Iterator[None]:
         ) from error
 
 
-def read_problem(file: Path, settings: list[str] | None) -> Problem[Any]:
-    """Return the validated problem of a file, with the settings ``KEY=VALUE`` applied."""
+def read_problem(
+    file: Path,
+    settings: list[str] | None,
+    trust: list[Path] | None = None,
+    command: str = "run",
+) -> Problem[Any]:
+    """Return the validated problem of a file, with the settings ``KEY=VALUE`` applied.
+
+    Parameters and errors are those of `slipfree.problem.load.load_problem`.
+    """
     from slipfree.problem.load import load_problem
 
     refuse_result(file)
-    problem = load_problem(file, settings or [])
+    problem = load_problem(file, settings or [], command=command, trust=trust or [])
     detail(f"read {file}")
     return problem
 

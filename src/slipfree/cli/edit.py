@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipfree.cli.common import read_problem, reported
+from slipfree.cli.common import Trust, read_problem, reported
 from slipfree.cli.messages import warn
 from slipfree.cli.show import open_page
 from slipfree.errors import DataError
@@ -27,6 +27,7 @@ def edit(
         typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port."),
     ] = 0,
     browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
+    trust: Trust = None,
 ) -> None:
     """Plan by hand: drag start, goal and keep-out regions on a map in a web page.
 
@@ -34,7 +35,7 @@ def edit(
     start, goal and regions to the problem file.
     """
     with reported():
-        problem = read_problem(file, None)
+        problem = read_problem(file, None, trust)
         if problem.spec.verb != "plan":
             raise DataError(
                 f"{file}: expected a problem with verb = 'plan', found verb = "
@@ -55,13 +56,13 @@ def _serve(problem: Problem[Any], port: int, *, browser: bool) -> None:
 
     ground, source = build_ground(problem), problem.source
     with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+        vehicle = build_vehicle(problem.spec.vehicle, problem)
     title = problem.spec.title or source.path.stem
     plan_map = PlanMap(
         title, source.path.name, problem.spec.frame, ground.grid, vehicle, way_points_in(problem)
     )
     image, html = map_image(ground.grid), page_content(plan_map)
-    desk = Desk(open_session(source.path, source.text, places_in(problem)))
+    desk = Desk(open_session(source.path, source.text, places_in(problem), problem.trusted))
     get = {
         "/": lambda: html,
         "/map.png": lambda: image,

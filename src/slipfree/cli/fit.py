@@ -11,10 +11,11 @@ from slipfree.cli.common import (
     STOPPED,
     File,
     Settings,
+    Trust,
     about,
     check_output,
     print_facts,
-    refuse_result,
+    read_problem,
     reported,
 )
 from slipfree.cli.messages import add_json, add_json_file, print_error, print_line
@@ -43,6 +44,7 @@ def fit(
         bool, typer.Option("--force", help="Replace an existing vehicle file.")
     ] = False,
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")] = True,
+    trust: Trust = None,
 ) -> None:
     """Fit numbers of a vehicle and of a law to a log of wheel rates and poses.
 
@@ -53,7 +55,6 @@ def fit(
     with reported(), about(file):
         from slipfree.files.tables import write_rows
         from slipfree.files.vehicle_writer import vehicle_text
-        from slipfree.problem.load import load_problem
         from slipfree.problem.verbs.fit import (
             estimate_rows,
             facts,
@@ -62,13 +63,12 @@ def fit(
         )
         from slipfree.problem.verbs.fit import fit as solve
 
-        refuse_result(file)
         table = out or Path(f"{file.stem}.csv")
         others = table.with_name(f"{table.stem}_windows.csv")
         picture = table.with_suffix(".png")
         for path in (table, others, picture):
             check_output(path)
-        problem: Any = load_problem(file, settings or [], command="fit")
+        problem: Any = read_problem(file, settings, trust, "fit")
         fitted = solve(problem)
         print_facts(facts(fitted))
         rows = estimate_rows(fitted)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,11 +14,11 @@ from slipfree.cli.common import (
     File,
     InputFolder,
     Settings,
+    Trust,
     about,
     check_output,
     print_facts,
     read_problem,
-    refuse_result,
     reported,
     show,
 )
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from slipfree.problem.verbs.compare import Drive
 
 
-def check(file: File, settings: Settings = None) -> None:
+def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
     """Check a problem, and settle the vehicle on the ground at the start of the motion.
 
     Print facts about ground, vehicle and start; the motion is not computed.
@@ -49,7 +49,7 @@ def check(file: File, settings: Settings = None) -> None:
         from slipfree.problem.solve import build
         from slipfree.problem.verbs.registry import verb_of
 
-        problem = read_problem(file, settings)
+        problem = read_problem(file, settings, trust)
         setup = build(problem)
         detail("settled the vehicle at the start")
         start, facts = verb_of(problem).describe_start(problem, setup)
@@ -60,7 +60,8 @@ def check(file: File, settings: Settings = None) -> None:
 
 def vehicle(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Problem file, or vehicle file (TOML or URDF).")
+        Path,
+        typer.Argument(metavar="FILE", help="Problem file, or vehicle file (TOML, URDF or xacro)."),
     ],
     settings: Settings = None,
     write: Annotated[
@@ -70,6 +71,7 @@ def vehicle(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    trust: Trust = None,
 ) -> None:
     """Describe the vehicle of a problem or of a vehicle file.
 
@@ -81,9 +83,9 @@ def vehicle(
         from slipfree.problem.vehicle_report import describe
 
         if write is not None:
-            write_new_file(guessed_completion(file, write.parent), write, force)
+            write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
             print_line(f"wrote {write}\n")
-        found = describe(file, settings or [])
+        found = describe(file, settings or [], trust or [])
         print_line("\n".join([*found.tree, ""]))
         add_json("tree", lambda: found.tree)
         print_facts(found.facts)
@@ -92,14 +94,13 @@ def vehicle(
             raise typer.Exit(BAD_INPUT)
 
 
-def compare(file: File, settings: Settings = None) -> None:
+def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
     """Compare the slip of several vehicles on one ground.
 
     Print whether each vehicle can roll without slip, and the slip that remains otherwise.
     """
     with reported():
         from slipfree.problem.build_ground import ground_facts
-        from slipfree.problem.load import load_problem
         from slipfree.problem.verbs.compare import compare as solve
 
         def print_progress(name: str) -> None:
@@ -107,8 +108,7 @@ def compare(file: File, settings: Settings = None) -> None:
                 print_line(f"  {name}", err=True)
             detail(f"vehicle {name}")
 
-        refuse_result(file)
-        problem: Any = load_problem(file, settings or [], command="compare")
+        problem = read_problem(file, settings, trust, "compare")
         ground, rows = solve(problem, print_progress)
         print_facts(ground_facts(ground))
         add_json("vehicles", lambda: [row_json(row) for row in rows])
@@ -147,11 +147,13 @@ def info(
     with reported(), about(file):
         from slipfree.files.netcdf import read
         from slipfree.problem.result import motion_facts
+        from slipfree.problem.stored_inputs import STORED
         from slipfree.problem.summary import outcome_fact, ranges
 
         motion = read(file, lazy=True)
         attributes = dict(motion.attributes)
         text = attributes.pop("problem", None)
+        attributes.pop(STORED, None)
         if problem:
             if text is None:
                 raise DataError(

@@ -10,6 +10,7 @@ import typer
 from slipfree.cli.common import (
     File,
     Settings,
+    Trust,
     check_output,
     check_writable,
     print_facts,
@@ -54,6 +55,7 @@ def pareto(
         typer.Option("-j", "--processes", min=1, metavar="P", help="Number of processes."),
     ] = 1,
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")] = True,
+    trust: Trust = None,
 ) -> None:
     """Plan motions of least slip for several durations, efforts or energies.
 
@@ -65,7 +67,7 @@ def pareto(
         from slipfree.problem.pareto import plan_front
         from slipfree.problem.pareto_table import front_facts, front_plot, front_rows, table_lines
 
-        problem = read_problem(file, settings)
+        problem = read_problem(file, settings, trust)
         folder = out or Path(f"{problem.source.path.stem}_pareto")
         _check_folder(folder, points)
 

@@ -11,6 +11,7 @@ from slipfree.cli.common import (
     OUTPUT,
     File,
     Settings,
+    Trust,
     check_default_outputs,
     check_outputs,
     print_facts,
@@ -90,6 +91,7 @@ def run(
     cross_check: CrossCheck = False,
     resume: Resume = None,
     animation: Animation = None,
+    trust: Trust = None,
 ) -> None:
     """Solve a problem and write the result.
 
@@ -98,10 +100,11 @@ def run(
     with reported():
         from slipfree.problem.verbs.registry import verb_of
 
-        problem = read_problem(file, settings)
+        problem = read_problem(file, settings, trust)
         verb = verb_of(problem)
         options = [] if out is None else ["-o", str(out)]
         options += [] if draw else ["--no-draw"]
+        options += [word for each in trust or () for word in ("--trust", str(each))]
         out, folder = _output_paths(problem, out, figures, draw=draw)
         check_outputs([out, csv, animation], folder, problem)
         _check_options(problem, cross_check, resume, animation)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipfree.cli.common import STOPPED, File, Settings, interruptible, print_facts, reported
+from slipfree.cli.common import STOPPED, File, Settings, Trust, interruptible, print_facts, reported
 from slipfree.cli.messages import add_json_file, detail, has_bar, print_line, warn
 from slipfree.errors import DataError
 from slipfree.regular_files import check_name
@@ -78,6 +78,7 @@ def sweep(
             "--dry-run", help="Print the runs and the estimated time, without running them."
         ),
     ] = False,
+    trust: Trust = None,
 ) -> None:
     """Run a problem for many values and seeds.
 
@@ -92,7 +93,7 @@ def sweep(
         from slipfree.sweep.table import NAME, choose_figures, drawn_grids, grids, sweep_facts
 
         with _progress("checking values") as checked:
-            plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked)
+            plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked, trust or [])
         folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
         if dry_run:
             _print_plan(plan, folder, processes or available_cores())
@@ -164,6 +165,7 @@ def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
         (first,) = rows.read(missing[:1])
         sets = [word for each in (*plan.settings, *first.settings) for word in ("--set", each)]
         file = result_path(folder, plan, first.run)
+        sets += [word for each in plan.problem.trusted for word in ("--trust", each)]
         words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", str(file)]
         runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
         warn(

@@ -307,7 +307,11 @@ class File(NamedTuple):
 
 def open_file(path: Path) -> File:
     """Return the contents of a TOML file; raise ProblemError if it cannot be read."""
-    text = read_text(path, "a vehicle file")
+    return file_of(path, read_text(path, "a vehicle file"))
+
+
+def file_of(path: Path, text: str) -> File:
+    """Return the contents of a text, with ``path`` as its file; errors as in `open_file`."""
     data = parse_toml(path, text)
     lines = key_lines(text)
     for part in PARTS:

@@ -10,6 +10,7 @@ from typing import Any
 import tomlkit
 
 from slipfree.errors import ModelError
+from slipfree.files.toml.angles import WithUnit
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.sections.omni import Omni
 from slipfree.vehicle.sections.registry import SECTIONS
@@ -64,12 +65,21 @@ def _given(record: Any, *left_out: str) -> dict[str, Any]:
     found = {each.name: getattr(record, each.name) for each in fields(record)}
     defaults = {each.name: each.default for each in fields(record)}
     return {
-        key: value
+        key: _with_unit(value)
         for key, value in found.items()
         if key not in left_out
         and value != defaults[key]
         and not (isinstance(value, float) and not isfinite(value))
     }
+
+
+def _with_unit(value: Any) -> Any:
+    """Return a value with the unit that it had; without it, a large angle would be refused."""
+    if isinstance(value, tuple):
+        return tuple(map(_with_unit, value))
+    if not isinstance(value, WithUnit):
+        return value
+    return f"{float(value)!r} {value.unit.replace(' s-1', '/s')}"
 
 
 def _drive(drive: Drive) -> dict[str, Any]:
@@ -92,8 +102,9 @@ def _wheel(wheel: Wheel) -> dict[str, Any]:
     section = wheel.section
     rollers = {"rollers": True} if isinstance(section, Omni) else {}
     section = section.rim if isinstance(section, Omni) else section
-    if section.torus_radii:
-        shape: dict[str, Any] = {"radius": sum(section.torus_radii), "tube": section.torus_radii[0]}
+    tube, outer = section.torus_radii or (0.0, 0.0)
+    if outer and (tube + outer) - tube == outer:  # exact in the reader
+        shape: dict[str, Any] = {"radius": tube + outer, "tube": tube}
     else:
         kind = next((name for name, each in SECTIONS.items() if type(section) is each), None)
         if kind is None:

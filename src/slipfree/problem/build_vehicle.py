@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 
@@ -16,9 +18,11 @@ from slipfree.files.toml.errors import Fault, name_errors
 from slipfree.files.toml.source_lines import Place
 from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.urdf.elements import read_tree
-from slipfree.files.urdf.expansion import expanded
+from slipfree.files.urdf.expansion import MAX_BYTES, expanded, is_trusted, trusted_paths
 from slipfree.files.urdf.guesses import forward_guess
+from slipfree.files.urdf.leftovers import check_macro_calls
 from slipfree.files.urdf.links import Robot
+from slipfree.files.urdf.other_formats import check_ending, is_description, parse_robot
 from slipfree.files.urdf.reader import read_urdf
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, LinkRole, Roles, WheelRole, completed
 from slipfree.files.urdf.tree import Tree
@@ -41,12 +45,15 @@ from slipfree.files.vehicle_toml import (
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem import schema
 from slipfree.problem.catalog_table import CATALOG
-from slipfree.regular_files import read_bytes
+from slipfree.problem.problem import Problem
+from slipfree.problem.sharing import shared
+from slipfree.regular_files import read_bytes, regular_file
 from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.tree import Vehicle, actuated
 from slipfree.vehicle.wheel import ORIGIN
 
-ROBOTS = (".urdf", ".xacro")  # endings of robot descriptions
+# values of arguments of xacro that cannot contain programs or names of files in other folders
+HARMLESS = re.compile(r"[\w .,+-]*", re.ASCII)
 
 
 class JointTable(Record):
@@ -132,32 +139,81 @@ class UrdfTable(Record):
         return Roles(joints, wheels, links, self.tube, self.radius, self.forward)
 
 
-def build_vehicle(spec: schema.Vehicle, folder: Path) -> Vehicle:
+class VehicleFile(NamedTuple):
+    """Contents of a vehicle file.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    robot : Robot or None
+        The URDF from which it was read, if any.
+    meshes : mapping of str to str, or None
+        In a result, the SHA-256 of the visible meshes of the URDF, by name; no others are read.
+    """
+
+    vehicle: Vehicle
+    robot: Robot | None
+    meshes: Mapping[str, str] | None = None
+
+
+def build_vehicle(spec: schema.Vehicle, problem: Problem[Any]) -> Vehicle:
     """Return the vehicle of a problem.
 
     Parameters
     ----------
     spec : Vehicle
         Table [vehicle] of the problem.
-    folder : Path
-        Folder to which file names are relative.
+    problem : Problem
+        The problem: the folder to which file names are relative, and the xacro files that the
+        command line trusts; of a result, its stored vehicle.
 
     Raises
     ------
     VehicleError
         If its file does not contain a valid vehicle.
     DataError
-        If its file cannot be read, or its name does not end in .toml, .urdf or .xacro.
+        If its file cannot be read, is not a vehicle file, or is xacro that is not trusted.
     ModelError
         If a keyword of the catalogue is not allowed, or a joint has no free coordinate to actuate.
     """
     if spec.file is not None:
-        return actuated(read_vehicle(folder / spec.file), *spec.actuated)
+        return actuated(vehicle_file(spec.file, problem).vehicle, *spec.actuated)
     return actuated(CATALOG[str(spec.catalog)](**spec.keywords), *spec.actuated)
 
 
-def read_vehicle(path: str | Path) -> Vehicle:
+def read_robot(spec: schema.Vehicle, problem: Problem[Any]) -> Robot | None:
+    """Return the URDF of the vehicle of a problem; None if it has another source.
+
+    Parameters and errors are those of `build_vehicle`.
+    """
+    return None if spec.file is None else vehicle_file(spec.file, problem).robot
+
+
+def vehicle_file(name: str, problem: Problem[Any]) -> VehicleFile:
+    """Return the contents of a vehicle file of a problem, which is read once.
+
+    Errors are those of `build_vehicle`.
+    """
+    if name not in problem.vehicles:
+        path, trusted = problem.folder / name, problem.trusted
+        problem.vehicles[name] = shared("vehicle", (path, trusted), lambda: _read(path, trusted))
+    found: VehicleFile = problem.vehicles[name]
+    return found
+
+
+def read_vehicle(
+    path: str | Path, *, trust: Sequence[str | os.PathLike[str]] | bool = ()
+) -> Vehicle:
     """Return the vehicle of a vehicle file: TOML, URDF or xacro.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    trust : sequence of path, or bool
+        Xacro files that may be expanded; True for ``path`` itself. Xacro is a program: expand only
+        files that you would execute.
 
     Raises
     ------
@@ -165,48 +221,37 @@ def read_vehicle(path: str | Path) -> Vehicle:
         If the vehicle is invalid. The exception lists all errors by file and line, and has a draft
         of the valid parts.
     DataError
-        If the file cannot be read, or its name does not end in .toml, .urdf or .xacro.
+        If the file cannot be read, is not a vehicle file, or is xacro that is not trusted.
     """
-    draft = _draft(Path(path))
+    files = ([path] if trust else []) if isinstance(trust, bool) else trust
+    return _read(Path(path), trusted_paths(files)).vehicle
+
+
+def _read(path: Path, trusted: frozenset[str]) -> VehicleFile:
+    draft, robot = _draft(path, trusted)
     try:
-        return draft.vehicle()
+        return VehicleFile(draft.vehicle(), robot)
     except ModelError as error:
         raise VehicleError(f"{path}:1: {error}", draft=draft) from error
 
 
-def read_robot(spec: schema.Vehicle, folder: Path) -> Robot | None:
-    """Return the URDF of the vehicle of a problem; None if it has another source.
-
-    Parameters and errors are those of `build_vehicle`.
-    """
-    if spec.file is None:
-        return None
-    path, roles, arguments = folder / spec.file, NO_ROLES, {}
-    if path.suffix.lower() == ".toml":
-        file = open_file(path)
-        if "urdf" not in file.data:
-            return None
-        table = _completion(file)
-        path, roles, arguments = path.parent / table.urdf, table.roles, table.arguments
-    tree = read_tree(*_urdf_text(path, arguments))
-    return Robot(completed(tree, roles), roles.forward or forward_guess(tree, roles))
-
-
-def guessed_completion(path: Path, folder: Path) -> str:
+def guessed_completion(path: Path, folder: Path, trust: Sequence[Path] = ()) -> str:
     """Return the text of a vehicle file, to write in a folder, with all guesses about a URDF.
+
+    ``trust`` are xacro files that may be expanded.
 
     Raises
     ------
     DataError
         If the file is not a URDF, or its vehicle is invalid.
     """
-    if path.suffix.lower() not in ROBOTS:
+    if not is_description(path):
         raise DataError(
             f"{path}: expected a URDF or xacro file with --write, found another kind of file; "
             "name a URDF, or omit --write"
         )
     tables: dict[str, dict[str, Guess]] = {"": {}, "wheels": {}, "joints": {}}
-    for guess in _draft(path).guesses:
+    for guess in _draft(path, trusted_paths(trust)).draft.guesses:
         known = tables[guess.table].get(guess.name)
         if known is not None:
             values, reason = {**known.values, **guess.values}, f"{known.reason}; {guess.reason}"
@@ -226,23 +271,30 @@ def guessed_completion(path: Path, folder: Path) -> str:
 
 def is_vehicle_file(path: Path) -> bool:
     """Return whether a file is a vehicle file, not a problem file."""
-    if path.suffix.lower() in ROBOTS:
+    if is_description(path):
         return True
     data = open_file(path).data
     return "verb" not in data and not {*PARTS, "urdf"}.isdisjoint(data)
 
 
-def _draft(path: Path) -> Draft:
-    ending = path.suffix.lower()
-    if ending == ".toml":
+class _Read(NamedTuple):
+    """Draft of a vehicle, and the URDF from which it was read or None."""
+
+    draft: Draft
+    robot: Robot | None
+
+
+def _draft(path: Path, trusted: frozenset[str]) -> _Read:
+    if is_description(path):
+        return _urdf(path, trusted)
+    if path.suffix.lower() == ".toml":
         file = open_file(path)
-        return _completed(file) if "urdf" in file.data else read_toml(file)
-    if ending in ROBOTS:
-        return _urdf(path)
-    raise DataError(
-        f"{path}: expected a vehicle file that ends in .toml, .urdf or .xacro, found "
-        f"{repr(path.suffix) if path.suffix else 'no ending'}; check the name"
-    )
+        return _completed(file, trusted) if "urdf" in file.data else _Read(read_toml(file), None)
+    with regular_file(path, "a vehicle file"):
+        raise DataError(
+            f"{path}: expected a vehicle file that ends in .toml, .urdf or .xacro, found "
+            f"{repr(path.suffix) if path.suffix else 'no ending'}; check the name"
+        )
 
 
 def _completion(file: File) -> UrdfTable:
@@ -256,43 +308,79 @@ def _completion(file: File) -> UrdfTable:
     return table
 
 
-def _completed(file: File) -> Draft:
+def _completed(file: File, trusted: frozenset[str]) -> _Read:
     """Return the draft of the vehicle in a URDF that a vehicle file completes."""
     table = _completion(file)
-    draft = _urdf(file.source.path.parent / table.urdf, (table, file))
-    return draft if table.name is None else replace(draft, name=table.name)
+    found = _urdf(file.source.path.parent / table.urdf, trusted, (table, file))
+    return (
+        found if table.name is None else found._replace(draft=replace(found.draft, name=table.name))
+    )
 
 
-def _urdf_text(path: Path, arguments: Mapping[str, str], by: str = "") -> tuple[bytes, str]:
-    """Return the text of a URDF, expanded from xacro if necessary, and its name in messages.
+def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: File | None) -> Tree:
+    """Return the links and joints of a URDF, or of a xacro file that is expanded if it is trusted.
 
-    ``by`` names the file that contains the path, in messages.
+    ``table`` is the vehicle file that completes it, ``file`` its contents.
     """
-    if path.suffix.lower() == ".xacro":
-        return expanded(path, arguments), f"{path} (expanded)"
-    return read_bytes(path, f"a URDF{by}"), str(path)
+    by = "" if file is None else f" (urdf of {file.source.path})"
+    with regular_file(path, f"a URDF{by}") as size:
+        if size > MAX_BYTES:
+            raise DataError(
+                f"{path}: expected a URDF of at most {MAX_BYTES / 1e6:g} MB, found "
+                f"{size / 1e6:.3g} MB; check the name"
+            )
+        data = read_bytes(path, f"a URDF{by}")
+    check_ending(data, path)
+    arguments = {} if table is None else table.arguments
+    if not is_trusted(path, trusted):
+        return read_tree(data, str(path), arguments)
+    check_macro_calls(parse_robot(data, str(path)), str(path))
+    if file is not None and not is_trusted(file.source.path, trusted):
+        _check_arguments(arguments, file)
+    expansion = expanded(path, arguments)
+    return read_tree(expansion.data, f"{path} (expanded)", macros=expansion.macros)
 
 
-def _urdf(path: Path, completion: tuple[UrdfTable, File] | None = None) -> Draft:
-    """Return the draft of the vehicle in a URDF.
+def _check_arguments(arguments: Mapping[str, str], file: File) -> None:
+    """Raise VehicleError for arguments of xacro that could contain programs or names of files."""
+    name = shlex.quote(str(file.source.path))
+    faults = [
+        Fault(
+            ("arguments", key),
+            "letters, digits, blanks and . , + - _, since xacro executes arguments as a part of "
+            "its program",
+            f"other characters; change it, or trust this file, too: --trust {name}",
+        )
+        for key, value in arguments.items()
+        if not HARMLESS.fullmatch(value)
+    ]
+    if faults:
+        raise file.error(faults)
+
+
+def _urdf(
+    path: Path, trusted: frozenset[str], completion: tuple[UrdfTable, File] | None = None
+) -> _Read:
+    """Return the draft of the vehicle in a URDF, and the URDF.
 
     ``completion`` is the vehicle file that completes it, if any, with its contents; errors in it
     name this file.
     """
+    table, file = completion or (None, None)
     try:
-        if completion is None:
-            return read_urdf(read_tree(*_urdf_text(path, {})))
-        table, file = completion
-        by = f" (urdf of {file.source.path})"
-        tree = read_tree(*_urdf_text(path, table.arguments, by))
-        _check(table, tree, file)
-        return read_urdf(tree, table.roles)
+        tree, roles = _tree(path, trusted, table, file), NO_ROLES
+        if table is not None and file is not None:
+            _check(table, tree, file)
+            roles = table.roles
+        draft = read_urdf(tree, roles)
+        forward = roles.forward or forward_guess(tree, roles)
+        return _Read(draft, Robot(completed(tree, roles), forward))
     except UnfitError as error:
         raise VehicleError(*error.faults, draft=error.draft) from error
     except DataError as error:
         raise error if isinstance(error, VehicleError) else VehicleError(str(error)) from error
     except ModelError as error:
-        where = completion[1].source.path if completion else path
+        where = file.source.path if file else path
         raise VehicleError(f"{where}:1: {error}") from error
 
 

@@ -65,7 +65,7 @@ def _built(problem: Problem[S]) -> World:
     """Return ground, vehicle and model of a problem, built anew."""
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+        vehicle = build_vehicle(problem.spec.vehicle, problem)
     terrain = build_terrain(problem, ground)
     prisms = build_solids(problem, terrain)
     dae = build_model(problem, problem.spec, vehicle, terrain, prisms)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from hashlib import file_digest
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from slipfree.problem.schema import CommonKeys
 from slipfree.regular_files import regular_file
 
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
-DRAWN = ("terrain", "vehicle", "profile")  # tables of ground and vehicle
+DRAWN = ("terrain", "profile")  # tables of the ground
 MISSING = "missing"
 
 
@@ -43,11 +44,9 @@ def input_files(problem: Problem[Any]) -> dict[str, Path]:
 def digest(file: Path) -> str:
     """Return the SHA-256 of a file; ``"missing"`` if it cannot be read."""
     try:
-        with (
-            regular_file(file, "an input file"),
-            file.open("rb") as stream,
-        ):  # the file may exceed the memory
-            return file_digest(stream, "sha256").hexdigest()
+        # the file may exceed the memory; some files of /proc are endless, with a size of 0
+        with regular_file(file, "an input file") as size, file.open("rb") as stream:
+            return file_digest(stream if size else BytesIO(), "sha256").hexdigest()
     except DataError:
         return MISSING
 

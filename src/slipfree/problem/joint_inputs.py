@@ -49,7 +49,7 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
         a joint differs from its start.
     """
     spec: Motion = problem.spec
-    robot = read_robot(spec.vehicle, problem.folder)
+    robot = read_robot(spec.vehicle, problem)
     actuators, found = _actuators(vehicle, robot), dict[str, Piecewise]()
     with at(problem, ("inputs", FILE)):
         if not is_mcap(Path(file)):

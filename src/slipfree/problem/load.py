@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from slipfree.files.toml.errors import (
 )
 from slipfree.files.toml.reader import read_text
 from slipfree.files.toml.source_lines import Source
+from slipfree.files.urdf.expansion import trusted_paths
 from slipfree.problem.geographic_places import convert_places
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys, Runnable
@@ -22,7 +24,11 @@ from slipfree.problem.verbs.registry import find_verb, verbs_of
 
 
 def load_problem(
-    path: str | Path, settings: Sequence[str] = (), *, command: str = "run"
+    path: str | Path,
+    settings: Sequence[str] = (),
+    *,
+    command: str = "run",
+    trust: Sequence[str | Path] = (),
 ) -> Problem[Runnable]:
     """Return the problem in a TOML file.
 
@@ -36,14 +42,20 @@ def load_problem(
     command : str
         The command of ``slipfree`` that solves it: ``"run"``, ``"compare"``, or ``"vehicle"`` for
         problems with a vehicle on terrain.
+    trust : sequence of str or Path
+        Xacro files that may be expanded. Xacro is a program: name only files that you would
+        execute.
 
     Raises
     ------
     ProblemError
         If the file cannot be read, its verb is unknown or belongs to another command, a setting has
         no valid form, or values do not fit the schema of the verb; all errors, sorted by line.
+    DataError
+        If a file of ``trust`` does not exist.
     """
-    return _load(verbs_of(command), path, settings)
+    problem = _load(verbs_of(command), path, settings)
+    return replace(problem, trusted=trusted_paths(trust))
 
 
 def load_variants(
@@ -70,9 +82,14 @@ def load_variants(
         yield _from_text(verbs_of("run"), Path(path), text, settings, varied)
 
 
-def load_again(path: Path, text: str, settings: Sequence[str]) -> Problem[Any]:
-    """Return the problem in a text, with ``path`` as its file; errors as in `load_problem`."""
-    return _from_text(verbs_of("run"), path, text, settings)
+def load_again(
+    path: Path, text: str, settings: Sequence[str], trusted: frozenset[str] = frozenset()
+) -> Problem[Any]:
+    """Return the problem in a text, with ``path`` as its file; errors as in `load_problem`.
+
+    ``trusted`` are the paths of xacro files that the command line trusts (`Problem.trusted`).
+    """
+    return replace(_from_text(verbs_of("run"), path, text, settings), trusted=trusted)
 
 
 def load_earlier(path: str | Path, settings: Sequence[str] = ()) -> Problem[Any]:

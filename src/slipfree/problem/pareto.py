@@ -110,6 +110,8 @@ class _PointTask(NamedTuple):
         Bound on the second objective; NaN without one.
     resume : SavedPlan or None
         Plan from which the search starts.
+    trusted : frozenset of str
+        Paths of xacro files that the command line trusts.
     """
 
     path: Path
@@ -120,6 +122,7 @@ class _PointTask(NamedTuple):
     order: int
     bound: float
     resume: SavedPlan | None
+    trusted: frozenset[str]
 
 
 def plan_front(
@@ -326,6 +329,7 @@ def _task(
         index,
         task.bound,
         found and found.saved,
+        problem.trusted,
     )
 
 
@@ -336,7 +340,7 @@ def _solve_point(task: _PointTask, report: LineCallback | None = None) -> tuple[
 
 def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
     try:
-        problem = load_again(task.path, task.text, task.settings)
+        problem = load_again(task.path, task.text, task.settings, task.trusted)
         result = run_problem(problem, None, report, task.resume)
     except SolverError as error:
         return FrontPoint(task.bound, outcome=Outcome.SOLVER_FAILURE, words=str(error))
@@ -344,7 +348,7 @@ def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
         return FrontPoint(task.bound, outcome=Outcome.INFEASIBLE, words=str(error))
     run, spec = result.trajectory, problem.spec
     # The set-up and the problem's loader do not fit into a pipe; the set-up is rebuilt on request.
-    result = replace(result, setup=None, load=partial(load_again, *task[:3]))
+    result = replace(result, setup=None, load=partial(load_again, *task[:3], task.trusted))
     costs, verb = run.statistics, verb_of(problem)
     duration = float(run.t[-1] - run.t[0])
     if result.outcome is not Outcome.COMPLETE:

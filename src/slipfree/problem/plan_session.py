@@ -50,6 +50,8 @@ class Session(NamedTuple):
         The last plans, the newest first.
     version : int
         Number of changes, by which a page detects that it is out of date.
+    trusted : frozenset of str
+        Paths of xacro files that the command line trusts.
     """
 
     path: Path
@@ -61,6 +63,7 @@ class Session(NamedTuple):
     iterates: tuple[Array, ...] = ()
     plans: tuple[FoundPlan, ...] = ()
     version: int = 0
+    trusted: frozenset[str] = frozenset()
 
     def changed(self, **values: Any) -> Session:
         """Return the session with other values and the next version."""
@@ -130,9 +133,11 @@ def saved(session: Session, places: Places) -> Session:
     return session.changed(text=text, places=found, line=words, error="")
 
 
-def open_session(path: Path, text: str, places: Places) -> Session:
-    """Return a new session."""
-    return Session(path, text, places, line="drag the handles, then press Plan")
+def open_session(
+    path: Path, text: str, places: Places, trusted: frozenset[str] = frozenset()
+) -> Session:
+    """Return a new session; ``trusted`` are the paths of trusted xacro files."""
+    return Session(path, text, places, line="drag the handles, then press Plan", trusted=trusted)
 
 
 def state_of(session: Session) -> dict[str, Any]:
@@ -213,7 +218,7 @@ class Desk:
             else:
                 text = edited_text(session.text, session.places, places)
                 former = session.plans[0].arrays if command.is_warm and session.plans else {}
-                self.worker.start(PlanRequest(session.path, text, (), former))
+                self.worker.start(PlanRequest(session.path, text, (), former, session.trusted))
                 self.session = begun(session)
         except SlipfreeError as error:
             self.session = session.changed(error=str(error))

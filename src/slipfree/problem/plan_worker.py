@@ -30,12 +30,15 @@ class PlanRequest(NamedTuple):
         Settings ``KEY=VALUE``.
     former : mapping of str to ndarray
         Arrays of a plan for a warm start; empty without it.
+    trusted : frozenset of str
+        Paths of xacro files that the command line trusts.
     """
 
     path: Path
     text: str
     settings: tuple[str, ...] = ()
     former: Mapping[str, Array] = {}
+    trusted: frozenset[str] = frozenset()
 
 
 class FoundIterate(NamedTuple):
@@ -169,7 +172,7 @@ def _solve(request: PlanRequest, connection: Connection[Any, Any]) -> Message:
 
     begin = time.monotonic()
     try:
-        problem = load_again(request.path, request.text, request.settings)
+        problem = load_again(request.path, request.text, request.settings, request.trusted)
         former = from_arrays(request.former, "the last plan") if request.former else None
         result = run_problem(problem, None, keep_line, former, send_path)
     except SlipfreeError as error:

@@ -12,6 +12,7 @@ from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.input_files import digest
 from slipfree.problem.result import Result, motion_facts, open_result
+from slipfree.problem.stored_inputs import STORED
 from slipfree.problem.summary import Facts, outcome_fact, ranges
 from slipfree.problem.verbs.base import MotionVerb
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
@@ -35,6 +36,7 @@ ELSEWHERE = (  # attributes reported in other sections
     "failed_diagnostics",
     "date_created",
     "problem_folder",
+    STORED,
     MAP_TRANSFORM,
 )
 

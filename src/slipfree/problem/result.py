@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -14,10 +14,11 @@ from slipfree.errors import DataError
 from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.files.toml.errors import ProblemError
-from slipfree.problem.input_files import DRAWN, input_names
+from slipfree.problem.input_files import DRAWN, digest, input_names
 from slipfree.problem.load import load_earlier
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Runnable
+from slipfree.problem.stored_inputs import STORED, read_stored, restored_vehicle
 from slipfree.problem.summary import Facts, plain_facts
 from slipfree.problem.verbs.base import VERB_ATTRIBUTE
 from slipfree.problem.verbs.base import Result as Result
@@ -106,7 +107,7 @@ def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
     check_motion(file, read(file, lazy=True), ("x", "y", "z", "wheel_angle", "slip_along"))
     result = open_result(file, folder)
     vehicle, problem = vehicle_of(result), result.problem
-    robot = read_robot(problem.spec.vehicle, problem.folder)
+    robot = read_robot(problem.spec.vehicle, problem)
     write_mcap(out, result.trajectory, vehicle, robot)
 
 
@@ -137,13 +138,14 @@ def problem_of(
             f"{file}: expected a result that contains its problem, found none; use a file written "
             "by slipfree run"
         )
-    settings = [*run.attributes.get("settings", "").splitlines(), *changes]
+    settings = run.attributes.get("settings", "").splitlines()
     name = Path(run.attributes.get("problem_file", "problem.toml")).name
     with tempfile.TemporaryDirectory() as scratch:
         copy = Path(scratch) / "problem.toml"  # a name from a file is not trusted
         copy.write_text(text, encoding="utf-8")
         try:
-            problem = load_earlier(copy, settings)
+            original = load_earlier(copy, settings)
+            problem = load_earlier(copy, [*settings, *changes]) if changes else original
         except ProblemError as error:
             faults = (fault.replace(str(copy), name) for fault in error.faults)
             raise ProblemError(
@@ -152,28 +154,43 @@ def problem_of(
                 *faults,
             ) from error
     recorded = unescape_name(run.attributes.get("problem_folder", ""))
-    place = _folder(file, problem.spec, recorded, folder)
+    stored = read_stored(file, run.attributes.get(STORED), original)
+    place = _folder(file, problem.spec, recorded, folder, stored.files)
     source = replace(problem.source, path=place / name)
-    return replace(problem, source=source)
+    vehicles = {}
+    if stored.vehicle is not None:
+        vehicles[stored.vehicle.file] = restored_vehicle(file, stored.vehicle, place)
+    return replace(problem, source=source, vehicles=vehicles)
 
 
-def _folder(file: Path, spec: Runnable, recorded: str, folder: Path | None) -> Path:
+def _folder(
+    file: Path, spec: Runnable, recorded: str, folder: Path | None, digests: Mapping[str, str]
+) -> Path:
     """Return the first of several folders that contains all input files of a problem.
 
     ``recorded`` is the folder in the result file; ``folder``, if given, is the only one tried.
+    ``digests`` are the SHA-256 of the files with which the result was computed.
 
     Raises
     ------
     DataError
-        If no folder contains them all.
+        If no folder contains them all, or files have changed.
     """
     needed = input_names(spec, DRAWN)
     here, beside = Path.cwd(), file.absolute().parent
     usual = [*(resolve_links(each / recorded) for each in (here, beside) if recorded), beside, here]
     tried = [folder] if folder is not None else list(dict.fromkeys(usual))
-    for place in tried:
-        if all(_is_file(place / name) for name in needed):
+    complete = [each for each in tried if all(_is_file(each / name) for name in needed)]
+    known = [name for name in needed if name in digests]  # the others are in the changed settings
+    for place in complete:
+        if all(digest(place / name) == digests[name] for name in known):
             return place
+    if complete:
+        raise DataError(
+            f"{file}: expected {' and '.join(known)} as when the result was computed, found other "
+            f"contents in {' and '.join(map(str, complete))}; restore the contents, give another "
+            "folder with --folder DIR, or run the problem again"
+        )
     raise DataError(
         f"{file}: expected the input file{'s' * (len(needed) > 1)} {' and '.join(needed)} of its "
         f"problem in {' or '.join(map(str, tried))}, found "

@@ -11,6 +11,7 @@ from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Runnable
+from slipfree.problem.stored_inputs import STORED, stored_inputs
 from slipfree.problem.verbs.base import (
     CROSS_CHECK,
     VERB_ATTRIBUTE,
@@ -77,9 +78,14 @@ def run_problem(
     """
     verb = verb_of(problem)
     setup = build(problem)
+    stored = stored_inputs(problem)  # before a long search, in which files may change
     with at(problem, ("start",)):
         found = verb.solve(problem, setup, Watch(progress, tell, path), resume)
-    attributes = {**found.trajectory.attributes, **_attributes(problem, verb, found.setup)}
+    attributes = {
+        **found.trajectory.attributes,
+        **_attributes(problem, verb, found.setup),
+        STORED: stored,
+    }
     run = replace(found.trajectory, attributes=attributes)
     return Result(
         verb.name, run, verb.verification(run), found.setup, found.arrays, lambda: problem

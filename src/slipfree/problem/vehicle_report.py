@@ -51,7 +51,7 @@ class Description(NamedTuple):
     faults: tuple[str, ...]
 
 
-def describe(path: Path, settings: Sequence[str] = ()) -> Description:
+def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = ()) -> Description:
     """Return the description of the vehicle in a problem or in a vehicle file.
 
     The vehicle of a vehicle file stands on level ground. For an invalid vehicle the description has
@@ -63,6 +63,8 @@ def describe(path: Path, settings: Sequence[str] = ()) -> Description:
         Problem file or vehicle file.
     settings : sequence of str
         Values that replace those of a problem file, as ``key=value``.
+    trust : sequence of Path
+        Xacro files that may be expanded.
 
     Raises
     ------
@@ -72,13 +74,13 @@ def describe(path: Path, settings: Sequence[str] = ()) -> Description:
     """
     try:
         if not is_vehicle_file(path):
-            setup = build(load_problem(path, settings, command="vehicle"))
+            setup = build(load_problem(path, settings, command="vehicle", trust=trust))
             return _description(setup.vehicle, setup.model, setup.start)
         if settings:
             raise DataError(
                 f"--set: expected a problem file, found the vehicle file {path}; omit --set"
             )
-        vehicle = read_vehicle(path)
+        vehicle = read_vehicle(path, trust=trust)
     except VehicleError as error:
         if error.draft is None:
             raise

@@ -17,6 +17,7 @@ import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.files.toml.source_lines import key_path
+from slipfree.files.urdf.expansion import trusted_paths
 from slipfree.problem.input_files import digest, input_files, input_names
 from slipfree.problem.load import load_variants
 from slipfree.problem.problem import Problem
@@ -149,6 +150,7 @@ def sweep_of(
     repeat: int | None = None,
     seed: int = 1,
     progress: Callable[[int, int], None] = lambda _, __: None,
+    trust: Sequence[Path] = (),
 ) -> Sweep:
     """Return the sweep of a problem file, after a check of every value.
 
@@ -171,6 +173,8 @@ def sweep_of(
         The first seed.
     progress : callable
         Called with the number of checked values and the number of all values.
+    trust : sequence of Path
+        Xacro files that may be expanded.
 
     Raises
     ------
@@ -188,7 +192,7 @@ def sweep_of(
             "reduce --repeat"
         )
     problems = load_variants(file, settings, _checked_points(axes))
-    first = next(problems)
+    first = replace(next(problems), trusted=trusted_paths(trust))
     files, count = input_files(first), sum(len(axis.values) for axis in axes)
     for done, problem in enumerate(problems, 1 + len(axes)):
         if not {*input_names(problem.spec)} <= files.keys():

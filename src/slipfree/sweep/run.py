@@ -88,7 +88,8 @@ def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[Task]:
     files = json.dumps(dict(sweep.files))
     for run in sweep.runs():
         if run.number not in rows:
-            yield Task(run.number, path, text, run.settings, len(sweep.keys), keep, files)
+            own, trusted = len(sweep.keys), sweep.problem.trusted
+            yield Task(run.number, path, text, run.settings, own, keep, files, trusted)
 
 
 def result_path(folder: Path, sweep: Sweep, number: int) -> Path:

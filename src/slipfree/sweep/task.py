@@ -33,6 +33,8 @@ class Task(NamedTuple):
     files : str
         Identifier of the content of the input files. Runs of one process share maps and models if
         it is the same.
+    trusted : frozenset of str
+        Paths of xacro files that the command line trusts.
     """
 
     run: int
@@ -42,6 +44,7 @@ class Task(NamedTuple):
     own: int
     keep: bool
     files: str
+    trusted: frozenset[str] = frozenset()
 
 
 class Done(NamedTuple):

@@ -43,7 +43,7 @@ def work(task: Task) -> Done:
 
 
 def _worked(task: Task, begin: float) -> Done:
-    problem = load_again(Path(task.file), task.text, task.settings)
+    problem = load_again(Path(task.file), task.text, task.settings, task.trusted)
     try:
         result = run_problem(problem)
     except SolverError as error:

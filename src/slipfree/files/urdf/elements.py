@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
 from typing import TypeVar
 
 import numpy as np
 
+from slipfree.files.urdf.leftovers import (
+    check_macro_calls,
+    link_at,
+    substitute,
+    unknown_elements,
+    without_xacro,
+)
+from slipfree.files.urdf.other_formats import parse_robot
 from slipfree.files.urdf.tree import (
     Box,
     Faults,
@@ -19,7 +26,7 @@ from slipfree.files.urdf.tree import (
     Tree,
     UrdfJoint,
 )
-from slipfree.files.urdf.xml import Element, parse
+from slipfree.files.urdf.xml import Element
 from slipfree.files.vehicle_draft import MAX_LENGTH, degrees_words, in_order, rotation_of
 from slipfree.geometry.frame import Vector
 from slipfree.geometry.tensor import Elements, in_axes, tensor
@@ -27,17 +34,21 @@ from slipfree.vehicle.wheel import ORIGIN
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 FREE = ("floating", "planar")
-# tags without links or joints
-IGNORED = ("gazebo", "material", "xacro:property", "xacro:arg", "xacro:macro")
 MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 UNIT_SCALE = (1.0, 1.0, 1.0)
+NOTHING: Mapping[str, str] = {}
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 T = TypeVar("T")
 TRIANGLE = 1e-3  # relative error of the triangle inequality from rounded moments of inertia
 
 
-def read_tree(data: bytes, file: str) -> Tree:
+def read_tree(
+    data: bytes,
+    file: str,
+    arguments: Mapping[str, str] = NOTHING,
+    macros: frozenset[str] = frozenset(),
+) -> Tree:
     """Return the links and joints of a URDF file, checked to form a tree.
 
     Parameters
@@ -46,20 +57,20 @@ def read_tree(data: bytes, file: str) -> Tree:
         Contents of the file.
     file : str
         Name of the file in messages.
+    arguments : mapping of str to str
+        Values of ``$(arg NAME)``, which override the defaults in the file.
+    macros : frozenset of str
+        Names of macros of the xacro from which the file was expanded.
 
     Raises
     ------
     DataError
         If the file is not XML; an `UnfitError` with all errors if its elements are not valid.
     """
-    robot, faults = parse(data, file), Faults(file)
-    if robot.tag != "robot":
-        faults.add(
-            robot.line,
-            f"expected URDF with the root element <robot>, found <{robot.tag}>; give a URDF file",
-        )
-        faults.stop()
-    robot, omitted = _without_xacro(robot, file, faults)
+    robot, faults = parse_robot(data, file), Faults(file)
+    check_macro_calls(robot, file, macros)
+    notes = substitute(robot, arguments)
+    robot, omitted = without_xacro(robot, file, faults)
     for tag in ("link", "joint"):
         _check_names(robot, tag, faults)
     links = {link.name: link for link in (_link(each, faults) for each in robot.all("link"))}
@@ -75,62 +86,8 @@ def read_tree(data: bytes, file: str) -> Tree:
     by_child = {joint.child: joint for joint in joints.values()}
     ordered = {by_child[child].name: by_child[child] for child in hung}
     name = robot.attributes.get("name", "robot")
-    return Tree(file, name, root, links, ordered, frozenset(_actuated(robot)), omitted)
-
-
-def _without_xacro(robot: Element, file: str, faults: Faults) -> tuple[Element, tuple[str, ...]]:
-    """Return a robot without its links that have unexpanded xacro, and the names of these links.
-
-    Raises
-    ------
-    UnfitError
-        If the xacro may belong to the drive train: it is not in a link or a joint, or a continuous
-        joint is at or below it.
-    """
-    parts = [part for part in robot.children if part.tag not in IGNORED]
-    raw = [part for part in parts if any(map(_is_xacro, _everything(part)))]
-    joints = [part for part in parts if part.tag == "joint"]
-    left_out = {_link_of(part) for part in raw}
-    while more := {_link_of(j) for j in joints if _end(j, "parent") in left_out} - left_out:
-        left_out |= more
-    dropped = [each for each in joints if _link_of(each) in left_out]
-    turning = any(each.attributes.get("type") == "continuous" for each in dropped)
-    if raw and (turning or "" in left_out or len(dropped) < len(left_out)):
-        faults.add(
-            raw[0].line,
-            f"expected plain URDF, found xacro in <{raw[0].tag}>, which may belong to the drive "
-            f"train; expand it first: xacro {file} > robot.urdf",
-        )
-        faults.stop()
-    kept = [part for part in parts if _link_of(part) not in left_out]
-    return replace(robot, children=kept), tuple(sorted(left_out))
-
-
-def _link_of(part: Element) -> str:
-    """Return the name of a link, or of the child link of a joint; empty for other elements."""
-    if part.tag == "joint":
-        return _end(part, "child")
-    return part.attributes.get("name", "") if part.tag == "link" else ""
-
-
-def _is_xacro(element: Element) -> bool:
-    """Return whether an element is a xacro command or contains a xacro expression."""
-    return element.tag.startswith("xacro:") or any("${" in t for t in element.attributes.values())
-
-
-def _end(joint: Element, tag: str) -> str:
-    """Return the name of the parent or child link of a joint; empty without one."""
-    end = joint.first(tag)
-    return "" if end is None else end.attributes.get("link", "")
-
-
-def _everything(element: Element) -> Iterator[Element]:
-    """Yield an element and all elements in it."""
-    left = [element]
-    while left:
-        each = left.pop()
-        yield each
-        left += each.children
+    actuated, unknown = frozenset(_actuated(robot)), unknown_elements(robot)
+    return Tree(file, name, root, links, ordered, actuated, omitted, notes, unknown)
 
 
 def _check_names(robot: Element, tag: str, faults: Faults) -> None:
@@ -250,7 +207,7 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
         faults.add(element.line, f"{who}: expected {expected}, found {found}; choose one")
     ends = []
     for tag in ("parent", "child"):
-        link = _end(element, tag)
+        link = link_at(element, tag)
         if not link:
             faults.add(element.line, f'{who}: expected <{tag} link="..."/>, found none; add it')
         ends.append(link)

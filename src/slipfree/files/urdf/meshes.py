@@ -86,7 +86,7 @@ def load_mesh(mesh: Mesh, folder: Path) -> Triangles:
     DataError
         If the mesh cannot be read, or if the package ``trimesh`` is not installed.
     """
-    path = _file_of(mesh.name, folder)
+    path = find_mesh(mesh.name, folder)
     try:
         import trimesh
     except ImportError as error:
@@ -116,7 +116,7 @@ def load_mesh(mesh: Mesh, folder: Path) -> Triangles:
     return Triangles(placed, faces)
 
 
-def _file_of(name: str, folder: Path) -> Path:
+def find_mesh(name: str, folder: Path) -> Path:
     """Return the file of a mesh, relative to the folder of its URDF or in a package.
 
     A package is searched in the folders of `package_folders`.

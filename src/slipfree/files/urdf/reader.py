@@ -43,6 +43,7 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     if findings.faults.found:
         raise UnfitError(findings.faults.lines, draft)
     wrong = [f"{tree.file}:1: expected {e}, found {f}" for e, f in misfits(draft)]
+    wrong += [f"{tree.file}:{each}" for each in tree.unknown if wrong]
     if wrong:
         raise UnfitError(wrong, draft)
     return draft
@@ -143,6 +144,7 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
         Collection to which the notes are added.
     """
     links, notes = wheels.tree.links, findings.notes
+    notes.extend(file.notes)
     if file.omitted:
         notes.append(
             "omitted, since they or links above them contain xacro that is not expanded: "

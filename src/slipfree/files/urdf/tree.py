@@ -177,6 +177,10 @@ class Tree(NamedTuple):
         Names of the joints with a transmission or a command interface.
     omitted : tuple of str
         Names of the omitted links: links with unexpanded xacro, and the links below them.
+    notes : tuple of str
+        Notes on values that replace expressions of xacro.
+    unknown : tuple of str
+        Elements of the robot that URDF does not have, with their lines.
     """
 
     file: str
@@ -186,6 +190,8 @@ class Tree(NamedTuple):
     joints: dict[str, UrdfJoint]
     actuated: frozenset[str]
     omitted: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
 
     def below(self, link: str) -> list[UrdfJoint]:
         """Return all joints below a link: its joints, those of their child links, and so on."""

@@ -8,15 +8,38 @@ from xml.parsers import expat
 
 from slipfree.errors import DataError
 
+OTHER_CONTENTS = (  # first bytes, name and remedy of files that are not XML
+    (b"version https://git-lfs", "a pointer of Git LFS", "fetch the file: git lfs pull"),
+    (b"\x1f\x8b", "a gzip file", "unpack it with gunzip"),
+    (b"PK\x03\x04", "a zip archive", "unpack it with unzip"),
+    (b"<!doctype html", "a web page", "download the file itself ('raw')"),
+    (b"<html", "a web page", "download the file itself ('raw')"),
+)
+REMEDIES = {
+    expat.errors.XML_ERROR_MISPLACED_XML_PI: "move <?xml ... ?> to the beginning of the first "
+    "line, before comments, blanks and blank lines, and keep one",
+    expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: "keep one root element",
+    expat.errors.XML_ERROR_TAG_MISMATCH: "close each element with its own name",
+    expat.errors.XML_ERROR_UNCLOSED_TOKEN: "the file may be truncated: copy it again",
+    expat.errors.XML_ERROR_NO_ELEMENTS: "the file may be truncated: copy it again",
+    expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "remove one of the attributes of the same name",
+    expat.errors.XML_ERROR_UNDEFINED_ENTITY: "write the character itself",
+    expat.errors.XML_ERROR_INCORRECT_ENCODING: "save the file as UTF-8 and write "
+    'encoding="utf-8" in its first line',
+    expat.errors.XML_ERROR_INVALID_TOKEN: "save the file as UTF-8, and write &amp; for & and "
+    "&lt; for <; comments must not contain --",
+}
+
 
 @dataclass(frozen=True)
 class Element:
-    """An element of an XML file: tag, attributes, children and line number."""
+    """An element of an XML file: tag, attributes, line number, children, and parts of its text."""
 
     tag: str
     attributes: dict[str, str]
     line: int
     children: list[Element] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)
 
     def all(self, tag: str) -> Iterator[Element]:
         """Yield the children that have the given tag, in order."""
@@ -25,6 +48,14 @@ class Element:
     def first(self, tag: str) -> Element | None:
         """Return the first child that has the given tag; None without such a child."""
         return next(self.all(tag), None)
+
+    def everything(self) -> Iterator[Element]:
+        """Yield the element and all elements in it."""
+        left = [self]
+        while left:
+            each = left.pop()
+            yield each
+            left += reversed(each.children)
 
 
 def parse(data: bytes, name: str) -> Element:
@@ -40,8 +71,9 @@ def parse(data: bytes, name: str) -> Element:
     Raises
     ------
     DataError
-        If the file is not XML, or if it declares a document type, which could define entities.
+        If the file is not XML, or declares a document type, which could define entities.
     """
+    _check_contents(data, name)
     parser = expat.ParserCreate()
     top = Element("", {}, 0)
     stack = [top]
@@ -51,6 +83,10 @@ def parse(data: bytes, name: str) -> Element:
         stack[-1].children.append(element)
         stack.append(element)
 
+    def keep(text: str) -> None:
+        if not text.isspace():
+            stack[-1].texts.append(text)
+
     def refuse(*_: object) -> None:
         raise DataError(
             f"{name}:{parser.CurrentLineNumber}: expected XML without a document type, found "
@@ -59,14 +95,14 @@ def parse(data: bytes, name: str) -> Element:
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _: stack.pop()
+    parser.CharacterDataHandler = keep
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         words = expat.ErrorString(error.code)
-        raise DataError(
-            f"{name}:{error.lineno}: expected XML, found {words}; correct it"
-        ) from error
+        remedy = REMEDIES.get(words, "correct it")
+        raise DataError(f"{name}:{error.lineno}: expected XML, found {words}; {remedy}") from error
     except DataError:  # a document type; DataError is a ValueError
         raise
     except (LookupError, ValueError) as error:
@@ -75,3 +111,18 @@ def parse(data: bytes, name: str) -> Element:
             f"({error}); save the file as UTF-8"
         ) from error
     return top.children[0]
+
+
+def is_markup(head: bytes) -> bool:
+    """Return whether the first bytes of a file are those of XML or HTML, in any encoding."""
+    return head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n").startswith(b"<")
+
+
+def _check_contents(data: bytes, name: str) -> None:
+    """Raise DataError for contents that are known not to be XML."""
+    start = data[:200].lstrip(b"\xef\xbb\xbf \t\r\n").lower()
+    for head, found, remedy in OTHER_CONTENTS:
+        if start.startswith(head.lower()):
+            raise DataError(f"{name}: expected XML, found {found}; {remedy}")
+    if not data.strip(b"\xef\xbb\xbf \t\r\n\0"):
+        raise DataError(f"{name}: expected XML, found an empty file; copy it again")

@@ -133,7 +133,7 @@ def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple
     for index, spec in enumerate(problem.spec.vehicles):
         progress(spec.name)
         with at(problem, ("vehicles", index)):
-            vehicle = build_vehicle(spec, problem.folder)
+            vehicle = build_vehicle(spec, problem)
         rows.append(_row(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain)))
     return ground, rows
 

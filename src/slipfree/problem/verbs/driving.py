@@ -15,22 +15,21 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.errors import DataError
 from slipfree.files.map_coordinates import MAP_TRANSFORM, encode_map_coordinates
-from slipfree.files.urdf.links import Robot
-from slipfree.files.urdf.meshes import load_mesh
+from slipfree.files.urdf.meshes import FORMATS, find_mesh, load_mesh
 from slipfree.frames import STORED, WANTED, to_problem_frame
 from slipfree.geometry.mesh import Mesh
 from slipfree.laws.soil import Soil
 from slipfree.models.drawbar import RESERVE, drawbar_reserve
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.obstacle_ending import obstacle_ending
-from slipfree.models.poses import wheel_poses
 from slipfree.models.records import is_determinate
 from slipfree.models.rocking import has_pressed_wheels
 from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
 from slipfree.problem.build_ground import Ground, at, build_ground, filled_words
 from slipfree.problem.build_model import law_name, model_law
 from slipfree.problem.build_solids import build_solids
-from slipfree.problem.build_vehicle import read_robot
+from slipfree.problem.build_vehicle import VehicleFile, vehicle_file
+from slipfree.problem.input_files import digest
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, Motion
 from slipfree.problem.summary import Facts, integrator_fact
@@ -207,9 +206,16 @@ class DriveVerb(MotionVerb):
         terrain, vehicle = build_terrain(problem, ground_of(result)), vehicle_of(result)
         prisms = build_solids(problem, terrain)
         _check_ground(run, terrain, prisms, vehicle, problem)
-        robot = read_robot(problem.spec.vehicle, problem.folder)
+        name_of_file = problem.spec.vehicle.file
+        found = None if name_of_file is None else vehicle_file(name_of_file, problem)
         return Driven(
-            name, run, terrain, vehicle, prisms=prisms, robot=robot, visuals=_visuals(robot)
+            name,
+            run,
+            terrain,
+            vehicle,
+            prisms=prisms,
+            robot=found and found.robot,
+            visuals=_visuals(found),
         )
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
@@ -223,19 +229,30 @@ class DriveVerb(MotionVerb):
         }
 
 
-def _visuals(robot: Robot | None) -> dict[str, Mesh]:
-    """Return the meshes of the links of a URDF by name; unreadable meshes are omitted."""
+def _visuals(file: VehicleFile | None) -> dict[str, Mesh]:
+    """Return the meshes of the links of a URDF by name.
+
+    Unreadable meshes, and those that differ from those of the result, are omitted.
+    """
     from slipfree.show.meshes import joined
 
     found: dict[str, Mesh] = {}
-    if robot is None:
+    if file is None or file.robot is None:
         return found
-    folder = Path(robot.tree.file).parent
-    for link in robot.tree.links.values():
+    folder = Path(file.robot.tree.file).parent
+    for link in file.robot.tree.links.values():
         with suppress(DataError):  # the vehicle is then drawn with simple bodies
-            if link.visuals:
+            if link.visuals and all(_is_known(mesh.name, folder, file) for mesh in link.visuals):
                 found[link.name] = joined(*(load_mesh(mesh, folder) for mesh in link.visuals))
     return found
+
+
+def _is_known(mesh: str, folder: Path, file: VehicleFile) -> bool:
+    """Return whether a mesh is that with which a result was computed; True for other vehicles."""
+    if file.meshes is None:
+        return True
+    is_mesh = mesh.lower().endswith(FORMATS)
+    return is_mesh and file.meshes.get(mesh) == digest(find_mesh(mesh, folder))
 
 
 def _stable_poses(problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, ...]:
@@ -268,12 +285,10 @@ def ground_of(result: Result) -> Ground:
 
 
 def vehicle_of(result: Result) -> Vehicle:
-    """Return the vehicle of a result; raise DataError if it does not match the motion."""
+    """Return the vehicle of a result."""
     problem = result.problem
     with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
-    _check_vehicle(result.trajectory, vehicle, problem)
-    return vehicle
+        return build_vehicle(problem.spec.vehicle, problem)
 
 
 def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:
@@ -334,27 +349,6 @@ def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:
     if ending is None:
         return run
     return replace(run, attributes={**run.attributes, OBSTACLES: str(ending)})
-
-
-def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) -> None:
-    """Raise DataError unless the vehicle has the wheels, joints and contacts of the motion."""
-    file = problem.spec.vehicle.file
-    wheels = tuple(wheel.name for wheel in vehicle.wheels)
-    if wheels != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
-        raise _changed("vehicle", file, "its wheels or joints have other names")
-    placed = wheel_poses(vehicle, run)
-    center, contact = (
-        np.stack([run[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
-        for name in ("center", "contact")
-    )
-    away = np.linalg.norm(placed.origins - center, axis=-1)
-    along = np.einsum("nki,nki->nk", contact - center, placed.rotations[..., 0])
-    out = np.sqrt(np.maximum(((contact - center) ** 2).sum(axis=-1) - along**2, 0))
-    columns = zip(vehicle.wheels, run["wheel_u"].T, strict=True)
-    x, rho = np.stack([wheel.section.outline(u) for wheel, u in columns], axis=-1)
-    off = max(away.max(), np.hypot(along - x, out - rho).max())
-    if not off <= np.abs(_depth(run)).max() + SAME * min(wheel.radius for wheel in vehicle.wheels):
-        raise _changed("vehicle", file, f"its wheels are {off:.2g} m from those of the result")
 
 
 def _check_ground(

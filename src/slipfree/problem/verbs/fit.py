@@ -189,7 +189,7 @@ def fit(problem: Problem[Fit]) -> Fitted:
     """
     spec = problem.spec
     with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle, problem.folder)
+        vehicle = build_vehicle(spec.vehicle, problem)
     law: Any = model_law(problem, spec)
     build = _builder(spec)
     unknowns = []

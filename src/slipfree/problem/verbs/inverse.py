@@ -101,7 +101,7 @@ class InverseVerb(DriveVerb):
         spec = problem.spec
         points = _points(problem, spec)
         with at(problem, ("vehicle",)):
-            vehicle = build_vehicle(spec.vehicle, problem.folder)
+            vehicle = build_vehicle(spec.vehicle, problem)
         given, words = _given_rates(problem, spec, vehicle, points)
         place = ("given",) if points is None else ("path",)
         is_rolling_path = points is not None and not are_commands(given)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path as File
 from typing import Any, NamedTuple
@@ -114,7 +114,7 @@ def build_planning(problem: Problem[Plan]) -> Planning:
     spec = problem.spec
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle, problem.folder)
+        vehicle = build_vehicle(spec.vehicle, problem)
     terrain = build_terrain(problem, ground)
     is_dynamic = spec.model == "dynamics"
     dae: Dae = (
@@ -388,6 +388,8 @@ class PlanSource(NamedTuple):
         Path and text of the problem file.
     settings : tuple of str
         Settings of the option ``--set``.
+    trusted : frozenset of str
+        Paths of xacro files that the command line trusts.
     run : int
         Number of the run in this process. It distinguishes sources of different runs in caches, so
         that input files are read again.
@@ -396,6 +398,7 @@ class PlanSource(NamedTuple):
     path: File
     text: str
     settings: tuple[str, ...]
+    trusted: frozenset[str]
     run: int
 
 
@@ -403,11 +406,12 @@ def source_of(problem: Problem[Plan]) -> PlanSource:
     """Return the source of a problem, with a new run number."""
     source = problem.source
     settings = tuple(dict.fromkeys(source.settings.values()))
-    return PlanSource(source.path, source.text, settings, next(RUNS))
+    return PlanSource(source.path, source.text, settings, problem.trusted, next(RUNS))
 
 
 def problem_from(source: PlanSource) -> Problem[Plan]:
     """Return the problem of a source; errors are those of `slipfree.problem.load.load_problem`."""
-    return convert_places(
-        validated_problem(lambda *_: Plan, source.path, source.text, source.settings)
+    problem: Problem[Plan] = validated_problem(
+        lambda *_: Plan, source.path, source.text, source.settings
     )
+    return replace(convert_places(problem), trusted=source.trusted)

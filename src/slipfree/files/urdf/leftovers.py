@@ -1,0 +1,220 @@
+"""Xacro that is left over in URDF files: values by arithmetic, and errors for the rest."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import casadi as ca
+
+from slipfree.errors import ModelError
+from slipfree.files.urdf.expansion import ways
+from slipfree.files.urdf.tree import Faults
+from slipfree.files.urdf.xml import Element
+from slipfree.vehicle.formula import evaluate
+
+PREFIX = "xacro:"
+NAMESPACE = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+# tags without links or joints
+IGNORED = ("gazebo", "material", "xacro:property", "xacro:arg", "xacro:macro")
+# further elements of robots in URDF files and in extensions of it
+KNOWN = {
+    "link",
+    "joint",
+    "transmission",
+    "ros2_control",
+    "sensor",
+    "mujoco",
+    "loop_joint",
+    *IGNORED,
+}
+PARTS = {  # elements in links and joints
+    *("inertial", "visual", "collision", "geometry", "origin", "mass", "inertia", "axis", "limit"),
+    *("parent", "child", "mimic", "dynamics", "calibration", "safety_controller", "box"),
+    *("cylinder", "sphere", "mesh", "color", "texture"),
+}
+PACKAGE = re.compile(r"^(?:file://)?\$\(find\s+([\w-]+)\)")
+COMMAND = re.compile(r"(?<!\$)\$\(([^()$]*)\)")
+EXPRESSION = re.compile(r"(?<!\$)\$\{([^{}$]*)\}")
+MAX_SHOWN = 60  # characters of an attribute in a message
+
+
+class _Values:
+    """Values of the properties and arguments of a robot, and variables of the environment."""
+
+    def __init__(self, arguments: Mapping[str, str]) -> None:
+        self.arguments = dict(arguments)
+        self.given = frozenset(arguments)
+        self.properties: dict[str, str] = {}
+        self.variables: dict[str, str] = {}
+
+    def text(self, text: str) -> str:
+        """Return a text with the expressions replaced that have a value."""
+        if "$" not in text:
+            return text
+        text = PACKAGE.sub(r"package://\1", text)
+        return EXPRESSION.sub(self._expression, COMMAND.sub(self._command, text))
+
+    def define(self, element: Element) -> None:
+        """Add a property or an argument; a property with several values has none."""
+        name, default = (element.attributes.get(key, "") for key in ("name", "default"))
+        if element.tag == "xacro:arg" and name not in self.given:
+            self.arguments[name] = self.text(default)
+        if element.tag == "xacro:property":
+            value = self.text(element.attributes.get("value", "${}"))
+            same = self.properties.setdefault(name, value) == value
+            self.properties[name] = value if same else "${}"
+
+    def _command(self, found: re.Match[str]) -> str:
+        name, *words = found[1].split() or [""]
+        if name == "optenv" and words:
+            self.variables[words[0]] = default = " ".join(words[1:])
+            return default
+        if name == "arg" and len(words) == 1:
+            return self.arguments.get(words[0], found[0])
+        return "." if name == "dirname" and not words else found[0]
+
+    def _expression(self, found: re.Match[str]) -> str:
+        text = found[1].strip().replace("math.pi", "pi")
+        if text in self.properties and "$" not in self.properties[text]:
+            return self.properties[text]
+        values = {name: ca.SX(n) for name, n in self._numbers().items()}
+        try:
+            number = float(ca.evalf(evaluate(text, values)))
+        except ModelError:
+            return found[0]
+        if not math.isfinite(number):
+            return found[0]
+        is_whole = number.is_integer() and not re.search(r"[./e]", text)
+        return str(int(number)) if is_whole and abs(number) < 1e15 else repr(number)
+
+    def _numbers(self) -> dict[str, float]:
+        """Return the values of the properties that are numbers."""
+        found = {}
+        for name, value in self.properties.items():
+            try:
+                number = float(value)
+            except ValueError:
+                continue
+            if math.isfinite(number):
+                found[name] = number
+        return found
+
+
+def substitute(robot: Element, arguments: Mapping[str, str]) -> tuple[str, ...]:
+    """Replace simple expressions of xacro in a robot by their values; return notes on them.
+
+    ``$(arg NAME)`` takes the value of ``arguments`` or the default in the file; ``$(optenv NAME
+    DEFAULT)`` takes its default, since variables of the environment are not read; ``$(find NAME)``
+    at the beginning becomes ``package://NAME``; ``${...}`` is replaced if it is a property, or a
+    formula (`slipfree.vehicle.formula`) of properties that are numbers. Nothing is executed.
+    """
+    values = _Values(arguments)
+    for part in robot.children:
+        values.define(part)
+        if part.tag.startswith(PREFIX):
+            continue
+        for element in part.everything():
+            for key, text in element.attributes.items():
+                element.attributes[key] = values.text(text)
+    pairs = ", ".join(f"{name} = {value!r}" for name, value in values.variables.items())
+    words = "variables of the environment are not read, $(optenv ...) takes its default"
+    return (f"{words}: {pairs}",) if pairs else ()
+
+
+def check_macro_calls(robot: Element, file: str, macros: frozenset[str] = frozenset()) -> None:
+    """Raise UnfitError for calls of macros without the prefix ``xacro:``, and for its absence.
+
+    ``macros`` are names of macros in addition to those that the robot defines.
+    """
+    faults, parts = Faults(file), [*robot.everything()]
+    own = {each.attributes.get("name", "") for each in parts if each.tag == "xacro:macro"}
+    called = (own | macros) - KNOWN - PARTS
+    for each in parts:
+        if each.tag in called:
+            faults.add(
+                each.line,
+                "expected calls of macros with the prefix 'xacro:', found the call "
+                f"<{each.tag}> of the macro {each.tag!r}; write <{PREFIX}{each.tag} ...>",
+            )
+    if faults.found:
+        faults.stop()
+
+
+def unknown_elements(robot: Element) -> tuple[str, ...]:
+    """Return messages on elements that are not known in URDF and look like calls of macros."""
+    return tuple(
+        f"{each.line}: <{each.tag}> is not an element of URDF; a macro of xacro is called with the "
+        f"prefix 'xacro:', as in <{PREFIX}{each.tag} ...>, and the file is then expanded"
+        for each in robot.children
+        if each.tag not in KNOWN and ":" not in each.tag and each.attributes
+    )
+
+
+def without_xacro(robot: Element, file: str, faults: Faults) -> tuple[Element, tuple[str, ...]]:
+    """Return a robot without its links that have unexpanded xacro, and the names of these links.
+
+    Raises
+    ------
+    UnfitError
+        If the xacro may belong to the drive train: it is not in a link or a joint, or a continuous
+        joint is at or below it.
+    """
+    parts = [part for part in robot.children if part.tag not in IGNORED]
+    raw = [part for part in parts if any(map(_xacro_in, part.everything()))]
+    joints = [part for part in parts if part.tag == "joint"]
+    left_out = {_link_of(part) for part in raw}
+    while more := {_link_of(j) for j in joints if link_at(j, "parent") in left_out} - left_out:
+        left_out |= more
+    dropped = [each for each in joints if _link_of(each) in left_out]
+    turning = any(each.attributes.get("type") == "continuous" for each in dropped)
+    if raw and (turning or "" in left_out or len(dropped) < len(left_out)):
+        for line, words in _errors(robot, raw, file):
+            faults.add(line, words)
+        faults.stop()
+    kept = [part for part in parts if _link_of(part) not in left_out]
+    return replace(robot, children=kept), tuple(sorted(left_out))
+
+
+def _errors(robot: Element, raw: list[Element], file: str) -> Iterator[tuple[int, str]]:
+    """Yield line and message of the errors about xacro: the first place, and a missing prefix."""
+    element = next(each for part in raw for each in part.everything() if _xacro_in(each))
+    yield (
+        element.line,
+        f"expected plain URDF, found xacro, {_xacro_in(element)}, which may belong to the drive "
+        f"train; {ways(file)}",
+    )
+    every = [*robot.everything()]
+    has_prefix = any(each.tag.startswith(PREFIX) for each in every)
+    if has_prefix and not any("xmlns:xacro" in each.attributes for each in every):
+        yield (
+            robot.line,
+            "expected a declaration of the prefix 'xacro' in <robot>, found none; write <robot "
+            f"{NAMESPACE} ...>",
+        )
+
+
+def _xacro_in(element: Element) -> str:
+    """Return the description of xacro in an element: its tag or an attribute; empty without any."""
+    if element.tag.startswith(PREFIX):
+        return f"<{element.tag}>"
+    for key, text in element.attributes.items():
+        if "${" in text or "$(" in text:
+            shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+            return f"{shown!r} in the attribute {key!r} of <{element.tag}>"
+    return ""
+
+
+def _link_of(part: Element) -> str:
+    """Return the name of a link, or of the child link of a joint; empty for other elements."""
+    if part.tag == "joint":
+        return link_at(part, "child")
+    return part.attributes.get("name", "") if part.tag == "link" else ""
+
+
+def link_at(joint: Element, tag: str) -> str:
+    """Return the name of the parent or child link of a joint; empty without one."""
+    end = joint.first(tag)
+    return "" if end is None else end.attributes.get("link", "")

@@ -1,0 +1,147 @@
+"""Inputs that a result file contains: its vehicle, and digests of its other input files.
+
+A result may come from somebody else, so that no vehicle file is read which its problem names, and
+maps and meshes only if they are those with which it was computed.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from slipfree.errors import DataError, ModelError
+from slipfree.files.urdf.links import Robot
+from slipfree.files.urdf.meshes import find_mesh
+from slipfree.files.vehicle_toml import file_of, read_toml
+from slipfree.files.vehicle_writer import vehicle_text
+from slipfree.problem.build_vehicle import VehicleFile, vehicle_file
+from slipfree.problem.input_files import DRAWN, digest, input_names
+from slipfree.problem.problem import Problem
+from slipfree.problem.sharing import shared
+
+STORED = "stored_inputs"  # attribute of a result file
+
+
+class StoredVehicle(BaseModel):
+    """Vehicle of a result.
+
+    Attributes
+    ----------
+    file : str
+        Name of its file in the problem.
+    text : str
+        The vehicle as a vehicle file in TOML.
+    notes : tuple of str
+        Notes of the reader.
+    robot : Robot or None
+        URDF from which it was read; its file is relative to the folder of the problem.
+    meshes : dict of str to str
+        SHA-256 of the visible meshes of the URDF, by name.
+    """
+
+    model_config = ConfigDict(ser_json_inf_nan="constants")
+    file: str
+    text: str
+    notes: tuple[str, ...]
+    robot: Robot | None
+    meshes: dict[str, str]
+
+
+class StoredInputs(BaseModel):
+    """Vehicle of a result, None if it is not from a file, and SHA-256 of maps by name."""
+
+    model_config = ConfigDict(ser_json_inf_nan="constants")
+    vehicle: StoredVehicle | None
+    files: dict[str, str]
+
+
+def stored_inputs(problem: Problem[Any]) -> str:
+    """Return the attribute of a result with its vehicle and the digests of its maps."""
+    names = input_names(problem.spec, DRAWN)
+    file = _file(problem)
+    key = (problem.folder, names, file, problem.trusted)
+    return shared("stored", key, lambda: _stored(problem, names, file))
+
+
+def _stored(problem: Problem[Any], names: tuple[str, ...], file: str | None) -> str:
+    vehicle = None
+    if file is not None:
+        found = vehicle_file(file, problem)
+        text, notes = vehicle_text(found.vehicle), found.vehicle.notes
+        robot, meshes = _relative(found.robot, problem.folder), _meshes(found.robot)
+        vehicle = StoredVehicle(file=file, text=text, notes=notes, robot=robot, meshes=meshes)
+    files = {name: digest(problem.folder / name) for name in names}
+    return StoredInputs(vehicle=vehicle, files=files).model_dump_json()
+
+
+def _file(problem: Problem[Any]) -> str | None:
+    """Return the name of the vehicle file of a problem; None for a vehicle of the catalogue."""
+    name: str | None = getattr(getattr(problem.spec, "vehicle", None), "file", None)
+    return name
+
+
+def _relative(robot: Robot | None, folder: Path) -> Robot | None:
+    if robot is None:
+        return None
+    file = os.path.relpath(robot.tree.file, folder)
+    return robot._replace(tree=robot.tree._replace(file=file))
+
+
+def _meshes(robot: Robot | None) -> dict[str, str]:
+    """Return the SHA-256 of the visible meshes of a URDF by name; missing ones are omitted."""
+    if robot is None:
+        return {}
+    folder, found = Path(robot.tree.file).parent, dict[str, str]()
+    for name in {mesh.name for link in robot.tree.links.values() for mesh in link.visuals}:
+        with suppress(DataError):  # the vehicle is drawn with simple bodies
+            found[name] = digest(find_mesh(name, folder))
+    return found
+
+
+def read_stored(file: Path, text: str | None, problem: Problem[Any]) -> StoredInputs:
+    """Return the stored inputs in an attribute of the result ``file``, with its problem.
+
+    Raises
+    ------
+    DataError
+        If the attribute is missing although the problem names files, or is damaged.
+    """
+    names, vehicle = input_names(problem.spec, DRAWN), _file(problem)
+    if text is None and not names and vehicle is None:
+        return StoredInputs(vehicle=None, files={})
+    try:
+        found = StoredInputs.model_validate_json(text or "")
+    except ValidationError as error:
+        raise _incomplete(file) from error
+    stored = None if found.vehicle is None else found.vehicle.file
+    if stored != vehicle or not {*names} <= {*found.files}:
+        raise _incomplete(file)
+    return found
+
+
+def restored_vehicle(file: Path, stored: StoredVehicle, folder: Path) -> VehicleFile:
+    """Return the vehicle that the result ``file`` contains.
+
+    ``folder`` is the folder in which the meshes of its URDF are searched.
+    """
+    try:
+        draft = read_toml(file_of(file, stored.text))
+        vehicle = replace(draft.vehicle(), notes=stored.notes)
+    except (DataError, ModelError) as error:
+        raise DataError(f"{file}: expected a valid stored vehicle, found: {error}") from error
+    robot = stored.robot
+    if robot is not None:
+        robot = robot._replace(tree=robot.tree._replace(file=str(folder / robot.tree.file)))
+    return VehicleFile(vehicle, robot, stored.meshes)
+
+
+def _incomplete(file: Path) -> DataError:
+    return DataError(
+        f"{file}: expected a result that contains its vehicle and digests of its maps, found one "
+        "of an earlier version or a damaged one; run the problem again"
+    )
