@@ -31,13 +31,15 @@ from slipfree.records import (
 )
 from slipfree.trajectory import Trajectory
 
-LIMIT_TOLERANCE = 1e-6  # tolerated violation of a limit [unit or scale of the limited quantity]
+LIMIT_ROUNDING = (
+    1e-9  # violation of a limit that counts as rounding [unit or scale of the quantity]
+)
 
 
 class Limit(NamedTuple):
     """Limit of a motion: the motion ends where ``lower <= expression <= upper`` is violated.
 
-    A violation of less than `LIMIT_TOLERANCE` counts as none: a joint may rest at its stop.
+    A violation by rounding, at most `LIMIT_ROUNDING`, counts as none: a joint may rest at its stop.
 
     Attributes
     ----------
@@ -67,7 +69,7 @@ class Limit(NamedTuple):
 
     def violated_by(self, values: Array, size: float) -> Mask:
         """Return which values violate the limit; ``size`` is the scale of the limited quantity."""
-        slack = LIMIT_TOLERANCE * size
+        slack = LIMIT_ROUNDING * size
         return ~((values >= self.lower - slack) & (values <= self.upper + slack))  # also nan
 
 

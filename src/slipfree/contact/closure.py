@@ -85,8 +85,8 @@ def support_fault(vehicle: Vehicle) -> str:
 def check_exact_closure(
     vehicle: Vehicle,
     model: str,
-    remedy: str = "use the model 'dynamics', which also answers with friction, or 'kinematics' with "
-    "least slip, which press the wheels into the ground",
+    remedy: str = "use the model 'dynamics', which also answers with friction, or 'kinematics' "
+    "with least slip, which press the wheels into the ground",
 ) -> None:
     """Raise ModelError if not all wheels of a vehicle can touch a rigid ground.
 

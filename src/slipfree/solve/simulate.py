@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.batch import run_buffered
-from slipfree.dae import LIMIT_TOLERANCE, Dae
+from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import InterruptGuard
@@ -37,6 +37,7 @@ COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 SUBINTERVALS = 64  # parts of an interval with a crossing, in each refinement
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 RESIDUAL_FACTOR = 100.0  # residual allowed at samples of models with a continuation [tolerance]
+LIMIT_TOLERANCE = 1e-6  # violation of a limit at which a step ends the call [unit or scale]
 MAX_STEPS = 10_000  # maximum number of steps of the integrator between two samples
 NEWTON_SHARE = 0.01  # fraction of a step's allowed error at which CVODES ends Newton's method
 MAX_RESTARTS = 20  # maximum number of restarts after failures, per interval of the inputs

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from slipfree.dae import LIMIT_TOLERANCE, Limit
+from slipfree.dae import LIMIT_ROUNDING, Limit
 from slipfree.errors import ModelError
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Mask
@@ -115,7 +115,7 @@ def limit_at_failure(
         values = run.of(limit.label)
         margins = np.minimum(values - limit.lower, limit.upper - values)
         largest = margins.max()
-        if largest <= LIMIT_TOLERANCE * system.dae.size_of(limit.label):
+        if largest <= LIMIT_ROUNDING * system.dae.size_of(limit.label):
             continue  # at rest at the limit
         if margins[-1] < least * largest and margins[-1] < margins[-2]:
             nearest, least = limit, margins[-1] / largest
