@@ -1,15 +1,21 @@
 """Tests of the description of a vehicle: from its file, from a problem, and if incomplete."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from helpers.cases import DATA
+from helpers.problem_files import VALID
 from slipfree import Analytic, direct_kinematics, settle
 from slipfree.catalog import ackermann, differential_drive, rocky7, skid_steer
 from slipfree.cli import app
+from slipfree.errors import DataError
 from slipfree.problem.build_vehicle import read_vehicle
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import build
 from slipfree.problem.vehicle_report import conditioning, describe, tree
 
 
@@ -24,7 +30,7 @@ def test_a_vehicle_file_by_itself():
         "cart, in axes x right, y forward, z up",
         "platform: 12 kg, centre of mass at (0, 0.1, 0.05) m",
         "  bracket: rigid",
-        "    caster: turns about z by caster (passive)",
+        "    caster: turns about (0.02, -0.03, 0.999) by caster (passive)",
         "      wheel caster_axle: free, torus r1 0.02, r2 0.08 m",
         "  wheel left_drive: driven, torus r1 0.02, r2 0.13 m, 1.5 kg",
         "  wheel right_drive: driven, torus r1 0.02, r2 0.13 m, 1.5 kg",
@@ -42,9 +48,12 @@ def test_a_vehicle_file_by_itself():
 def test_a_urdf_by_itself_is_drawn_with_its_guesses():
     found = describe(DATA / "cart.urdf")
     assert not found.faults
-    assert "    caster: turns about z by caster (passive)" in found.tree
+    assert "    caster: turns about (0.02, -0.03, 0.999) by caster (passive)" in found.tree
     notes = [words for name, words in found.facts if name == "vehicle file"]
-    assert any(words.startswith("guessed passive: a caster swivels: caster;") for words in notes)
+    assert any(
+        words.startswith("guessed passive: a caster or a trailer swivels: caster;")
+        for words in notes
+    )
     assert any(words.startswith("guessed free: other wheels") for words in notes)
 
 
@@ -127,3 +136,36 @@ def test_every_part_is_drawn_once(name):
     lines = tree(vehicle)
     assert len(lines) == 1 + len(vehicle.joints) + len(vehicle.wheels)
     assert np.all(["not on" not in line for line in lines])
+
+
+def test_axes_are_in_the_frame_of_the_vehicle(tmp_path):
+    """Of a hinge whose own frame is turned, below a part that is turned by a constant value."""
+    quarter = np.pi / 2
+    (tmp_path / "v.toml").write_text(f"""\
+name = "v"
+frame = "rep103"
+coordinates = [{{ name = "steer", kind = "commanded" }}]
+joints = [{{ name = "mount", parent = "platform", axis = "z", value = "pi/2" }},
+    {{ name = "hinge", parent = "mount", axis = "x", turned = [0, {quarter}, 0], value = "steer" }},
+    {{ name = "arm", parent = "mount", axis = "x", value = "0.5*steer" }}]
+wheels = [{{ name = "a", parent = "platform", at = [0, 0.3, 0], radius = 0.1, driven = true }},
+    {{ name = "b", parent = "platform", at = [0, -0.3, 0], radius = 0.1, driven = true }},
+    {{ name = "c", parent = "platform", at = [0.4, 0, 0], radius = 0.1 }}]
+""")
+    lines = describe(tmp_path / "v.toml").tree
+    assert "    hinge: turns about -z by steer (commanded)" in lines
+    assert "    arm: turns about -x by 0.5*steer (steer: commanded)" in lines  # to the left
+
+
+def test_a_vehicle_that_nothing_drives_is_refused(tmp_path):
+    text = (DATA.parents[1] / "problems" / "vehicles" / "trike.toml").read_text()
+    free = text.replace("driven = true", "driven = false").replace('"commanded"', '"passive"')
+    (tmp_path / "v.toml").write_text(free)
+    found = describe(tmp_path / "v.toml")
+    words = "expected a driven wheel or a commanded coordinate"
+    assert words in found.faults[0]
+    assert "set driven = true for some of the wheels rear" in found.faults[0]
+    problem = VALID.replace('catalog = "three_wheeler"\nr1 = 0.05', 'file = "v.toml"')
+    (tmp_path / "p.toml").write_text(re.sub(r"\w+_rate = .*\n", "", problem))
+    with pytest.raises(DataError, match=words):
+        build(load_problem(tmp_path / "p.toml"))

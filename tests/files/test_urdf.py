@@ -507,8 +507,8 @@ def test_a_wheel_has_the_radius_of_the_shape_that_touches_first(tmp_path):
         assert note == (
             f"several shapes (1 sphere of 0.02 m, 1 cylinder of {smaller} m, 1 cylinder of "
             "0.15 m), of which the one about the axle that touches level ground first gives the "
-            f"radius, {radius} m: left_drive; override with wheels = {{ left_drive = {{ "
-            "radius = ... } }"
+            f"radius, {radius} m: left_drive; otherwise write wheels.left_drive = {{ "
+            f"radius = {smaller if radius == 0.15 else 0.15} }}"
         )
     roles = (
         'urdf = "cart.urdf"\njoints = { caster = "passive" }\n[wheels]\n'

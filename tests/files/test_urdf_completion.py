@@ -133,7 +133,7 @@ def test_axles_along_x_tell_that_y_is_forward(axis, forward, tmp_path):
     file = written(tmp_path, parts)
     vehicle = read_vehicle(file)
     (note,) = [note for note in vehicle.notes if "guessed forward" in note]
-    assert f'override with forward = "{forward}"' in note
+    assert note.startswith(f"guessed forward along {forward}: signs of the wheels' axes")
     assert not any("opposite to the sign" in note for note in vehicle.notes)
     out = tmp_path / "full.toml"
     CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])

@@ -406,9 +406,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
         (
             'frame = "rep103"',
             'frame = "rep103"\nweight = 3',
-            "v.toml:3: weight: expected one of "
-            "name, frame, mass, center_of_mass, inertia, coordinates, joints, wheels, found the "
-            "unknown key",
+            "v.toml:3: weight: expected one of name, frame, mass, center_of_mass, inertia, couple, "
+            "coordinates, joints, wheels, found the unknown key",
         ),
     ],
 )
@@ -492,6 +491,42 @@ def test_a_ball_with_rollers_is_a_frictionless_caster(tmp_path):
         assert_allclose(run["heading"], run.t * 0.15 * (right - left) / 0.5, atol=1e-9)
         for slip in ("slip_along", "slip_across"):
             assert_allclose(run[slip], 0, atol=1e-12)
+
+
+ROCKERS = """\
+name = "rover"
+frame = "rep103"
+{}
+coordinates = [{{ name = "a", kind = "suspension" }}, {{ name = "b", kind = "suspension"{} }}]
+joints = [{{ name = "left", parent = "platform", axis = "y", at = [0, 0.3, 0], value = "a" }},
+    {{ name = "right", parent = "platform", axis = "y", at = [0, -0.3, 0], value = "{}" }}]
+wheels = [{{ name = "lf", parent = "left", at = [0.3, 0, 0], radius = 0.1, driven = true }},
+    {{ name = "lr", parent = "left", at = [-0.3, 0, 0], radius = 0.1 }},
+    {{ name = "rf", parent = "right", at = [0.3, 0, 0], radius = 0.1, driven = true }},
+    {{ name = "rr", parent = "right", at = [-0.3, 0, 0], radius = 0.1 }}]
+"""
+
+
+def test_coupled_joints_have_a_common_coordinate(tmp_path):
+    vehicle = read(tmp_path, ROCKERS.format("couple = { left = 1, right = 1 }", "", "b"))
+    assert [c.name for c in vehicle.coordinates] == ["a"]
+    assert [joint.value for joint in vehicle.joints] == ["a", "-a"]
+    geared = read(tmp_path, ROCKERS.format("couple = { right = 1, left = -2 }", "", "b"))
+    assert [joint.value for joint in geared.joints] == ["0.5*b", "b"]
+
+
+@pytest.mark.parametrize(
+    ("couple", "more", "value", "words"),
+    [
+        ("{ left = 1 }", "", "b", "couple: expected two joints with coefficients other than zero"),
+        ("{ left = 1, up = 1 }", "", "b", "found the unknown key 'up'"),
+        ("{ left = 1, right = 1 }", "", "b + a", "couple.left: expected a joint whose value is a"),
+        ("{ left = 1, right = 1 }", ", lower = -1", "b", "found lower in 'b'; move them to 'a'"),
+    ],
+)
+def test_wrong_couplings_are_named(couple, more, value, words, tmp_path):
+    found, _ = faults(tmp_path, ROCKERS.format(f"couple = {couple}", more, value))
+    assert any(words in each for each in found)
 
 
 @pytest.mark.parametrize("name", ["trike", "trailer"])

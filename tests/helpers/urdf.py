@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,62 @@ FOUR = "".join(
     for side, y in (("left", 0.15), ("right", -0.15))
 )
 TWO = wheel("left_wheel", "0 0.15 0") + wheel("right_wheel", "0 -0.15 0")
+
+
+def sphere(radius):
+    return f'<collision><geometry><sphere radius="{radius}"/></geometry></collision>'
+
+
+def wheels(
+    name, ends, *, track=0.4, radius=0.1, yaw=0.0, parent="base", kind="continuous", more=""
+):
+    """Return wheels at both sides of axles: ``name`` has the fields ``end`` and ``side``.
+
+    ``ends`` has the coordinate of each axle along the robot; the robot is turned by ``yaw`` in the
+    frame of its parent.
+    """
+    sin, cos = round(math.sin(yaw), 9), round(math.cos(yaw), 9)
+    parts = ""
+    for end, along in ends.items():
+        for side, y in (("left", track / 2), ("right", -track / 2)):
+            full = name.format(end=end, side=side, e=end[:1], s=side[0])
+            at = f"{along * cos - y * sin} {along * sin + y * cos} 0"
+            turned = f"0 0 {yaw}"
+            parts += link(f"{full}_link", ROUND.format(radius))
+            parts += joint(full, kind, parent, f"{full}_link", at, rpy=turned, more=more)
+    return parts
+
+
+def rocker_bogie(bogies=True, axes=("0 1 0", "0 1 0"), mounts=False):
+    """Return a rover without a differential: rockers, bogies and six wheels, or four wheels."""
+    parts = ""
+    for side, y, axis in (("left", 0.3, axes[0]), ("right", -0.3, axes[1])):
+        carrier, at = "base", f"0 {y} 0.1"
+        if mounts:
+            parts += link(f"{side}_mount") + joint(
+                f"{side}_mount_joint", "fixed", "base", f"{side}_mount", at
+            )
+            carrier, at = f"{side}_mount", "0 0 0"
+        limit = '<limit lower="-0.5" upper="0.5" effort="0" velocity="1"/>'
+        parts += link(f"{side}_rocker") + joint(
+            f"{side}_rocker_joint", "revolute", carrier, f"{side}_rocker", at, axis, more=limit
+        )
+        parts += wheel(f"{side}_front", "0.35 0 -0.2", parent=f"{side}_rocker")
+        if not bogies:
+            parts += wheel(f"{side}_rear", "-0.35 0 -0.2", parent=f"{side}_rocker")
+            continue
+        parts += link(f"{side}_bogie") + joint(
+            f"{side}_bogie_joint",
+            "revolute",
+            f"{side}_rocker",
+            f"{side}_bogie",
+            "-0.2 0 -0.1",
+            axis,
+            more=limit,
+        )
+        for end, x in (("mid", 0.15), ("rear", -0.15)):
+            parts += wheel(f"{side}_{end}", f"{x} 0 -0.1", parent=f"{side}_bogie")
+    return parts
 
 
 def written(folder: Path, parts: str, completion: str | None = None) -> Path:

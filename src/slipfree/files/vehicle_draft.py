@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,9 @@ MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
+Value = float | bool | str | Mapping[str, Any]  # of a key in a vehicle file
+
+
 class Guess(NamedTuple):
     """A guess of a property that a file does not contain; a vehicle file can override it.
 
@@ -36,37 +39,46 @@ class Guess(NamedTuple):
     table, name : str
         Table of the vehicle file, ``"wheels"`` or ``"joints"``, and the name of a joint; or an
         empty table and the name of a top-level key.
-    values : mapping of str to float, bool or str
+    values : mapping of str to float, bool, str or mapping
         Keys in the table of the joint, or the top-level key, and their guessed values.
     reason : str
         Guessed property, and the reason for the guessed values.
+    other : str
+        Line of the vehicle file, at its top level, that states the other choice.
     """
 
     table: str
     name: str
-    values: Mapping[str, float | bool | str]
+    values: Mapping[str, Value]
     reason: str
+    other: str
 
     @property
     def toml(self) -> str:
         """Line with the guessed values, to insert in the table of the guess or at the top level."""
-        words = {True: "true", False: "false"}
-        pairs = ", ".join(
-            f"{key} = "
-            + (words[v] if isinstance(v, bool) else f'"{v}"' if isinstance(v, str) else repr(v))
-            for key, v in self.values.items()
-        )
-        return f"{toml_key(self.name)} = {{ {pairs} }}" if self.table else pairs
-
-    @property
-    def override(self) -> str:
-        """Line with the guessed values, to insert in the vehicle file at the top level."""
-        return f"{self.table} = {{ {self.toml} }}" if self.table else self.toml
+        if self.table:
+            return f"{toml_key(self.name)} = {toml_value(self.values)}"
+        return ", ".join(f"{key} = {toml_value(value)}" for key, value in self.values.items())
 
 
 def toml_key(name: str) -> str:
     """Return a name as a key of TOML, quoted if necessary."""
     return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
+
+
+def toml_value(value: Value) -> str:
+    """Return a value as TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        pairs = ", ".join(f"{toml_key(key)} = {toml_value(each)}" for key, each in value.items())
+        return f"{{ {pairs} }}"
+    return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def toml_line(table: str, name: str, **values: Value) -> str:
+    """Return a line at the top level of a vehicle file that states keys of a joint in a table."""
+    return f"{table}.{toml_key(name)} = {toml_value(values)}"
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, fields, replace
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -264,6 +264,7 @@ class VehicleTable(Record):
     mass: NonNegative = 0.0
     center_of_mass: At = ORIGIN
     inertia: Inertia | None = None
+    couple: dict[str, float] = Field(default_factory=dict)
     coordinates: Annotated[tuple[CoordinateTable, ...], Field(strict=False)] = ()
     joints: Annotated[tuple[JointTable, ...], Field(strict=False)] = ()
     wheels: Annotated[
@@ -392,8 +393,11 @@ def read_toml(file: File) -> Draft:
         *_parent_errors(table),
         *_value_errors(table),
         *_dimension_errors(table),
+        *couple_errors(table.couple, [joint.name for joint in table.joints]),
     ]
+    faults += [] if faults else _differential_errors(table)
     parts, wrong = _build_draft(table)
+    parts = parts if faults else _coupled(parts, table.couple)
     draft = parts if table.frame == "paper" else from_rep103(parts)
     faults += wrong
     if len(draft.wheels) == len(table.wheels):
@@ -401,6 +405,48 @@ def read_toml(file: File) -> Draft:
     if faults:
         raise file.error(faults, draft)
     return draft
+
+
+def couple_errors(couple: Mapping[str, float], known: Sequence[str]) -> Iterator[Fault]:
+    """Yield the errors in the key ``couple``, whose names must be among ``known``."""
+    if couple and (len(couple) != 2 or not all(couple.values())):
+        found = ", ".join(f"{name} = {value:g}" for name, value in couple.items())
+        expected = "two joints with coefficients other than zero, as in { left = 1, right = 1 }"
+        yield Fault(("couple",), expected, f"{found}; correct it")
+    yield from name_errors(("couple",), couple, known)
+
+
+def _differential_errors(table: VehicleTable) -> Iterator[Fault]:
+    """Yield an error for each coupled joint that has no coordinate of its own."""
+    values = {joint.name: joint.value for joint in table.joints}
+    coordinates = {c.name: c for c in table.coordinates}
+    uses = [name for joint in table.joints for name in _names_in(joint.value)]
+    for name in table.couple:
+        if values[name] not in coordinates or uses.count(values[name]) > 1:
+            expected = "a joint whose value is a coordinate that no other joint uses"
+            yield Fault(("couple", name), expected, f"value = {values[name]!r}; correct the value")
+    for name in [*table.couple][1:]:
+        c = coordinates.get(values[name])
+        if c is not None and c.model_fields_set - {"name", "kind", "words"}:
+            keys = ", ".join(sorted(c.model_fields_set - {"name", "kind", "words"}))
+            expected = "the keys of the common coordinate in that of the first joint"
+            found = f"{keys} in {c.name!r}; move them to {values[next(iter(table.couple))]!r}"
+            yield Fault(("couple", name), expected, found)
+
+
+def _coupled(draft: Draft, couple: Mapping[str, float]) -> Draft:
+    """Return a draft in which the second of two coupled joints follows the first."""
+    if not couple:
+        return draft
+    (first, ahead), (second, behind) = couple.items()
+    values = {joint.name: joint.value for joint in draft.joints}
+    factor = -ahead / behind
+    value = f"-{values[first]}" if factor == -1 else f"{factor!r}*{values[first]}"
+    joints = tuple(
+        replace(joint, value=value) if joint.name == second else joint for joint in draft.joints
+    )
+    free = tuple(c for c in draft.coordinates if c.name != values[second])
+    return replace(draft, joints=joints, coordinates=free)
 
 
 def _counted(table: VehicleTable) -> str:

@@ -92,6 +92,18 @@ def direct_kinematics(
     return closure_dae(labels, z, q, slip_equations(slip, labels, q), following_forces(q))
 
 
+def check_driven(vehicle: Vehicle) -> None:
+    """Raise ModelError if a vehicle has no input, so that in kinematics nothing moves it."""
+    if vehicle.of("commanded") or any(wheel.driven for wheel in vehicle.wheels):
+        return
+    raise ModelError(
+        f"{vehicle.name!r}: expected a driven wheel or a commanded coordinate, without which "
+        "kinematics determines no motion, found none; set driven = true for some of the wheels "
+        f"{', '.join(wheel.name for wheel in vehicle.wheels)}, or use model = 'dynamics', in which "
+        "gravity moves the vehicle"
+    )
+
+
 def check_slip_law(vehicle: Vehicle, slip: SlipLaw) -> None:
     """Raise ModelError if ``slip`` is not a slip law, or cannot be used with the vehicle."""
     check_law(slip, SlipLaw, "slip: expected a slip law such as LeastSlip() or Rolling()")

@@ -10,7 +10,7 @@ from slipfree.dae import Dae
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.models.dynamics import dynamics
-from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_ground import at
@@ -65,6 +65,9 @@ def build_model(
         support the vehicle or the ground.
     """
     law = model_law(problem, spec)
+    if spec.model == "kinematics":
+        with at(problem, ("vehicle",)):
+            check_driven(vehicle)
     with at(problem, ("slip",) if spec.model == "kinematics" else ("model",)):
         if spec.model == "kinematics":
             return direct_kinematics(vehicle, terrain, slip=law)

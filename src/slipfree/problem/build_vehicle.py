@@ -19,7 +19,7 @@ from slipfree.files.toml.source_lines import Place
 from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.expansion import MAX_BYTES, expanded, is_trusted, trusted_paths
-from slipfree.files.urdf.guesses import forward_guess
+from slipfree.files.urdf.forward import forward_guess
 from slipfree.files.urdf.leftovers import check_macro_calls
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.other_formats import check_ending, is_description, parse_robot
@@ -38,6 +38,7 @@ from slipfree.files.vehicle_toml import (
     Tables,
     VehicleError,
     WheelInertia,
+    couple_errors,
     open_file,
     read_toml,
     validated,
@@ -85,7 +86,7 @@ class WheelTable(Record):
     radius: Length | None = None
     tube: NonNegative | None = None
     grip: Positive = 1.0
-    rollers: bool = False
+    rollers: bool | None = None
     mass: NonNegative | None = None
     inertia: WheelInertia | None = None
     static_depth: Length | None = None
@@ -118,6 +119,7 @@ class UrdfTable(Record):
     )
     wheels: dict[str, WheelTable] = Field(default_factory=dict)
     links: dict[str, LinkTable] = Field(default_factory=dict)
+    couple: dict[str, float] = Field(default_factory=dict)
 
     @property
     def roles(self) -> Roles:
@@ -136,7 +138,7 @@ class UrdfTable(Record):
         }
         wheels = {name: WheelRole(**dict(each)) for name, each in self.wheels.items()}
         links = {name: LinkRole(**dict(each)) for name, each in self.links.items()}
-        return Roles(joints, wheels, links, self.tube, self.radius, self.forward)
+        return Roles(joints, wheels, links, self.couple, self.tube, self.radius, self.forward)
 
 
 class VehicleFile(NamedTuple):
@@ -373,8 +375,9 @@ def _urdf(
             _check(table, tree, file)
             roles = table.roles
         draft = read_urdf(tree, roles)
-        forward = roles.forward or forward_guess(tree, roles)
-        return _Read(draft, Robot(completed(tree, roles), forward))
+        whole = completed(tree, roles)
+        forward = roles.forward or forward_guess(whole, roles.joints).direction
+        return _Read(draft, Robot(whole, forward))
     except UnfitError as error:
         raise VehicleError(*error.faults, draft=error.draft) from error
     except DataError as error:
@@ -391,6 +394,20 @@ def _check(table: UrdfTable, tree: Tree, file: File) -> None:
     faults += name_errors(("joints",), [n for n in table.joints if n not in new], [*tree.joints])
     faults += name_errors(("wheels",), table.wheels, [*tree.joints])
     faults += name_errors(("links",), table.links, [*tree.links])
+    faults += couple_errors(table.couple, [*tree.joints])
+    for index, name in enumerate(table.couple):
+        role, known = table.joints.get(name), tree.joints.get(name)
+        if role is None and known is not None and not known.moves:
+            expected = "a joint that moves, or one with a kind in 'joints'"
+            faults.append(
+                Fault(("couple", name), expected, "a joint of type 'fixed'; add its kind")
+            )
+        if index == 0:
+            continue
+        if role is not None and role.model_fields_set - {"kind", "axis"}:
+            expected = "the keys of the common coordinate at the first of the coupled joints"
+            found = ", ".join(sorted(role.model_fields_set - {"kind", "axis"}))
+            faults.append(Fault(("joints", name), expected, f"{found}; move them"))
     for name in set(table.joints) & set(table.wheels):
         place: Place = ("joints", name)
         faults.append(

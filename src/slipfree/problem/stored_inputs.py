@@ -89,7 +89,7 @@ def _relative(robot: Robot | None, folder: Path) -> Robot | None:
     if robot is None:
         return None
     file = os.path.relpath(robot.tree.file, folder)
-    return robot._replace(tree=robot.tree._replace(file=file))
+    return robot._replace(tree=replace(robot.tree, file=file))
 
 
 def _meshes(robot: Robot | None) -> dict[str, str]:
@@ -136,7 +136,7 @@ def restored_vehicle(file: Path, stored: StoredVehicle, folder: Path) -> Vehicle
         raise DataError(f"{file}: expected a valid stored vehicle, found: {error}") from error
     robot = stored.robot
     if robot is not None:
-        robot = robot._replace(tree=robot.tree._replace(file=str(folder / robot.tree.file)))
+        robot = robot._replace(tree=replace(robot.tree, file=str(folder / robot.tree.file)))
     return VehicleFile(vehicle, robot, stored.meshes)
 
 

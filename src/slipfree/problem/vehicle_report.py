@@ -15,13 +15,13 @@ from slipfree.errors import DataError, ModelError
 from slipfree.files.vehicle_draft import Draft
 from slipfree.files.vehicle_toml import VehicleError
 from slipfree.geometry.frame import AXES, unit_vector
-from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
 from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
 from slipfree.problem.summary import Facts
-from slipfree.records import leaves, unpack
+from slipfree.records import Array, leaves, unpack
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
 from slipfree.terrain.analytic import Analytic
@@ -87,6 +87,7 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
         return Description(_drawn(error.draft), _shares(error.draft), error.faults)
     dae = direct_kinematics(vehicle, Analytic(_level))
     try:
+        check_driven(vehicle)
         return _description(vehicle, dae, settle(dae))
     except ModelError as error:
         facts = [*counts(vehicle, dae), *_notes(vehicle)]
@@ -112,19 +113,24 @@ def _level(x: ca.SX, _: ca.SX) -> ca.SX:
 
 
 def tree(vehicle: Vehicle | Draft) -> list[str]:
-    """Return the lines of the tree of a vehicle's parts, indented below their parents."""
+    """Return the lines of the tree of a vehicle's parts, indented below their parents.
+
+    Axes are those with all coordinates at zero, in the vehicle's frame.
+    """
     kinds = {c.name: c for c in vehicle.coordinates}
     connected: list[Joint] = []
 
-    def below(part: str, indent: str) -> Iterator[str]:
+    def below(part: str, indent: str, rotation: Array) -> Iterator[str]:
         if len(indent) > 2 * MAX_TREE_DEPTH:
             yield f"{indent}..."
             return
         for joint in vehicle.joints:
             if joint.parent == part:
                 connected.append(joint)
-                yield f"{indent}{joint.name}: {_joint(joint, kinds)}"
-                yield from below(joint.name, indent + "  ")
+                turned = rotation @ _rotation(joint)
+                axis = turned @ unit_vector(joint.axis)
+                yield f"{indent}{joint.name}: {_joint(joint, axis, kinds)}"
+                yield from below(joint.name, indent + "  ", turned)
         for wheel in vehicle.wheels:
             if wheel.parent == part:
                 drive = "driven" if wheel.driven else "free"
@@ -135,21 +141,28 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
     body = vehicle.body
     at = ", ".join(f"{each:g}" for each in body.at)
     mass = f": {body.mass:g} kg, centre of mass at ({at}) m" if body.mass else ""
-    lines = [f"platform{mass}", *below("platform", "  ")]
+    lines = [f"platform{mass}", *below("platform", "  ", np.eye(3))]
     parts = {"platform", *(joint.name for joint in connected)}
     loose = [(j.name, j.parent) for j in vehicle.joints if j not in connected]
     loose += [(f"wheel {w.name}", w.parent) for w in vehicle.wheels if w.parent not in parts]
     return lines + [f"not connected to the platform: {name}, on {parent}" for name, parent in loose]
 
 
-def _joint(joint: Joint, kinds: dict[str, Coordinate]) -> str:
-    """Return the description of a joint: motion, axis and coordinates."""
+def _rotation(joint: Joint) -> Array:
+    """Return the rotation matrix of a part in its parent's frame, with all coordinates at zero."""
+    pose = joint.pose(dict.fromkeys(joint.coordinates, ca.SX(0)))
+    return np.array(ca.evalf(pose.rotation))
+
+
+def _joint(joint: Joint, vector: Array, kinds: dict[str, Coordinate]) -> str:
+    """Return the description of a joint: motion, axis in the vehicle's frame, and coordinates."""
     moved = {name: _kind(kinds.get(name)) for name in sorted(joint.coordinates)}
     if not moved:
         return "rigid" if joint.value in ("0", "0.0") else f"fixed at {joint.value}"
-    vector = unit_vector(joint.axis)
     names = AXES | {f"-{n}": (-x, -y, -z) for n, (x, y, z) in AXES.items()}
-    axis = next((name for name, each in names.items() if each == vector), None)
+    axis = next(
+        (name for name, each in names.items() if np.allclose(each, vector, atol=1e-6)), None
+    )
     along = axis or f"({', '.join(f'{each:.3g}' for each in vector)})"
     does = "turns about" if joint.motion == "turn" else "slides along"
     if joint.value in moved:

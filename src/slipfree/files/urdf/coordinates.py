@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from slipfree.files.urdf.guesses import joint_guess
+from slipfree.files.urdf.kinds import NO_WHEEL, KindGuess
 from slipfree.files.urdf.roles import JointRole, Roles
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import (
@@ -18,6 +18,7 @@ from slipfree.files.vehicle_draft import (
     is_symbol,
     length_words,
     toml_key,
+    toml_line,
 )
 from slipfree.vehicle.tree import Coordinate
 
@@ -33,6 +34,8 @@ class Coordinates:
         Information that completes the URDF.
     wheels : sequence of UrdfJoint
         Joints that carry wheels.
+    kinds : mapping of str to KindGuess
+        Probable kinds of joints without a role.
     findings : Findings
         Collection to which errors, notes and guesses are added.
 
@@ -43,9 +46,14 @@ class Coordinates:
     """
 
     def __init__(
-        self, tree: Tree, roles: Roles, wheels: Sequence[UrdfJoint], findings: Findings
+        self,
+        tree: Tree,
+        roles: Roles,
+        wheels: Sequence[UrdfJoint],
+        kinds: Mapping[str, KindGuess],
+        findings: Findings,
     ) -> None:
-        self._tree, self._roles = tree, roles
+        self._tree, self._roles, self._kinds = tree, roles, kinds
         self._wheels, self._findings = frozenset(wheel.name for wheel in wheels), findings
         self.found: dict[str, Coordinate] = {}
 
@@ -61,8 +69,9 @@ class Coordinates:
         leader, multiplier, offset = self._leader(joint)
         role = self._roles.joints.get(leader.name)
         if role is None and leader.moves and leader.lower == leader.upper:
-            fixed = {"kind": "fixed"}
-            self._findings.guess("joints", leader.name, fixed, "fixed: its limits are equal")
+            values, reason = {"kind": "fixed"}, "fixed: its limits are equal"
+            other = toml_line("joints", leader.name, kind="commanded", lower=-1.5, upper=1.5)
+            self._findings.guess("joints", leader.name, values, reason, other)
             return repr(offset + multiplier * leader.lower)
         if role is None and leader.moves and leader.name not in self._tree.actuated:
             role = self._guessed_role(leader)
@@ -103,13 +112,12 @@ class Coordinates:
 
     def _guessed_role(self, joint: UrdfJoint) -> JointRole:
         """Return the probable role of a joint that has none and no actuator."""
-        taken = sum(c.kind == "suspension" for c in self.found.values())
-        known = self._symbol(joint.name) in self.found
-        most = len(self._wheels) - 3 - taken + known
-        kind, reason = joint_guess(self._tree, joint, self._wheels, most)
-        word = kind or "fixed"
-        self._findings.guess("joints", joint.name, {"kind": word}, f"{word}: {reason}")
-        return JointRole(kind or "fixed")
+        guess = self._kinds.get(joint.name, NO_WHEEL)
+        word = guess.kind or "fixed"
+        other = toml_line("joints", joint.name, kind=guess.other)
+        reason = f"{word}: {guess.reason}"
+        self._findings.guess("joints", joint.name, {"kind": word}, reason, other)
+        return JointRole(word)
 
     def _coordinate(self, joint: UrdfJoint, given: JointRole | None) -> str:
         """Return the name of a joint's coordinate; create the coordinate if it is new."""

@@ -33,7 +33,7 @@ from slipfree.geometry.tensor import Elements, in_axes, tensor
 from slipfree.vehicle.wheel import ORIGIN
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
-FREE = ("floating", "planar")
+DUMMY_MASS = 0.01  # largest mass of links that only place the robot, in masses of the robot
 MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 UNIT_SCALE = (1.0, 1.0, 1.0)
@@ -78,16 +78,39 @@ def read_tree(
     root = _root(links, joints, faults) if not faults.found else ""
     if faults.found:
         faults.stop()
-    first = [joint for joint in joints.values() if joint.parent == root]
-    if [joint.type in FREE for joint in first] == [True] and not links[root].mass:
-        root = first[0].child  # the link above is the world
-        del links[first[0].parent], joints[first[0].name]
+    world = _world(links, joints, root)
+    for joint in world:
+        root = joint.child
+        del links[joint.parent], joints[joint.name]
     hung, _ = in_order({j.child: j.parent for j in joints.values()}, root)
     by_child = {joint.child: joint for joint in joints.values()}
     ordered = {by_child[child].name: by_child[child] for child in hung}
     name = robot.attributes.get("name", "robot")
+    if world:
+        moving = ", ".join(joint.name for joint in world)
+        notes = (*notes, f"omitted, since they move the robot as a whole: {moving}")
     actuated, unknown = frozenset(_actuated(robot)), unknown_elements(robot)
     return Tree(file, name, root, links, ordered, actuated, omitted, notes, unknown)
+
+
+def _world(links: dict[str, Link], joints: dict[str, UrdfJoint], root: str) -> list[UrdfJoint]:
+    """Return the joints that move the whole robot, as a simulator's x-y-yaw base, root first.
+
+    Above the last of them are only links with one joint each, without a shape and almost without
+    mass.
+    """
+    chain: list[UrdfJoint] = []
+    most = DUMMY_MASS * sum(link.mass or 0.0 for link in links.values())
+    while True:
+        link = links[chain[-1].child if chain else root]
+        below = [joint for joint in joints.values() if joint.parent == link.name]
+        is_dummy = not (link.shapes or link.meshes or link.boxes or (link.mass or 0.0) > most)
+        if len(below) != 1 or not is_dummy:
+            break
+        chain += below
+    while chain and not chain[-1].moves:
+        chain.pop()
+    return chain
 
 
 def _check_names(robot: Element, tag: str, faults: Faults) -> None:
@@ -222,6 +245,8 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
                 'write <axis xyz="0 1 0"/> for an axis to the left',
             )
     lower, upper = _limits(element, kind, faults, who)
+    if kind == "revolute" and math.isinf(lower) and math.isinf(upper):
+        kind = "continuous"
     max_rate = _max_rate(element, faults, who)
     mimic = element.first("mimic")
     follows = (

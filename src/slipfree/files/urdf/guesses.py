@@ -1,26 +1,34 @@
-"""Guesses that complete a URDF: wheels without a round shape, casters, kinds of joints."""
+"""Guessed wheels of a URDF: from names, shapes, rollers, and the opposite wheel."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.files.urdf.frames import STEEP, fixed_to_turning, is_last, is_level, link_frames
-from slipfree.files.urdf.roles import Roles
-from slipfree.files.urdf.tree import Box, Tree, UrdfJoint
+from slipfree.files.urdf.casters import CASTER, caster_wheels, casters
+from slipfree.files.urdf.frames import (
+    WHEEL,
+    fixed_to_wheels,
+    is_last,
+    is_level,
+    mirror_image,
+    steered,
+)
+from slipfree.files.urdf.meshes import angles_to
+from slipfree.files.urdf.roles import Roles, WheelRole
+from slipfree.files.urdf.tree import Link, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.geometry.frame import unit_vector
-from slipfree.records import Array
-from slipfree.vehicle.tree import Kind
+from slipfree.vehicle.wheel import ORIGIN
 
-WHEEL = re.compile("wheel|tire|tyre", re.IGNORECASE)
-CASTER = re.compile("cast[eo]r", re.IGNORECASE)
 FOOTPRINT = re.compile("footprint", re.IGNORECASE)  # link on the ground, by REP 120
-BALL = "a caster on a fixed joint slides freely as a ball"
-ALONG = 0.9  # if the components of all axles along x are at least this large, y or -y is forward
+FULL_TURN = 6.2  # least range of joints whose limits are those of a careless export [rad]
+PARALLEL = 0.9  # least cosine of the angle between parallel axles
+MIN_ROLLERS = 3  # wheels with rollers have more of them
 
 
 class WheelGuess(NamedTuple):
@@ -28,119 +36,177 @@ class WheelGuess(NamedTuple):
 
     Attributes
     ----------
-    radius : float or None
-        Rolling radius; None for that of the shape in the URDF. [m]
-    is_ball : bool
-        Whether the wheel slides freely in all directions, as a caster on a fixed joint does.
+    role : WheelRole
+        Its guessed properties.
     reason : str
         Reason for the guess.
     """
 
-    radius: float | None
-    is_ball: bool
+    role: WheelRole
     reason: str
 
 
+def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
+    """Return a URDF in which the rollers of wheels are fixed, and these wheels by joint.
+
+    Rollers turn about axes around that of the wheel. If these axes are across the axle, the wheel
+    slides freely along it.
+    """
+    joints, links, found = dict(tree.joints), dict(tree.links), {}
+    for joint in tree.joints.values():
+        below = tree.below(joint.child)
+        rollers = [each for each in below if each.type == "continuous"]
+        if joint.type != "continuous" or len(rollers) <= MIN_ROLLERS or not is_level(tree, joint):
+            continue
+        axis = np.asarray(unit_vector(joint.axis))
+        far = [np.linalg.norm(np.cross(each.at, axis)) for each in rollers]
+        if not all(each.parent == joint.child for each in rollers) or np.ptp(far) > far[0] / 10:
+            continue
+        joints |= {each.name: each._replace(type="fixed") for each in below}
+        along = [abs(rotation_of(each.turned) @ unit_vector(each.axis) @ axis) for each in rollers]
+        free = max(along) < 0.5
+        size = max((shape.radius for shape in links[rollers[0].child].shapes), default=0.0)
+        link = links[joint.child]
+        if not link.shapes:
+            x, y, z = angles_to(axis)
+            shape = Shape("cylinder", float(far[0]) + size, ORIGIN, (x, y, z))
+            links[joint.child] = link._replace(shapes=(shape,))
+        words = "it slides along its axle on rollers"
+        reason = words if free else "it does not slide along its rollers, which are oblique"
+        found[joint.name] = WheelGuess(WheelRole(rollers=free), reason)
+    return replace(tree, joints=joints, links=links), found
+
+
 def wheel_guesses(
-    tree: Tree, joints: Sequence[UrdfJoint], radius: float | None
-) -> dict[str, WheelGuess]:
-    """Return the wheels that joints probably carry, by name of the joint.
-
-    A name such as "wheel" or "caster" counts only together with a shape, a height or a radius, and
-    only if no joint moves below. All wheels with a radius from the height have that of the lowest
-    one.
+    tree: Tree, wheels: Sequence[UrdfJoint], unread: Collection[str], roles: Roles
+) -> Iterator[tuple[str, WheelGuess]]:
+    """Yield the wheels that joints probably carry, with the name of the joint.
 
     Parameters
     ----------
     tree : Tree
-        The URDF.
-    joints : sequence of UrdfJoint
-        Joints whose links are not known to be wheels.
-    radius : float or None
-        Rolling radius of wheels whose link has no round shape; None if unknown. [m]
+        The URDF, facing forward along x.
+    wheels : sequence of UrdfJoint
+        Joints whose links are wheels by their shape.
+    unread : collection of str
+        Names of joints whose meshes cannot be read.
+    roles : Roles
+        Information that completes the URDF.
     """
-    frames, on_hubs = link_frames(tree), fixed_to_turning(tree)
+    found = dict(_named_wheels(tree, wheels, roles))
+    rolling = [*wheels, *(tree.joints[name] for name in found if tree.joints[name].moves)]
+    for caster in casters(tree, rolling, roles.joints):
+        found = {name: guess for name, guess in found.items() if name not in caster.parts}
+        radius = caster.radius
+        role = WheelRole(False, radius, radius, rollers=True)
+        reason = f"a caster slides freely as a ball; {caster.reason}"
+        if not caster.is_ball:
+            role, reason = WheelRole(radius=radius), "it trails the axis of a caster"
+        found[caster.joint] = WheelGuess(role, reason)
+    yield from found.items()  # a counterpart gives the radius of a wheel without a shape
+    bare = {
+        n for n in found if not (found[n].role.radius or tree.links[tree.joints[n].child].shapes)
+    }
+    found = {name: guess for name, guess in found.items() if name not in bare}
+    yield from _counterparts(tree, wheels, found, {*unread, *roles.joints})
+
+
+def _named_wheels(
+    tree: Tree, wheels: Sequence[UrdfJoint], roles: Roles
+) -> Iterator[tuple[str, WheelGuess]]:
+    """Yield the wheels that names, such as "wheel", or a given radius of meshes suggest.
+
+    All wheels with a radius from the height have that of the lowest one.
+    """
+    frames, on_wheels = tree.frames, fixed_to_wheels(tree)
     grounds = [frames[each][1][2] for each in tree.links if FOOTPRINT.search(each)]
-    found: dict[str, WheelGuess] = {}
     heights: dict[str, float] = {}
-    for joint in joints:
-        link, name = tree.links[joint.child], f"{joint.name} {joint.child}"
-        rotation, origin = frames[joint.child]
-        if joint.type not in ("fixed", "continuous") or not is_last(tree, joint):
+    for joint in tree.joints.values():
+        link, named = tree.links[joint.child], WHEEL.search(f"{joint.name} {joint.child}")
+        known = joint in wheels or joint.name in {*roles.joints, *on_wheels}
+        if known or joint.type == "prismatic" or not is_last(tree, joint):
             continue
-        if joint.name in on_hubs:
+        if joint.moves and not is_level(tree, joint):
             continue
-        if not joint.moves and CASTER.search(name):
-            depth = max((_depth(box, rotation) for box in link.boxes), default=0.0)
-            if link.shapes:
-                found[joint.name] = WheelGuess(None, True, f"{BALL}, with the radius of its shape")
-            elif depth > 0:
-                reason = f"{BALL}, with the radius to its lowest point"
-                found[joint.name] = WheelGuess(depth, True, reason)
-        elif joint.moves and (abs(float((rotation @ unit_vector(joint.axis))[2])) > STEEP):
+        if CASTER.search(f"{joint.name} {joint.child}") and _is_ball(link):
             continue
-        elif joint.moves and radius and link.meshes and not link.shapes:
-            found[joint.name] = WheelGuess(radius, False, "a mesh, with the given radius")
-        elif WHEEL.search(name) and link.shapes:
-            found[joint.name] = WheelGuess(None, False, "its name and a round shape")
-        elif WHEEL.search(name) and link.meshes and grounds and origin[2] > grounds[0]:
-            heights[joint.name] = float(origin[2] - grounds[0])
-    lowest = min(heights.values(), default=0.0)
+        turns = joint.type == "revolute" and joint.upper - joint.lower >= FULL_TURN and link.shapes
+        height = float(frames[joint.child][1][2] - grounds[0]) if grounds else 0.0
+        if joint.type == "continuous" and roles.radius and link.meshes and not link.shapes:
+            yield joint.name, WheelGuess(WheelRole(radius=roles.radius), "a mesh, its given radius")
+        elif turns:
+            reason = "a round shape and a full turn, in spite of its limits"
+            yield joint.name, WheelGuess(WheelRole(), reason)
+        elif named and link.shapes:
+            limits = "" if joint.type != "revolute" else ", in spite of its limits"
+            yield joint.name, WheelGuess(WheelRole(), f"its name and a round shape{limits}")
+        elif named and link.meshes and height > 0:
+            heights[joint.name] = height
+        elif named and joint.moves and not link.meshes:
+            yield joint.name, WheelGuess(WheelRole(), "its name")
     reason = "its name, without a round shape; radius from the least height above the footprint"
-    return found | {name: WheelGuess(lowest, False, reason) for name in heights}
+    for name in heights:
+        yield name, WheelGuess(WheelRole(radius=min(heights.values())), reason)
 
 
-def _depth(box: Box, rotation: Array) -> float:
-    """Return the depth of the lowest point of a box below the origin of its link [m]."""
-    half = np.abs((rotation @ rotation_of(box.turned))[2]) @ np.asarray(box.size) / 2
-    return float(half - rotation[2] @ np.asarray(box.at))
+def _is_ball(link: Link) -> bool:
+    return {shape.kind for shape in link.shapes} == {"sphere"}
 
 
-def joint_guess(
-    tree: Tree, joint: UrdfJoint, wheels: frozenset[str], most: int
-) -> tuple[Kind | None, str]:
-    """Return the probable kind of a joint without a role, None for fixed, and the reason.
+def _counterparts(
+    tree: Tree,
+    wheels: Sequence[UrdfJoint],
+    guesses: Mapping[str, WheelGuess],
+    excluded: Collection[str],
+) -> Iterator[tuple[str, WheelGuess]]:
+    """Yield the wheels opposite to a wheel that has no opposite wheel."""
+    everything = [*wheels, *(tree.joints[name] for name in guesses)]
+    known = {*excluded, *fixed_to_wheels(tree), *(wheel.name for wheel in everything)}
+    ends = [j for j in tree.joints.values() if is_last(tree, j) and j.name not in known]
+    for wheel in everything:
+        other = mirror_image(tree, wheel, ends)
+        if other is not None and mirror_image(tree, wheel, everything) is None:
+            reason = f"its counterpart on the other side, {wheel.name}, is one"
+            radii = [shape.radius for shape in tree.links[wheel.child].shapes]
+            role = WheelRole(radius=max(radii, default=None))
+            guess = guesses.get(wheel.name)
+            yield other.name, WheelGuess(guess.role if guess and not radii else role, reason)
 
-    Parameters
-    ----------
-    tree : Tree
-        The URDF.
-    joint : UrdfJoint
-        The joint.
-    wheels : frozenset of str
-        Names of the joints that carry wheels.
-    most : int
-        Number of suspension coordinates that the vehicle can have in addition to the existing ones.
+
+def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, WheelGuess]]:
+    """Yield the wheels that nothing steers and that must slide along their axles.
+
+    They are all wheels with axles that are not parallel, and those of casters without a swivel.
     """
-    carried = [each for each in tree.below(joint.child) if each.name in wheels]
-    if not carried:
-        return None, "it carries no wheel"
-    if not is_level(tree, joint):
-        if CASTER.search(f"{joint.name} {joint.child}"):
-            return "passive", "a caster swivels"
-        return "commanded", "a steep axis above a wheel steers it"
-    if most > 0:
-        return "suspension", "a level axis above wheels follows the ground"
-    return None, "with so few wheels, a level axis above them cannot follow the ground"
-
-
-def forward_guess(tree: Tree, roles: Roles) -> str:
-    """Return the axis of the root link that probably points forward: ``"x"``, ``"y"`` or ``"-y"``.
-
-    It is ``"y"`` or ``"-y"`` if the axles of all wheels but casters are along x. Then the wheels
-    roll forward for positive rates of most joints.
-    """
-    frames = link_frames(tree)
-    axles = [
-        float((frames[joint.child][0] @ unit_vector(joint.axis))[0])
-        for joint in tree.joints.values()
-        if joint.type == "continuous"
-        and joint.name not in roles.joints
-        and is_last(tree, joint)
-        and (tree.links[joint.child].shapes or tree.links[joint.child].meshes)
-        and not CASTER.search(f"{joint.name} {joint.child}")
-        and is_level(tree, joint)
+    casters = caster_wheels(tree, wheels)
+    turned = steered(tree)
+    rolling = [
+        wheel
+        for wheel in wheels
+        if wheel.type == "continuous" and is_level(tree, wheel) and wheel.name not in turned
     ]
-    if not axles or min(map(abs, axles)) < ALONG:
-        return "x"
-    return "-y" if sum(axles) > 0 else "y"
+    for wheel in rolling:
+        if wheel.name in casters:
+            reason = "a caster without a swivel slides freely along its axle"
+            yield wheel.name, WheelGuess(WheelRole(False, rollers=True), reason)
+    rest = [wheel for wheel in rolling if wheel.name not in casters]
+    axles = [tree.frames[wheel.child][0] @ unit_vector(wheel.axis) for wheel in rest]
+    if any(abs(axle @ axles[0]) < PARALLEL for axle in axles):
+        for wheel in rest:
+            reason = "with rollers, since the axles are not parallel"
+            yield wheel.name, WheelGuess(WheelRole(rollers=True), reason)
+
+
+def unused_wheel_names(
+    tree: Tree, wheels: Sequence[UrdfJoint], known: Collection[str]
+) -> list[str]:
+    """Return the names of last joints with "wheel" in a name that belong to no wheel."""
+    on_wheels = {below.name for wheel in wheels for below in [wheel, *tree.below(wheel.child)]}
+    return [
+        joint.name
+        for joint in tree.joints.values()
+        if WHEEL.search(f"{joint.name} {joint.child}")
+        and joint.name not in {*known, *on_wheels}
+        and is_last(tree, joint)
+        and on_wheels.isdisjoint(below.name for below in tree.below(joint.child))
+    ]

@@ -68,7 +68,7 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | Non
     tread = distance > radius / 2
     middle, tube = _tread(along[tread], distance[tread])
     x, y, z = (middle * axis).tolist()
-    return Shape("mesh", radius, (x, y, z), _angles_to(axis), tube)
+    return Shape("mesh", radius, (x, y, z), angles_to(axis), tube)
 
 
 def load_mesh(mesh: Mesh, folder: Path) -> Triangles:
@@ -183,7 +183,7 @@ def _is_below(
     return (a1 - a0) * (d2 - d0) - (d1 - d0) * (a2 - a0) >= 0
 
 
-def _angles_to(axis: Array) -> tuple[float, float, float]:
+def angles_to(axis: Array) -> tuple[float, float, float]:
     """Return roll, pitch and yaw of a frame whose z axis is a unit vector [rad]."""
     x, y, z = axis.tolist()
     return float(np.arctan2(-y, np.hypot(x, z))), float(np.arctan2(x, z)), 0.0

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 from slipfree.files.urdf.coordinates import Coordinates
-from slipfree.files.urdf.frames import facing_forward
-from slipfree.files.urdf.guesses import forward_guess
+from slipfree.files.urdf.forward import forward_guess
+from slipfree.files.urdf.frames import facing_forward, is_last
+from slipfree.files.urdf.kinds import Joints, coupled
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, Roles, completed
 from slipfree.files.urdf.tree import Findings, Tree, UrdfJoint
 from slipfree.files.urdf.wheels import Wheels
-from slipfree.files.vehicle_draft import Draft, UnfitError, from_rep103, misfits
+from slipfree.files.vehicle_draft import (
+    Draft,
+    UnfitError,
+    from_rep103,
+    misfits,
+    toml_line,
+    toml_value,
+)
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.vehicle.tree import Body, Joint
+
+MIN_WHEELS = 3
+MAX_NAMES = 12  # more joints are not listed
 
 
 def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
@@ -42,31 +54,46 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     draft = from_rep103(_draft(tree, roles, findings))
     if findings.faults.found:
         raise UnfitError(findings.faults.lines, draft)
-    wrong = [f"{tree.file}:1: expected {e}, found {f}" for e, f in misfits(draft)]
+    remedy = _wheel_words(tree, draft) if len(draft.wheels) < MIN_WHEELS else ""
+    wrong = [f"{tree.file}:1: expected {e}, found {f}{remedy}" for e, f in misfits(draft)]
     wrong += [f"{tree.file}:{each}" for each in tree.unknown if wrong]
     if wrong:
         raise UnfitError(wrong, draft)
     return draft
 
 
+def _wheel_words(tree: Tree, draft: Draft) -> str:
+    """Return how to declare wheels, with the names of the last joints that carry none."""
+    known = [wheel.name for wheel in draft.wheels]
+    ends = [j.name for j in tree.joints.values() if is_last(tree, j) and j.name not in known]
+    names = ", ".join(ends[:MAX_NAMES]) + (", ..." if len(ends) > MAX_NAMES else "")
+    if not ends:
+        return ""
+    return (
+        f" in a vehicle file with urdf = {toml_value(Path(tree.file).name)}, such as "
+        f"{toml_line('wheels', ends[0], radius=0.1)}; joints without a wheel: {names}"
+    )
+
+
 def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
     """Return the draft of the vehicle of a URDF, in axes x forward, y left."""
-    tree = completed(file, roles)
-    forward = roles.forward or forward_guess(tree, roles)
-    if forward != (roles.forward or "x"):
-        reason = f"forward along {forward}: the axles of the wheels point along x"
-        findings.guess("", "forward", {"forward": forward}, reason)
+    tree = coupled(completed(file, roles), roles.couple)
+    forward = roles.forward or _forward(tree, roles, findings)
     wheels = Wheels(facing_forward(tree, forward), roles, findings)
     tree = wheels.tree
-    for name in wheels.gears:
-        reason = "no wheel but fixed: its shape ends far above the lowest wheel"
-        findings.guess("joints", name, {"kind": "fixed"}, reason)
+    for name, (table, values, reason) in wheels.gears.items():
+        if tree.joints[name].moves:
+            other = toml_line(table, name, **values)
+            findings.guess("joints", name, {"kind": "fixed"}, reason, other)
     fixed = dict.fromkeys(wheels.gears, JointRole("fixed"))
     roles = replace(roles, joints={**roles.joints, **fixed})
+    tree, roles = _with_differential(wheels, roles, findings)
+    wheels.tree = tree
     _check_axes(tree, roles, findings)
     kept = _used_joints(wheels, findings)
     part_of = {tree.root: "platform"} | {joint.child: joint.name for joint in kept}
-    coordinates = Coordinates(tree, roles, wheels.joints, findings)
+    kinds = Joints(tree, wheels.joints, wheels.balls, roles).kinds()
+    coordinates = Coordinates(tree, roles, wheels.joints, kinds, findings)
     joints = tuple(
         Joint(
             joint.name,
@@ -92,6 +119,45 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
         tuple(findings.notes),
         tuple(findings.guesses),
     )
+
+
+def _forward(tree: Tree, roles: Roles, findings: Findings) -> str:
+    """Return the guessed forward axis; add an error if the evidence does not determine it."""
+    guess = forward_guess(tree, roles.joints)
+    if guess.is_open:
+        findings.faults.add(
+            1,
+            "expected names or axles that determine the forward direction, found that "
+            f'{guess.reason}; write forward = "{guess.direction}" or forward = "{guess.other}", '
+            "the axis of the root link that points forward, in a vehicle file with urdf = "
+            f'"{Path(tree.file).name}"',
+        )
+    elif guess.reason:
+        reason = f"forward along {guess.direction}: {guess.reason}"
+        other = f'forward = "{guess.other}"'
+        findings.guess("", "forward", {"forward": guess.direction}, reason, other)
+    return guess.direction
+
+
+def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tuple[Tree, Roles]:
+    """Return a URDF whose opposite rockers have a differential, and the roles of other joints.
+
+    A declared differential takes precedence.
+    """
+    tree, couple = wheels.tree, dict(roles.couple)
+    found = None if couple else Joints(tree, wheels.joints, wheels.balls, roles).differential()
+    if found is not None:
+        follower, mimic = found
+        couple = {mimic.joint: 1.0, follower: -mimic.multiplier}
+        tree = coupled(tree, couple)
+        reason = (
+            f"a differential between {mimic.joint} and {follower}, since without one nothing "
+            "determines the pitch"
+        )
+        other = f"joints = {toml_value(dict.fromkeys(couple, 'fixed'))}"
+        findings.guess("", "couple", {"couple": couple}, reason, other)
+    independent = {name: role for name, role in roles.joints.items() if name not in [*couple][1:]}
+    return tree, replace(roles, joints=independent)
 
 
 def _check_axes(tree: Tree, roles: Roles, findings: Findings) -> None:
@@ -169,7 +235,7 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
     for reason in dict.fromkeys(guess.reason for guess in findings.guesses):
         alike = [guess for guess in findings.guesses if guess.reason == reason]
         names = ": " + ", ".join(guess.name for guess in alike) if alike[0].table else ""
-        notes.append(f"guessed {reason}{names}; override with {alike[0].override}")
+        notes.append(f"guessed {reason}{names}; otherwise write {alike[0].other}")
     wheels.add_notes()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -60,8 +60,8 @@ class WheelRole:
         Tube radius; None for that of a sphere or a rounded mesh in the URDF, or ``Roles.tube``. [m]
     grip : float
         Factor that multiplies the ground's coefficient of friction. [1]
-    rollers : bool
-        Whether the wheel has rollers (omnidirectional wheel).
+    rollers : bool or None
+        Whether the wheel has rollers (omnidirectional wheel); None for a guess.
     mass : float or None
         Mass; None for that of the URDF. [kg]
     inertia : tuple of 2 floats or None
@@ -77,7 +77,7 @@ class WheelRole:
     radius: float | None = None
     tube: float | None = None
     grip: float = 1.0
-    rollers: bool = False
+    rollers: bool | None = None
     mass: float | None = None
     inertia: tuple[float, float] | None = None
     static_depth: float | None = None
@@ -117,6 +117,9 @@ class Roles:
         no suitable shape.
     links : mapping of str to LinkRole
         Mass properties of links by name.
+    couple : mapping of str to float
+        Coefficients of the values of two joints, as of a differential: their sum with these
+        coefficients is zero. Empty for none.
     tube : float
         Tube radius of wheels whose shape is neither a sphere nor a rounded mesh. [m]
     radius : float or None
@@ -128,6 +131,7 @@ class Roles:
     joints: Mapping[str, JointRole] = field(default_factory=dict)
     wheels: Mapping[str, WheelRole] = field(default_factory=dict)
     links: Mapping[str, LinkRole] = field(default_factory=dict)
+    couple: Mapping[str, float] = field(default_factory=dict)
     tube: float = 0.0
     radius: float | None = None
     forward: str | None = None
@@ -156,7 +160,7 @@ def completed(tree: Tree, roles: Roles) -> Tree:
         name: _weighed(link, roles.links[name]) if name in roles.links else link
         for name, link in tree.links.items()
     }
-    return tree._replace(joints=joints, links=links)
+    return replace(tree, joints=joints, links=links)
 
 
 def _with_joint(tree: Tree, name: str, role: JointRole) -> Tree:
@@ -183,7 +187,7 @@ def _with_joint(tree: Tree, name: str, role: JointRole) -> Tree:
             x, y, z = (np.asarray(joint.at) - role.at).tolist()
             joint = joint._replace(parent=name, at=(x, y, z))
         joints[joint.name] = joint
-    return tree._replace(links=tree.links | {name: Link(name, None, ORIGIN)}, joints=joints)
+    return replace(tree, links=tree.links | {name: Link(name, None, ORIGIN)}, joints=joints)
 
 
 def _with_role(joint: UrdfJoint, roles: Roles) -> UrdfJoint:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple, NoReturn
 
-from slipfree.files.vehicle_draft import Guess, UnfitError
+import numpy as np
+
+from slipfree.files.vehicle_draft import Guess, UnfitError, Value, rotation_of
 from slipfree.geometry.frame import Vector
 from slipfree.geometry.tensor import Elements
+from slipfree.records import Array
 
 
 class Shape(NamedTuple):
@@ -162,7 +167,8 @@ class UrdfJoint(NamedTuple):
         return self.type != "fixed"
 
 
-class Tree(NamedTuple):
+@dataclass(frozen=True)
+class Tree:
     """Links and joints of a URDF.
 
     Attributes
@@ -192,6 +198,18 @@ class Tree(NamedTuple):
     omitted: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
+
+    @cached_property
+    def frames(self) -> dict[str, tuple[Array, Array]]:
+        """Rotation and origin [m] of each link in the root's frame, with all joints at zero."""
+        frames = {self.root: (np.eye(3), np.zeros(3))}
+        for joint in self.joints.values():
+            rotation, origin = frames[joint.parent]
+            frames[joint.child] = (
+                rotation @ rotation_of(joint.turned),
+                origin + rotation @ np.asarray(joint.at),
+            )
+        return frames
 
     def below(self, link: str) -> list[UrdfJoint]:
         """Return all joints below a link: its joints, those of their child links, and so on."""
@@ -245,9 +263,9 @@ class Findings:
         self.guesses: list[Guess] = []
 
     def guess(
-        self, table: str, name: str, values: Mapping[str, float | bool | str], reason: str
+        self, table: str, name: str, values: Mapping[str, Value], reason: str, other: str
     ) -> None:
         """Record a guess unless it is recorded already."""
-        guess = Guess(table, name, values, reason)
+        guess = Guess(table, name, values, reason, other)
         if guess not in self.guesses:
             self.guesses.append(guess)

@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.files.urdf.frames import fixed_to_turning, is_last, is_level, link_frames
-from slipfree.files.urdf.guesses import CASTER, WHEEL, wheel_guesses
+from slipfree.files.urdf.casters import CASTER, caster_wheels
+from slipfree.files.urdf.frames import (
+    STEEP,
+    WHEEL,
+    fixed_to_wheels,
+    is_last,
+    is_level,
+    lowest,
+)
+from slipfree.files.urdf.guesses import (
+    WheelGuess,
+    sliding_wheels,
+    unused_wheel_names,
+    wheel_guesses,
+    with_fixed_rollers,
+)
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import mesh_shape
 from slipfree.files.urdf.roles import Roles, WheelRole
 from slipfree.files.urdf.tree import Findings, Mesh, Shape, Tree, UrdfJoint
-from slipfree.files.vehicle_draft import angles_of, rotation_of, toml_key
+from slipfree.files.vehicle_draft import Value, angles_of, rotation_of, toml_key, toml_line
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import tensor
 from slipfree.records import Array
@@ -25,6 +41,7 @@ from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its axis, in radii
+OMNI = re.compile("omni|mecanum|swedish", re.IGNORECASE)
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
 RIGHT = (0.0, -1.0, 0.0)
@@ -49,21 +66,46 @@ class Wheels:
         The URDF with the round shapes of meshes.
     joints : list of UrdfJoint
         Joints that carry wheels.
-    gears : list of str
-        Names of joints whose round shapes are too high to touch the ground.
+    gears : dict of str
+        Table and values of the other choice, and the reason why a joint with a round shape carries
+        no wheel, by name of the joint.
+    balls : set of str
+        Names of joints whose wheels slide freely in all directions.
     """
 
     def __init__(self, tree: Tree, roles: Roles, findings: Findings) -> None:
         self._roles, self._findings = roles, findings
-        self._frames = link_frames(tree)
+        tree, rollers = with_fixed_rollers(tree)
+        self._frames = tree.frames
         self._unread: dict[str, str] = {}
         self.tree = self._with_mesh_shapes(self._with_fixed_shapes(tree))
         self._given = dict(roles.wheels)
-        self._add_guesses()
-        found = [joint for joint in self.tree.joints.values() if self._is_wheel(joint)]
-        self.gears = self._high([j for j in found if j.name not in self._given])
-        self.joints = [joint for joint in found if joint.name not in self.gears]
+        shaped = [j for j in self.tree.joints.values() if self._has_wheel_shape(j)]
+        guesses = dict(wheel_guesses(self.tree, shaped, self._unread, roles)) | rollers
+        joints = [
+            joint
+            for joint in self.tree.joints.values()
+            if joint in shaped or joint.name in {*guesses, *roles.wheels}
+        ]
+        above = self._high([joint for joint in joints if joint.name not in roles.wheels])
+        reason = "no wheel but fixed: its shape ends far above the lowest wheel"
+        others: dict[str, tuple[str, dict[str, Value], str]]
+        others = {name: ("wheels", {"driven": True}, reason) for name in above}
+        reason = "fixed: a gear, with wheels beside its axis"
+        others |= {n: ("joints", {"kind": "commanded"}, reason) for n in _gears(self.tree, joints)}
+        self.gears = {name: each for name, each in others.items() if name not in roles.joints}
+        self.joints = [joint for joint in joints if joint.name not in self.gears]
+        for joint in self.joints:
+            if joint.name in guesses:
+                self._add_guess(joint, guesses[joint.name])
         self._add_mesh_findings()
+        for name, guess in sliding_wheels(self.tree, self.joints):
+            self._add_guess(self.tree.joints[name], guess)
+        given = self._given.items()
+        self.balls = {name for name, role in given if role.rollers and role.driven is False}
+        self._casters = caster_wheels(
+            self.tree, [wheel for wheel in self.joints if wheel.name not in self.balls]
+        )
 
     def wheel(self, joint: UrdfJoint, part_of: Mapping[str, str]) -> Wheel | None:
         """Return the wheel of a joint, in axes x forward, y left; None with an error if invalid.
@@ -104,7 +146,7 @@ class Wheels:
             name,
             part_of[joint.parent],
             _vector(np.asarray(joint.at) + rotation_of(joint.turned) @ at),
-            section_of_radii(tube, radius - tube, rollers=role.rollers),
+            section_of_radii(tube, radius - tube, rollers=bool(role.rollers)),
             self._is_driven(joint) if role.driven is None else role.driven,
             role.grip,
             mass if role.mass is None else role.mass,
@@ -124,11 +166,28 @@ class Wheels:
                 "centre of mass moved from the inertial's origin to the wheel's centre: "
                 f"{', '.join(away)}"
             )
+        named = [joint.name for joint in self.joints if OMNI.search(f"{joint.name} {joint.child}")]
+        bare = [name for name in named if self._given.get(name, WheelRole()).rollers is None]
+        if bare:
+            notes.append(
+                f"without rollers, in spite of their names: {', '.join(bare)}; otherwise write "
+                f"{toml_line('wheels', bare[0], rollers=True)}"
+            )
+        known = {*self._roles.joints, *self.gears}
+        if unused := unused_wheel_names(self.tree, self.joints, known):
+            shapes = [shape for shape in map(self._shape, self.joints) if shape is not None]
+            radius = max((shape.radius for shape in shapes), default=0.1)
+            notes.append(
+                f"no wheels in spite of their names: {', '.join(unused)}; otherwise write "
+                f"{toml_line('wheels', unused[0], radius=radius)}"
+            )
         thin = [joint.name for joint in self.joints if self._is_thin(joint)]
         if thin:
+            shapes = [shape for shape in map(self._shape, self.joints) if shape is not None]
+            tube = min((shape.radius for shape in shapes), default=0.1) / 5
             notes.append(
-                f"treated as thin discs, since their treads are flat: {', '.join(thin)}; override "
-                "with tube = ..."
+                f"treated as thin discs, since their treads are flat: {', '.join(thin)}; otherwise "
+                f"write tube = {tube:.2g}"
             )
 
     def _with_fixed_shapes(self, tree: Tree) -> Tree:
@@ -137,7 +196,7 @@ class Wheels:
         Child links of continuous joints without moving joints below them, and without a shape or a
         mesh of their own, get the shapes and meshes of the links fixed to them.
         """
-        links = dict(tree.links)
+        links, turning = dict(tree.links), fixed_to_wheels(tree)
         for joint in tree.joints.values():
             hub = links[joint.child]
             if hub.shapes or hub.meshes or joint.type != "continuous" or not is_last(tree, joint):
@@ -145,13 +204,13 @@ class Wheels:
             rotation, origin = self._frames[joint.child]
             shapes: list[Shape] = []
             meshes: list[Mesh] = []
-            for below in tree.below(joint.child):
+            for below in (each for each in tree.below(joint.child) if each.name in turning):
                 turn, at = self._frames[below.child]
                 pose = rotation.T @ turn, rotation.T @ (at - origin)
                 shapes += [_moved(shape, *pose) for shape in links[below.child].shapes]
                 meshes += [_moved(mesh, *pose) for mesh in links[below.child].meshes]
             links[joint.child] = hub._replace(shapes=tuple(shapes), meshes=tuple(meshes))
-        return tree._replace(links=links)
+        return replace(tree, links=links)
 
     def _with_mesh_shapes(self, tree: Tree) -> Tree:
         """Return a URDF with the round shapes of meshes on the links that may be wheels."""
@@ -174,7 +233,7 @@ class Wheels:
                     "expected a mesh that is round about the axis of its joint, found "
                     f"{link.meshes[0].name!r}, which is not"
                 )
-        return tree._replace(links=links)
+        return replace(tree, links=links)
 
     def _may_be_wheel(self, tree: Tree, joint: UrdfJoint) -> bool:
         """Return whether a joint carries a wheel if its mesh is round."""
@@ -184,28 +243,28 @@ class Wheels:
             return False
         if joint.type == "continuous":
             return is_level(tree, joint)
-        if joint.moves or joint.name in fixed_to_turning(tree):
+        if joint.moves or joint.name in fixed_to_wheels(tree):
             return False
         return bool(WHEEL.search(f"{joint.name} {joint.child}"))
 
-    def _add_guesses(self) -> None:
-        """Add the wheels that the names of joints and links suggest."""
-        unknown = [
-            joint
-            for joint in self.tree.joints.values()
-            if joint.name not in self._roles.joints and not self._is_wheel(joint)
-        ]
-        for name, guess in wheel_guesses(self.tree, unknown, self._roles.radius).items():
-            shape = self._shape(self.tree.joints[name])
-            radius = guess.radius or (shape.radius if shape else None)
-            values: dict[str, float | bool] = {} if radius is None else {"radius": radius}
-            self._given[name] = WheelRole(radius=guess.radius)
-            if guess.is_ball and radius:
-                values |= {"tube": radius, "driven": False, "rollers": True}
-                self._given[name] = WheelRole(False, radius, radius, rollers=True)
-            elif shape is not None and shape.tube:
-                values |= {"tube": shape.tube}
-            self._findings.guess("wheels", name, values, f"a wheel: {guess.reason}")
+    def _add_guess(self, joint: UrdfJoint, guess: WheelGuess) -> None:
+        """Complete the given properties of a wheel by guessed ones, and record these."""
+        name, shape, role = joint.name, self._shape(joint), guess.role
+        given = self._given.get(name, WheelRole())
+        if given.radius and role.tube is not None and role.tube == role.radius:
+            role = replace(role, tube=given.radius)
+        keys = [key for key in ("radius", "tube", "driven", "rollers") if _lacks(given, key)]
+        values = {key: getattr(role, key) for key in keys if not _lacks(role, key)}
+        self._given[name] = replace(given, **values)
+        if shape is not None and "radius" in keys:
+            values = {"radius": shape.radius, **values}
+        if shape is not None and shape.tube and "tube" in keys:
+            values = {"tube": shape.tube, **values}
+        other = toml_line("joints", name, kind="fixed")
+        if role.rollers is not None:
+            other = toml_line("wheels", name, rollers=not role.rollers)
+        if values:
+            self._findings.guess("wheels", name, values, f"a wheel: {guess.reason}", other)
 
     def _add_mesh_findings(self) -> None:
         """Add a guess for each wheel measured in a mesh, and an error for each unreadable mesh."""
@@ -213,7 +272,8 @@ class Wheels:
             shape = self._shape(joint)
             if shape is not None and shape.kind == "mesh" and joint.name not in self._given:
                 values = {"radius": shape.radius, "tube": shape.tube or self._roles.tube}
-                self._findings.guess("wheels", joint.name, values, "a wheel: a round mesh")
+                other = toml_line("joints", joint.name, kind="fixed")
+                self._findings.guess("wheels", joint.name, values, "a wheel: a round mesh", other)
         for name, words in self._unread.items():
             joint = self.tree.joints[name]
             if joint not in self.joints and joint.moves:
@@ -228,13 +288,15 @@ class Wheels:
     def _in_file(self) -> str:
         return f', in a vehicle file with urdf = "{Path(self.tree.file).name}"'
 
-    def _is_wheel(self, joint: UrdfJoint) -> bool:
-        """Return whether a joint carries a wheel, by its role or its shape."""
-        if joint.name in self._given:
-            return True
+    def _has_wheel_shape(self, joint: UrdfJoint) -> bool:
+        """Return whether a joint carries a wheel by its type and its shape."""
         if joint.type != "continuous" or joint.name in self._roles.joints:
             return False
-        shape = self._shape(joint)
+        shape, name = self._shape(joint), f"{joint.name} {joint.child}"
+        if shape is not None and shape.kind == "sphere":  # of a caster, or with two axes
+            above = [j for j in self.tree.joints.values() if j.child == joint.parent and j.moves]
+            if CASTER.search(name) or (above and not any(joint.at)):
+                return False
         return (
             is_last(self.tree, joint)
             and is_level(self.tree, joint)
@@ -251,9 +313,9 @@ class Wheels:
         for joint in joints:
             shape, (rotation, origin) = self._shape(joint), self._frames[joint.child]
             if shape is not None:
-                lows[joint.name] = (float(origin[2]) + _lowest(shape, rotation), shape.radius)
-        lowest = min((low for low, _ in lows.values()), default=0.0)
-        most = lowest + max((radius for _, radius in lows.values()), default=0.0) / 2
+                lows[joint.name] = (float(origin[2]) + lowest(shape, rotation), shape.radius)
+        ground = min((low for low, _ in lows.values()), default=0.0)
+        most = ground + max((radius for _, radius in lows.values()), default=0.0) / 2
         return [name for name, (low, _) in lows.items() if low > most]
 
     def _shape(self, joint: UrdfJoint) -> Shape | None:
@@ -266,7 +328,7 @@ class Wheels:
         if joint.moves:
             axis = unit_vector(joint.axis)
             shapes = tuple(shape for shape in shapes if _is_about(shape, axis)) or shapes
-        return min(shapes, key=lambda shape: _lowest(shape, rotation), default=None)
+        return min(shapes, key=lambda shape: lowest(shape, rotation), default=None)
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
         """Return rolling radius and tube radius of a wheel, and its position in its link [m].
@@ -297,7 +359,8 @@ class Wheels:
             return None
         if shape is None:
             return radius, tube, ORIGIN
-        if joint.moves and _eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
+        turns = joint.moves and is_level(self.tree, joint)
+        if turns and _eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
             faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected a wheel shape centred on its axis, found a "
@@ -343,17 +406,27 @@ class Wheels:
         If a wheel of the URDF has an actuator, the wheels with actuators are driven; otherwise all
         wheels but casters.
         """
-        actuated, guess = self.tree.actuated, self._findings.guess
-        if any(wheel.name in actuated for wheel in self.joints):
-            if joint.name not in actuated:
-                reason = "free: other wheels have an actuator"
-                guess("wheels", joint.name, {"driven": False}, reason)
-            return joint.name in actuated
-        above = {each.child for each in self.tree.joints.values() if CASTER.search(each.name)}
-        is_caster = bool(CASTER.search(f"{joint.name} {joint.child}")) or joint.parent in above
-        reason = "free: a caster" if is_caster else "driven: no wheel has an actuator"
-        guess("wheels", joint.name, {"driven": not is_caster}, reason)
-        return not is_caster
+        name = joint.name
+        if any(map(self._has_actuator, self.joints)):
+            is_driven = self._has_actuator(joint)
+            if not is_driven:
+                other, reason = (
+                    toml_line("wheels", name, driven=True),
+                    "other wheels have an actuator",
+                )
+                self._findings.guess("wheels", name, {"driven": False}, f"free: {reason}", other)
+            return is_driven
+        is_driven = name not in self._casters
+        reason = "driven: no wheel has an actuator" if is_driven else "free: a caster"
+        other = toml_line("wheels", name, driven=not is_driven)
+        self._findings.guess("wheels", name, {"driven": is_driven}, reason, other)
+        return is_driven
+
+    def _has_actuator(self, joint: UrdfJoint) -> bool:
+        """Return whether a wheel, or the gear beside which it is fixed, has an actuator."""
+        gears = (self.tree.joints[name] for name in self.gears)
+        turning = {gear.name for gear in gears if joint in self.tree.below(gear.child)}
+        return not self.tree.actuated.isdisjoint(turning | {joint.name})
 
     def _axle(self, joint: UrdfJoint) -> Vector:
         """Return the axle of a wheel in its parent's frame, a unit vector that points to the right.
@@ -362,8 +435,8 @@ class Wheels:
         rolls sideways.
         """
         parent, _ = self._frames[joint.parent]
-        if not joint.moves:
-            return _vector(parent.T @ RIGHT)
+        if not joint.moves or not is_level(self.tree, joint):
+            return _vector(parent.T @ self._lateral(joint))
         axis = rotation_of(joint.turned) @ unit_vector(joint.axis)
         left = float((parent @ axis)[1])
         if left < -MIN_AXLE_LEFT:
@@ -372,16 +445,26 @@ class Wheels:
                 "its joint in the URDF"
             )
             return _vector(axis)
-        if left < MIN_AXLE_LEFT:
+        if left < MIN_AXLE_LEFT and not self._given.get(joint.name, WheelRole()).rollers:
             self._findings.notes.append(
                 f"wheel {joint.name} rolls sideways; its rate has the sign of its joint; if the "
-                "robot drives this way, write forward = 'y' or '-y'"
+                'robot drives this way, write forward = "y"'
             )
         return _vector(-axis)
 
+    def _lateral(self, joint: UrdfJoint) -> Array:
+        """Return the axle of a wheel that no joint turns: that of its shape, or to the right."""
+        shape, (rotation, _) = self._shape(joint), self._frames[joint.child]
+        if shape is None or shape.kind == "sphere":
+            return np.asarray(RIGHT)
+        axis = (rotation @ rotation_of(shape.turned))[:, 2]
+        if abs(axis[2]) > STEEP or abs(axis[1]) < MIN_AXLE_LEFT:
+            return np.asarray(RIGHT)
+        return np.asarray(-np.sign(axis[1]) * axis)
+
     def _add_shape_notes(self) -> None:
         """Add notes on the wheels whose links have several shapes, with the chosen radius."""
-        alike: dict[str, list[str]] = {}
+        alike: dict[str, list[tuple[str, float]]] = {}
         for joint in self.joints:
             shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
             given = self._given.get(joint.name, WheelRole()).radius
@@ -395,12 +478,13 @@ class Wheels:
                 f"several shapes ({found}), of which the one about the axle that touches level "
                 f"ground first gives the radius, {chosen.radius:g} m"
             )
-            alike.setdefault(words, []).append(joint.name)
-        for words, names in alike.items():
-            self._findings.notes.append(
-                f"{words}: {', '.join(names)}; override with wheels = {{ {toml_key(names[0])} = {{ "
-                "radius = ... } }"
-            )
+            radius = max((s.radius for s in shapes if s.radius != chosen.radius), default=0.0)
+            alike.setdefault(words, []).append((joint.name, radius))
+        for words, wheels in alike.items():
+            name, radius = wheels[0]
+            names = ", ".join(name for name, _ in wheels)
+            other = f"; otherwise write {toml_line('wheels', name, radius=radius)}"
+            self._findings.notes.append(f"{words}: {names}{other if radius else ''}")
 
     def _is_thin(self, joint: UrdfJoint) -> bool:
         """Return whether a wheel with a flat tread becomes a disc, since no tube is given."""
@@ -413,6 +497,22 @@ class Wheels:
         link, shape = self.tree.links[joint.child], self._shape(joint)
         at = shape.at if shape else ORIGIN
         return bool(link.mass) and math.dist(link.center, at) > MASS_OFFSET
+
+
+def _lacks(role: WheelRole, key: str) -> bool:
+    return getattr(role, key) is None
+
+
+def _gears(tree: Tree, wheels: Sequence[UrdfJoint]) -> list[str]:
+    """Return the names of the joints that turn about level axes with wheels fixed beside them."""
+    return [
+        joint.name
+        for joint in tree.joints.values()
+        if joint.type == "continuous"
+        and is_level(tree, joint)
+        and is_last(tree, joint)
+        and any(wheel in tree.below(joint.child) for wheel in wheels)
+    ]
 
 
 def _moved(shape: T, turn: Array, at: Array) -> T:
@@ -441,14 +541,6 @@ def _is_about(shape: Shape, axis: Vector) -> bool:
     along = float(rotation_of(shape.turned)[:, 2] @ axis)
     parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=MAX_ECCENTRICITY)
     return parallel and _eccentricity(shape, axis) <= MAX_ECCENTRICITY
-
-
-def _lowest(shape: Shape, rotation: Array) -> float:
-    """Return the height of a shape's lowest point above its link's origin [m]."""
-    upward = 0.0
-    if shape.kind != "sphere":
-        upward = min(1.0, abs(float((rotation @ rotation_of(shape.turned))[2, 2])))
-    return float(rotation[2] @ shape.at) - shape.radius * math.sqrt(1 - upward**2)
 
 
 def _vector(array: Array) -> Vector:

@@ -1,0 +1,345 @@
+"""Tests of URDFs in the style of many robots: their wheels, casters, joints and forward axis."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from helpers.urdf import (
+    FOUR,
+    MESH,
+    ROUND,
+    TWO,
+    WHEEL,
+    joint,
+    link,
+    rocker_bogie,
+    sphere,
+    wheel,
+    wheels,
+    written,
+)
+from slipfree import Analytic, direct_kinematics, settle
+from slipfree.problem.build_vehicle import VehicleError, read_vehicle
+from slipfree.vehicle.sections.omni import Omni
+
+ENDS = {"front": 0.3, "rear": -0.3}
+CORNERS = [(e, x, s, y) for e, x in ENDS.items() for s, y in (("left", 0.2), ("right", -0.2))]
+SMALL = ROUND.format(0.04)
+BOX = '<collision><geometry><box size="0.04 0.04 0.06"/></geometry></collision>'
+
+
+def limit(lower, upper):
+    return f'<limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>'
+
+
+def fixed(name, at, shape="", parent="base"):
+    return wheel(name, at, shape, parent, kind="fixed")
+
+
+def pivot(name, at="0 0 0", axis="0 0 1", parent="base", kind="continuous", more=""):
+    return link(name) + joint(f"{name}_joint", kind, parent, name, at, axis, more=more)
+
+
+def steered(name, at, trail=0.0, parent="base"):
+    post = pivot(f"{name}_steering", at, parent=parent, kind="revolute", more=limit(-0.6, 0.6))
+    return post + wheel(name, f"{-trail} 0 0", parent=f"{name}_steering")
+
+
+def geared(side, y):
+    gear = wheel(f"{side}_gear", f"0 {y} 0", ROUND.format(0.03))
+    turned = (
+        fixed(f"{e}_{side}_wheel", f"{x} 0 0", WHEEL, f"{side}_gear") for e, x in ENDS.items()
+    )
+    return gear + "".join(turned)
+
+
+def rollers(name, at, angle):
+    """Return a wheel with rollers as links, at an angle to the plane of the wheel."""
+    parts = wheel(name, at, "")
+    for k in range(8):
+        turn = k * pi / 4
+        axis = f"{-sin(turn) * cos(angle)} {sin(angle)} {cos(turn) * cos(angle)}"
+        place = f"{0.08 * cos(turn)} 0 {0.08 * sin(turn)}"
+        parts += link(f"{name}_{k}", sphere(0.02))
+        parts += joint(f"{name}_roller_{k}", "continuous", name, f"{name}_{k}", place, axis)
+    return parts
+
+
+def corners(make):
+    return "".join(make(f"{e}_{s}_wheel", f"{x} {y} 0") for e, x, s, y in CORNERS)
+
+
+BASE_JOINTS = (
+    '<link name="world"/><link name="a"/>'
+    + pivot("slide", axis="1 0 0", parent="a", kind="prismatic").replace(
+        'value="1"', 'value="1e-3"'
+    )
+    + joint("fix", "fixed", "world", "a")
+    + joint("yaw", "continuous", "slide", "base", axis="0 0 1")
+)
+FORK = pivot("caster_fork", "-0.2 0 0")
+SWIVEL = {"caster_fork_joint": "passive"}
+TRAILER = pivot("trailer", "-0.5 0 0") + wheels("trailer_{side}", {"": -0.5}, parent="trailer")
+AHEAD = pivot("front", "0.3 0 0") + wheels("front_{side}", {"": 0.3}, parent="front")
+ARM = pivot("shoulder", "0 0 0.3") + wheel("wrist", "0.3 0 0.5", SMALL, parent="shoulder")
+KNUCKLES = steered("left", "0.3 0.2 0") + steered("right", "0.3 -0.2 0").replace(
+    "<limit", '<mimic joint="left_steering_joint"/><limit'
+)
+KIWI = "".join(
+    link(f"w{k}", WHEEL)
+    + joint(f"j{k}", "continuous", "base", f"w{k}", f"{cos(a)} {sin(a)} 0", rpy=f"0 0 {a - pi / 2}")
+    for k, a in enumerate((0, 2 * pi / 3, -2 * pi / 3))
+)
+STEERING = dict.fromkeys((f"{e}_{s}_wheel_steering_joint" for e, _, s, _ in CORNERS), "commanded")
+SPRUNG = "".join(
+    pivot(f"{e}_{s}_spring", f"{x} {y} 0", kind="prismatic", more=limit(-0.1, 0.1))
+    + wheel(f"{e}_{s}_wheel", "0 0 0", parent=f"{e}_{s}_spring")
+    for e, x, s, y in CORNERS
+)
+# parts, number of wheels, of driven wheels, and of wheels on rollers; kinds of the coordinates
+ROBOTS = {
+    "unlimited": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(-1e16, 1e16)), 4, 4, 0, {}),
+    "no limits": (wheels("{e}{s}", ENDS, kind="revolute"), 4, 4, 0, {}),
+    "limits of 2000": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(-2e3, 2e3)), 4, 4, 0, {}),
+    "full turn": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(-3.14, 3.14)), 4, 4, 0, {}),
+    "empty limits": (wheels("{s}{e}_wheel", ENDS, kind="revolute", more=limit(0, 0)), 4, 4, 0, {}),
+    "world": (FOUR + BASE_JOINTS, 4, 4, 0, {}),
+    "ball": (TWO + fixed("ball", "-0.2 0 -0.07", sphere(0.03)), 3, 2, 1, {}),
+    "ball on z": (TWO + pivot("a") + wheel("caster", "0 0 -0.1", sphere(0.03), "a"), 3, 2, 1, {}),
+    "ball on y": (TWO + wheel("caster", "-0.2 0 -0.07", sphere(0.03)), 3, 2, 1, {}),
+    "ball on x and y": (
+        TWO + pivot("a", "0.2 0 -0.07", "1 0 0") + wheel("b", "0 0 0", sphere(0.03), "a"),
+        3, 2, 1, {},
+    ),
+    "chain of fixed links": (
+        TWO + fixed("caster", "-0.2 0 0", BOX) + fixed("tip", "0 0 -0.06", SMALL, "caster"),
+        3, 2, 1, {},
+    ),
+    "caster with a mesh": (TWO + fixed("caster", "-0.2 0 -0.05", MESH), 3, 2, 1, {}),
+    "two casters": (
+        TWO + "".join(fixed(f"caster_{k}", f"{x} 0 -0.05", sphere(0.05)) for k, x in ENDS.items()),
+        4, 2, 2, {},
+    ),
+    "swivel": (TWO + FORK + wheel("w", "-0.03 0 -0.06", SMALL, "caster_fork"), 3, 2, 0, SWIVEL),
+    "swivel and a fixed wheel": (
+        TWO + FORK + fixed("w", "-0.03 0 -0.06", SMALL, "caster_fork"),
+        3, 2, 0, SWIVEL,
+    ),
+    "trailing wheel": (
+        TWO + pivot("a", "-0.2 0 0") + wheel("w", "-0.03 0 -0.06", SMALL, "a"),
+        3, 2, 0, {"a_joint": "passive"},
+    ),
+    "caster without a swivel": (TWO + wheel("caster", "-0.3 0 -0.06", SMALL), 3, 2, 1, {}),
+    "articulated": (TWO + AHEAD, 4, 4, 0, {"front_joint": "commanded"}),
+    "trailer": (FOUR + TRAILER, 6, 4, 0, {"trailer_joint": "passive"}),
+    "tricycle": (TWO + steered("front", "0.5 0 0"), 3, 3, 0, {"front_steering_joint": "commanded"}),
+    "knuckles": (TWO + KNUCKLES, 4, 4, 0, {"left_steering_joint": "commanded"}),
+    "four steered": (corners(steered), 4, 4, 0, STEERING),
+    "four steered casters": (corners(lambda n, at: steered(n, at, 0.05)), 4, 4, 0, STEERING),
+    "springs": (SPRUNG, 4, 4, 0, {}),
+    "gears": (geared("left", 0.2) + geared("right", -0.2), 4, 4, 0, {}),
+    "omni wheels": (corners(lambda n, at: rollers(n, at, 0)), 4, 4, 4, {}),
+    "mecanum wheels": (corners(lambda n, at: rollers(n, at, pi / 4)), 4, 4, 0, {}),
+    "kiwi drive": (KIWI, 3, 3, 3, {}),
+    "arm": (FOUR + ARM, 4, 4, 0, {}),
+    "rocker": (rocker_bogie(bogies=False), 4, 4, 0, {"left_rocker_joint": "suspension"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_wheels_and_joints_of_robots(name, tmp_path):
+    parts, count, driven, sliding, kinds = ROBOTS[name]
+    vehicle = read_vehicle(written(tmp_path, parts))
+    assert len(vehicle.wheels) == count
+    assert sum(each.driven for each in vehicle.wheels) == driven
+    assert sum(isinstance(each.section, Omni) for each in vehicle.wheels) == sliding
+    assert {c.name: c.kind for c in vehicle.coordinates} == kinds
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_notes_end_with_the_line_of_the_other_choice(name, tmp_path):
+    parts = ROBOTS[name][0]
+    vehicle = read_vehicle(written(tmp_path, parts))
+    lines = [note.split("otherwise write ")[1] for note in vehicle.notes if "otherwise" in note]
+    assert lines
+    assert all("otherwise" in note for note in vehicle.notes if note.startswith("guessed"))
+    for line in lines:
+        choice = draft(written(tmp_path, parts, line))
+        fields = ("wheels", "joints", "coordinates")
+        assert any(getattr(choice, f) != getattr(vehicle, f) for f in fields), line
+
+
+def draft(path):
+    """Return a vehicle, or the draft of an incomplete one, as without a third wheel."""
+    try:
+        return read_vehicle(path)
+    except VehicleError as error:
+        return error.draft
+
+
+PATTERNS = ("{end}_{side}_wheel", "wheel_{e}{s}", "{s}{e}_joint", "{side}_drive_{end}")
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize(("yaw", "axis"), [(0, "x"), (pi / 2, "y"), (pi, "-x"), (-pi / 2, "-y")])
+def test_names_tell_forward(pattern, yaw, axis, tmp_path):
+    """Also if the axes of the wheels point to both sides, so that their rates cancel."""
+    parts = wheels(pattern, ENDS, yaw=yaw)
+    cancelling = parts.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 2)
+    for text in (parts, cancelling):
+        vehicle = read_vehicle(written(tmp_path, text))
+        places = [each.at for each in vehicle.wheels]  # left and right in front, then behind
+        ahead = [(-0.2, 0.3, 0), (0.2, 0.3, 0), (-0.2, -0.3, 0), (0.2, -0.3, 0)]
+        assert np.allclose(places, ahead, atol=1e-8)
+        assert any("guessed forward" in note for note in vehicle.notes) == (axis != "x")
+
+
+NAMELESS = wheels("w{end}{side}", {"1": 0.3, "2": -0.3}).replace("left", "3").replace("right", "4")
+SIDEWAYS = wheels("w{end}", {"1": 0.3, "2": -0.3}, yaw=pi / 2)
+REAR_STEERED = TWO.replace("left", "a").replace("right", "b") + steered("c", "-0.5 0 0")
+
+
+def test_evidence_that_disagrees_is_a_question_or_a_note(tmp_path):
+    for parts, words in (
+        (wheels("{end}_{side}_wheel", {"front": -0.3, "rear": 0.3}), "names of front and rear: -x"),
+        (
+            wheels("w{end}{side}", {"1": 0.3, "2": -0.3}, yaw=pi / 2)
+            .replace("left", "3")
+            .replace("right", "4")
+            .replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 2),
+            "no name distinguishes front from rear",
+        ),
+    ):
+        with pytest.raises(VehicleError) as caught:
+            read_vehicle(written(tmp_path, parts))
+        assert words in str(caught.value)
+        line = str(caught.value).split("write ")[1].split(" or ")[0]
+        assert len(read_vehicle(written(tmp_path, parts, line)).wheels) == 4
+    (note,) = [n for n in read_vehicle(written(tmp_path, REAR_STEERED)).notes if "forward" in n]
+    assert "steered wheels: -x" in note
+    assert note.endswith('otherwise write forward = "-x"')
+
+
+ASIDE = FOUR.replace(" 0.15 0", " 0.45 0").replace(" -0.15 0", " 0.15 0")  # of the root
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (WHEEL, ""),
+        (WHEEL, BOX),
+        ('name="rear_right_joint" type="continuous"', 'name="rear_right_joint" type="fixed"'),
+        (
+            'rpy="0 0 0"/><axis xyz="0 1 0"',
+            'rpy="0 0 0"/><axis xyz="0 0 1"',
+        ),
+    ],
+)
+@pytest.mark.parametrize("aside", [FOUR, ASIDE])
+def test_opposite_wheels_are_alike(aside, old, new, tmp_path):
+    head, last = aside.rsplit('<link name="rear_right">', 1)
+    assert old in last
+    whole = read_vehicle(written(tmp_path, aside))
+    parts = f'{head}<link name="rear_right">{last.replace(old, new)}'
+    vehicle = read_vehicle(written(tmp_path, parts))
+    assert [w.at for w in vehicle.wheels] == [w.at for w in whole.wheels]
+    assert [w.section for w in vehicle.wheels] == [w.section for w in whole.wheels]
+    assert any("its counterpart on the other side, rear_left_joint" in n for n in vehicle.notes)
+
+
+SAME, OPPOSITE = ("0 1 0", "0 1 0"), ("0 -1 0", "0 1 0")
+
+
+@pytest.mark.parametrize("mounts", [False, True])
+@pytest.mark.parametrize("axes", [SAME, OPPOSITE])
+def test_opposite_rockers_have_a_differential(axes, mounts, tmp_path):
+    parts = rocker_bogie(axes=axes, mounts=mounts)
+    vehicle = read_vehicle(written(tmp_path, parts))
+    factor = -1 if axes == SAME else 1
+    head, last = parts.rsplit("<limit", 2)[0], parts[len(parts.rsplit("<limit", 2)[0]) :]
+    mimic = f'<mimic joint="left_rocker_joint" multiplier="{factor}"/>'
+    given = read_vehicle(written(tmp_path, head + mimic + last))
+    assert (vehicle.coordinates, vehicle.joints) == (given.coordinates, given.joints)
+    couple = f"couple = {{ left_rocker_joint = 2, right_rocker_joint = {-2 * factor} }}"
+    declared = read_vehicle(written(tmp_path, parts, couple))
+    assert (declared.coordinates, declared.joints) == (given.coordinates, given.joints)
+    assert sum("differential" in note for note in vehicle.notes) == 1
+    assert not any("differential" in note for note in declared.notes)
+
+
+@pytest.mark.parametrize(
+    ("more", "count"), [("", 3), (", stiffness = 500.0", 4), (", lower = -0.2", 4)]
+)
+def test_declared_rockers_have_a_differential_unless_they_have_own_keys(more, count, tmp_path):
+    sides = (
+        f'joints.{s}_rocker_joint = {{ kind = "suspension"{more} }}' for s in ("left", "right")
+    )
+    vehicle = draft(written(tmp_path, rocker_bogie(), "\n".join(sides)))
+    assert len([c for c in vehicle.coordinates if "rocker" in c.name]) == count - 2
+    assert any("differential" in note for note in vehicle.notes) == (not more)
+
+
+@pytest.mark.slow
+def test_mirrored_bumps_pitch_a_rover_alike(tmp_path):
+    vehicle = read_vehicle(written(tmp_path, rocker_bogie()))
+    poses = []
+    for side in (-1, 1):
+        ground = Analytic(lambda x, y, s=side: 0.1 * ca.exp(-20 * ((x - 0.3 * s) ** 2 + y * y)))
+        start = settle(direct_kinematics(vehicle, ground))
+        poses.append([start[name][0] for name in ("pitch", "roll", "left_rocker_joint")])
+    (pitch, roll, rocker), mirrored = poses
+    assert abs(pitch) > 1e-3
+    assert np.allclose(mirrored, [pitch, -roll, -rocker], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("couple = { left_rocker_joint = 1 }", "expected two joints with coefficients other than"),
+        ("couple = { left_rocker_joint = 1, right_rocker_joint = 0 }", "right_rocker_joint = 0"),
+        ("couple = { left_rocker_joint = 1, right = 1 }", "found the unknown key 'right'"),
+        ("couple = { left_rocker_joint = 1, left_mount_joint = 1 }", "a joint of type 'fixed'"),
+        (
+            "couple = { left_rocker_joint = 1, right_rocker_joint = 1 }\n"
+            'joints.right_rocker_joint = { kind = "suspension", lower = -1 }',
+            "at the first of the coupled joints, found lower; move them",
+        ),
+    ],
+)
+def test_wrong_couplings_are_named(line, words, tmp_path):
+    with pytest.raises(VehicleError) as caught:
+        read_vehicle(written(tmp_path, rocker_bogie(mounts=True), line))
+    assert words in str(caught.value)
+
+
+BALL = fixed("caster", "-0.2 0 -0.05", BOX)
+
+
+@pytest.mark.parametrize(
+    ("line", "key", "value"),
+    [
+        ("driven = false", "driven", False),
+        ("grip = 0.5", "grip", 0.5),
+        ("radius = 0.05", "radius", 0.05),
+    ],
+)
+def test_a_declared_key_keeps_the_other_guesses(line, key, value, tmp_path):
+    guessed = read_vehicle(written(tmp_path, TWO + BALL)).wheels[-1]
+    ball = read_vehicle(written(tmp_path, TWO + BALL, f"wheels.caster_joint.{line}")).wheels[-1]
+    assert getattr(ball, key) == value
+    same = {"driven", "grip", "radius"} - {key}
+    assert all(getattr(ball, each) == getattr(guessed, each) for each in same)
+    assert isinstance(ball.section, Omni)
+
+
+def test_too_few_wheels_and_unused_names_are_named(tmp_path):
+    legs = "".join(pivot(f"leg_{k}", more=limit(-1, 1), kind="revolute") for k in range(4))
+    with pytest.raises(VehicleError, match=r"such as wheels.leg_0_joint = \{ radius = 0.1 \}"):
+        read_vehicle(written(tmp_path, legs))
+    notes = read_vehicle(written(tmp_path, FOUR + fixed("spare_wheel", "0 0 0.5", BOX))).notes
+    words = "no wheels in spite of their names: spare_wheel_joint; otherwise write wheels.spare"
+    assert any(note.startswith(words) for note in notes)
