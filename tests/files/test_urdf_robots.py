@@ -28,6 +28,7 @@ from slipfree.vehicle.sections.omni import Omni
 
 ENDS = {"front": 0.3, "rear": -0.3}
 CORNERS = [(e, x, s, y) for e, x in ENDS.items() for s, y in (("left", 0.2), ("right", -0.2))]
+ROLLED = ROUND.format(0.1)  # about y
 SMALL = ROUND.format(0.04)
 BOX = '<collision><geometry><box size="0.04 0.04 0.06"/></geometry></collision>'
 
@@ -86,6 +87,9 @@ SWIVEL = {"caster_fork_joint": "passive"}
 TRAILER = pivot("trailer", "-0.5 0 0") + wheels("trailer_{side}", {"": -0.5}, parent="trailer")
 AHEAD = pivot("front", "0.3 0 0") + wheels("front_{side}", {"": 0.3}, parent="front")
 ARM = pivot("shoulder", "0 0 0.3") + wheel("wrist", "0.3 0 0.5", SMALL, parent="shoulder")
+LOW_ARM = pivot("shoulder") + wheel("hand", "0 0 0", ROLLED, "shoulder", "revolute").replace(
+    'xyz="0 1 0"/>', f'xyz="1 0 0"/>{limit(-3.14, 3.14)}'
+)
 KNUCKLES = steered("left", "0.3 0.2 0") + steered("right", "0.3 -0.2 0").replace(
     "<limit", '<mimic joint="left_steering_joint"/><limit'
 )
@@ -146,6 +150,7 @@ ROBOTS = {
     "mecanum wheels": (corners(lambda n, at: rollers(n, at, pi / 4)), 4, 4, 0, {}),
     "kiwi drive": (KIWI, 3, 3, 3, {}),
     "arm": (FOUR + ARM, 4, 4, 0, {}),
+    "low arm": (FOUR + LOW_ARM, 4, 4, 0, {}),
     "rocker": (rocker_bogie(bogies=False), 4, 4, 0, {"left_rocker_joint": "suspension"}),
 }  # fmt: skip
 

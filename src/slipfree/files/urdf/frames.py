@@ -17,6 +17,7 @@ from slipfree.records import Array
 
 WHEEL = re.compile("wheel|tire|tyre", re.IGNORECASE)
 MIRROR = 0.05  # largest distance from a mirror image, in distances from the root's origin
+MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its axis, in radii
 STEEP = 0.5  # largest vertical component of a level axis, such as an axle
 FORWARD_YAW = {"x": 0.0, "y": np.pi / 2, "-x": np.pi, "-y": -np.pi / 2}  # of the axes [rad]
 
@@ -27,6 +28,18 @@ def lowest(shape: Shape, rotation: Array) -> float:
     if shape.kind != "sphere":
         upward = min(1.0, abs(float((rotation @ rotation_of(shape.turned))[2, 2])))
     return float(rotation[2] @ shape.at) - shape.radius * math.sqrt(1 - upward**2)
+
+
+def eccentricity(shape: Shape, axis: Vector) -> float:
+    """Return the distance of a shape's centre from an axis through its link's origin [radii]."""
+    return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
+
+
+def is_about(shape: Shape, axis: Vector) -> bool:
+    """Return whether a shape is rotationally symmetric about an axis through its link's origin."""
+    along = float(rotation_of(shape.turned)[:, 2] @ axis)
+    parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=MAX_ECCENTRICITY)
+    return parallel and eccentricity(shape, axis) <= MAX_ECCENTRICITY
 
 
 def is_level(tree: Tree, joint: UrdfJoint) -> bool:

@@ -13,6 +13,7 @@ from slipfree.files.urdf.casters import CASTER, caster_wheels, casters
 from slipfree.files.urdf.frames import (
     WHEEL,
     fixed_to_wheels,
+    is_about,
     is_last,
     is_level,
     mirror_image,
@@ -130,11 +131,12 @@ def _named_wheels(
             continue
         if CASTER.search(f"{joint.name} {joint.child}") and _is_ball(link):
             continue
-        turns = joint.type == "revolute" and joint.upper - joint.lower >= FULL_TURN and link.shapes
+        turns = joint.type == "revolute" and joint.upper - joint.lower >= FULL_TURN
+        round_about = (is_about(shape, unit_vector(joint.axis)) for shape in link.shapes)
         height = float(frames[joint.child][1][2] - grounds[0]) if grounds else 0.0
         if joint.type == "continuous" and roles.radius and link.meshes and not link.shapes:
             yield joint.name, WheelGuess(WheelRole(radius=roles.radius), "a mesh, its given radius")
-        elif turns:
+        elif turns and any(round_about):
             reason = "a round shape and a full turn, in spite of its limits"
             yield joint.name, WheelGuess(WheelRole(), reason)
         elif named and link.shapes:

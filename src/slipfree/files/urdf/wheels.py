@@ -15,9 +15,12 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.urdf.casters import CASTER, caster_wheels
 from slipfree.files.urdf.frames import (
+    MAX_ECCENTRICITY,
     STEEP,
     WHEEL,
+    eccentricity,
     fixed_to_wheels,
+    is_about,
     is_last,
     is_level,
     lowest,
@@ -40,7 +43,6 @@ from slipfree.records import Array
 from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
-MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its axis, in radii
 OMNI = re.compile("omni|mecanum|swedish", re.IGNORECASE)
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
@@ -301,7 +303,7 @@ class Wheels:
             is_last(self.tree, joint)
             and is_level(self.tree, joint)
             and shape is not None
-            and _is_about(shape, unit_vector(joint.axis))
+            and is_about(shape, unit_vector(joint.axis))
         )
 
     def _high(self, joints: Sequence[UrdfJoint]) -> list[str]:
@@ -327,7 +329,7 @@ class Wheels:
         shapes, (rotation, _) = self.tree.links[joint.child].shapes, self._frames[joint.child]
         if joint.moves:
             axis = unit_vector(joint.axis)
-            shapes = tuple(shape for shape in shapes if _is_about(shape, axis)) or shapes
+            shapes = tuple(shape for shape in shapes if is_about(shape, axis)) or shapes
         return min(shapes, key=lambda shape: lowest(shape, rotation), default=None)
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
@@ -360,7 +362,7 @@ class Wheels:
         if shape is None:
             return radius, tube, ORIGIN
         turns = joint.moves and is_level(self.tree, joint)
-        if turns and _eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
+        if turns and eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
             faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected a wheel shape centred on its axis, found a "
@@ -529,18 +531,6 @@ def _moved(shape: T, turn: Array, at: Array) -> T:
     """
     angles = angles_of(turn @ rotation_of(shape.turned))
     return shape._replace(at=_vector(turn @ shape.at + at), turned=angles)
-
-
-def _eccentricity(shape: Shape, axis: Vector) -> float:
-    """Return the distance of a shape's centre from an axis through its link's origin [radii]."""
-    return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
-
-
-def _is_about(shape: Shape, axis: Vector) -> bool:
-    """Return whether a shape is rotationally symmetric about an axis through its link's origin."""
-    along = float(rotation_of(shape.turned)[:, 2] @ axis)
-    parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=MAX_ECCENTRICITY)
-    return parallel and _eccentricity(shape, axis) <= MAX_ECCENTRICITY
 
 
 def _vector(array: Array) -> Vector:
