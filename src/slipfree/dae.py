@@ -67,9 +67,10 @@ class Limit(NamedTuple):
     def __repr__(self) -> str:
         return field_overview(self)
 
-    def violated_by(self, values: Array, size: float) -> Mask:
-        """Return which values violate the limit; ``size`` is the scale of the limited quantity."""
+    def violated_by(self, values: Array | float, size: float) -> Mask:
+        """Return the mask of values beyond the limit; ``size`` is the scale of the quantity."""
         slack = LIMIT_ROUNDING * size
+        values = np.asarray(values)
         return ~((values >= self.lower - slack) & (values <= self.upper + slack))  # also nan
 
 
