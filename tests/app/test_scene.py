@@ -543,6 +543,28 @@ def test_a_changed_ground_is_refused(named: Path, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("radius = 0.25", "radius = 0.26", "its wheels are 0.01 m from those of the result"),
+        (" 1.0,", " 1.1,", "its wheels are 0.1 m from those of the result"),
+        ("rear", "back", "its wheels or joints have other names"),
+        ("wheels", "wheel", "expected a valid stored vehicle"),
+        ('"text"', '"words"', "a result that contains its vehicle and digests of its maps"),
+    ],
+)
+def test_a_changed_vehicle_is_refused(
+    named: Path, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    run = netcdf.read(named)
+    stored = run.attributes[STORED]
+    assert old in stored
+    changed = tmp_path / "changed.nc"
+    attributes = {**run.attributes, STORED: stored.replace(old, new)}
+    netcdf.write(changed, replace(run, attributes=attributes))
+    assert said in refused(str(changed), "--folder", str(named.parent.parent))
+
+
 def test_the_vehicle_file_is_not_read_again(named: Path, tmp_path: Path) -> None:
     folder = named.parent.parent
     shutil.copy(folder / "hills.npz", tmp_path)
