@@ -59,7 +59,7 @@ def main(folder: Path) -> None:
     """Print the table of a folder."""
     heading()
     plain = completed = 0
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".urdf", ".xacro"))
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".urdf")
     for path in paths:
         print(f"\n{path.name}: slipfree vehicle {path.name}")
         with tempfile.TemporaryDirectory() as work:

@@ -46,7 +46,7 @@ class StandVerb(DriveVerb):
         """Return the model and the settled start."""
         ground = build_ground(problem)
         with at(problem, ("vehicle",)):
-            vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+            vehicle = build_vehicle(problem.spec.vehicle, problem)
         terrain = build_terrain(problem, ground)
         dae = direct_kinematics(vehicle, terrain)
         start = build_start(problem, dae)

@@ -217,16 +217,18 @@ def test_files_that_a_problem_names_are_sought(
 ) -> None:
     there = tmp_path / "there"
     shutil.copytree(ROOT / "problems" / "vehicles", there / "vehicles")
+    shutil.copy(ROOT / "problems" / "ice.asc", there)
     shutil.copy(ROOT / "problems" / "your_vehicle.toml", there)
     monkeypatch.chdir(tmp_path)
-    outcome = run_problem(load_problem(Path("there/your_vehicle.toml"), ["time.duration=0.5"]))
+    settings = ["time.duration=0.5", "terrain.friction=ice.asc"]
+    outcome = run_problem(load_problem(Path("there/your_vehicle.toml"), settings))
     assert outcome.trajectory.attributes["problem_folder"] == "there"
     netcdf.write(Path("out.nc"), outcome.trajectory)
     assert _invoke("out.nc").exit_code == 0
     there.rename(tmp_path / "elsewhere")
     result = _invoke("out.nc")
     assert result.exit_code == 2
-    assert "expected the input file vehicles/trailer.toml" in result.stderr
+    assert "expected the input file ice.asc" in result.stderr
     assert "--folder" in result.stderr
     result = _invoke("out.nc", "--folder", str(ROOT / "problems"))
     assert result.exit_code == 0, result.output

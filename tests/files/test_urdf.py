@@ -600,9 +600,9 @@ def test_a_ball_on_a_fixed_joint_is_a_caster(tmp_path):
 
 
 def test_only_files_of_a_kind_are_read(tmp_path):
-    (tmp_path / "cart.sdf").write_text("<robot/>")
-    with pytest.raises(DataError, match=r"ends in \.toml, \.urdf or \.xacro, found '\.sdf'"):
-        read_vehicle(tmp_path / "cart.sdf")
+    (tmp_path / "cart.txt").write_text("robot")
+    with pytest.raises(DataError, match=r"ends in \.toml, \.urdf or \.xacro, found '\.txt'"):
+        read_vehicle(tmp_path / "cart.txt")
     with pytest.raises(DataError, match="found that it cannot be read"):
         read_vehicle(tmp_path / "no.urdf")
 

@@ -150,5 +150,5 @@ def test_xacro_below_no_wheel_is_left_out_with_its_links(tmp_path):
     assert any("xacro that is not expanded: camera, lens" in note for note in vehicle.notes)
     spun = camera + joint("mount", "continuous", "base", "camera")
     for wrong in (FOUR.replace('value="1"', 'value="${m}"', 1), FOUR + spun):
-        with pytest.raises(VehicleError, match="which may belong to the drive train; expand it"):
+        with pytest.raises(VehicleError, match="which may belong to the drive train; xacro is"):
             read_vehicle(written(tmp_path, wrong))

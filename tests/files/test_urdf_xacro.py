@@ -1,12 +1,34 @@
-"""Tests of xacro files: expansion, and search for packages in the folders above them."""
+"""Tests of xacro files: trust, expansion, expressions in URDF; files of other formats."""
 
 from __future__ import annotations
 
+import os
 import sys
+from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
-from slipfree.problem.build_vehicle import VehicleError, is_vehicle_file, read_vehicle
+from slipfree.cli import app
+from slipfree.errors import DataError
+from slipfree.files import netcdf
+from slipfree.files.urdf.elements import read_tree
+from slipfree.files.urdf.expansion import expanded
+from slipfree.problem.build_vehicle import (
+    VehicleError,
+    guessed_completion,
+    is_vehicle_file,
+    read_vehicle,
+)
+from slipfree.problem.load import load_problem
+from slipfree.problem.result import open_result
+from slipfree.problem.solve import build
+from slipfree.problem.verbs.driving import vehicle_of
+from slipfree.problem.verbs.plan_setup import source_of
+from slipfree.sweep.grid import sweep_of
+from slipfree.sweep.run import _tasks as tasks_of
+from slipfree.sweep.task import Task
+from slipfree.sweep.worker import work
 
 NAMES = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 WHEEL = f"""<robot {NAMES}>
@@ -48,6 +70,138 @@ def test_macros_includes_and_arguments_are_expanded(robot):
     assert "ament_index_python" not in sys.modules
 
 
+PROGRAM = (  # passes the check of xacro for names with two underscores
+    "${(lambda: [c for c in ().__class__.__base__.__subclasses__() if c.__name__ == "
+    "'catch_warnings'][0]()._module.__builtins__['open']('MARK', 'w').write('ran'))()}"
+)
+PROBLEM = """verb = "direct"
+vehicle = { file = "FILE" }
+terrain.synthetic = { x = [-2, 2], y = [-2, 2], spacing = 0.2 }
+start = {}
+driver = { name = "straight", speed = 0.2 }
+time = { duration = 0.2, step = 0.1 }
+"""
+
+
+def called(*words: str) -> str:
+    """Return what a command prints, which fails because of bad input."""
+    done = CliRunner().invoke(app, [*words])
+    assert done.exit_code == 2, done.output
+    return done.output
+
+
+@pytest.fixture
+def hostile(robot, monkeypatch):
+    """Return a folder with files that name a xacro file with a program, as the current one."""
+    folder = robot.parent
+    monkeypatch.chdir(folder)
+    bad = ROBOT.replace("<link", f'<xacro:property name="m" value="{PROGRAM}"/><link n="${{m}}"')
+    Path("evil.xacro").write_text(bad)
+    Path("evil.urdf").write_text(bad)
+    Path("evil.xml").write_text(bad)
+    Path("link.toml").symlink_to("evil.xacro")
+    Path("link.urdf").symlink_to("evil.xacro")
+    Path("part.urdf").write_text(
+        f'<robot {NAMES}><xacro:include filename="evil.xacro"/><link name="b"/></robot>'
+    )
+    Path("v.toml").write_text('urdf = "evil.xacro"\narguments = { radius = "$(eval 1)" }\n')
+    for name in ("evil.xacro", "v.toml", "link.urdf"):
+        Path(f"{name}.p.toml").write_text(PROBLEM.replace("FILE", name))
+    yield folder
+    assert not Path("MARK").exists()
+
+
+@pytest.mark.usefixtures("hostile")
+def test_programs_run_only_if_the_command_line_trusts_the_file():
+    files = ("evil.xacro", "evil.urdf", "evil.xml", "link.toml", "link.urdf", "part.urdf", "v.toml")
+    for name in files:
+        trusted = name if name != "v.toml" else "evil.xacro"
+        with pytest.raises(DataError, match=rf"trust it: .* add --trust {trusted} to the command"):
+            read_vehicle(name)
+        with pytest.raises(DataError, match="xacro is a program"):
+            read_vehicle(name, trust=["cart.urdf.xacro"])
+    for name in ("evil.xacro", "v.toml", "link.urdf"):
+        assert "xacro is a program" in called("check", f"{name}.p.toml")
+        task = Task(1, f"{name}.p.toml", Path(f"{name}.p.toml").read_text(), (), 0, True, "")
+        assert "xacro is a program" in work(task).row.words
+    for words in (["run", "v.toml.p.toml"], ["vehicle", "evil.urdf"], ["vehicle", "v.toml.p.toml"]):
+        assert "xacro is a program" in called(*words)
+    assert "a xacro file to trust, found that it cannot be read" in called(
+        "check", "v.toml.p.toml", "--trust", "no.xacro"
+    )
+    words = called("vehicle", "v.toml", "--trust", "evil.xacro")
+    assert "v.toml:2: arguments.radius: expected letters, digits" in words
+
+
+def test_trust_reaches_every_reader_and_results_need_none(robot, monkeypatch):
+    monkeypatch.chdir(robot.parent)
+    Path("p.toml").write_text(PROBLEM.replace("FILE", robot.name))
+    trusting = ["--trust", robot.name]
+    done = CliRunner().invoke(app, ["run", "p.toml", "--no-draw", *trusting])
+    assert done.exit_code == 0, done.output
+    assert CliRunner().invoke(app, ["vehicle", robot.name, *trusting]).exit_code == 0
+    assert "[wheels]" in guessed_completion(robot, robot.parent, [robot])
+    problem = load_problem("p.toml", trust=[robot.name])
+    assert source_of(problem).trusted == problem.trusted != frozenset()
+    sweep = sweep_of(Path("p.toml"), ["driver.speed=0.1"], trust=[Path(robot.name)])
+    (task,) = tasks_of(sweep, {}, True)
+    done = work(task)
+    netcdf.write("run.nc", done.trajectory)
+    vehicle = read_vehicle(robot.name, trust=True)
+    assert build(problem).vehicle == vehicle
+    robot.unlink()
+    os.mkfifo(robot)  # reading it would not end
+    for file in ("p.nc", "run.nc"):
+        assert vehicle_of(open_result(file)) == vehicle
+    commands = (
+        ["info", "p.nc"],
+        ["show", "p.nc", "--html", "p.html"],
+        ["export", "p.nc", "--mcap", "p.mcap"],
+        ["export", "p.nc", "--rates", "p.csv"],
+    )
+    for words in commands:
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, done.output
+        assert "stored_inputs" not in done.output
+
+
+@pytest.mark.usefixtures("hostile")
+def test_a_result_without_its_vehicle_reads_no_file():
+    Path("p.toml").write_text(PROBLEM.replace('file = "FILE"', 'catalog = "rocky7"'))
+    assert CliRunner().invoke(app, ["run", "p.toml", "--no-draw"]).exit_code == 0
+    run = netcdf.read("p.nc")
+    run.attributes["problem"] = PROBLEM.replace("FILE", "evil.xacro")
+    netcdf.write("evil.nc", run)
+    run.attributes["settings"] = "vehicle.file=link.urdf\ntrust=evil.xacro"
+    netcdf.write("more.nc", run)
+    for name in ("evil.nc", "more.nc"):
+        assert CliRunner().invoke(app, ["info", name]).exit_code == 0
+        for words in (["show", name, "--html", "a.html"], ["export", name, "--mcap", "a.mcap"]):
+            words = called(*words)
+            assert "expected" in words
+            assert "evil.xacro:" not in words
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('<xacro:property name="x" value="${9**9**9}"/><link name="${x}"/>', "takes longer than"),
+        ("<link name=\"${'a' * 10**10}\"/>", "needs more than 2 GB of memory"),
+        ('<xacro:include filename="pipe"/>', "expected xacro, found a pipe, not a regular file"),
+        ('<xacro:include filename="no.xacro"/>', "No such file or directory"),
+        ("<link name=\"${xacro.fatal('\\x1b[31mred')}\"/>", "found: \\x1b[31mred when"),
+    ],
+)
+def test_expansion_has_limits(line, words, robot, monkeypatch):
+    monkeypatch.setattr("slipfree.files.urdf.expansion.MAX_SECONDS", 2.0)
+    monkeypatch.chdir(robot.parent)
+    os.mkfifo("pipe")
+    robot.write_text(ROBOT.replace("<link", f"{line}<link", 1))
+    told = called("vehicle", robot.name, "--trust", robot.name)
+    assert words in told
+    assert "\x1b" not in told
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -55,7 +209,8 @@ def test_macros_includes_and_arguments_are_expanded(robot):
         ('x="-0.2"', 'x="$(arg length)"', "Undefined substitution argument length"),
         ('wheel n="c"', 'weel n="c"', "unknown macro name: xacro:weel"),
         ("-2 * 0.1", "2 *", "invalid syntax"),
-        ("</robot>", "", "expected xacro that can be expanded"),
+        ("</robot>", "", "expected XML, found no element found; the file may be truncated"),
+        ('xacro:wheel n="a"', 'wheel n="a"', "found the call <wheel> of the macro 'wheel'"),
         ('link name="base"', 'link name="a"', "cart.urdf.xacro (expanded):"),
     ],
 )
@@ -75,5 +230,111 @@ def test_without_the_package_the_command_is_named(robot, monkeypatch):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(VehicleError, match="expected xacro, found that it cannot be read"):
+    with pytest.raises(VehicleError, match="expected a URDF, found that it cannot be read"):
         read_vehicle(tmp_path / "no.xacro")
+
+
+PLAIN = f"""<robot name="cart" {NAMES}>
+  <xacro:property name="r" value="0.1"/><xacro:property name="d" value="${{2 * r}}"/>
+  <xacro:property name="side" value="left"/><xacro:arg name="mass" default="$(optenv MASS 3)"/>
+  <link name="base"><inertial><mass value="$(arg mass)"/></inertial>
+    <visual><origin xyz="${{-(r + d)**2}} ${{d / 4}} $(optenv Z 0.5)"/>
+      <geometry><mesh filename="$(find pkg)/a.stl"/></geometry></visual></link>
+  <link name="${{side}}_wheel"><collision>
+    <geometry><cylinder radius="${{pi * d}}" length="${{9**9**9}}"/></geometry></collision></link>
+  <joint name="j${{1 + 1}}" type="continuous"><parent link="base"/><child link="left_wheel"/>
+  </joint>
+</robot>"""
+
+
+def test_plain_expressions_are_replaced_by_arithmetic(monkeypatch):
+    monkeypatch.setenv("Z", "7")
+    monkeypatch.setenv("MASS", "7")
+    with pytest.raises(DataError, match=r"cart:8: .*'\${9\*\*9\*\*9}' in the attribute 'length'"):
+        read_tree(PLAIN.encode(), "cart")
+    tree = read_tree(PLAIN.replace("9**9**9", "9").encode(), "cart")
+    base, wheel = tree.links["base"], tree.links["left_wheel"]
+    assert base.mass == 3
+    assert base.visuals[0].name == "package://pkg/a.stl"
+    assert base.visuals[0].at == pytest.approx((-0.09, 0.05, 0.5))
+    assert wheel.shapes[0].radius == pytest.approx(0.6283185307179586)
+    assert [*tree.joints] == ["j2"]
+    assert tree.notes == (
+        "variables of the environment are not read, $(optenv ...) takes its default: "
+        "MASS = '3', Z = '0.5'",
+    )
+    assert (
+        read_tree(PLAIN.replace("9**9**9", "9").encode(), "cart", {"mass": "4"}).links["base"].mass
+        == 4
+    )
+    for text in ("$(env HOME)", "$(eval 1)", "${r if r else d}", "${().__class__}", "${x}"):
+        raw = PLAIN.replace("9**9**9", "9").replace("${pi * d}", text)
+        with pytest.raises(DataError, match="cart:8: expected plain URDF, found xacro"):
+            read_tree(raw.encode(), "cart")
+
+
+def test_macros_without_prefix_are_named(robot):
+    """Also in included files, whose macros are known only after the expansion."""
+    robot.write_text(ROBOT.replace('xacro:wheel n="a"', 'wheel n="a"'))
+    with pytest.raises(VehicleError, match=r"\(expanded\).*found the call <wheel> of the macro"):
+        read_vehicle(robot, trust=True)
+    own = WHEEL.replace("</robot>", '<link name="base"/>\n<wheel n="a" x="0" y="0"/></robot>')
+    robot.write_text(own)
+    for trust in (False, True):
+        with pytest.raises(
+            VehicleError, match=r"xacro:10: .*<wheel> .*; write <xacro:wheel \.\.\.>"
+        ):
+            read_vehicle(robot, trust=trust)
+    robot.write_text('<robot><link name="base"/><wheel n="a"/></robot>')
+    with pytest.raises(VehicleError, match="<wheel> is not an element of URDF"):
+        read_vehicle(robot)
+    robot.write_text(own.replace(NAMES, "").replace("<wheel", "<xacro:wheel"))
+    with pytest.raises(VehicleError, match=r"write <robot xmlns:xacro=.http://www\.ros\.org"):
+        read_vehicle(robot)
+
+
+SDF_LINK = '<link name="base"><inertial><pose>0 0 0 0 0 0</pose><mass>5</mass></inertial></link>'
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("m.sdf", f'<sdf version="1.9"><model name="m">{SDF_LINK}</model></sdf>', "SDF of Gazebo"),
+        ("m.urdf", f'<robot name="m"><static>0</static>{SDF_LINK}</robot>', "SDF of Gazebo"),
+        ("m.urdf", f'<robot name="m">{SDF_LINK}</robot>', "SDF of Gazebo"),
+        ("m.world", '<sdf version="1.6"><world name="w"/></sdf>', "SDF of Gazebo"),
+        ("m.xml", "<mujoco><worldbody/></mujoco>", "mjcf-urdf-simple-converter"),
+        ("m.urdf", "<mujoco><worldbody/></mujoco>", "MJCF of MuJoCo"),
+        ("m.dae", '<COLLADA xmlns="x"/>', "a mesh, which has no joints"),
+        ("m.stl", "solid a\nendsolid", "a mesh, which has no joints"),
+        ("m.usda", "#usda 1.0", "nvidia-srl-usd-to-urdf"),
+        ("m.launch", "<launch/>", "a launch file of ROS"),
+        ("m.launch.py", "import os", "a launch file of ROS"),
+        ("m.srdf", '<robot name="a"><group name="b"/></robot>', "the URDF to which it belongs"),
+        ("m.urdf", "<html><body/></html>", "found a web page; download the file itself"),
+        ("m.urdf", "<!DOCTYPE html>\n<html/>", "found a web page"),
+        ("m.urdf", "version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        ("m.urdf.gz", "\x1f\x8b\x08", "found a gzip file"),
+        ("m.urdf", "", "found an empty file"),
+        ("m.urdf", " \n\n", "found an empty file"),
+        ("m.urdf", '<!-- a -->\n<?xml version="1.0"?>\n<robot/>', "m.urdf:2: .* move <.xml"),
+        ("m.urdf", '\ufeff\n<?xml version="1.0"?>\n<robot/>', "m.urdf:2: .* move <.xml"),
+        ("m.urdf", '<?xml version="1.0" encoding="utf-16"?><robot/>', 'write encoding="utf-8"'),
+        ("m.urdf", '<?xml version="1.0" encoding="big5"?><robot/>', "save the file as UTF-8"),
+    ],
+)
+def test_other_formats_are_named_with_a_way(name, text, words, tmp_path):
+    file = tmp_path / name
+    file.write_bytes(text.encode("latin-1" if text.startswith("\x1f") else "utf-8"))
+    assert is_vehicle_file(file)
+    (tmp_path / "v.toml").write_text(f'urdf = "{name}"')
+    for path in (file, tmp_path / "v.toml"):
+        with pytest.raises(DataError, match=words):
+            read_vehicle(path)
+
+
+def test_the_expansion_prints_nothing(robot, capfd):
+    robot.write_text(ROBOT.replace('name="base"', "name=\"base${xacro.message('hello') or ''}\""))
+    assert len(read_vehicle(robot, trust=True).wheels) == 3
+    assert expanded(robot, {}).macros == {"wheel"}
+    assert capfd.readouterr() == ("", "")

@@ -292,11 +292,10 @@ def _draft(path: Path, trusted: frozenset[str]) -> _Read:
     if path.suffix.lower() == ".toml":
         file = open_file(path)
         return _completed(file, trusted) if "urdf" in file.data else _Read(read_toml(file), None)
-    with regular_file(path, "a vehicle file"):
-        raise DataError(
-            f"{path}: expected a vehicle file that ends in .toml, .urdf or .xacro, found "
-            f"{repr(path.suffix) if path.suffix else 'no ending'}; check the name"
-        )
+    raise DataError(
+        f"{path}: expected a vehicle file that ends in .toml, .urdf or .xacro, found "
+        f"{repr(path.suffix) if path.suffix else 'no ending'}; check the name"
+    )
 
 
 def _completion(file: File) -> UrdfTable:

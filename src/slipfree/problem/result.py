@@ -187,9 +187,9 @@ def _folder(
             return place
     if complete:
         raise DataError(
-            f"{file}: expected {' and '.join(known)} as when the result was computed, found other "
-            f"contents in {' and '.join(map(str, complete))}; restore the contents, give another "
-            "folder with --folder DIR, or run the problem again"
+            f"{file}: expected the ground with which the result was computed, found a different "
+            f"one ({', '.join(known)}) in {' and '.join(map(str, complete))}; restore the file, "
+            "give its folder with --folder DIR, or run the problem again"
         )
     raise DataError(
         f"{file}: expected the input file{'s' * (len(needed) > 1)} {' and '.join(needed)} of its "

@@ -136,8 +136,20 @@ def restored_vehicle(file: Path, stored: StoredVehicle, folder: Path) -> Vehicle
         raise DataError(f"{file}: expected a valid stored vehicle, found: {error}") from error
     robot = stored.robot
     if robot is not None:
+        if not _is_tree(robot):
+            raise _incomplete(file)
         robot = robot._replace(tree=replace(robot.tree, file=str(folder / robot.tree.file)))
     return VehicleFile(vehicle, robot, stored.meshes)
+
+
+def _is_tree(robot: Robot) -> bool:
+    """Return whether the joints of a URDF connect its links, parents before children."""
+    known = {robot.tree.root}
+    for name, joint in robot.tree.joints.items():
+        if name != joint.name or joint.parent not in known or joint.child in known:
+            return False
+        known.add(joint.child)
+    return known == {*robot.tree.links}
 
 
 def _incomplete(file: Path) -> DataError:

@@ -86,6 +86,9 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> Expansion:
     """
     with regular_file(path, "xacro"):
         pass
+    if find_spec("xacro") is None:
+        hint = f"; or expand the file elsewhere: xacro {shlex.quote(str(path))} > robot.urdf"
+        raise DataError(f"{path}: {missing_package('xacro', 'urdf')}{hint}")
     try:
         return bounded_call(_expand, path, dict(arguments), seconds=MAX_SECONDS)
     except ProcessDiedError as error:
@@ -97,11 +100,8 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> Expansion:
 
 def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
     """Expand a xacro file in this process; parameters and errors are those of `expanded`."""
-    try:
-        import xacro
-    except ImportError as error:
-        hint = f"; or expand the file elsewhere: xacro {shlex.quote(str(path))} > robot.urdf"
-        raise DataError(f"{path}: {missing_package('xacro', 'urdf')}{hint}") from error
+    import xacro
+
     if find_spec(FINDER) is None:
         _find_packages_above(path)
     macros = _record_macros(xacro)

@@ -55,8 +55,8 @@ def is_description(path: Path) -> bool:
     if {*endings} & {*ROBOTS, *FORMATS} and endings[-1] != ".toml":
         return True
     try:
-        with regular_file(path, "a vehicle file"), path.open("rb") as file:
-            return is_markup(file.read(HEAD))
+        with regular_file(path, "a vehicle file") as size, path.open("rb") as file:
+            return is_markup(file.read(min(size, HEAD)))
     except DataError:
         return False
 

@@ -22,6 +22,7 @@ from slipfree.laws.soil import Soil
 from slipfree.models.drawbar import RESERVE, drawbar_reserve
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.obstacle_ending import obstacle_ending
+from slipfree.models.poses import wheel_poses
 from slipfree.models.records import is_determinate
 from slipfree.models.rocking import has_pressed_wheels
 from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
@@ -285,10 +286,12 @@ def ground_of(result: Result) -> Ground:
 
 
 def vehicle_of(result: Result) -> Vehicle:
-    """Return the vehicle of a result."""
+    """Return the vehicle of a result; raise DataError if it does not match the motion."""
     problem = result.problem
     with at(problem, ("vehicle",)):
-        return build_vehicle(problem.spec.vehicle, problem)
+        vehicle = build_vehicle(problem.spec.vehicle, problem)
+    _check_vehicle(result.trajectory, vehicle)
+    return vehicle
 
 
 def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:
@@ -349,6 +352,26 @@ def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:
     if ending is None:
         return run
     return replace(run, attributes={**run.attributes, OBSTACLES: str(ending)})
+
+
+def _check_vehicle(run: Trajectory, vehicle: Vehicle) -> None:
+    """Raise DataError unless the vehicle has the wheels, joints and contacts of the motion."""
+    wheels = tuple(wheel.name for wheel in vehicle.wheels)
+    if wheels != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
+        raise _changed("vehicle", None, "its wheels or joints have other names")
+    placed = wheel_poses(vehicle, run)
+    center, contact = (
+        np.stack([run[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
+        for name in ("center", "contact")
+    )
+    away = np.linalg.norm(placed.origins - center, axis=-1)
+    along = np.einsum("nki,nki->nk", contact - center, placed.rotations[..., 0])
+    out = np.sqrt(np.maximum(((contact - center) ** 2).sum(axis=-1) - along**2, 0))
+    columns = zip(vehicle.wheels, run["wheel_u"].T, strict=True)
+    x, rho = np.stack([wheel.section.outline(u) for wheel, u in columns], axis=-1)
+    off = max(away.max(), np.hypot(along - x, out - rho).max())
+    if not off <= np.abs(_depth(run)).max() + SAME * min(wheel.radius for wheel in vehicle.wheels):
+        raise _changed("vehicle", None, f"its wheels are {off:.2g} m from those of the result")
 
 
 def _check_ground(
