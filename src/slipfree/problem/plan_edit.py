@@ -230,13 +230,9 @@ def _is_toml(text: str) -> bool:
 
 @contextmanager
 def _edited(sections: list[str], name: str, where: int | None = None) -> Iterator[Any]:
-    """Yield the value of a name in a section for editing; a missing table is added at the end."""
+    """Yield the value of a name, by default in the first section that has it, for editing."""
     if where is None:
-        found = [k for k, part in enumerate(sections) if name in tomllib.loads(part)]
-        if not found:
-            sections[-1] = _ended(sections[-1])
-            sections.append(f"\n[{name}]\n")
-        where = found[0] if found else len(sections) - 1
+        where = next(k for k, part in enumerate(sections) if name in tomllib.loads(part))
     try:
         document: Any = tomlkit.parse(sections[where])
         yield document[name]
@@ -300,7 +296,7 @@ def _edit_regions(sections: list[str], old: Sequence[Region], new: Sequence[Regi
         elif former != kept[former.identity]:
             with _edited(sections, "keep_out", k) as tables:
                 _edit_region(tables[0], former, kept[former.identity])
-    for each in reversed(added):
+    for each in added:
         table = tomlkit.table()
         _edit_region(table, None, each)
         text = f"\n[[keep_out]]\n{table.as_string()}"

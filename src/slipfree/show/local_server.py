@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
@@ -136,7 +137,7 @@ class _Server(ThreadingHTTPServer):
     """Server whose connections end silently when the page is closed."""
 
     daemon_threads = True
-    allow_reuse_address = False
+    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that is in use
 
     def handle_error(self, *_: Any) -> None:
         """Ignore errors of a connection."""
