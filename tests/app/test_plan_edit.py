@@ -19,8 +19,8 @@ from slipfree.cli import app
 from slipfree.cli.show import open_page
 from slipfree.errors import DataError
 from slipfree.files.toml.errors import ProblemError
-from slipfree.problem.load import load_problem
 from slipfree.problem import plan_session
+from slipfree.problem.load import load_problem
 from slipfree.problem.plan_document import Document, read_document, saved
 from slipfree.problem.plan_edit import Places, Region, edited_text, places_from, places_in
 from slipfree.problem.plan_session import (
