@@ -24,6 +24,7 @@ LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit, relative to its ran
 REFINED_FRACTION = 0.25  # neighbours with this fraction of a violation are also refined
 VERIFICATION_TOLERANCE = 0.01  # tolerance of the simulation, relative to the plan's accuracy
 POSITION_UNITS = ("m", "rad", "1")  # of states that a simulation with another model must reproduce
+SWUNG = 0.05  # largest difference at the end of the swing of a caster to either side [rad]
 MIN_INTERVAL_SAMPLES = 8  # samples per interval, denser near its ends
 
 
@@ -123,18 +124,19 @@ def verify_plan(
 def _compare(x: Array, planned: Array, periodic: Mask, accuracy: float) -> tuple[Array, Array]:
     """Return simulated states within half a turn of the planned ones, and their differences.
 
-    A caster that leaves its unstable equilibrium turns left in the plan and right in the simulation
-    by rounding alone. Its difference while it does so is no error: both arrive at the same position
-    a turn apart. It counts as zero.
+    A caster that is driven backwards is unstable: by rounding alone it swings to the left in the
+    plan and to the right in the simulation, on any mesh, and arrives at the same position a turn
+    apart. The difference during such a swing is no error; it counts as zero.
     """
     near = same_turn(x, planned, periodic)
-    gaps = near - planned
+    gaps, last = near - planned, x.shape[1] - 1
     for k in np.flatnonzero(periodic):
         turns = np.round((x[k] - near[k]) / TURN)
         inside = np.flatnonzero(np.abs(gaps[k]) <= accuracy)
-        for before, after in pairwise(inside):
-            if turns[before] != turns[after]:
-                gaps[k, before + 1 : after] = 0.0
+        for before, after in pairwise([*inside, last]):
+            has_swung = turns[before] != turns[after] and abs(gaps[k, after]) <= SWUNG
+            if has_swung:
+                gaps[k, before + 1 : after + 1] = 0.0
     return near, gaps
 
 

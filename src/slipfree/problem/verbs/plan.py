@@ -254,21 +254,31 @@ def figure_options(setup: Planning) -> dict[str, Any]:
 
 
 def _turns(spec: plan_schema.Plan, setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
-    """Return the description of angles that a plan reaches whole turns beside the goal."""
+    """Return the description of angles that differ by whole turns from the goal or the plan."""
     words = []
     names = [label.full for label in leaves(setup.dae.labels.x)]
     end = found.motion.states(np.ones(1))[:, 0] + setup.dae.shift[0] if found.success else ()
     for name, value in zip(names, end, strict=False):
+        apart = round((float(found.replay[name][-1]) - value) / TURN)
+        if apart and found.accurate:
+            words.append(
+                f"{name} ends {_turn_words(apart)} in the simulation than in the plan: the same "
+                "position, after a swing to the other side"
+            )
         low, high = spec.goal.get(name, (-np.inf, np.inf))
         reached = float(value) + setup.dae.reported.get(name, 0.0)
         turns = round((reached - (low + high) / 2) / TURN) if high - low < TURN else 0
         if turns and not low - np.pi < reached < high + np.pi:
             words.append(
-                f"{name} {reached:.6g} rad at the end, {abs(turns)} "
-                f"{'turn' if abs(turns) == 1 else 'turns'} {'more' if turns > 0 else 'less'} than "
+                f"{name} is {reached:.6g} rad at the end, {_turn_words(turns)} than "
                 f"{spelled((low, high))}: the same position, reached the short way"
             )
     return {"plan_turns": "; ".join(words)} if words else {}
+
+
+def _turn_words(turns: int) -> str:
+    count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
+    return f"{count} {'more' if turns > 0 else 'less'}"
 
 
 def _violations(found: Plan | LongPlan, accuracy: float) -> dict[str, str]:
