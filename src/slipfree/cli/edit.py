@@ -13,7 +13,6 @@ import typer
 from slipfree.cli.common import Trust, reported
 from slipfree.cli.messages import warn
 from slipfree.cli.show import open_page
-from slipfree.files.urdf.expansion import trusted_paths
 
 if TYPE_CHECKING:
     from slipfree.problem.plan_document import Document
@@ -37,17 +36,18 @@ def edit(
     start, goal and regions to the problem file.
     """
     with reported():
-        _serve(file, port, trusted_paths(trust or ()), browser=browser)
+        _serve(file, port, trust or [], browser=browser)
 
 
-def _serve(file: Path, port: int, trusted: frozenset[str], *, browser: bool) -> None:
+def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
     """Serve the page of a problem until Ctrl-C."""
+    from slipfree.files.urdf.expansion import trusted_paths
     from slipfree.problem.plan_document import read_document
     from slipfree.problem.plan_session import Desk, state_of
     from slipfree.show.guard import Gate
     from slipfree.show.local_server import json_content, start_server
 
-    desk = Desk(read_document(file, trusted), _page_drawer())
+    desk = Desk(read_document(file, trusted_paths(trust)), _page_drawer())
     get = {
         "/": lambda: desk.session.page.html,
         "/map.png": lambda: desk.session.page.image,

@@ -252,7 +252,9 @@ def plan(
         plan of least cost.
     goal : mapping of str to float or (low, high), or sequence of Limit
         Values or ranges of states and algebraic unknowns at the end, by name, in map coordinates;
-        or conditions in the model's symbols. [m, rad]
+        or conditions in the model's symbols. A heading, or a joint without stop and spring, is the
+        same after a whole turn: a value more than half a turn from the start and the first guess
+        is replaced by the one nearest to the start. [m, rad]
     costs : mapping of str to float, or sequence of Cost
         Weights by name: ``"slip"``, ``"effort"`` (squared inputs), ``"time"``, ``"energy"`` (work
         of the wheels' drives; braking recovers no energy), or any quantity of the model, whose

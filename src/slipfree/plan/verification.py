@@ -215,8 +215,8 @@ def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory, x: Array) -> f
         unknowns = np.zeros((dae.scale.size, run.t.size))
         values = limit_values(dae, [limit], (run.t, x, unknowns, u))[0]
     elif label.name in run.columns:
-        values = run.of(label) + task.dae.reported.get(label.full, 0.0)
-        values = values - shift_of(task, limit.expression)
+        shift = shift_of(task, limit.expression) - task.dae.reported.get(label.full, 0.0)
+        values = run.of(label) - shift
     else:
         return 0.0
     return float(np.maximum(np.maximum(limit.lower - values, values - limit.upper), 0.0).max())

@@ -230,7 +230,9 @@ class Desk:
         else:
             text = document.text_with(command.places)
             former = session.plans[0].arrays if command.is_warm and session.plans else {}
-            self.worker.start(PlanRequest(document.path, text, (), former, document.problem.trusted))
+            self.worker.start(
+                PlanRequest(document.path, text, (), former, document.problem.trusted)
+            )
             self.session = begun(session)
 
     def _watch(self) -> None:
