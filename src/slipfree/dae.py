@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
 from itertools import pairwise
@@ -275,6 +275,10 @@ class Dae(Generic[X, Z, U, Y]):
         Typical sizes of ``z``, each in the unit of its unknown.
     shift : tuple of two ndarrays, shapes (n_x,) and (n_z,)
         Map values minus local values of ``x`` and of ``z``.
+    reported : mapping of str to float
+        Values in conditions and costs given by name, and in messages, minus map values, by name of
+        the quantity; zero for other quantities. An example is the heading of a problem that counts
+        headings from the x axis.
     size : float
         Unit of length of the solvers, usually the extent of the vehicle. Tolerances, residuals and
         rank decisions do not change if all lengths of a problem are scaled with it. [m]
@@ -357,6 +361,7 @@ class Dae(Generic[X, Z, U, Y]):
     replay: Replay | None = None
     held: HeldTerms | None = None
     p: tuple[Parameter, ...] = ()
+    reported: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         blocks: Any = self.z

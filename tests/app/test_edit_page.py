@@ -1,143 +1,93 @@
-"""Tests of planning by hand in a browser: dragging handles, planning, and cancelling a search."""
+"""Tests of planning by hand in a browser: dragging, planning, cancelling, saving, stale pages.
+
+One browser and one server serve all tests, since both take seconds to start.
+"""
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 import time
 import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from helpers.chromium import headless_chromium
-
-PATIENCE = 60.0  # for one step, where many tests share few processors [s]
-PROBLEM = """\
-verb = "plan"
-title = "Short <way>"
-
-[terrain.synthetic]
-x = [-5, 5]
-y = [-5, 5]
-spacing = 0.5
-power_law = { rms = 0.02, hurst = 0.9, longest = 8.0, shortest = 4.0, seed = 1 }
-
-[vehicle]
-catalog = "three_wheeler"
-axle = "fixed"
-
-[start]
-x = 0.0     # east of the origin [m]
-y = -2.0
-heading = 0.0
-
-[goal]
-x = 0.0     # [m]
-y = [1.0, 1.2]
-
-[[keep_out]]
-x = 3.0
-y = 0.0
-radius = 0.5
-
-[costs]
-effort = 1.0
-
-[plan]
-intervals = 6
-
-[driver]
-name = "straight"
-speed = 0.5
-
-[time]
-duration = 6.0
-step = 0.1
-"""
+from helpers.edit_page import (
+    PATIENCE,
+    PROBLEM,
+    REGIONS,
+    EditPage,
+    remove_save_plan_save,
+    shapes_in,
+    until,
+)
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditPage]:
+    file = tmp_path_factory.mktemp("edit") / "short.toml"
+    file.write_text(PROBLEM, encoding="utf-8")
     with headless_chromium((1100, 700), PATIENCE) as driver:
-        yield driver
-
-
-@contextmanager
-def served(browser: Any, file: Path, text: str) -> Iterator[Any]:
-    """Yield the browser with the page of a problem, whose file is ``browser.file``."""
-    file.write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "slipfree", "edit", str(file), "--no-browser"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        page = EditPage(driver, file)
         try:
-            line = process.stderr.readline() if process.stderr else ""
-            browser.get(line.split()[0])
-            browser.file = file
-            until(lambda: browser.find_elements("id", "handle-goal"))
-            yield browser
-            process.send_signal(signal.SIGINT)
-            assert process.wait(PATIENCE) == 0
+            page.open()
+            yield page
+            assert "Traceback" not in page.end()
         finally:
-            process.kill()
+            page.process.kill()
 
 
-@pytest.fixture(scope="module")
-def page(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    with served(browser, tmp_path_factory.mktemp("edit") / "short.toml", PROBLEM) as driver:
-        yield driver
+@pytest.fixture
+def page(served: EditPage) -> EditPage:
+    served.write(f"{PROBLEM}# {time.monotonic_ns()}\n")  # a change, so that the page reads it
+    served.driver.get_log("browser")
+    return served
 
 
-def until(ask: Callable[[], Any]) -> Any:
-    """Return the first answer that is true."""
-    end = time.monotonic() + PATIENCE
-    while time.monotonic() < end:
-        if answer := ask():
-            return answer
-        time.sleep(0.05)
-    raise TimeoutError(f"no answer within {PATIENCE} s")
-
-
-def drag(driver: Any, handle: str, right: int, down: int) -> None:
+def drag(page: EditPage, handle: str, right: int, down: int) -> None:
     from selenium.webdriver import ActionChains
 
-    element = driver.find_element("id", f"handle-{handle}")
-    ActionChains(driver, duration=50).drag_and_drop_by_offset(element, right, down).perform()
+    element = page.driver.find_element("id", f"handle-{handle}")
+    ActionChains(page.driver, duration=50).drag_and_drop_by_offset(element, right, down).perform()
 
 
-def value(driver: Any, name: str) -> float:
-    return float(driver.find_element("id", f"value-{name}").get_property("value"))
+def value(page: EditPage, name: str) -> float:
+    return float(page.driver.find_element("id", f"value-{name}").get_property("value"))
 
 
-def pixels_per_metre(driver: Any) -> float:
-    return float(driver.execute_script("return view.scale"))
+def pixels_per_metre(page: EditPage) -> float:
+    return float(page.run("return view.scale"))
 
 
-def line(driver: Any) -> str:
-    return str(driver.find_element("id", "line").text)
+def is_stale(page: EditPage) -> bool:
+    return bool(page.run("return !document.getElementById('stale').hidden"))
 
 
-def test_a_plan_is_drawn_and_compared_with_the_last_one(page: Any) -> None:
+def data_of(page: EditPage) -> dict[str, Any]:
+    return tomllib.loads(page.file.read_text(encoding="utf-8"))
+
+
+def severe(page: EditPage) -> list[Any]:
+    return [each for each in page.driver.get_log("browser") if each["level"] == "SEVERE"]
+
+
+def test_a_plan_is_drawn_and_compared_with_the_last_one(page: EditPage) -> None:
     paths = []
     for _ in range(2):
-        page.find_element("id", "plan").click()
-        until(lambda: page.find_element("id", "cancel").is_enabled())
-        until(lambda: line(page) == "found a plan")
-        paths.append(page.find_element("id", "path-plan").get_attribute("points"))
+        page.click("plan")
+        until(lambda: page.driver.find_element("id", "cancel").is_enabled())
+        until(lambda: page.line() == "found a plan")
+        paths.append(page.driver.find_element("id", "path-plan").get_attribute("points"))
         drag(page, "goal", 30, 0)
-    page.get(page.current_url)  # with the places of the file
-    until(lambda: page.find_elements("id", "handle-goal"))
     assert paths[0] != paths[1]
-    assert page.find_elements("id", "path-last")
-    rows = page.find_element("id", "facts").text
+    assert page.driver.find_elements("id", "path-last")
+    rows = page.driver.find_element("id", "facts").text
     assert rows.count("complete") == 2
     assert "path length" in rows
 
 
-def test_dragged_handles_change_values_and_the_saved_file(page: Any) -> None:
+def test_dragged_handles_change_values_and_the_saved_file(page: EditPage) -> None:
     metre = pixels_per_metre(page)
     tolerance = 1.5 / metre  # of the pointer, which moves by whole pixels
     drag(page, "start", round(metre), -round(metre / 2))
@@ -149,15 +99,14 @@ def test_dragged_handles_change_values_and_the_saved_file(page: Any) -> None:
     assert value(page, "goal-y") == pytest.approx(2.1, abs=tolerance)
     drag(page, "keep-0-radius", round(metre), 0)
     assert value(page, "keep-radius") == pytest.approx(1.5, abs=tolerance)
-    page.find_element("id", "undo").click()
-    page.find_element("id", "add").click()
+    page.click("undo")
+    page.click("add")
     drag(page, "keep-1", -round(2 * metre), 0)
     assert value(page, "keep-x") == pytest.approx(-2.0, abs=tolerance)
     before = {name: value(page, name) for name in ("start-x", "start-y", "goal-y")}
-    page.find_element("id", "save").click()
-    until(lambda: line(page) == "saved short.toml")
-    text = page.file.read_text(encoding="utf-8")
-    data = tomllib.loads(text)
+    page.click("save")
+    until(lambda: page.line() == "saved short.toml")
+    text, data = page.file.read_text(encoding="utf-8"), data_of(page)
     assert "# east of the origin [m]" in text
     assert data["start"]["x"] == before["start-x"]
     low, high = data["goal"]["y"]
@@ -165,55 +114,110 @@ def test_dragged_handles_change_values_and_the_saved_file(page: Any) -> None:
     assert high - low == pytest.approx(0.2)
     assert data["keep_out"][0]["radius"] == 0.5
     assert len(data["keep_out"]) == 2
-    severe = [each for each in page.get_log("browser") if each["level"] == "SEVERE"]
-    assert severe == []
+    assert severe(page) == []
 
 
-@pytest.mark.slow
-def test_polygons_are_added_and_saved_and_way_points_are_shown(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_polygons_are_added_and_saved_and_way_points_are_shown(page: EditPage) -> None:
     way = "[[way_points]]\nat = 0.5\nx = 0.4\ny = [-0.6, -0.4]\n\n[[keep_out]]"
-    with served(browser, tmp_path / "poly.toml", PROBLEM.replace("[[keep_out]]", way)) as page:
-        assert page.find_element("id", "way-name-0").text == "way-point at 0.5"
-        metre = pixels_per_metre(page)
-        page.find_element("id", "polygon").click()
-        drag(page, "keep-1-3-new", -round(metre), 0)
-        assert page.find_elements("id", "handle-keep-1-4")
-        page.find_element("id", "undo").click()
-        assert not page.find_elements("id", "handle-keep-1-4")
-        drag(page, "keep-1-1-new", round(metre), 0)  # the side to the east gets a corner
-        page.find_element("id", "save").click()
-        until(lambda: line(page) == "saved poly.toml")
-        text = page.file.read_text(encoding="utf-8")
-        disc, polygon = tomllib.loads(text)["keep_out"]
-        assert disc["radius"] == 0.5
-        points = polygon["points"]
-        assert len(points) == 5
-        east = max(x for x, _ in points)
-        (corner,) = (point for point in points if point[0] == east)
-        assert points.index(corner) == 2
-        assert east == pytest.approx(points[1][0] + 1.0, abs=2 / metre)
-        severe = [each for each in page.get_log("browser") if each["level"] == "SEVERE"]
-        assert severe == []
+    page.file.write_text(PROBLEM.replace("[[keep_out]]", way), encoding="utf-8")
+    until(lambda: page.driver.find_elements("id", "way-name-0"))  # the page loads again
+    assert page.driver.find_element("id", "way-name-0").text == "way-point at 0.5"
+    metre = pixels_per_metre(page)
+    page.click("polygon")
+    drag(page, "keep-1-3-new", -round(metre), 0)
+    assert page.driver.find_elements("id", "handle-keep-1-4")
+    page.click("undo")
+    assert not page.driver.find_elements("id", "handle-keep-1-4")
+    drag(page, "keep-1-1-new", round(metre), 0)  # the side to the east gets a corner
+    page.click("save")
+    until(lambda: page.line() == "saved short.toml")
+    disc, polygon = data_of(page)["keep_out"]
+    assert disc["radius"] == 0.5
+    points = polygon["points"]
+    assert len(points) == 5
+    east = max(x for x, _ in points)
+    (corner,) = (point for point in points if point[0] == east)
+    assert points.index(corner) == 2
+    assert east == pytest.approx(points[1][0] + 1.0, abs=2 / metre)
+    assert severe(page) == []
 
 
-@pytest.mark.slow
-def test_a_cancelled_search_ends_at_once_and_the_page_goes_on(browser: Any, tmp_path: Path) -> None:
-    text = PROBLEM.replace("intervals = 6", "intervals = 400")
-    with served(browser, tmp_path / "long.toml", text) as page:
-        cancel_search(page)
-
-
-def cancel_search(page: Any) -> None:
-    page.find_element("id", "plan").click()
-    until(lambda: page.find_elements("id", "iterate-0"))
+def test_a_cancelled_search_ends_at_once_and_the_page_goes_on(page: EditPage) -> None:
+    page.write(PROBLEM.replace("intervals = 6", "intervals = 400"))
+    page.click("plan")
+    until(lambda: page.driver.find_elements("id", "iterate-0"))
     metre = pixels_per_metre(page)
     drag(page, "goal", round(metre), 0)  # the page responds during the search
     assert value(page, "goal-x") == pytest.approx(1.0, abs=1.5 / metre)
     begin = time.monotonic()
-    page.find_element("id", "cancel").click()
-    until(lambda: line(page) == "cancelled")
+    page.click("cancel")
+    until(lambda: page.line() == "cancelled")
     assert time.monotonic() - begin < 5
-    assert page.find_element("id", "plan").is_enabled()
-    assert page.find_elements("id", "iterate-0")  # its last iterates stay visible
+    assert page.driver.find_element("id", "plan").is_enabled()
+    assert page.driver.find_elements("id", "iterate-0")  # its last iterates stay visible
+
+
+@pytest.mark.parametrize(("region", "pause"), [(0, 0.0), (1, 0.1), (2, 0.3)])
+def test_a_removed_region_is_the_only_one_that_the_file_loses(
+    page: EditPage, region: int, pause: float
+) -> None:
+    remove_save_plan_save(page, region, pause)
+
+
+def test_a_stale_page_keeps_its_changes_until_the_user_chooses(page: EditPage) -> None:
+    page.write(PROBLEM + REGIONS)
+    first = page.driver.current_window_handle
+    page.driver.switch_to.new_window("tab")
+    second = page.driver.current_window_handle
+    page.open()
+    page.run("places.start[0] = 0.25; places.regions.splice(1, 1); draw();")
+    page.driver.switch_to.window(first)
+    page.run("places.start[1] = -2.5; places.regions.splice(0, 1); draw();")
+    page.click("save")
+    page.rest()
+    page.driver.switch_to.window(second)
+    until(lambda: is_stale(page))
+    page.run("command('save', {})")  # refused also without the disabled button
+    page.rest()
+    assert len(data_of(page)["keep_out"]) == 2
+    assert len(page.places()["regions"]) == 2
+    page.click("reapply")
+    assert not is_stale(page)
+    page.click("save")
+    page.rest()
+    data = data_of(page)
+    assert (data["start"]["x"], data["start"]["y"]) == (0.25, -2.5)
+    assert shapes_in(data) == [[[[2.0, 3.0], [3.0, 3.0], [3.0, 4.0]], None]]
+    page.driver.close()
+    page.driver.switch_to.window(first)
+    until(lambda: page.places()["start"][0] == 0.25)  # without changes it shows the file
+    page.run("places.start[0] = 0.75; draw();")
+    page.file.write_text(PROBLEM, encoding="utf-8")
+    until(lambda: is_stale(page))
+    page.click("discard")
+    assert page.places()["start"][0] == 0.0
+    assert len(page.places()["regions"]) == 1
+
+
+def test_a_restarted_server_and_double_clicks_lose_no_change(page: EditPage) -> None:
+    from selenium.webdriver import ActionChains
+
+    page.run("remember(); places.start[0] = 0.5; draw();")
+    page.end()
+    page.start()
+    until(lambda: "was started again" in page.error())
+    assert page.places()["start"][0] == 0.5
+    page.open()
+    assert page.places()["start"][0] == 0.5
+    assert not is_stale(page)
+    page.run("remember(); places.regions = []; draw();")
+    save = page.driver.find_element("id", "save")
+    ActionChains(page.driver).double_click(save).perform()
+    page.rest()
+    assert data_of(page)["start"]["x"] == 0.5
+    assert "keep_out" not in data_of(page)
+    page.click("undo")
+    page.click("save")
+    page.rest()
+    assert shapes_in(data_of(page)) == [[[[3.0, 0.0]], 0.5]]
+    assert page.error() == ""

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
 from math import pi
 from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -15,9 +19,9 @@ from typer.testing import CliRunner
 from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.frames import to_problem_frame
+from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
-from slipfree.problem.verbs.plan_goals import facing
 from slipfree.show import motion_figures
 from slipfree.sweep.metrics import figures_of
 
@@ -95,7 +99,99 @@ def test_a_start_without_heading_faces_along_the_x_axis(problem: Path) -> None:
     assert setup.start["heading"][0] == 0
 
 
-def test_ranges_of_headings_are_in_the_frame_of_the_problem(problem: Path) -> None:
-    wanted = {"heading": (0.1, 0.2), "pitch": (-0.1, 0.1)}
-    turned = facing(load_problem(problem), wanted)
-    assert turned == {"heading": (0.1 - pi / 2, 0.2 - pi / 2), "pitch": (-0.1, 0.1)}
+PLAN = """\
+verb = "plan"
+frame = "{frame}"
+goal = {{ x = 1.0, y = 0.2, heading = {goal} }}
+limits = {{ heading = [{low}, {high}] }}
+costs = {{ effort = 0.1 }}
+driver = {{ name = "straight", speed = 0.25 }}
+plan = {{ intervals = 4 }}
+time = {{ duration = 4.0, step = 0.5 }}
+start = {{ heading = {start} }}
+vehicle = {{ catalog = "differential_drive" }}
+
+[terrain.synthetic]
+x = [-5.0, 5.0]
+y = [-5.0, 5.0]
+spacing = 0.5
+
+[[way_points]]
+at = 0.5
+heading = [{low}, 0.3]
+"""
+
+
+def _plan(frame: str, *commands: str, **headings: float) -> tuple[int, str]:
+    """Return exit code and output of a command for a plan whose headings count from the x axis."""
+    values = {"start": 0.3, "goal": 0.3, "low": -0.5, "high": 0.9} | headings
+    offset = 0.0 if frame == "rep103" else -pi / 2
+    text = PLAN.replace("0.3]", "{mid}]").format(
+        frame=frame, mid=0.5 + offset, **{key: value + offset for key, value in values.items()}
+    )
+    Path("p.toml").write_text(text)
+    result = CliRunner().invoke(app, [commands[0], "p.toml", *commands[1:]])
+    return result.exit_code, result.output
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield all texts and numbers of a JSON value with their keys."""
+    pairs = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, each in pairs:
+        if isinstance(each, dict | list):
+            yield from _leaves(each, f"{name}/{key}")
+        else:
+            yield f"{name}/{key}", each
+
+
+def _headings(text: str) -> list[float]:
+    """Return the numbers in a text that are headings, not differences of headings."""
+    found = re.findall(
+        r"heading (?:at the [a-z-]+(?: at 0.5)?(?: at (?:least|most))? )?"
+        r"([-+]?[0-9.]+)(?: rad|$|,)",
+        text,
+    )
+    return [float(each) for each in found]
+
+
+def test_a_plan_reports_all_headings_in_the_frame_of_the_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = []
+    for frame in ("rep103", "paper"):
+        code, output = _plan(frame, "run", "--no-draw", "--json", "--csv", "p.csv")
+        assert code == 0, output
+        table = np.genfromtxt("p.csv", delimiter=",", names=True, deletechars="")
+        found.append((dict(_leaves(json.loads(output))), table))
+    (first, table), (second, other) = found
+    assert first.keys() == second.keys()
+    assert_allclose(table["heading"] - other["heading"], pi / 2, atol=1e-9)
+    prices = [each["/facts/prices of limits"] for each in (first, second)]
+    assert "heading at the goal 0.3 rad" in prices[0]
+    assert "heading at the goal -1.271 rad" in prices[1]
+    for key, value in first.items():
+        if isinstance(value, float) and "/quantities/" in key:
+            turn = pi / 2 if "/heading/" in key else 0.0
+            assert value - second[key] == pytest.approx(turn, abs=1e-5), key
+        elif isinstance(value, str):
+            for one, two in zip(_headings(value), _headings(second[key]), strict=True):
+                assert one - two == pytest.approx(pi / 2, abs=1e-3), (key, value)
+
+
+def test_contradictory_headings_are_named_in_the_frame_of_the_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, words = _plan("rep103", "check", goal=1.2, start=1.0)
+    assert code == 2
+    assert "heading at the goal must be 1.2 rad" in words
+    assert "heading of the vehicle must be -0.5 to 0.9 rad, but the start has 1 rad" in words
+
+
+def test_a_weight_of_the_heading_is_one_of_that_of_the_problem(problem: Path) -> None:
+    for frame, offset in (("rep103", pi / 2), ("paper", 0.0)):
+        dae = build(load_problem(problem, [f"frame={frame}"])).dae
+        (cost,) = costs_of(dae, {"heading": 1.0})
+        squared = ca.Function("cost", [dae.x.heading], [cost.expression])
+        assert float(squared(0.3)) == pytest.approx((0.3 + offset) ** 2)

@@ -9,49 +9,162 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from slipfree.cli import app
+from slipfree.cli.show import open_page
 from slipfree.errors import DataError
 from slipfree.files.toml.errors import ProblemError
+from slipfree.problem import plan_session
 from slipfree.problem.load import load_problem
+from slipfree.problem.plan_document import Document, read_document, saved
 from slipfree.problem.plan_edit import Places, Region, edited_text, places_from, places_in
 from slipfree.problem.plan_session import (
     IDLE,
     PLANNING,
     SHOWN,
+    Desk,
     Session,
     begun,
     cancelled,
-    open_session,
     reported,
-    saved,
     state_of,
 )
 from slipfree.problem.plan_worker import FoundError, FoundIterate, FoundPlan
-from slipfree.show.guard import is_own_request
-from slipfree.show.local_server import json_content, start_server
+from slipfree.show.guard import Gate, is_own_request
+from slipfree.show.local_server import ConflictError, Content, json_content, start_server
+from slipfree.show.plan_page import PlanPage
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PARKING = PROBLEMS / "plan_parking.toml"
 PATH = np.array([[0.0, 0.0], [1.0, 2.0]])
 
 
+PAGE = PlanPage("page", Content(b"", ""), Content(b"", ""))
+# comments at all places, ranges and units, and tables between those of regions
+VARIED = """\
+# head
+verb = "plan"  # verb
+title = "[goal] # none"
+
+[terrain.synthetic]
+x = [-5, 5]
+y = [-5, 5]
+spacing = 0.5
+power_law = { rms = 0.02, hurst = 0.9, longest = 8.0, shortest = 4.0, seed = 1 }
+
+# a rock
+[[keep_out]]   # 1
+x = 3   # east
+y = 0.123456789
+radius = 0.5
+# start
+[start]
+x = 0.0
+y = -2  # south
+heading = "10 deg"  # turned
+
+[[ keep_out ]]
+points = [
+  [-3.0, 0.0],  # sw
+  [-2.0, 0.0]   # se
+  , [-2.0, 1.0]
+]
+
+# goal
+[goal]
+x = 0.0
+y = [1.0, 1.2]  # range
+heading = ["20 deg", "20 deg"]
+
+[vehicle]
+catalog = "three_wheeler"
+axle = "fixed"
+[[keep_out]]
+x = 1.0
+y = 4.0
+radius = 0.25
+[costs]
+effort = 1.0
+[driver]
+name = "straight"
+speed = 0.5
+[time]
+duration = 6.0
+step = 0.1  # last"""
+INLINE = """\
+keep_out = [
+  { x = 3, y = 0.123456789, radius = 0.5 },
+  # polygon
+  { points = [[-3.0, 0.0], [-2.0, 0.0], [-2.0, 1.0]] },
+  { x = 1.0, y = 4.0, radius = 0.25 },
+]
+start = { x = 0.0, y = -2, heading = "10 deg" }
+goal.x = 0.0
+goal.y = [1.0, 1.2]
+goal.heading = ["20 deg", "20 deg"]
+"""
+
+
 @pytest.fixture
-def session(tmp_path: Path) -> Session:
+def document(tmp_path: Path) -> Document:
     file = tmp_path / "parking.toml"
     file.write_text(PARKING.read_text(encoding="utf-8"), encoding="utf-8")
-    text = file.read_text(encoding="utf-8")
-    return open_session(file, text, places_in(load_problem(file)))
+    return read_document(file)
+
+
+@pytest.fixture
+def session(document: Document) -> Session:
+    return Session(document, PAGE)
+
+
+@pytest.fixture
+def desk(document: Document, monkeypatch: pytest.MonkeyPatch) -> Desk:
+    class Worker:
+        def prepare(self) -> None: ...
+        def cancel(self) -> None: ...
+        def start(self, request: object) -> None: ...
+        def messages(self) -> tuple[()]:
+            return ()
+
+    monkeypatch.setattr(plan_session, "PlanWorker", Worker)
+    return Desk(document, lambda _: PAGE)
+
+
+def ask(desk: Desk, name: str, state: Any, **places: Any) -> Any:
+    """Return the answer to a command of a page that shows a state."""
+    data = {"revision": state["revision"], "places": {**state["places"], **places}}
+    answers: list[Any] = []
+
+    def post() -> None:
+        try:
+            answers.append(desk.accept(name)(json.loads(json.dumps(data))))
+        except DataError as error:
+            answers.append(str(error))
+        except ConflictError as error:
+            answers.append(error)
+
+    thread = threading.Thread(target=post)
+    thread.start()
+    desk.step(5.0)
+    thread.join(5.0)
+    return answers[0]
+
+
+def shapes(regions: Any) -> list[Any]:
+    """Return the regions without their identities."""
+    return [each[1:] for each in regions]
 
 
 def test_places_of_a_problem() -> None:
     places = places_in(load_problem(PARKING))
-    discs = tuple(Region(k, ((2.0, y),), 0.8) for k, y in enumerate((2.5, -2.5)))
-    assert places == Places((0.0, 0.0, 0.0), (2.0, 0.0), 0.0, discs)
+    discs = [(((2.0, y),), 0.8) for y in (2.5, -2.5)]
+    assert places[:3] == ((0.0, 0.0, 0.0), (2.0, 0.0), 0.0)
+    assert shapes(places.regions) == discs
 
 
 def test_a_problem_without_changes_keeps_its_text() -> None:
@@ -74,8 +187,8 @@ def test_changed_places_keep_comments_and_other_values() -> None:
 def test_regions_are_moved_removed_and_added() -> None:
     text, places = PARKING.read_text(encoding="utf-8"), places_in(load_problem(PARKING))
     first, _ = places.regions
-    triangle = Region(None, ((0.0, 3.0), (1.0, 3.0), (0.5, 4.0)))
-    regions = (first._replace(points=((2.5, 2.5),)), Region(None, ((4.0, 0.0),), 0.3), triangle)
+    triangle = Region("triangle", ((0.0, 3.0), (1.0, 3.0), (0.5, 4.0)))
+    regions = (first._replace(points=((2.5, 2.5),)), Region("disc", ((4.0, 0.0),), 0.3), triangle)
     data = tomllib.loads(edited_text(text, places, places._replace(regions=regions)))
     assert data["keep_out"] == [
         {"x": 2.5, "y": 2.5, "radius": 0.8},
@@ -93,27 +206,92 @@ def test_ranges_of_a_goal_move_as_a_whole() -> None:
     assert "# wide" in found
 
 
-def test_inline_regions_stay_inline() -> None:
-    text = "keep_out = [{ x = 1.0, y = 2.0, radius = 0.5 }]\n[start]\n[goal]\nx = 1.0\ny = 0.0\n"
-    old = Places((0.0, 0.0, 0.0), (1.0, 0.0), None, (Region(0, ((1.0, 2.0),), 0.5),))
-    new = old._replace(regions=(Region(0, ((1.0, 3.0),), 0.5), Region(None, ((0.0, 1.0),), 0.2)))
-    found = tomllib.loads(edited_text(text, old, new))["keep_out"]
-    assert found == [{"x": 1.0, "y": 3.0, "radius": 0.5}, {"x": 0.0, "y": 1.0, "radius": 0.2}]
+def _text(form: str) -> str:
+    """Return the problem with regions in tables, or in an array at the top of the file."""
+    if form == "tables":
+        return VARIED
+    kept, skip = [], False
+    for line in VARIED.splitlines():
+        skip = (skip or line.startswith("[")) and not line.startswith(("[terrain", "[vehicle"))
+        skip = skip and not line.startswith(("[costs", "[driver", "[time"))
+        kept += [] if skip else [line]
+    return INLINE + "\n".join(kept)
+
+
+@pytest.mark.parametrize("start", ["", "\ufeff"], ids=["plain", "bom"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"], ids=["lf", "crlf"])
+@pytest.mark.parametrize("form", ["tables", "inline"])
+def test_a_saved_file_has_the_places_and_all_else_of_the_former(
+    tmp_path: Path, form: str, newline: str, start: str
+) -> None:
+    text, file = _text(form), tmp_path / "varied.toml"
+    file.write_bytes((start + text.replace("\n", newline)).encode())
+    old = read_document(file)
+    first, polygon, last = old.places.regions
+    corners = (polygon.points[0], (-1.5, 0.25), polygon.points[2])
+    new = Places(
+        (0.5, -2.0, old.places.start[2] + 0.1),
+        (1.0, 1.1),
+        (old.places.goal_heading or 0.0) + 0.1,
+        (Region("new", ((4.0, -4.0),), 0.2), last, polygon._replace(points=corners)),
+    )
+    done = saved(old, new)
+    raw = file.read_bytes()
+    assert raw == done.raw
+    assert raw.startswith(start.encode())
+    assert raw.count(newline.encode()) == raw.count(b"\n")
+    again = read_document(file)
+    order = (new.regions[2], last, new.regions[0])
+    assert done.places.regions == order
+    assert shapes(again.places.regions) == shapes(order)
+    assert (again.places.start, again.places.goal) == (
+        pytest.approx(new.start, abs=1e-4),
+        pytest.approx((1.0, 1.1)),
+    )
+    found = raw.decode("utf-8-sig")
+    assert 'heading = ["25.7296 deg", "25.7296 deg"]' in found
+    comments = [line.split("#")[1].strip() for line in text.splitlines() if " # " in line]
+    lost = [each for each in comments if f"# {each}" not in found]
+    assert lost == (["1", "east"] if form == "tables" else [])
+    data, former = tomllib.loads(found.replace("\r\n", "\n")), tomllib.loads(text)
+    for name in ("start", "goal", "keep_out"):
+        del data[name], former[name]
+    assert data == former
+    undone = saved(done, new._replace(regions=(first, *new.regions)))  # a removed one comes back
+    assert shapes(undone.places.regions)[-1] == (((3.0, 0.1235),), 0.5)
+    assert saved(again, again.places).raw == raw
+
+
+def test_a_region_in_degrees_becomes_one_in_metres() -> None:
+    text = (
+        "[start]\nlongitude = 7.0\nlatitude = 46.0\n[goal]\nx = 0.0\ny = 0.0\n"
+        "[[keep_out]]\nlongitude = 7.1\nlatitude = 46.1\nradius = 0.5\n"
+    )
+    region = Region("a", ((10.0, 20.0),), 0.5)
+    old = Places((1.0, 2.0, 0.0), (0.0, 0.0), None, (region,))
+    new = old._replace(start=(1.5, 2.0, 0.0), regions=(region._replace(points=((10.0, 21.0),)),))
+    data = tomllib.loads(edited_text(text, old, new))
+    assert data["start"] == {"x": 1.5, "y": 2.0}
+    assert data["keep_out"] == [{"x": 10.0, "y": 21.0, "radius": 0.5}]
+    wider = old._replace(regions=(region._replace(radius=0.75),))
+    assert edited_text(text, old, wider) == text.replace("radius = 0.5", "radius = 0.75")
 
 
 def test_values_of_a_page_are_checked() -> None:
     good: dict[str, Any] = {"start": [0, 1, 2], "goal": None, "goal_heading": None, "regions": []}
     assert places_from(good) == Places((0.0, 1.0, 2.0), None, None, ())
-    disc = {"row": 0, "points": [[0, 0]], "radius": 1}
+    disc = {"identity": "a", "points": [[0, 0]], "radius": 1}
     bad: list[dict[str, Any]] = [
         {"start": [0, 1]},
         {"start": [0, 1, float("nan")]},
         {"goal": [1, True]},
         {"goal_heading": "north"},
-        {"regions": [{**disc, "row": -1}]},
+        {"regions": [{**disc, "identity": 1}]},
+        {"regions": [{**disc, "identity": "a" * 51}]},
+        {"regions": [disc, disc]},
         {"regions": [{**disc, "radius": 0}]},
         {"regions": [{**disc, "radius": None}]},
-        {"regions": [disc] * 501},
+        {"regions": [{**disc, "identity": str(k)} for k in range(501)]},
         {"regions": 3},
     ]
     for values in bad:
@@ -146,18 +324,58 @@ def test_a_session_shows_iterates_then_the_last_two_plans(session: Session) -> N
     json.dumps(state_of(now))
 
 
-def test_an_invalid_problem_is_not_saved(session: Session) -> None:
-    turned = session.places._replace(goal_heading=1e300)
+def test_an_invalid_problem_is_not_saved(document: Document) -> None:
+    turned = document.places._replace(goal_heading=1e300)
     with pytest.raises(ProblemError, match="heading"):
-        saved(session, turned)
-    assert session.path.read_text(encoding="utf-8") == session.text
+        saved(document, turned)
+    assert document.path.read_bytes() == document.raw
 
 
-def test_a_file_that_changed_is_not_overwritten(session: Session) -> None:
-    session.path.write_text("# mine\n", encoding="utf-8")
-    with pytest.raises(DataError, match="expected an unchanged file, found that it was changed"):
-        saved(session, session.places)
-    assert session.path.read_text(encoding="utf-8") == "# mine\n"
+def test_commands_of_a_stale_page_are_refused_with_the_present_state(desk: Desk) -> None:
+    first = state_of(desk.session)
+    regions = first["places"]["regions"]
+    second = ask(desk, "save", first, regions=regions[1:])
+    assert second["line"] == "saved parking.toml"
+    assert second["places"]["regions"] == regions[1:]  # with its identity
+    for name in ("save", "plan"):
+        answer = ask(desk, name, first, start=[9.0, 9.0, 0.0])
+        assert isinstance(answer, ConflictError)
+        assert answer.state == state_of(desk.session)
+    assert (desk.session.phase, state_of(desk.session)["places"]) == (IDLE, second["places"])
+    assert ask(desk, "plan", second)["phase"] == PLANNING
+
+
+def test_a_file_that_another_program_changes_is_read_again(desk: Desk) -> None:
+    path, first = desk.session.document.path, state_of(desk.session)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("radius = 0.8", "radius = 0.9", 1), encoding="utf-8")
+    answer = ask(desk, "save", first, start=[1.0, 0.0, 0.0])
+    assert isinstance(answer, ConflictError)
+    state: Any = answer.state
+    assert state["places"]["regions"][0]["radius"] == 0.9
+    assert state["line"] == "parking.toml was changed by another program"
+    path.write_text("verb =", encoding="utf-8")
+    for name in ("save", "plan"):
+        assert isinstance(ask(desk, name, state), ConflictError)
+    assert "expected TOML" in desk.session.file_error
+    assert path.read_text(encoding="utf-8") == "verb ="
+    path.unlink()  # of a deleted file the page has the only copy
+    assert ask(desk, "save", state, start=[1.0, 0.0, 0.0])["file_error"] == ""
+    assert tomllib.loads(path.read_text(encoding="utf-8"))["start"]["x"] == 1.0
+
+
+def test_links_and_permissions_remain_and_read_only_files_are_refused(document: Document) -> None:
+    target = document.path.rename(document.path.with_name("target.toml"))
+    target.chmod(0o640)
+    document.path.symlink_to(target)
+    moved = document.places._replace(start=(1.0, 0.0, 0.0))
+    done = saved(document, moved)
+    assert document.path.is_symlink()
+    assert target.stat().st_mode & 0o777 == 0o640
+    target.chmod(0o440)
+    with pytest.raises(DataError, match="found a read-only file; make it writable"):
+        saved(done, document.places)
+    assert target.read_bytes() == done.raw
 
 
 def test_only_planning_problems_are_edited() -> None:
@@ -188,10 +406,16 @@ def test_requests_of_other_pages_are_refused(
 class Client:
     """Connection to a server that echoes what is posted to ``/echo``."""
 
-    def __init__(self, port: int, warnings: list[str]) -> None:
-        self.port, self.warnings = port, warnings
+    def __init__(self, port: int, secret: str, warnings: list[str]) -> None:
+        self.port, self.secret, self.warnings = port, secret, warnings
 
     def ask(self, method: str, path: str, body: str = "", **headers: str) -> tuple[int, str]:
+        """Return status and text of the answer to a request with the secret."""
+        return self.ask_plainly(method, f"/{self.secret}{path}", body, **headers)
+
+    def ask_plainly(
+        self, method: str, path: str, body: str = "", **headers: str
+    ) -> tuple[int, str]:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
         names = {name.replace("_", "-"): value for name, value in headers.items()}
         connection.request(method, path, body or None, names)
@@ -206,11 +430,15 @@ def client() -> Iterator[Client]:
     def refuse(_: object) -> object:
         raise DataError("expected another value")
 
-    get = {"/": lambda: json_content("page")}
-    server = start_server(0, get, {"/echo": lambda data: data, "/no": refuse}, warnings.append)
+    def conflict(_: object) -> object:
+        raise ConflictError({"version": 1})
+
+    get, gate = {"/": lambda: json_content("page")}, Gate("slipfree edit", warnings.append)
+    post = {"/echo": lambda data: data, "/no": refuse, "/old": conflict}
+    server = start_server(0, get, post, gate)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
     thread.start()
-    yield Client(server.server_port, warnings)
+    yield Client(server.server_port, gate.url(0).split("/")[3], warnings)
     server.shutdown()
     server.server_close()
     thread.join()
@@ -223,6 +451,7 @@ def test_a_server_answers_its_own_page_only(client: Client) -> None:
     assert client.ask("GET", "/other")[0] == 404
     assert client.ask("POST", "/", "[1]", Content_Type=kind)[0] == 404
     assert client.ask("POST", "/no", "[1]", Content_Type=kind) == (400, "expected another value")
+    assert client.ask("POST", "/old", "[1]", Content_Type=kind) == (409, '{"version": 1}')
     assert client.ask("POST", "/echo", "[1]", Content_Type="text/plain")[0] == 400
     assert client.ask("POST", "/echo", "{", Content_Type=kind)[0] == 400
     assert client.ask("POST", "/echo", "[" * 100_000, Content_Type=kind)[0] == 400
@@ -233,11 +462,37 @@ def test_a_server_answers_its_own_page_only(client: Client) -> None:
     )
     status, words = client.ask("GET", "/", Host="a.example")
     assert status == 403
-    assert "from the page itself" in words
-    assert len(client.warnings) == 2
-    assert "found host 'a.example'" in client.warnings[1]
+    assert "expected the address that slipfree edit printed, with its secret" in words
+    (warning,) = client.warnings
+    assert "origin 'http://a.example', with the secret" in warning
+
+
+def test_only_who_knows_the_secret_is_answered_and_refusals_are_counted(client: Client) -> None:
+    kind, near = "application/json", client.secret[:-1]
+    for path in ("/", "/echo", f"/{near}/echo", f"/x{near}/echo", f"/echo?{client.secret}", "*"):
+        assert client.ask_plainly("POST", path, "[1]", Content_Type=kind)[0] == 403
+    for _ in range(6, 300):
+        assert client.ask_plainly("GET", "/map.png")[0] == 403
+    first, *others = client.warnings
+    assert first.endswith("without the secret")
+    assert others == ["refused 10 requests", "refused 100 requests"]
+    assert client.secret not in first
+    gate = Gate("slipfree show", print)
+    assert gate.admit("/\udcff\xe9", ["127.0.0.1:1"], [], 1)[0] == ""
+
+
+def test_browsers_get_the_address_by_a_private_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    open_page("http://127.0.0.1:1/secret/", browser=True)
+    (address,) = opened
+    assert "secret" not in address
+    file = Path(urlsplit(address).path)
+    assert "http://127.0.0.1:1/secret/" in file.read_text(encoding="utf-8")
+    assert file.stat().st_mode & 0o077 == 0
 
 
 def test_a_port_in_use_is_refused(client: Client) -> None:
     with pytest.raises(DataError, match=f"expected a free port, found {client.port} in use"):
-        start_server(client.port, {}, {}, print)
+        start_server(client.port, {}, {}, Gate("slipfree edit", print))

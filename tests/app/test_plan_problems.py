@@ -9,6 +9,7 @@ import pytest
 
 from slipfree.files.netcdf import write
 from slipfree.files.toml.errors import ProblemError
+from slipfree.frames import to_problem_frame
 from slipfree.outcome import Outcome
 from slipfree.plan import plan as planning
 from slipfree.plan.convergence import convergence_from
@@ -16,6 +17,7 @@ from slipfree.plan.ipopt import IPOPT_TOLERANCE
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import open_result
 from slipfree.problem.solve import build, run_problem
+from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan import PlanVerb, figure_options
 from slipfree.problem.verbs.plan_goals import regions
 from slipfree.show.plan_figures import plan_plots
@@ -254,3 +256,38 @@ def test_convergence_and_initial_guess_are_stored_and_drawn(tmp_path):
     guess = lines["initial guess"].get_xydata()
     np.testing.assert_allclose(guess[0], [run["x"][0], run["y"][0]], atol=1e-9)
     assert np.hypot(*(guess[-2] - guess[0])) > 1.0
+
+
+def _driven(folder: Path, goal: str, duration: float) -> Result:
+    """Return the result of a plan of a differential drive on level ground."""
+    file = folder / "p.toml"
+    file.write_text(
+        'verb = "plan"\nframe = "rep103"\ncosts = { slip = 1.0, effort = 0.1 }\n'
+        f"goal = {goal}\nplan = {{ intervals = 20 }}\nstart = {{ heading = 0.0 }}\n"
+        'driver = { name = "straight", speed = 0.25 }\n'
+        f"time = {{ duration = {duration}, step = 0.5 }}\n"
+        'vehicle = { catalog = "differential_drive" }\n'
+        "terrain.synthetic = { x = [-5.0, 5.0], y = [-5.0, 5.0], spacing = 0.5 }\n"
+    )
+    return run_problem(load_problem(file))
+
+
+def test_a_goal_a_turn_away_is_reached_the_short_way(tmp_path: Path):
+    result = _driven(tmp_path, '{ x = 1.5, heading = "370 deg" }', 6.0)
+    motion = result.trajectory
+    assert motion.stop is None
+    assert to_problem_frame(motion)["heading"][-1] == pytest.approx(np.deg2rad(10), abs=1e-3)
+    assert motion.attributes["plan_turns"] == (
+        "heading is 0.174533 rad at the end, a turn less than 6.457718232: the same position, "
+        "reached the short way"
+    )
+
+
+@pytest.mark.slow
+def test_a_caster_that_ends_a_turn_from_the_plan_is_in_the_same_position(tmp_path: Path):
+    result = _driven(tmp_path, "{ x = -2.0, y = 0.0, heading = 3.1416 }", 8.0)
+    motion = result.trajectory
+    assert result.outcome is Outcome.COMPLETE
+    assert motion.t.size < 400  # no finer mesh
+    assert motion.statistics["plan_difference_caster_angle"] < 1e-3
+    assert "caster_angle ends a turn" in motion.attributes["plan_turns"]

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipfree.cli.common import Trust, read_problem, reported
+from slipfree.cli.common import Trust, reported
 from slipfree.cli.messages import warn
 from slipfree.cli.show import open_page
-from slipfree.errors import DataError
 
 if TYPE_CHECKING:
-    from slipfree.problem.problem import Problem
+    from slipfree.problem.plan_document import Document
+    from slipfree.show.plan_page import PlanPage
 
 STEP = 0.05  # longest time between steps of the session [s]
 
@@ -35,45 +36,30 @@ def edit(
     start, goal and regions to the problem file.
     """
     with reported():
-        problem = read_problem(file, None, trust)
-        if problem.spec.verb != "plan":
-            raise DataError(
-                f"{file}: expected a problem with verb = 'plan', found verb = "
-                f"{problem.spec.verb!r}; use slipfree run"
-            )
-        _serve(problem, port, browser=browser)
+        _serve(file, port, trust or [], browser=browser)
 
 
-def _serve(problem: Problem[Any], port: int, *, browser: bool) -> None:
+def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
     """Serve the page of a problem until Ctrl-C."""
-    from slipfree.problem.build_common import build_vehicle
-    from slipfree.problem.build_ground import at, build_ground
-    from slipfree.problem.plan_edit import places_in, way_points_in
-    from slipfree.problem.plan_session import Desk, open_session, state_of
-    from slipfree.show.guard import HOST
+    from slipfree.files.urdf.expansion import trusted_paths
+    from slipfree.problem.plan_document import read_document
+    from slipfree.problem.plan_session import Desk, state_of
+    from slipfree.show.guard import Gate
     from slipfree.show.local_server import json_content, start_server
-    from slipfree.show.plan_page import PlanMap, map_image, page_content
 
-    ground, source = build_ground(problem), problem.source
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(problem.spec.vehicle, problem)
-    title = problem.spec.title or source.path.stem
-    plan_map = PlanMap(
-        title, source.path.name, problem.spec.frame, ground.grid, vehicle, way_points_in(problem)
-    )
-    image, html = map_image(ground.grid), page_content(plan_map)
-    desk = Desk(open_session(source.path, source.text, places_in(problem), problem.trusted))
+    desk = Desk(read_document(file, trusted_paths(trust)), _page_drawer())
     get = {
-        "/": lambda: html,
-        "/map.png": lambda: image,
+        "/": lambda: desk.session.page.html,
+        "/map.png": lambda: desk.session.page.image,
         "/state": lambda: json_content(state_of(desk.session)),
     }
     post = {f"/{name}": desk.accept(name) for name in ("plan", "cancel", "save")}
-    server = start_server(port, get, post, warn)
+    gate = Gate("slipfree edit", warn)
+    server = start_server(port, get, post, gate)
     thread = threading.Thread(target=server.serve_forever, args=(STEP,), daemon=True)
     thread.start()
     try:
-        open_page(f"http://{HOST}:{server.server_port}", browser, "edits the plan")
+        open_page(gate.url(server.server_port), browser, "edits the plan")
         with suppress(KeyboardInterrupt):
             while True:
                 desk.step(STEP)
@@ -81,3 +67,30 @@ def _serve(problem: Problem[Any], port: int, *, browser: bool) -> None:
         desk.close()
         server.shutdown()
         server.server_close()
+
+
+def _page_drawer() -> Callable[[Document], PlanPage]:
+    """Return a function that draws the page of a document, again only if other keys changed."""
+    from slipfree.problem.build_common import build_vehicle
+    from slipfree.problem.build_ground import at, build_ground
+    from slipfree.problem.plan_document import PLACES
+    from slipfree.problem.plan_edit import way_points_in
+    from slipfree.show.plan_page import PlanMap, plan_page
+
+    last: tuple[object, PlanPage] | None = None
+
+    def draw(document: Document) -> PlanPage:
+        nonlocal last
+        problem = document.problem
+        spec, file = problem.spec, document.path
+        others = spec.model_dump(exclude={*PLACES})
+        if last is None or last[0] != others:
+            ground = build_ground(problem)
+            with at(problem, ("vehicle",)):
+                vehicle = build_vehicle(spec.vehicle, problem)
+            title, way_points = spec.title or file.stem, way_points_in(problem)
+            plan_map = PlanMap(title, file, spec.frame, ground.grid, vehicle, way_points)
+            last = others, plan_page(plan_map)
+        return last[1]
+
+    return draw

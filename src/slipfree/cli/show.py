@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
+import tempfile
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
@@ -151,10 +153,18 @@ def _film(scene: Scene, title: str, file: Path) -> None:
 
 
 def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
-    """Print the address of the page, and open it if ``browser`` is set and a display exists."""
+    """Print the address of the page, and open it if ``browser`` is set and a display exists.
+
+    The browser gets the name of a private file that redirects to the address, since other users of
+    the machine can read the arguments of its process.
+    """
     print_line(f"{url} {does}; Ctrl-C ends the server", err=True)
     seen = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )
     if browser and seen:
-        webbrowser.open(url)
+        descriptor, name = tempfile.mkstemp(".html", "slipfree-")  # readable by its owner only
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(f'<meta http-equiv="refresh" content="0; url={url}">')
+        atexit.register(Path(name).unlink, missing_ok=True)
+        webbrowser.open(Path(name).as_uri())

@@ -41,7 +41,7 @@ class _Bounds(NamedTuple):
     """Bounds of an expression before transcription: ``lower <= expression <= upper``.
 
     ``fraction`` is the time at which the bounds apply as a fraction of the duration, nan if they
-    apply at all times. ``shift`` is the map coordinate minus the local coordinate.
+    apply at all times. ``shift`` is the reported value minus the local value.
     """
 
     label: Label

@@ -31,7 +31,7 @@ class Violation(NamedTuple):
     size : float
         Size of the violation, in the label's unit.
     bound, value : float
-        Violated bound and value of the quantity, in the label's unit and in map coordinates.
+        Violated bound and value of the quantity as reported (`Dae.reported`), in the label's unit.
     role : str
         Kind of constraint: ``"equation"``, ``"limit"``, ``"input"``, ``"cost"``, ``"goal"``, or for
         a way-point its name, for example ``"way-point at 0.5"``.
@@ -62,7 +62,7 @@ class ConstraintGroup(NamedTuple):
     lower, upper : float
         Bounds, in the label's unit and in local coordinates.
     shift : float
-        Map coordinate minus local coordinate; zero for quantities that are not coordinates.
+        Reported value minus local value; zero for quantities that are not coordinates.
     typical : float
         Typical size of the terms of an equation, in the label's unit; zero for other roles.
     """
@@ -248,9 +248,14 @@ def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
 
 
 def shift_of(task: PlanTask, expression: ca.SX) -> float:
-    """Return map minus local coordinate of a state or unknown, zero for other expressions."""
+    """Return reported minus local value of a state or unknown, zero for other expressions."""
     plain = variable_of(task, expression)
-    return 0.0 if plain is None else float(task.dae.shift[plain[0] == "z"][plain[1]])
+    if plain is None:
+        return 0.0
+    labels: list[Label] = list(leaves(getattr(task.dae.labels, plain[0])))
+    label = labels[plain[1]]
+    shift = float(task.dae.shift[plain[0] == "z"][plain[1]])
+    return shift + float(task.dae.reported.get(label.full, 0.0))
 
 
 def role_of(fraction: float) -> str:

@@ -32,6 +32,7 @@ from slipfree.plan.transcription import (
 )
 from slipfree.plan.verification import inputs_along
 from slipfree.records import Array, Record, field_overview
+from slipfree.solve.whole_turns import same_turn
 from slipfree.solver_codes import ipopt_words
 from slipfree.trajectory import SolverError
 
@@ -266,6 +267,8 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     if span < MIN_WINDOW_FRACTION * window.span:
         return former
     first = _sample_motions(window, [(former.motion, former.t), (plan, 0.0)], t, span)
+    near = first[program.layout.first]
+    x = same_turn(x[:, None], near[:, None], program.task.periodic)[:, 0]
     first[program.layout.first] = x
     first = completed(program, first)
     lower, upper = program.lower.copy(), program.upper.copy()

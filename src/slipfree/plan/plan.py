@@ -44,7 +44,7 @@ from slipfree.plan.polynomial_motion import (
     transfer_motion,
 )
 from slipfree.plan.prices import Price, limit_prices
-from slipfree.plan.problem import Range, task_of
+from slipfree.plan.problem import Range, near_conditions, task_of
 from slipfree.plan.stage import Cost
 from slipfree.plan.starts import (
     INACCURATE,
@@ -252,7 +252,9 @@ def plan(
         plan of least cost.
     goal : mapping of str to float or (low, high), or sequence of Limit
         Values or ranges of states and algebraic unknowns at the end, by name, in map coordinates;
-        or conditions in the model's symbols. [m, rad]
+        or conditions in the model's symbols. A heading, or a joint without stop and spring, is the
+        same after a whole turn: a value more than half a turn from the start and the first guess
+        is replaced by the one nearest to the start. [m, rad]
     costs : mapping of str to float, or sequence of Cost
         Weights by name: ``"slip"``, ``"effort"`` (squared inputs), ``"time"``, ``"energy"`` (work
         of the wheels' drives; braking recovers no energy), or any quantity of the model, whose
@@ -363,8 +365,9 @@ def plan(
             raise ModelError(f"plan: {name}: expected 1 or more, found {number}; increase it")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
     mesh = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
+    given = [guess] if isinstance(guess, Trajectory) else list(guess)
+    task = _with_near_conditions(task, given, resume)
     if resume is None:
-        given = [guess] if isinstance(guess, Trajectory) else list(guess)
         guesses = _named_guesses(task, start, given, starts, seed)
         searches = _solve_guesses(transcribe(task, mesh, options), guesses, progress)
     else:
@@ -383,6 +386,28 @@ def plan(
         "compiled": float(search.program.compiled),
     }
     return replace(result, run=replace(result.run, statistics=statistics))
+
+
+def _with_near_conditions(
+    task: PlanTask, guesses: Sequence[Trajectory], resume: SavedPlan | None
+) -> PlanTask:
+    """Return a task whose angles at goal and way-points are within half a turn of start or guess.
+
+    A guess that turns around keeps a goal that asks for it; otherwise the short way is taken.
+    """
+    dae = task.dae
+    motions: list[Callable[[float], Array]] = [lambda _: task.start]
+    if resume is not None:
+        former = local_motion(resume, dae)
+        motions.append(lambda fraction: former.states(np.array([fraction]))[:, 0])
+    elif guesses:
+        t = guesses[0].t
+        motions.append(
+            lambda part: dae.rows(
+                "x", guesses[0], int(np.abs(t - t[0] - part * np.ptp(t)).argmin())
+            )
+        )
+    return replace(task, conditions=near_conditions(dae, task.conditions, task.periodic, motions))
 
 
 def _named_guesses(

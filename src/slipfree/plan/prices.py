@@ -46,7 +46,7 @@ class Price(NamedTuple):
     side : str
         Side of the bound: ``"at most"``, ``"at least"``, or ``"value"`` for equal bounds.
     bound : float
-        Value of the bound, in the label's unit and in map coordinates.
+        Value of the bound as reported (`Dae.reported`), in the label's unit.
     rate : float
         Derivative of the optimal cost with respect to the bound, per unit of the label.
     share : float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -14,9 +14,11 @@ from slipfree.plan.bound_conflicts import conflicts
 from slipfree.plan.messages import LIMITED_SUFFIX
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import PlanTask, TimedCondition
-from slipfree.records import Array, leaves
+from slipfree.records import Array, Mask, leaves
+from slipfree.solve.whole_turns import TURN, periodic_states
 from slipfree.trajectory import Trajectory
 
+HALF_TURN = np.pi + 1e-3  # such as a goal of 3.1416: both ways are short [rad]
 Range = tuple[float, float]
 BLENDED_POWER = 0.1  # width of the smooth transition between work and braking [W]
 ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bound
@@ -101,7 +103,9 @@ def _cost_term(dae: Dae, name: str) -> Cost:
         return Cost(name, slip, "m2 s-1", "squared slip of all wheels")
     if name == "energy":
         return Cost(name, _driving_power(dae), "J", "work of the drives, without braking")
-    squares = ca.SX(sum(_squared(each) for each in dae.named(name)))
+    away = dae.reported.get(name, 0.0)
+    terms = (each + away if away else each for each in dae.named(name))
+    squares = ca.SX(sum(_squared(each) for each in terms))
     words = f"squared {name}, integrated over time"
     return Cost(name, squares, _squared_unit(dae, name), words)
 
@@ -169,7 +173,8 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
             zip(labels, leaves(getattr(dae, record)), strict=True)
         ):
             if name in (label.name, label.full):
-                away = 0.0 if shift is None else float(shift[k])
+                away = dae.reported.get(label.full, 0.0)
+                away += 0.0 if shift is None else float(shift[k])
                 words = f"{label.words}{LIMITED_SUFFIX}"
                 own = replace(label, name=f"{label.name}_limit", words=words)
                 yield _smooth_limit(Limit(own, expression, low - away, high - away))
@@ -300,20 +305,69 @@ def task_of(
             "plan: goal: expected values or ranges by name, found none; give at least one"
         )
     terms, highest = cost_limits_of(dae, costs_of(dae, costs), cost_limits or {})
+    begin = dae.rows("x", start, -1)
+    own = limits_of(dae, limits)
     task = PlanTask(
         dae,
-        dae.rows("x", start, -1),
+        begin,
         duration_of(duration),
         terms,
         tuple(timed_conditions(dae, goal, way_points or {})),
-        (*limits_of(dae, limits), *(dae.replay.limits if dae.replay else ())),
+        (*own, *(dae.replay.limits if dae.replay else ())),
         bounds_of(dae, inputs or {}),
         bounds_of(dae, accelerations or {}),
         smooth,
         continuous,
         highest,
         _initial_bounds(dae, inputs or {}, initial_inputs or {}),
+        periodic_states(dae, begin, own),
     )
     if wrong := conflicts(task, start):
         raise ModelError("plan: " + "; ".join(wrong))
     return task
+
+
+def near_conditions(
+    dae: Dae,
+    conditions: Sequence[TimedCondition],
+    periodic: Mask,
+    motions: Sequence[Callable[[float], Array]],
+) -> tuple[TimedCondition, ...]:
+    """Return conditions with whole turns added to values and ranges of periodic states.
+
+    A condition is kept if it is within half a turn of one of the motions, or if its range is a turn
+    or more; otherwise it gets the turns that bring it nearest to the first motion.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    conditions : sequence of TimedCondition
+        Conditions at fractions of the duration.
+    periodic : ndarray of bool, shape (n_x,)
+        From `periodic_states`.
+    motions : sequence of callable
+        Functions that return the states at a fraction of the duration, shape (n_x,).
+    """
+    symbols = [(k, x) for k, x in enumerate(leaves(dae.x)) if periodic[k]]
+    found = []
+    for condition in conditions:
+        states = [motion(condition.fraction) for motion in motions]
+        limits = []
+        for limit in condition.limits:
+            k = next((k for k, x in symbols if ca.is_equal(limit.expression, x)), None)
+            near = [] if k is None else [float(each[k]) for each in states]
+            limits.append(_near_limit(limit, near))
+        found.append(condition._replace(limits=tuple(limits)))
+    return tuple(found)
+
+
+def _near_limit(limit: Limit, values: Sequence[float]) -> Limit:
+    """Return a limit on an angle, turned to the first of some values if it is near to none."""
+    middle = (limit.lower + limit.upper) / 2
+    if not limit.upper - limit.lower < TURN:
+        return limit
+    if not values or min(abs(value - middle) for value in values) <= HALF_TURN:
+        return limit
+    turns = TURN * round((values[0] - middle) / TURN)
+    return limit._replace(lower=limit.lower + turns, upper=limit.upper + turns)

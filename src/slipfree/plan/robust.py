@@ -20,9 +20,10 @@ from slipfree.errors import ModelError, SlipfreeError
 from slipfree.plan.constraints import role_of
 from slipfree.plan.messages import number
 from slipfree.plan.polynomial_motion import PolynomialMotion
-from slipfree.plan.problem import limits_of, timed_conditions
+from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import limit_name, limit_values, local_rows, tolerated_excess
 from slipfree.records import field_overview, leaves
+from slipfree.solve.whole_turns import periodic_states, same_turn
 from slipfree.trajectory import Trajectory
 
 P = TypeVar("P")
@@ -341,7 +342,15 @@ def replay_of(
         excess.append(_excess_at_stop(*planned, run))
         return Replay(_largest(excess), np.nan)
     parts = run.t / found.duration
-    for condition in timed_conditions(dae, arguments["goal"], arguments["way_points"]):
+    periodic = periodic_states(dae, samples[1][:, 0], limits)
+    given = timed_conditions(dae, arguments["goal"], arguments["way_points"])
+    states = [lambda fraction: found.states(np.array([fraction]))[:, 0]]
+    samples = (
+        run.t,
+        same_turn(samples[1], found.states(np.minimum(parts, 1.0)), periodic),
+        *samples[2:],
+    )
+    for condition in near_conditions(dae, [*given], periodic, states):
         k = int(np.abs(parts - condition.fraction).argmin())
         at, role = tuple(rows[..., k : k + 1] for rows in samples), role_of(condition.fraction)
         excess += _excess(dae, condition.limits, at, role, accuracy, goal)

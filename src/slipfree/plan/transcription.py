@@ -9,7 +9,7 @@ input rates are functions of the inputs of an interval.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -22,7 +22,7 @@ from slipfree.plan.nlp_block import Index as Index
 from slipfree.plan.nlp_block import NlpBlock, nlp_block
 from slipfree.plan.sparse_assembly import ProgramFunctions, assemble
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
-from slipfree.records import Array, Label, field_overview, leaves
+from slipfree.records import Array, Label, Mask, field_overview, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.system import System, with_inputs
 
@@ -76,6 +76,8 @@ class PlanTask:
         Indices of terms of the cost with a limit, and the largest values of their integrals.
     initial_inputs : ndarray, shape (n_u, 2), optional
         Smallest and largest value of each input at the beginning; by default those of ``inputs``.
+    periodic : ndarray of bool, shape (n_x,)
+        States that mean the same after a whole turn (`slipfree.plan.whole_turns`).
     """
 
     dae: Dae
@@ -90,6 +92,7 @@ class PlanTask:
     continuous: bool = False
     cost_limits: tuple[tuple[int, float], ...] = ()
     initial_inputs: Array | None = None
+    periodic: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def __repr__(self) -> str:
         return field_overview(self)

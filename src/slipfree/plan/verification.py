@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import casadi as ca
@@ -16,12 +17,14 @@ from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Progra
 from slipfree.records import Array, Mask, Record, leaves
 from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.simulate import simulate
+from slipfree.solve.whole_turns import TURN, same_turn
 from slipfree.trajectory import SolverError, Trajectory
 
 LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit, relative to its range
 REFINED_FRACTION = 0.25  # neighbours with this fraction of a violation are also refined
 VERIFICATION_TOLERANCE = 0.01  # tolerance of the simulation, relative to the plan's accuracy
 POSITION_UNITS = ("m", "rad", "1")  # of states that a simulation with another model must reproduce
+SWUNG = 0.05  # largest difference at the end of the swing of a caster to either side [rad]
 MIN_INTERVAL_SAMPLES = 8  # samples per interval, denser near its ends
 
 
@@ -89,8 +92,9 @@ def verify_plan(
     replay = simulate_plan(dae, start, found, step=step, options=_precise(program))
     parts = np.minimum(replay.t / found.duration, 1.0)
     x, z, u = (local_rows(dae, record, replay) for record in "xzu")
+    planned = found.states(parts)
+    x, gaps = _compare(x, planned, program.task.periodic, accuracy)
     samples = replay.t, x, z, u
-    gaps = x - found.states(parts)
     over, allowed = (
         _limit_excess(dae, limits, samples),
         tolerated_excess(limits, accuracy)[:, None],
@@ -117,6 +121,25 @@ def verify_plan(
     )
 
 
+def _compare(x: Array, planned: Array, periodic: Mask, accuracy: float) -> tuple[Array, Array]:
+    """Return simulated states within half a turn of the planned ones, and their differences.
+
+    A caster that is driven backwards is unstable: by rounding alone it swings to the left in the
+    plan and to the right in the simulation, on any mesh, and arrives at the same position a turn
+    apart. The difference during such a swing is no error; it counts as zero.
+    """
+    near = same_turn(x, planned, periodic)
+    gaps, last = near - planned, x.shape[1] - 1
+    for k in np.flatnonzero(periodic):
+        turns = np.round((x[k] - near[k]) / TURN)
+        inside = np.flatnonzero(np.abs(gaps[k]) <= accuracy)
+        for before, after in pairwise([*inside, last]):
+            has_swung = turns[before] != turns[after] and abs(gaps[k, after]) <= SWUNG
+            if has_swung:
+                gaps[k, before + 1 : after + 1] = 0.0
+    return near, gaps
+
+
 def _precise(program: Program) -> SolverOptions:
     """Return the options of the simulation that verifies a plan."""
     tolerance = max(program.options.tolerance * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
@@ -135,12 +158,13 @@ def _verify_on_replay(
     model = dae if dae.replay is None else dae.replay.model
     replay = simulate_plan(model, start, found, step=step, options=_precise(program))
     parts = np.minimum(replay.t / found.duration, 1.0)
-    gaps = local_rows(model, "x", replay) - found.states(parts)
+    planned = found.states(parts)
+    x, gaps = _compare(local_rows(model, "x", replay), planned, task.periodic, accuracy)
     labels = list(leaves(dae.labels.x))
     placed = gaps[[label.unit in POSITION_UNITS for label in labels]]
     violation = dict[str, float]()
     for limit in task.limits:
-        excess = _replay_excess(task, limit, replay)
+        excess = _replay_excess(task, limit, replay, x)
         if excess > 0:
             name = limit_name(limit)
             violation[name] = max(violation.get(name, 0.0), excess)
@@ -150,7 +174,7 @@ def _verify_on_replay(
         if abs(parts[k] - condition.fraction) > 1e-6:  # the simulation ended before
             continue
         for limit in condition.limits:
-            excess = _replay_excess(task, limit, replay.part(slice(k, k + 1)))
+            excess = _replay_excess(task, limit, replay.part(slice(k, k + 1)), x[:, k : k + 1])
             if excess > 0:
                 missed[f"{limit_name(limit)} at the {role_of(condition.fraction)}"] = excess
     return Verification(
@@ -179,19 +203,20 @@ def _intervals(program: Program, parts: Array) -> Index:
     return np.asarray(np.clip(where, 0, ends.size - 2))
 
 
-def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory) -> float:
-    """Return the largest violation of a limit in a simulation with another model.
+def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory, x: Array) -> float:
+    """Return the largest violation of a limit in a simulation with another model, with states x.
 
     A limit on unknowns of the planned model applies to the quantity of the same name of the other
     model; it is omitted if there is none.
     """
     dae, label = task.dae, quantity_label(limit.label)
     if not ca.depends_on(limit.expression, dae.columns()[1]):
-        x, u = (local_rows(dae, record, run) for record in "xu")
+        u = local_rows(dae, "u", run)
         unknowns = np.zeros((dae.scale.size, run.t.size))
         values = limit_values(dae, [limit], (run.t, x, unknowns, u))[0]
     elif label.name in run.columns:
-        values = run.of(label) - shift_of(task, limit.expression)
+        shift = shift_of(task, limit.expression) - task.dae.reported.get(label.full, 0.0)
+        values = run.of(label) - shift
     else:
         return 0.0
     return float(np.maximum(np.maximum(limit.lower - values, values - limit.upper), 0.0).max())

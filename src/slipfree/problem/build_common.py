@@ -102,6 +102,11 @@ def heading_offset(problem: Problem[S]) -> float:
     return -OFFSET[getattr(problem.spec, "frame", "paper")]
 
 
+def in_frame(problem: Problem[S], dae: Dae) -> Dae:
+    """Return a model whose conditions, costs and messages have headings of the problem's frame."""
+    return replace(dae, reported={"heading": -heading_offset(problem)})
+
+
 def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
     """Return the vehicle settled on the ground at the start of a problem, as one sample.
 

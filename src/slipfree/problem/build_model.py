@@ -13,6 +13,7 @@ from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
+from slipfree.problem.build_common import in_frame
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import A, Problem, S
 from slipfree.problem.soil_table import soil_of
@@ -70,11 +71,11 @@ def build_model(
             check_driven(vehicle)
     with at(problem, ("slip",) if spec.model == "kinematics" else ("model",)):
         if spec.model == "kinematics":
-            return direct_kinematics(vehicle, terrain, slip=law)
+            return in_frame(problem, direct_kinematics(vehicle, terrain, slip=law))
         if spec.model == "quasi-static":
-            return quasi_statics(vehicle, terrain, law=law)
+            return in_frame(problem, quasi_statics(vehicle, terrain, law=law))
         ground = Solids(terrain, prisms) if prisms else terrain
-        return dynamics(vehicle, ground, law=law)
+        return in_frame(problem, dynamics(vehicle, ground, law=law))
 
 
 def law_name(spec: Lawful) -> str:

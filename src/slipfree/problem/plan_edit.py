@@ -1,25 +1,37 @@
 """Editing of the places of a planning problem: start, goal and keep-out regions.
 
-Comments and layout of the problem file are preserved.
+Comments and layout of the problem file are preserved. The text is edited table by table, since
+tomlkit moves and drops comments and tables when it edits arrays of tables of a whole file.
 """
 
 from __future__ import annotations
 
 import math
+import re
+import secrets
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import tomlkit
+from tomlkit.exceptions import TOMLKitError
 
 from slipfree.errors import DataError
+from slipfree.files.map_coordinates import DEGREES
+from slipfree.files.toml.angles import parse_unit
+from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
+from slipfree.problem.region_table import region_of
 from slipfree.problem.verbs.plan_goals import way_points_of
 from slipfree.problem.verbs.plan_schema import Plan
 
 SAME = 1e-9  # smaller changes are rounding [m, rad]
 DIGITS = 4  # decimals of changed values [m, rad]
 MAX_REGIONS, MAX_CORNERS = 500, 500  # largest numbers of regions, and of corners of a region
-DEGREES = {"x": "longitude", "y": "latitude"}
+MAX_IDENTITY = 50  # largest number of characters of the identity of a region
+LINE = re.compile(r"[^\n]*\n|[^\n]+")
+HEADER = re.compile(r"\s*\[[^,#]*\]\s*(#|$)")  # of a table; not a corner of a polygon
 Point = tuple[float, float]
 
 
@@ -28,15 +40,15 @@ class Region(NamedTuple):
 
     Attributes
     ----------
-    row : int or None
-        Index of the region in the problem file; None for a new region.
+    identity : str
+        Identity of the region, which remains when other regions are added or removed.
     points : tuple of (x, y)
         Corners of the polygon, or the centre of the disc. [m]
     radius : float or None
         Radius of the disc. [m]
     """
 
-    row: int | None
+    identity: str
     points: tuple[Point, ...]
     radius: float | None = None
 
@@ -63,7 +75,13 @@ class Places(NamedTuple):
 
 
 def places_in(problem: Problem[Plan]) -> Places:
-    """Return the places of a problem."""
+    """Return the places of a problem, whose regions get new identities.
+
+    Raises
+    ------
+    ProblemError
+        If a keep-out region is neither a disc nor a polygon.
+    """
     spec, goal = problem.spec, None
     start = (*(float(spec.start.get(name, 0.0)) for name in ("x", "y", "heading")),)
     bounds: Mapping[str, Any] = spec.goal
@@ -73,11 +91,13 @@ def places_in(problem: Problem[Plan]) -> Places:
     heading = float(turn[0]) if turn is not None and turn[0] == turn[1] else None
     regions = []
     for index, each in enumerate(spec.keep_out):
-        if each.points is not None:
-            regions.append(Region(index, tuple((float(x), float(y)) for x, y in each.points)))
-        elif None not in (each.x, each.y, each.radius):
-            center = (float(each.x or 0.0), float(each.y or 0.0))
-            regions.append(Region(index, (center,), float(each.radius or 0.0)))
+        with at(problem, ("keep_out", index)):
+            region_of(each)
+        points, radius = each.points, None
+        if points is None:
+            points, radius = ((each.x or 0.0, each.y or 0.0),), float(each.radius or 0.0)
+        corners = tuple((float(x), float(y)) for x, y in points)
+        regions.append(Region(secrets.token_hex(8), corners, radius))
     return Places((start[0], start[1], start[2]), goal, heading, tuple(regions))
 
 
@@ -112,7 +132,10 @@ def places_from(data: object) -> Places:
         turn = None if data["goal_heading"] is None else _number(data["goal_heading"])
         if len(data["regions"]) > MAX_REGIONS:
             raise ValueError
-        return Places((x, y, heading), goal, turn, tuple(map(_region, data["regions"])))
+        regions = tuple(map(_region, data["regions"]))
+        if len({each.identity for each in regions}) < len(regions):
+            raise ValueError
+        return Places((x, y, heading), goal, turn, regions)
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(
             "expected start, goal, goal_heading and regions with finite numbers, found other "
@@ -121,15 +144,15 @@ def places_from(data: object) -> Places:
 
 
 def _region(data: Mapping[str, Any]) -> Region:
-    row, points = data["row"], tuple(map(_point, data["points"]))
+    identity, points = data["identity"], tuple(map(_point, data["points"]))
     radius = None if data["radius"] is None else _number(data["radius"])
-    if not (row is None or (type(row) is int and row >= 0)):
+    if not isinstance(identity, str) or len(identity) > MAX_IDENTITY:
         raise ValueError
     if radius is None and not 3 <= len(points) <= MAX_CORNERS:
         raise ValueError
     if radius is not None and (len(points) != 1 or radius <= 0):
         raise ValueError
-    return Region(row, points, radius)
+    return Region(identity, points, radius)
 
 
 def _point(data: Sequence[Any]) -> Point:
@@ -146,30 +169,88 @@ def _number(value: object) -> float:
 def edited_text(text: str, old: Places, new: Places) -> str:
     """Return the text of a problem file with changed places.
 
-    Values that have not changed keep their text. A range of the goal is moved as a whole.
+    Values that have not changed keep their text; others keep their unit. A range of the goal is
+    moved as a whole.
 
     Parameters
     ----------
     text : str
         Text of the problem file.
     old : Places
-        Places in the text.
+        Places in the text, with the regions in the order of the file.
     new : Places
-        Places in the result.
+        Places in the result. Its new regions follow the others in the file; see
+        `in_order_of_file`.
+
+    Raises
+    ------
+    DataError
+        If the text has a form that cannot be edited.
     """
-    document: Any = tomlkit.parse(text)
-    start = document.setdefault("start", tomlkit.table())
-    for name, before, after in zip(("x", "y", "heading"), old.start, new.start, strict=True):
-        _move(start, name, before, after)
-    if old.goal is not None and new.goal is not None:
-        for name, before, after in zip(("x", "y"), old.goal, new.goal, strict=True):
-            _move(document["goal"], name, before, after)
-    if old.goal_heading is not None and new.goal_heading is not None:
-        _move(document["goal"], "heading", old.goal_heading, new.goal_heading)
+    sections = _sections(text)
+    if old.start != new.start:
+        with _edited(sections, "start") as start:
+            _move_point(start, old.start[:2], new.start[:2])
+            _move(start, "heading", old.start[2], new.start[2])
+    if (old.goal, old.goal_heading) != (new.goal, new.goal_heading):
+        with _edited(sections, "goal") as goal:
+            if old.goal is not None and new.goal is not None:
+                _move_point(goal, old.goal, new.goal)
+            if old.goal_heading is not None and new.goal_heading is not None:
+                _move(goal, "heading", old.goal_heading, new.goal_heading)
     if old.regions != new.regions:
-        _edit_regions(document, old.regions, new.regions)
-    found: str = document.as_string()
-    return found
+        _edit_regions(sections, old.regions, new.regions)
+    return "".join(sections)
+
+
+def in_order_of_file(old: Sequence[Region], new: Sequence[Region]) -> tuple[Region, ...]:
+    """Return the regions of a page in the order that they have in the file after `edited_text`."""
+    wanted, former = {each.identity: each for each in new}, {each.identity for each in old}
+    kept = [wanted[each.identity] for each in old if each.identity in wanted]
+    return (*kept, *(each for each in new if each.identity not in former))
+
+
+def _sections(text: str) -> list[str]:
+    """Return the parts of a TOML text that begin with a table's header; each is TOML by itself."""
+    sections = [""]
+    for line in LINE.findall(text):
+        if HEADER.match(line) and _is_toml(sections[-1]):  # else a line of an array or a string
+            sections.append("")
+        sections[-1] += line
+    return sections
+
+
+def _is_toml(text: str) -> bool:
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return False
+    return True
+
+
+@contextmanager
+def _edited(sections: list[str], name: str, where: int | None = None) -> Iterator[Any]:
+    """Yield the value of a name, by default in the first section that has it, for editing."""
+    if where is None:
+        where = next(k for k, part in enumerate(sections) if name in tomllib.loads(part))
+    try:
+        document: Any = tomlkit.parse(sections[where])
+        yield document[name]
+        sections[where] = document.as_string()
+    except TOMLKitError as error:
+        raise DataError(
+            f"expected a table {name!r} that can be edited, found: {error}; edit the file by hand"
+        ) from error
+
+
+def _move_point(table: Any, before: Sequence[float], after: Sequence[float]) -> None:
+    """Change x and y by the difference of two points; longitude and latitude become x and y."""
+    if any(name in table for name in DEGREES) and tuple(before) != tuple(after):
+        for name in DEGREES:
+            table.pop(name, None)
+        before = (math.nan, math.nan)
+    for name, old, new in zip(("x", "y"), before, after, strict=True):
+        _move(table, name, old, new)
 
 
 def _move(table: Any, name: str, before: float, after: float) -> None:
@@ -178,48 +259,88 @@ def _move(table: Any, name: str, before: float, after: float) -> None:
         return
     value = table.get(name)
     if isinstance(value, list):
-        table[name] = [round(float(end) + after - before, DIGITS) for end in value]
+        for k, end in enumerate(value):
+            value[k] = _shifted(end, after - before)
     else:
-        table[name] = round(after, DIGITS)
-    table.pop(DEGREES.get(name, ""), None)
+        table[name] = round(after, DIGITS) if value is None else _shifted(value, after - before)
 
 
-def _edit_regions(document: Any, old: Sequence[Region], new: Sequence[Region]) -> None:
+def _shifted(value: Any, change: float) -> float | str:
+    """Return a value of a file, a number or a text with a unit, plus a number in SI units."""
+    number = round(float(parse_unit(value)) + change, DIGITS)
+    if not isinstance(value, str):
+        return number
+    in_degrees = round(math.degrees(float(parse_unit(value)) + change), DIGITS)
+    return f"{in_degrees} deg" if "deg" in value else f"{number} rad"
+
+
+def _edit_regions(sections: list[str], old: Sequence[Region], new: Sequence[Region]) -> None:
     """Change, remove and add tables of keep-out regions."""
-    kept = {each.row: each for each in new if each.row is not None}
-    if not new:
-        document.pop("keep_out", None)
+    kept = {each.identity: each for each in new}
+    added = in_order_of_file(old, new)[sum(each.identity in kept for each in old) :]
+    places = [k for k, part in enumerate(sections) if "keep_out" in tomllib.loads(part)]
+    if places == [0]:
+        with _edited(sections, "keep_out") as array:
+            for k, former in reversed([*enumerate(old)]):
+                if former.identity not in kept:
+                    del array[k]
+                else:
+                    _edit_region(array[k], former, kept[former.identity])
+            for each in added:
+                array.append(tomlkit.inline_table())
+                _edit_region(array[-1], None, each)
         return
-    tables = document.setdefault("keep_out", tomlkit.aot())
-    former = {each.row: each for each in old}
-    for index in reversed(range(len(tables))):
-        if index not in former:
-            continue
-        if index not in kept:
-            del tables[index]
-        elif kept[index] != former[index]:
-            _edit_region(tables[index], former[index], kept[index])
-    is_inline = not isinstance(tables, tomlkit.items.AoT)
-    for each in (each for each in new if each.row is None):
-        table: Any = tomlkit.inline_table() if is_inline else tomlkit.table()
-        table.update(dict(_values(each)))
-        tables.append(table)
+    for k, former in zip(places, old, strict=True):
+        if former.identity not in kept:
+            sections[k] = "".join(_body_and_tail(sections[k])[1:])
+        elif former != kept[former.identity]:
+            with _edited(sections, "keep_out", k) as tables:
+                _edit_region(tables[0], former, kept[former.identity])
+    for each in added:
+        table = tomlkit.table()
+        _edit_region(table, None, each)
+        text = f"\n[[keep_out]]\n{table.as_string()}"
+        where = places[-1] if places else len(sections) - 1
+        body, tail = _body_and_tail(sections[where])
+        sections[where] = _ended(body) + text + tail
 
 
-def _edit_region(table: Any, old: Region, new: Region) -> None:
+def _ended(text: str) -> str:
+    """Return a text whose last line is complete."""
+    return text if text.endswith("\n") or not text else f"{text}\n"
+
+
+def _body_and_tail(section: str) -> tuple[str, str]:
+    """Return the text of a table, and the comments and empty lines after its last value."""
+    lines = LINE.findall(section)
+    end = len(lines)
+    while end and lines[end - 1].strip()[:1] in ("", "#"):
+        end -= 1
+    return "".join(lines[:end]), "".join(lines[end:])
+
+
+def _edit_region(table: Any, old: Region | None, new: Region) -> None:
     """Change the values of a region that differ."""
-    before = dict(_values(old))
-    for name, value in _values(new):
-        if value != before.get(name):
-            table[name] = value
-            table.pop(DEGREES.get(name, ""), None)
+    if old is None or old.points != new.points:
+        if new.radius is None:
+            _assign(table, "points", new.points)
+        else:
+            for name, value in zip(("x", "y"), new.points[0], strict=True):
+                _assign(table, name, value)
+            for name in DEGREES:
+                table.pop(name, None)
+    if new.radius is not None and (old is None or old.radius != new.radius):
+        _assign(table, "radius", new.radius)
 
 
-def _values(region: Region) -> Iterator[tuple[str, Any]]:
-    """Yield the keys of a region in a problem file, with values."""
-    if region.radius is None:
-        yield "points", [[round(x, DIGITS), round(y, DIGITS)] for x, y in region.points]
-        return
-    ((x, y),) = region.points
-    yield from (("x", round(x, DIGITS)), ("y", round(y, DIGITS)))
-    yield "radius", round(region.radius, DIGITS)
+def _assign(table: Any, key: str | int, value: float | Sequence[Any]) -> None:
+    """Change a value of a table or an array; unchanged elements of an array keep their text."""
+    old = table.get(key) if isinstance(key, str) else table[key]
+    if isinstance(value, float):
+        if not (isinstance(old, int | float) and abs(old - value) <= SAME):
+            table[key] = round(value, DIGITS)
+    elif isinstance(old, list) and len(old) == len(value):
+        for k, element in enumerate(value):
+            _assign(old, k, element)
+    else:
+        table[key] = [[round(x, DIGITS), round(y, DIGITS)] for x, y in value]

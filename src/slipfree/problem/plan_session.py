@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import queue
+import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slipfree.atomic_files import replace_file
-from slipfree.errors import DataError, SlipfreeError
-from slipfree.problem.load import load_again
-from slipfree.problem.plan_edit import Places, edited_text, places_from, places_in
+from slipfree.errors import SlipfreeError
+from slipfree.problem.plan_document import Document, is_current, read_document, saved
+from slipfree.problem.plan_edit import Places, places_from
 from slipfree.problem.plan_worker import (
     FoundError,
     FoundIterate,
@@ -20,10 +21,12 @@ from slipfree.problem.plan_worker import (
     PlanWorker,
 )
 from slipfree.records import Array
-from slipfree.regular_files import read_bytes
+from slipfree.show.local_server import ConflictError
+from slipfree.show.plan_page import PlanPage
 
 SHOWN = 12  # number of iterates drawn
 KEPT = 2  # number of plans to compare
+WATCH = 0.5  # interval between checks of the file for changes by other programs [s]
 IDLE, PLANNING = "idle", "planning"
 
 
@@ -32,38 +35,35 @@ class Session(NamedTuple):
 
     Attributes
     ----------
-    path : Path
+    document : Document
         The problem file.
-    text : str
-        Text of the file as it was read or saved.
-    places : Places
-        Places in ``text``.
+    page : PlanPage
+        Page and map of the problem.
+    file_error : str
+        Message of the error by which the present file cannot be used; empty without one.
     phase : {"idle", "planning"}
         Whether a search runs.
     line : str
         Last report of the search, or a note on what happened.
     error : str
-        Message of the last error; empty without one.
+        Message of the error that ended the last search; empty without one.
     iterates : tuple of ndarray, each of shape (n, 2)
         Paths of the last iterates, the newest last. [m]
     plans : tuple of FoundPlan
         The last plans, the newest first.
     version : int
         Number of changes, by which a page detects that it is out of date.
-    trusted : frozenset of str
-        Paths of xacro files that the command line trusts.
     """
 
-    path: Path
-    text: str
-    places: Places
+    document: Document
+    page: PlanPage
+    file_error: str = ""
     phase: str = IDLE
     line: str = ""
     error: str = ""
     iterates: tuple[Array, ...] = ()
     plans: tuple[FoundPlan, ...] = ()
     version: int = 0
-    trusted: frozenset[str] = frozenset()
 
     def changed(self, **values: Any) -> Session:
         """Return the session with other values and the next version."""
@@ -71,9 +71,22 @@ class Session(NamedTuple):
 
 
 class Command(NamedTuple):
-    """Command of the page: ``"plan"``, ``"cancel"`` or ``"save"``, with the places on the page."""
+    """Command of the page.
+
+    Attributes
+    ----------
+    name : {"plan", "cancel", "save"}
+        Name of the command.
+    revision : str
+        Revision of the document that the page was made from.
+    places : Places or None
+        Places on the page; None for ``"cancel"``.
+    is_warm : bool
+        Whether the search begins with the last plan.
+    """
 
     name: str
+    revision: str = ""
     places: Places | None = None
     is_warm: bool = False
 
@@ -83,7 +96,8 @@ def command_from(name: str, data: object) -> Command:
     if name == "cancel":
         return Command(name)
     values = data if isinstance(data, dict) else {}
-    return Command(name, places_from(values.get("places")), values.get("warm") is True)
+    places = places_from(values.get("places"))
+    return Command(name, str(values.get("revision")), places, values.get("warm") is True)
 
 
 def begun(session: Session) -> Session:
@@ -108,38 +122,6 @@ def reported(session: Session, message: Message) -> Session:
     return session.changed(phase=IDLE, line=words, plans=plans, iterates=())
 
 
-def saved(session: Session, places: Places) -> Session:
-    """Write the problem file with other places, and return the session with them.
-
-    Raises
-    ------
-    DataError
-        If the file has changed since it was read, or cannot be written.
-    ProblemError
-        If the result is not a valid problem; the file is then unchanged.
-    """
-    if _read(session.path) != session.text:
-        raise DataError(
-            f"{session.path}: expected an unchanged file, found that it was changed; restart "
-            "slipfree edit"
-        )
-    text = edited_text(session.text, session.places, places)
-    found = places_in(load_again(session.path, text, ()))
-    try:
-        replace_file(session.path, lambda part: part.write_bytes(text.encode()))
-    except OSError as error:
-        raise DataError(f"{session.path}: expected a writable file, found: {error}") from error
-    words = f"saved {session.path.name}"
-    return session.changed(text=text, places=found, line=words, error="")
-
-
-def open_session(
-    path: Path, text: str, places: Places, trusted: frozenset[str] = frozenset()
-) -> Session:
-    """Return a new session; ``trusted`` are the paths of trusted xacro files."""
-    return Session(path, text, places, line="drag the handles, then press Plan", trusted=trusted)
-
-
 def state_of(session: Session) -> dict[str, Any]:
     """Return the state of a session as a JSON value for the page."""
     return {
@@ -147,7 +129,10 @@ def state_of(session: Session) -> dict[str, Any]:
         "phase": session.phase,
         "line": session.line,
         "error": session.error,
-        "places": _json_places(session.places),
+        "file_error": session.file_error,
+        "page": session.page.identity,
+        "revision": session.document.revision,
+        "places": _json_places(session.document.places),
         "iterates": [_rounded(each) for each in session.iterates],
         "plans": [
             {"path": _rounded(each.path), "complete": each.is_complete, "facts": each.facts}
@@ -172,33 +157,45 @@ class Desk:
 
     Parameters
     ----------
-    session : Session
-        The session at its start.
+    document : Document
+        The problem file.
+    draw : callable
+        Function that returns the page of a document.
     """
 
-    def __init__(self, session: Session) -> None:
-        self.session = session
+    def __init__(self, document: Document, draw: Callable[[Document], PlanPage]) -> None:
+        line = "drag the handles, then press Plan"
+        self.session = Session(document, draw(document), line=line)
         self.worker = PlanWorker()
         self.worker.prepare()
-        self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
+        self._draw, self._signature, self._next_watch = draw, _signature(document.path), 0.0
+        self._commands: queue.SimpleQueue[tuple[Command, Future[object]]] = queue.SimpleQueue()
 
     def accept(self, name: str) -> Callable[[object], object]:
-        """Return the function that takes a command of the page; see `command_from`."""
+        """Return the function that executes a command of the page and returns the new state.
+
+        Its errors are those of `command_from` and `saved`, and `ConflictError` if the page was made
+        from another revision of the file.
+        """
 
         def put(data: object) -> object:
-            self._commands.put(command_from(name, data))
-            return {"accepted": name}
+            answer: Future[object] = Future()
+            self._commands.put((command_from(name, data), answer))
+            return answer.result()
 
         return put
 
     def step(self, seconds: float) -> None:
         """Execute a command, waiting for it at most ``seconds``, then read all messages."""
         try:
-            command = self._commands.get(timeout=seconds)
+            command, answer = self._commands.get(timeout=seconds)
         except queue.Empty:
             pass
         else:
-            self._execute(command)
+            self._answer(command, answer)
+        if time.monotonic() > self._next_watch:
+            self._next_watch = time.monotonic() + WATCH
+            self._watch()
         for message in self.worker.messages():
             self.session = reported(self.session, message)
 
@@ -206,23 +203,66 @@ class Desk:
         """End the worker process."""
         self.worker.cancel()
 
-    def _execute(self, command: Command) -> None:
-        session, places = self.session, command.places
+    def _answer(self, command: Command, answer: Future[object]) -> None:
         try:
-            if places is None:
-                self.worker.cancel()
-                self.worker.prepare()
-                self.session = cancelled(session) if session.phase == PLANNING else session
-            elif command.name == "save":
-                self.session = saved(session, places)
-            else:
-                text = edited_text(session.text, session.places, places)
-                former = session.plans[0].arrays if command.is_warm and session.plans else {}
-                self.worker.start(PlanRequest(session.path, text, (), former, session.trusted))
-                self.session = begun(session)
+            self._execute(command)
         except SlipfreeError as error:
-            self.session = session.changed(error=str(error))
+            answer.set_exception(error)
+        else:
+            answer.set_result(state_of(self.session))
+
+    def _execute(self, command: Command) -> None:
+        if command.places is None:
+            self.worker.cancel()
+            self.worker.prepare()
+            if self.session.phase == PLANNING:
+                self.session = cancelled(self.session)
+            return
+        self._read_again()
+        session, document = self.session, self.session.document
+        if command.revision != document.revision or session.file_error:
+            raise ConflictError(state_of(session))
+        if command.name == "save":
+            document = saved(document, command.places)
+            line = f"saved {document.path.name}"
+            self.session = session.changed(document=document, line=line)
+            self._signature = _signature(document.path)
+        else:
+            text = document.text_with(command.places)
+            former = session.plans[0].arrays if command.is_warm and session.plans else {}
+            self.worker.start(
+                PlanRequest(document.path, text, (), former, document.problem.trusted)
+            )
+            self.session = begun(session)
+
+    def _watch(self) -> None:
+        """Read the file again if its size, time or inode has changed."""
+        signature = _signature(self.session.document.path)
+        if signature != self._signature:
+            self._signature = signature
+            self._read_again()
+
+    def _read_again(self) -> None:
+        """Take over the contents of the file if another program has changed them."""
+        session, document = self.session, self.session.document
+        try:
+            if not is_current(document):
+                document = read_document(document.path, document.problem.trusted)
+                line = f"{document.path.name} was changed by another program"
+                self.session = session.changed(
+                    document=document, page=self._draw(document), file_error="", line=line
+                )
+            elif session.file_error:
+                self.session = session.changed(file_error="")
+        except SlipfreeError as error:
+            if str(error) != session.file_error:
+                self.session = session.changed(file_error=str(error))
 
 
-def _read(path: Path) -> str:
-    return read_bytes(path, "a problem file").decode("utf-8", errors="replace")
+def _signature(path: Path) -> tuple[int, ...]:
+    """Return numbers that change when a file is written; none for a missing file."""
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_mtime_ns, status.st_size, status.st_ino

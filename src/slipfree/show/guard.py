@@ -1,16 +1,19 @@
-"""Checks of the requests and values that reach the viewer.
+"""Checks of the requests and values that reach the pages of `slipfree show` and `slipfree edit`.
 
 viser answers every request to its port and stores every value that it receives. A malicious page in
 the user's browser could send such requests and values, directly or by a domain name that resolves
-to this machine (DNS rebinding).
+to this machine (DNS rebinding). Programs of other users of this machine reach the port as well;
+they do not know the secret in the address of the page.
 """
 
 from __future__ import annotations
 
 import asyncio
+import hmac
 import io
 import logging
 import math
+import secrets
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from typing import TYPE_CHECKING, Any
@@ -27,6 +30,70 @@ MOST = 20  # maximum number of warnings
 LONGEST = 60  # maximum number of characters of a value in a warning
 
 
+class Gate:
+    """Checks of requests to a page on this machine, with a count of the refused ones.
+
+    Parameters
+    ----------
+    command : str
+        Command that serves the page, for messages.
+    report : callable
+        Function called, from any thread, with warnings about refused requests: the first, and the
+        number of refused requests when it reaches a power of ten.
+    """
+
+    def __init__(self, command: str, report: Callable[[str], None]) -> None:
+        self._command, self._show, self._refused = command, report, 0
+        self._prefix = f"/{secrets.token_urlsafe(24)}/"
+
+    def url(self, port: int) -> str:
+        """Return the address of the page, which contains the secret."""
+        return f"http://{HOST}:{port}{self._prefix}"
+
+    def admit(
+        self, path: str, hosts: Sequence[str], origins: Sequence[str], port: int
+    ) -> tuple[str, str]:
+        """Return the path of a request without the secret, and the message of a refusal.
+
+        Parameters
+        ----------
+        path : str
+            Path of the request.
+        hosts, origins, port
+            See `is_own_request`.
+
+        Returns
+        -------
+        path : str
+            Path from ``/``; empty for a refused request.
+        refusal : str
+            Message for the client; empty for a request that is answered.
+        """
+        prefix, rest = path[: len(self._prefix)], path[len(self._prefix) :]
+        prefix = f"{prefix.rstrip('/')}/"  # viser's page connects to its address without this slash
+        has_secret = hmac.compare_digest(
+            prefix.encode(errors="backslashreplace"), self._prefix.encode()
+        )
+        is_own = is_own_request(hosts, origins, port)
+        if is_own and has_secret:
+            return f"/{rest}", ""
+        expected = f"expected the address that {self._command} printed, with its secret"
+        host, origin = (_short(", ".join(each).lower()) for each in (hosts, origins))
+        secret = "with" if has_secret else "without"
+        self._count(
+            f"refused a request: {expected}, found host {host}, "
+            f"origin {origin}, {secret} the secret"
+        )
+        return "", f"refused: {expected}; open that address in the browser\n"
+
+    def _count(self, words: str) -> None:
+        self._refused += 1
+        if self._refused == 1:
+            self._show(words)
+        elif str(self._refused).strip("0") == "1":
+            self._show(f"refused {self._refused} requests")
+
+
 class Guard:
     """Factory of viser servers that accept only requests and values from their own page.
 
@@ -40,6 +107,7 @@ class Guard:
 
     def __init__(self, report: Callable[[str], None], script: str = "") -> None:
         self._show, self._shown, self._is_used = report, set[str](), False
+        self.gate = Gate("slipfree show", report)
         self._script = f"<script>{script}</script>".encode()
 
     def start(self, port: int) -> viser.ViserServer:
@@ -94,14 +162,12 @@ class Guard:
             self._show(words + more)
 
     def _refusal(self, connection: Any, request: Any) -> Any:
-        """Return the response to a request for another host or from a foreign page, else None."""
+        """Return the response to a request that is refused, else None and remove the secret."""
+        hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
         port = connection.local_address[1]
-        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
-        if is_own_request(hosts, origins, port):
-            return None
-        expected, found = refusal_words(hosts, origins, port)
-        self.warn(f"refused a request: {expected}, {found}")
-        return connection.respond(403, f"refused: {expected}; open that address in the browser\n")
+        path, refusal = self.gate.admit(request.path, hosts, origins, port)
+        request.path = path or request.path
+        return connection.respond(403, refusal) if refusal else None
 
     def _check_values(self, server: viser.ViserServer) -> None:
         """Install a handler that passes only valid values to the controls of the page."""
@@ -166,18 +232,6 @@ def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> b
     lower = [each.lower() for each in hosts]
     is_same = [each.lower() for each in origins] == [f"http://{each}" for each in lower]
     return len(lower) == 1 and lower[0] in own and (is_same or not origins)
-
-
-def refusal_words(hosts: Sequence[str], origins: Sequence[str], port: int) -> tuple[str, str]:
-    """Return the expected request and the refused one as texts of a message.
-
-    Parameters are those of `is_own_request`.
-    """
-    found = ", ".join(hosts).lower(), ", ".join(origins).lower()
-    return (
-        f"expected a request for http://{HOST}:{port} from the page itself",
-        f"found host {_short(found[0])}, origin {_short(found[1])}",
-    )
 
 
 def stop(server: viser.ViserServer) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
 
 from slipfree.errors import DataError, SlipfreeError
-from slipfree.show.guard import HOST, is_own_request, refusal_words
+from slipfree.show.guard import HOST, Gate
 
 MOST = 1_000_000  # maximum size of a request [bytes]
 TIMEOUT = 20.0  # longest wait for the rest of a request [s]
@@ -29,8 +30,22 @@ Get = Callable[[], Content]
 Post = Callable[[object], object]
 
 
+class ConflictError(SlipfreeError):
+    """Refusal of a request that was made from another state than the present one.
+
+    Parameters
+    ----------
+    state : object
+        The present state, a JSON value.
+    """
+
+    def __init__(self, state: object) -> None:
+        super().__init__("expected a request made from the present state, found an earlier one")
+        self.state = state
+
+
 def start_server(
-    port: int, get: Mapping[str, Get], post: Mapping[str, Post], warn: Callable[[str], None]
+    port: int, get: Mapping[str, Get], post: Mapping[str, Post], gate: Gate
 ) -> ThreadingHTTPServer:
     """Return an HTTP server for the requests of its own page; the caller must start it.
 
@@ -42,9 +57,9 @@ def start_server(
         Functions that return the content of a path.
     post : mapping of str to callable
         Functions that take the JSON value sent to a path and return a JSON value. A `SlipfreeError`
-        becomes a response with status 400.
-    warn : callable
-        Function called, from any thread, with warnings about refused requests.
+        becomes a response with status 400, a `ConflictError` one with status 409 and its state.
+    gate : Gate
+        Checks of the requests.
 
     Raises
     ------
@@ -58,15 +73,15 @@ def start_server(
         timeout = TIMEOUT
 
         def do_GET(self) -> None:
-            if self._is_refused():
+            if (path := self._admitted()) is None:
                 return
-            found = get.get(self.path)
+            found = get.get(path)
             self._send(200, found()) if found else self._send(404, _text("not found"))
 
         def do_POST(self) -> None:
-            if self._is_refused():
+            if (path := self._admitted()) is None:
                 return
-            act = post.get(self.path)
+            act = post.get(path)
             length = self.headers.get("Content-Length", "")
             is_json = self.headers.get_content_type() == "application/json"
             if act is None:
@@ -79,20 +94,21 @@ def start_server(
         def _answer(self, act: Post, body: bytes) -> None:
             try:
                 self._send(200, json_content(act(json.loads(body))))
+            except ConflictError as error:
+                self._send(409, json_content(error.state))
             except SlipfreeError as error:
                 self._send(400, _text(str(error)))
             except (ValueError, RecursionError):
                 self._send(400, _text("expected JSON, found invalid JSON; reload the page"))
 
-        def _is_refused(self) -> bool:
+        def _admitted(self) -> str | None:
+            """Return the path without the secret; send the refusal and return None without it."""
             hosts, origins = (self.headers.get_all(each) or [] for each in ("Host", "Origin"))
             here = int(self.connection.getsockname()[1])
-            if is_own_request(hosts, origins, here):
-                return False
-            words, more = refusal_words(hosts, origins, here)
-            warn(f"refused a request: {words}, {more}")
-            self._send(403, _text(f"refused: {words}; open that address in the browser"))
-            return True
+            path, refusal = gate.admit(self.path, hosts, origins, here)
+            if refusal:
+                self._send(403, _text(refusal))
+            return path or None
 
         def _send(self, status: int, content: Content) -> None:
             self.send_response(status)
@@ -101,6 +117,7 @@ def start_server(
             self.send_header("Cache-Control", "no-store")
             self.send_header("Content-Security-Policy", POLICY)
             self.send_header("X-Content-Type-Options", "nosniff")
+            self.send_header("Referrer-Policy", "no-referrer")  # the address has a secret
             self.end_headers()
             self.wfile.write(content.body)
 
@@ -120,7 +137,7 @@ class _Server(ThreadingHTTPServer):
     """Server whose connections end silently when the page is closed."""
 
     daemon_threads = True
-    allow_reuse_address = False
+    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that is in use
 
     def handle_error(self, *_: Any) -> None:
         """Ignore errors of a connection."""

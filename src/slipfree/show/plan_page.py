@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from typing import NamedTuple
 
 from slipfree.routing.traversability import extents
@@ -25,8 +27,8 @@ class PlanMap(NamedTuple):
     ----------
     title : str
         Title of the problem.
-    file : str
-        Name of the problem file.
+    file : Path
+        The problem file.
     frame : {"paper", "rep103"}
         Frame of the headings.
     grid : Grid
@@ -38,27 +40,50 @@ class PlanMap(NamedTuple):
     """
 
     title: str
-    file: str
+    file: Path
     frame: str
     grid: Grid
     vehicle: Vehicle
     way_points: tuple[tuple[str, float, float], ...] = ()
 
 
-def page_content(plan_map: PlanMap) -> Content:
-    """Return the HTML page for planning by hand."""
+class PlanPage(NamedTuple):
+    """Page for planning by hand, and its map.
+
+    Attributes
+    ----------
+    identity : str
+        Text that differs between pages with different contents.
+    html, image : Content
+        The HTML page, and the map as PNG.
+    """
+
+    identity: str
+    html: Content
+    image: Content
+
+
+def plan_page(plan_map: PlanMap) -> PlanPage:
+    """Return the page for planning by hand."""
     x_min, x_max, y_min, y_max = whole(plan_map.grid)
+    image = map_image(plan_map.grid)
     data = {
         "domain": [x_min, x_max, y_min, y_max],
         "reach": extents(plan_map.vehicle)[2],
         "north_heading": plan_map.frame == "paper",
-        "file": plan_map.file,
+        "file": _digest(str(plan_map.file.resolve()).encode(errors="backslashreplace")),
         "way_points": plan_map.way_points,
     }
+    identity = _digest(image.body, json.dumps([data, plan_map.title]).encode())
     text = files("slipfree.show").joinpath("plan_page.html").read_text("utf-8")
-    script_safe = json.dumps(data).replace("<", "\\u003c")  # file names may contain </script>
+    script_safe = json.dumps({**data, "page": identity}).replace("<", "\\u003c")  # </script>
     html = text.replace("@TITLE@", escape(plan_map.title)).replace("@DATA@", script_safe)
-    return Content(html.encode("utf-8", errors="backslashreplace"), "text/html; charset=utf-8")
+    body = html.encode("utf-8", errors="backslashreplace")
+    return PlanPage(identity, Content(body, "text/html; charset=utf-8"), image)
+
+
+def _digest(*parts: bytes) -> str:
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
 
 def map_image(grid: Grid) -> Content:

@@ -15,7 +15,7 @@ import numpy as np
 
 from slipfree.errors import DataError, missing_package
 from slipfree.records import Array
-from slipfree.show.guard import HOST, Guard, stop
+from slipfree.show.guard import Guard, stop
 from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
 from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Lines, Scene, scale_words
 
@@ -69,11 +69,11 @@ def serve(
     DataError
         If viser is not installed or has an unsupported version, or if the port is in use.
     """
-    server = _server(port, warn)
+    server, url = _server(port, warn)
     try:
         stage = Stage(server, scene, color)
         panel = _Panel(server, stage, scene, title, color)
-        ready(f"http://{HOST}:{server.get_port()}")
+        ready(url)
         while True:
             time.sleep(1 / RATE)
             panel.advance(1 / RATE)
@@ -100,7 +100,7 @@ def page(scene: Scene, title: str, color: str) -> str:
     DataError
         If viser is not installed or has an unsupported version.
     """
-    server = _server(0)
+    server, _ = _server(0)
     try:
         stage = Stage(server, scene, color, others=True)
         first, last = scene.span
@@ -118,10 +118,19 @@ def page(scene: Scene, title: str, color: str) -> str:
     return with_legend(html, scene, title, color, words)
 
 
-def _server(port: int, warn: Callable[[str], None] = lambda _: None) -> viser.ViserServer:
-    """Return a guarded viser server on a port; raise DataError if that is impossible."""
+def _server(
+    port: int, warn: Callable[[str], None] = lambda _: None
+) -> tuple[viser.ViserServer, str]:
+    """Return a guarded viser server on a port, and the address of its page.
+
+    Raises
+    ------
+    DataError
+        If viser is missing or unsuitable, or if the port is in use.
+    """
+    guard = Guard(warn, page_script("viewer_keys.js"))
     try:
-        server = Guard(warn, page_script("viewer_keys.js")).start(port)
+        server = guard.start(port)
     except ImportError as error:
         raise DataError(f"show: {missing_package('viser', 'view')}") from error
     if port and server.get_port() != port:
@@ -129,7 +138,7 @@ def _server(port: int, warn: Callable[[str], None] = lambda _: None) -> viser.Vi
         raise DataError(
             f"--port: expected a free port, found {port} in use; omit --port to choose a free port"
         )
-    return server
+    return server, guard.gate.url(server.get_port())
 
 
 class Stage:

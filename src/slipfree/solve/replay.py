@@ -16,6 +16,7 @@ from slipfree.solve.sampling import Samples, correct_samples
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
+from slipfree.solve.whole_turns import periodic_states, same_turn
 from slipfree.trajectory import Trajectory, joined
 
 SPLINE_DEGREE = 5  # degree of the spline through the inputs
@@ -125,13 +126,13 @@ def replay(
             break
     motion = joined(*(part.part(slice(-1)) for part in parts[:-1]), parts[-1])
     n = motion.t.size if motion.stop is None else motion.t.size - 1
-    return Replay(
-        motion,
-        {
-            each.full: float(np.abs(motion.of(each)[:n] - run.of(each)[:n]).max(initial=0.0))
-            for each in leaves(dae.labels.x)
-        },
+    first, second = (
+        np.array([each.of(label)[:n] for label in leaves(dae.labels.x)]) for each in (motion, run)
     )
+    periodic = periodic_states(dae, dae.rows("x", motion, 0))
+    gaps = np.abs(same_turn(first, second, periodic) - second).max(axis=1, initial=0.0)
+    names = [label.full for label in leaves(dae.labels.x)]
+    return Replay(motion, dict(zip(names, gaps.tolist(), strict=True)))
 
 
 def _first_values(run: Trajectory, record: Any) -> dict[str, float]:

@@ -58,6 +58,11 @@ def read_text(path: Path, expected: str = "a problem file") -> str:
     ProblemError
         If the file cannot be read, is not UTF-8, or is larger than 10 MB.
     """
+    return decode_text(path, read_raw(path, expected))
+
+
+def read_raw(path: Path, expected: str = "a problem file") -> bytes:
+    """Return the bytes of a TOML file; parameters and errors are those of `read_text`."""
     try:
         with regular_file(path, expected) as size:
             if size > MAX_BYTES:
@@ -65,9 +70,13 @@ def read_text(path: Path, expected: str = "a problem file") -> str:
                     f"{path}: expected a TOML file of at most {MAX_BYTES / 1e6:g} MB, found "
                     f"{size / 1e6:.3g} MB; check the name"
                 )
-            raw = read_bytes(path, expected)
+            return read_bytes(path, expected)
     except DataError as error:
         raise ProblemError(str(error)) from error
+
+
+def decode_text(path: Path, raw: bytes) -> str:
+    """Return the text of a TOML file without its byte order mark; errors as in `read_text`."""
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -39,9 +39,7 @@ from slipfree.problem.verbs import plan_schema
 from slipfree.problem.verbs.base import RESUME, Quantity, Result, Watch, differences
 from slipfree.problem.verbs.driving import DriveVerb, model_attributes
 from slipfree.problem.verbs.plan_facts import CHECKS, plan_facts
-from slipfree.problem.verbs.plan_goals import (
-    regions,
-)
+from slipfree.problem.verbs.plan_goals import regions, spelled
 from slipfree.problem.verbs.plan_robust import Tested, make_robust
 from slipfree.problem.verbs.plan_search import find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
@@ -59,6 +57,7 @@ from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
+from slipfree.solve.whole_turns import TURN
 from slipfree.solver_codes import ipopt_words
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import (
@@ -154,7 +153,7 @@ class PlanVerb(DriveVerb):
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the simulated motion of a plan in windows, and the plan as arrays."""
         spec, model = problem.spec, (setup.dae, setup.vehicle, setup.terrain)
-        arguments = plan_arguments(problem, spec, setup.keep_out, model, setup.between)
+        arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
         found = long_plan(problem, setup, setup.paths[0], arguments, resume, progress)
         attributes = {"plan_windows": windows_words(found)}
         return _described(spec, setup, found, found.replay, attributes)
@@ -222,6 +221,7 @@ def _described(
         run = replace(run, stop=_inaccurate(spec, found))
     attributes = {
         **run.attributes,
+        **_turns(spec, setup, found),
         **_violations(found, spec.plan.accuracy),
         **_by_friction(setup, found),
         **attributes,
@@ -251,6 +251,34 @@ def figure_options(setup: Planning) -> dict[str, Any]:
         "bounds": unbounded | setup.spec.bounds,
         "limits": setup.spec.limits,
     }
+
+
+def _turns(spec: plan_schema.Plan, setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
+    """Return the description of angles that differ by whole turns from the goal or the plan."""
+    words = []
+    names = [label.full for label in leaves(setup.dae.labels.x)]
+    end = found.motion.states(np.ones(1))[:, 0] + setup.dae.shift[0] if found.success else ()
+    for name, value in zip(names, end, strict=False):
+        apart = round((float(found.replay[name][-1]) - value) / TURN)
+        if apart and found.accurate:
+            words.append(
+                f"{name} ends {_turn_words(apart)} in the simulation than in the plan: the same "
+                "position, after a swing to the other side"
+            )
+        low, high = spec.goal.get(name, (-np.inf, np.inf))
+        reached = float(value) + setup.dae.reported.get(name, 0.0)
+        turns = round((reached - (low + high) / 2) / TURN) if high - low < TURN else 0
+        if turns and not low - np.pi < reached < high + np.pi:
+            words.append(
+                f"{name} is {reached:.6g} rad at the end, {_turn_words(turns)} than "
+                f"{spelled((low, high))}: the same position, reached the short way"
+            )
+    return {"plan_turns": "; ".join(words)} if words else {}
+
+
+def _turn_words(turns: int) -> str:
+    count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
+    return f"{count} {'more' if turns > 0 else 'less'}"
 
 
 def _violations(found: Plan | LongPlan, accuracy: float) -> dict[str, str]:

@@ -41,6 +41,8 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
             f"of which {counts['plan_seconds_functions']:.3g} s in functions"
         ),
     )
+    if "plan_turns" in run.attributes:
+        yield "whole turns", run.attributes["plan_turns"]
     if "plan_windows" in run.attributes:
         yield "windows", run.attributes["plan_windows"]
     if "plan_starts" in run.attributes:

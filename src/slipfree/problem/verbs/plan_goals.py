@@ -97,18 +97,8 @@ def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
                     f"way_points: expected at most one way-point at {low:g}, found two; put their "
                     "values into one table"
                 )
-            found[low] = facing(problem, wanted)
+            found[low] = wanted
     return dict(sorted(found.items()))
-
-
-def facing(problem: Problem[S], wanted: Ranges) -> Ranges:
-    """Return ranges with the heading measured from the y axis, as in the model."""
-    return {
-        name: (low + heading_offset(problem), high + heading_offset(problem))
-        if name == "heading"
-        else (low, high)
-        for name, (low, high) in wanted.items()
-    }
 
 
 def initial_paths(
@@ -183,8 +173,8 @@ def cusp_goal(
             f"also {', '.join(map(repr, others))}; remove {'it' if len(others) == 1 else 'them'}"
         )
     _, x, y = places[-1]
-    heading = facing(problem, spec.goal).get("heading")
-    return x, y, None if heading is None else sum(heading) / 2
+    heading = spec.goal.get("heading")
+    return x, y, None if heading is None else sum(heading) / 2 + heading_offset(problem)
 
 
 def _routes(

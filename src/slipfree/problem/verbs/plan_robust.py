@@ -216,7 +216,7 @@ def _drawn_world(source: PlanSource, draw: Draw | None) -> World:
         terrain = drawn_terrain(setup, draw, spec.plan.robust or Robust())
     dae = build_model(problem, spec, setup.vehicle, terrain)
     model = (dae, setup.vehicle, terrain)
-    arguments = plan_arguments(problem, spec, setup.keep_out, model, setup.between)
+    arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
     return World(problem, setup.dae, dae, build_start(problem, dae), arguments)
 
 

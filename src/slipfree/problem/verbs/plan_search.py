@@ -19,7 +19,7 @@ from slipfree.plan.plan import Plan as FoundPlan
 from slipfree.plan.plan import plan
 from slipfree.plan.robust import Tightening, tightened_arguments
 from slipfree.plan.warm_start import SavedPlan
-from slipfree.problem.build_common import solver_options
+from slipfree.problem.build_common import in_frame, solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
@@ -117,7 +117,7 @@ def find_plan(
         is_same = dae is setup.dae or dae.replay is not None  # creep does not change the start
         start = setup.start if is_same else settled_start(dae, setup)
         model = (dae, setup.vehicle, setup.terrain)
-        arguments = plan_arguments(problem, spec, setup.keep_out, model, setup.between)
+        arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
         search = search_arguments(spec) | {"options": solver_options(problem)}
         if dae.replay and dae is not setup.dae:  # only the last creep speed has to be accurate
             search["accuracy"] = np.inf
@@ -154,6 +154,8 @@ def _smoothed_models(problem: Problem[Plan], setup: Planning) -> list[Dae]:
         return []
     slip = model_law(problem, problem.spec)
     return [
-        direct_kinematics(setup.vehicle, setup.terrain, slip=slip, smoothing=width)
+        in_frame(
+            problem, direct_kinematics(setup.vehicle, setup.terrain, slip=slip, smoothing=width)
+        )
         for width in SMOOTHINGS
     ]

@@ -29,19 +29,19 @@ from slipfree.problem.build_common import (
     build_terrain,
     build_vehicle,
     check_names,
+    in_frame,
     samples,
 )
 from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model, model_law
 from slipfree.problem.geographic_places import convert_places
-from slipfree.problem.problem import Problem, S
+from slipfree.problem.problem import Problem
 from slipfree.problem.validation import validated_problem
 from slipfree.problem.verbs.plan_goals import (
     Place,
     Ranges,
     cusp_goal,
-    facing,
     initial_paths,
     key_of,
     places_of,
@@ -142,7 +142,7 @@ def build_planning(problem: Problem[Plan]) -> Planning:
         task_of(
             dae,
             start,
-            **plan_arguments(problem, spec, keep_out, (dae, vehicle, terrain), between),
+            **plan_arguments(spec, keep_out, (dae, vehicle, terrain), between),
             duration=spec.plan.duration or spec.time.duration,
         )
     goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
@@ -177,7 +177,8 @@ def momentum_models(problem: Problem[Plan], vehicle: Vehicle, terrain: Bicubic) 
         laws: list[GroundLaw] = [LinearCreep(contact.creep)]
         if spec.plan.sliding:
             laws = [Coulomb(creep) for creep in SLIDING_CREEPS]
-        return [rigid_dynamics(vehicle, terrain, law=law, contact=contact) for law in laws]
+        models = (rigid_dynamics(vehicle, terrain, law=law, contact=contact) for law in laws)
+        return [in_frame(problem, model) for model in models]
 
 
 def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None:
@@ -288,7 +289,6 @@ def _cusp_guess(
 
 
 def plan_arguments(
-    problem: Problem[S],
     spec: Plan,
     keep_out: tuple[Region, ...],
     model: tuple[Dae, Vehicle, Bicubic],
@@ -298,8 +298,8 @@ def plan_arguments(
 
     Parameters
     ----------
-    problem, spec : Problem, Plan
-        The problem, and its record.
+    spec : Plan
+        Record of the problem.
     keep_out : tuple of Region
         Keep-out regions.
     model : tuple of Dae, Vehicle and Bicubic
@@ -313,12 +313,12 @@ def plan_arguments(
         If a limit has an unknown name.
     """
     limits = (
-        *limits_of(model[0], facing(problem, spec.limits)),
+        *limits_of(model[0], spec.limits),
         *_kept_out(keep_out, *model),
         *_kept_off_holes(spec, model[0]),
     )
     return {
-        "goal": facing(problem, spec.goal),
+        "goal": spec.goal,
         "costs": spec.costs,
         "smooth": spec.plan.smooth,
         "continuous": spec.plan.continuous,
