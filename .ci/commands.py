@@ -61,7 +61,8 @@ AFTER = {
         "run problems/plan_rigid_hills.toml --resume plan_rigid_hills.nc -o again.nc",
         "track plan_rigid_hills.nc --set terrain.error.rms=0.01 --set terrain.error.correlation=1"
         " --set terrain.error.seed=1",
-        "pareto problems/plan_rigid_hills.toml --against effort --points 3",
+        "pareto problems/plan_rigid_hills.toml --against effort --points 3 --set plan.intervals=8"
+        " --set costs.slip=1e3",
     ],
     "plan_tilt_limits": ["export plan_tilt_limits.nc --rates plan_rates.csv"],
 }
@@ -80,7 +81,10 @@ OTHERS = [
         [f"new {kind} {kind}", f"run {kind}.toml --no-draw"]
         for kind in ("direct", "inverse", "plan", "climb")
     ),
-    ["run problems/paper_direct.toml --cross-check --csv table.csv --no-draw -o crossed.nc"],
+    [
+        "run problems/paper_direct.toml --cross-check --csv table.csv --set time.duration=2"
+        " --no-draw -o crossed.nc"
+    ],
     ["run problems/traction_ice.toml --set terrain.friction=0.9 --no-draw -o arrives.nc"],
     ["run problems/dynamics_skid_turn.toml --set model=quasi-static --no-draw -o slow_turn.nc"],
     [
@@ -88,7 +92,7 @@ OTHERS = [
         " -o animated.nc"
     ],
     [
-        "sweep problems/paper_direct.toml --vary inputs.left_rate=0.3:0.5:3"
+        "sweep problems/paper_direct.toml --vary inputs.left_rate=0.3,0.5"
         " --vary vehicle.axle=tilting,fixed --set time.duration=2 --processes 2 -o axles"
     ],
 ]

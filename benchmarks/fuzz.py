@@ -38,7 +38,7 @@ LONGEST = 60.0  # that a case may take, on a busy machine [s]
 BEGIN = 120.0  # that a process may take to start [s]
 DEEP = 0.04  # part of the cases that are solved as well, for a short time
 FAULTS = ("traceback", "warning", "unclear", "hang", "death", "print")
-HEAD = f"{'kind':9}{'cases':>7}{'read':>7}{'refused':>9}" + "".join(
+HEAD = f"{'kind':15}{'cases':>7}{'read':>7}{'refused':>9}" + "".join(
     f"{n + 's':>12}" for n in FAULTS
 )
 
@@ -66,7 +66,7 @@ class Tally:
         cells = "".join(f"{n:>{w}}" for n, w in zip(numbers, widths, strict=True))
         cells += "".join(f"{self.counts[name]:>12}" for name in FAULTS)
         seconds, number = self.slowest
-        return f"{kind:9}{cells}{seconds:>9.2f} s (case {number}){self.memory / 1e6:>8.0f} MB"
+        return f"{kind:15}{cells}{seconds:>9.2f} s (case {number}){self.memory / 1e6:>8.0f} MB"
 
 
 def one(kind: str, number: int, seed: int, folder: Path) -> Verdict:

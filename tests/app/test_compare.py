@@ -43,7 +43,6 @@ def rows():
     return {row.name: row for row in compare(problem, lambda _: None)[1]}
 
 
-@pytest.mark.slow
 def test_all_twelve_are_there(rows):
     assert len(rows) == 12
 

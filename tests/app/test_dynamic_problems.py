@@ -23,9 +23,9 @@ def invoke(*words):
 
 
 @pytest.mark.slow
-def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path):
+def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path, monkeypatch):
     file = tmp_path / "r.nc"
-    done = invoke("run", ROCKS, "-o", file, "--set", "time.duration=1", "--figures-all")
+    done = invoke("run", ROCKS, "-o", file, "--set", "time.duration=0.5", "--figures-all")
     assert done.exit_code == 0, done.output
     for name in ("compliant contact", "vehicle in the air", "energy balance", "a prediction with"):
         assert name in done.output
@@ -37,6 +37,7 @@ def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path):
     exchanged = np.abs(run["work"]).max() + run["lost_energy"][-1]
     assert np.abs(gain).max() < 100 * 1e-6 * exchanged
     assert run["velocity_x"][0] == pytest.approx(1.0, abs=0.01)  # the initial speed
+    monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: ())
     reported = invoke("report", file, "-o", tmp_path / "r.html")
     assert reported.exit_code == 0, reported.output
     page = invoke("show", file, "--html", tmp_path / "page.html")
@@ -47,7 +48,7 @@ def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path):
 def test_a_car_jumps_from_a_ledge(tmp_path):
     file = tmp_path / "r.nc"
     name = PROBLEMS / "dynamics_ledge.toml"
-    done = invoke("run", name, "-o", file, "--set", "time.duration=0.8", "--figures-all")
+    done = invoke("run", name, "-o", file, "--set", "time.duration=0.8", "--no-draw")
     assert done.exit_code == 0, done.output
     run = open_result(file).trajectory
     flying = (run["depth"] < 0).all(axis=1)
@@ -60,8 +61,6 @@ def test_a_car_jumps_from_a_ledge(tmp_path):
     travel = run["front_left_travel"]
     assert travel[lifted[:, 2]].min() < -0.02  # the spring pushes the wheel down in the air
     assert travel.max() > 0.02  # and yields at the landing
-    film = invoke("show", file, "--animation", tmp_path / "film.gif")
-    assert film.exit_code == 0, film.output
 
 
 @pytest.mark.slow

@@ -64,6 +64,7 @@ def test_another_goal_takes_at_most_half_the_iterations(solved, tmp_path):
     assert iterations(warm) <= iterations(cold) / 2
 
 
+@pytest.mark.slow
 def test_a_file_keeps_what_a_plan_leaves(solved):
     arrays = netcdf.read_arrays(solved)
     saved = from_arrays(arrays, "file")
@@ -149,6 +150,7 @@ def test_an_interrupted_refinement_gives_no_advice_on_the_mesh():
     assert re.fullmatch(pattern, stop.words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("problem", "words"),
     [

@@ -200,7 +200,6 @@ def test_bad_input_is_refused_before_anything_runs(file: Path, words: list[str],
     assert {path.name for path in file.parent.iterdir()} == {"p.toml"}
 
 
-@pytest.mark.slow
 def test_a_sweep_tells_tabulates_and_draws(whole: tuple[Path, Any]) -> None:
     folder, result = whole
     assert result.exit_code == 0, result.output

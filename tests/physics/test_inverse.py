@@ -88,7 +88,7 @@ def with_omega(run):
 @pytest.mark.parametrize("family", [OMEGA, EULER], ids=["omega", "euler"])
 def test_rates_come_back_at_recorded_states(family):
     """Every choice of three rates, at every state where it determines the others."""
-    _, _, run = direct_run(HILLS, np.linspace(0, 6, 4), x=0.3, heading=0.2)
+    _, _, run = direct_run(HILLS, np.linspace(0, 6, 2), x=0.3, heading=0.2)
     value, returned = with_omega(run), 0
     for given in combinations((*VELOCITY, *family), 3):
         dae = inverse_kinematics(
@@ -105,7 +105,7 @@ def test_rates_come_back_at_recorded_states(family):
             expected, n = dae.rows("z", run, k), system.motion_size
             assert_allclose(z[:n], expected[:n], rtol=0, atol=1e-10, err_msg=str(given))
             returned += 1
-    assert returned > 40
+    assert returned > 20
 
 
 def test_given_omega_is_that_of_the_platform():

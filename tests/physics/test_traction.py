@@ -166,8 +166,7 @@ def test_no_equilibrium_is_a_stop_by_name():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tolerance", [1e-7, 1e-9])
-@pytest.mark.parametrize("damping", [0.0, 100.0])
+@pytest.mark.parametrize(("damping", "tolerance"), [(0.0, 1e-9), (100.0, 1e-7)])
 def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, tolerance):
     """All friction is used for long; states that miss by the tolerance do not end that."""
     ground = Analytic(lambda x, y: 0.03 * y * y + 0.1 * x, mu=0.6)

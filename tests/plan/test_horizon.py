@@ -174,6 +174,7 @@ def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, peri
         cycle_inputs(window, cycle, 8.5, 9.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -187,6 +188,7 @@ def test_what_is_no_window_is_refused(found, given, words):
         horizon(found, **given)
 
 
+@pytest.mark.slow
 def test_what_depends_on_time_is_refused(found):
     """A window counts time from its own beginning."""
     task = found.program.task

@@ -30,7 +30,6 @@ def result():
     return run_problem(load_problem(SLOPE, SHORT))
 
 
-@pytest.mark.slow
 def test_a_plan_keeps_its_limit_on_slip(result):
     run = result.trajectory
     assert run.stop is None

@@ -70,6 +70,7 @@ def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
     assert missed(tracked.run) < missed(alone) / 5
 
 
+@pytest.mark.slow
 def test_a_limit_of_the_world_ends_the_motion(window):
     axis = AXIS[(AXIS > -1.5) & (AXIS < 1.5)]
     heights = GRID.z[np.ix_(np.isin(AXIS, axis), np.isin(AXIS, axis))]
@@ -80,6 +81,7 @@ def test_a_limit_of_the_world_ends_the_motion(window):
     assert tracked.run.t[-1] < DURATION
 
 
+@pytest.mark.slow
 def test_wrong_arguments_are_refused(window):
     dae = window.program.task.dae
     with pytest.raises(
