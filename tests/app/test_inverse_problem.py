@@ -359,13 +359,13 @@ def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (None, "way.csv: expected way-points as CSV, found that it cannot be read"),
+        (None, "way.csv: expected way-points as text, found that it cannot be read"),
         ("", "path.file: expected at least 6 way-points, found 0"),
         (CSV.replace("3,0.0,", "3,"), "way.csv:5: expected four numbers t,x,y,heading, found '3,"),
         (CSV.replace("3,0.0,", "3,nan,"), "way.csv:5: expected four numbers t,x,y,heading"),
         (
-            CSV.replace("heading", "yaw"),
-            "way.csv:1: expected four numbers t,x,y,heading, found 't,x,y,yaw'",
+            CSV.replace("heading", "psi"),
+            "way.csv: expected the columns t, x, y, heading, found no column 'heading' among t, x,",
         ),
         (CSV.replace("3,0.0,", "1,0.0,"), "path.file: expected increasing times, found 1 s at"),
     ],

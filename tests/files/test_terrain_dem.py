@@ -209,17 +209,21 @@ def test_npz_refuses(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("map.sdat", r"ending in .npz, .tif, .* found '.sdat'; header and .*translate"),
+        (
+            "map.sdat",
+            r"ending in .npz, .tif, .* found '.sdat', a part of a map; header and .*translate",
+        ),
         ("map.tif", "map.tif: expected a map, found that it cannot be read"),
         ("junk", "another single-file raster that GDAL reads, found no ending with unknown"),
-        ("a.zip", "unpack it: unzip in.zip"),
-        ("a.shp", "contours to a raster: gdal_grid .* in.shp out.tif"),
+        ("a.zip", "unpack it: unzip a.zip"),
+        ("a.shp", "contours to a raster: gdal_grid .* a.shp out.tif"),
         ("a.hdr", "give the name of the file with the heights"),
         ("none.asc", "none.asc: expected a map, found that it cannot be read"),
     ],
 )
 def test_other_files(tmp_path, name, words):
-    (tmp_path / "junk").write_bytes(bytes(range(100)))
+    for file in ("junk", "map.sdat", "a.zip", "a.shp", "a.hdr"):
+        (tmp_path / file).write_bytes(bytes(range(100)))
     with pytest.raises(DataError, match=words):
         read_grid(tmp_path / name)
 

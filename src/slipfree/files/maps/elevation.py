@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.foreign_formats import check_format
 from slipfree.files.maps.point_cloud import read_point_cloud
 from slipfree.files.maps.points import read_points
 from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
@@ -54,36 +55,6 @@ UNREADABLE = (  # exceptions of numpy for a damaged archive
     zlib.error,
     lzma.LZMAError,
 )
-TO_XYZ = "write its points as text with x y z of one point per line, with the ending .xyz"
-TO_ONE_FILE = (
-    "header and heights are in separate files, of which only one is read: write them as one file: "
-    "gdal_translate in{} out.tif"
-)
-TO_HEIGHTS = "give the name of the file with the heights"
-OTHERS = {  # remedies for unsupported formats
-    ".zip": "unpack it: unzip in.zip",
-    ".gz": "unpack it: gunzip in.gz",
-    **{each: f"unpack it: tar xf in{each}" for each in (".tar", ".tgz")},
-    ".7z": "unpack it: 7z x in.7z",
-    ".bag": "write the layer of heights of a grid_map message as .npz with arrays x, y, z, for "
-    "example with the Python package rosbags",
-    ".vrt": "write the rasters that it refers to as one file: gdal_translate in.vrt out.tif",
-    **{
-        each: f"interpolate its points or contours to a raster: gdal_grid -txe ... -tye ... "
-        f"-tr ... in{each} out.tif"
-        for each in (".shp", ".geojson", ".kml", ".dxf")
-    },
-    **dict.fromkeys((".ply", ".pcd", ".obj", ".stl", ".dae", ".glb"), TO_XYZ),
-    ".e57": "write its points as LAS: pdal translate in.e57 out.laz",
-    **{
-        each: TO_ONE_FILE.format(each) for each in (".bil", ".flt", ".sdat", ".ers", ".rst", ".adf")
-    },
-    **dict.fromkeys((".hdr", ".sgrd", ".rdc", ".prj", ".tfw", ".xml"), TO_HEIGHTS),
-    **{
-        each: f"convert it: gdal_translate in{each} out.tif"
-        for each in (".ecw", ".sid", ".h5", ".pdf")
-    },
-}
 Facts = tuple[tuple[str, str], ...]
 
 
@@ -189,12 +160,11 @@ def read_map(
     """
     path = Path(path)
     ending = path.suffix.lower()
-    if ending in OTHERS:
-        raise DataError(f"{path}: {_expected_endings()}, found {ending!r}; {OTHERS[ending]}")
     reading = Reading(window, cell, registration, spacing)
     try:
         _check_keys(ending, reading)
         with regular_file(path, "a map"):
+            check_format(path, "map", _expected_endings(), ENDINGS)
             found = _reader(ending).read(path, reading)
         _check_degrees(found, local=geographic is not None)
         return _mapped(found, geographic, fill)
@@ -216,8 +186,7 @@ def _reader(ending: str) -> MapReader:
 
 def _expected_endings() -> str:
     """Return the description of the files that can be read."""
-    known = ", ".join(each for reader in READERS for each in reader.endings)
-    return f"expected a file ending in {known}, or another single-file raster that GDAL reads"
+    return f"a file ending in {', '.join(ENDINGS)}, or another single-file raster that GDAL reads"
 
 
 def _check_keys(ending: str, reading: Reading) -> None:
@@ -440,10 +409,10 @@ def _read_raster(path: Path, ask: Reading) -> Heights:
     except DataError as error:
         if path.suffix.lower() in FORMATS or UNKNOWN not in str(error):
             raise
+        ending = repr(path.suffix) if path.suffix else "no ending"
         raise DataError(
-            f"{_expected_endings()}, found {repr(path.suffix) if path.suffix else 'no ending'} "
-            "with unknown contents; convert it: gdal_translate in out.tif, or check that it is a "
-            "map"
+            f"expected {_expected_endings()}, found {ending} with unknown contents; convert it: "
+            "gdal_translate in out.tif, or check that it is a map"
         ) from error
 
 
@@ -454,6 +423,7 @@ READERS: tuple[MapReader, ...] = (
     MapReader((".xyz", ".txt", ".csv"), _read_points, ("spacing",)),
     MapReader((".las", ".laz"), _read_cloud, ("spacing",)),
 )
+ENDINGS = tuple(each for reader in READERS for each in reader.endings)
 KEYS = ("cell", "registration", "spacing")  # arguments of some formats only
 
 

@@ -1,15 +1,13 @@
-"""Maps from scattered points: text files with x, y and z of one point per line."""
+"""Maps from scattered points: text files with x, y and z of a point in each line."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from math import isfinite
 from pathlib import Path
 
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.tables import read_columns
 from slipfree.records import Array
 from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
 
@@ -26,8 +24,9 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
     Parameters
     ----------
     path : Path
-        Text file with three numbers per line, x, y, z, separated by blanks, commas or semicolons;
-        ``#`` begins a comment. A first line of names may give another order of x, y and z. [m]
+        Text file with x, y and z in each line, see `slipfree.files.tables.read_columns`. Without
+        the names x, y and z, they are the first three columns; others, such as colours, are
+        ignored. [m]
     spacing : float or None
         Distance between nodes; for None the error message suggests a value. [m]
     window : tuple of 4 floats or None
@@ -40,7 +39,8 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
         large or too small, if the window contains too few nodes, or if the points lie on a line or
         have fewer than three different positions.
     """
-    columns = _columns(path)
+    values, notes = read_columns(path, NAMES, "points", others=True)
+    columns = np.column_stack([values[name] for name in NAMES])
     if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:
         raise DataError(
             f"expected coordinates with absolute values of at most {MAX_COORDINATE:g} m, found "
@@ -72,73 +72,10 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
             f"; {repeated} at repeated positions averaged, with height differences of at most "
             f"{apart:.3g} m"
         )
+    words = "; ".join([words, *notes])
     return Heights(
         x.nodes(i), y.nodes(j), z, (("ground map", "scattered points"), ("ground points", words))
     )
-
-
-def _columns(path: Path) -> Array:
-    """Return x, y, z of all lines, shape (n, 3) [m]."""
-    skip, order, delimiter = _layout(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of a file without points
-            found = np.loadtxt(
-                path, delimiter=delimiter, skiprows=skip, ndmin=2, encoding="utf-8-sig"
-            )
-    except (ValueError, OSError):
-        found = np.empty((0, 0))
-    if found.shape[1] != 3 or not np.isfinite(found).all():
-        number, text = next(_bad_lines(path, skip, delimiter), (0, ""))
-        if not number:
-            raise DataError(
-                "expected lines with three numbers x y z, found none that can be read; check the "
-                "file"
-            )
-        raise DataError(
-            f"line {number}: expected three numbers x y z, found {text!r}; correct it, or keep "
-            "three columns, for example: awk '{print $1, $2, $3}' in.txt > out.xyz"
-        )
-    return np.asarray(found[:, order])
-
-
-def _bad_lines(path: Path, skip: int, delimiter: str | None) -> Iterator[tuple[int, str]]:
-    """Yield number and text of the lines without three finite numbers."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for number, line in enumerate(file, start=1):
-            text = line.split("#")[0].strip()
-            words = text.split(delimiter)
-            good = len(words) == 3 and all(_is_number(w) and isfinite(float(w)) for w in words)
-            if number > skip and text and not good:
-                yield number, text[:60]
-
-
-def _layout(path: Path) -> tuple[int, list[int], str | None]:
-    """Return the number of header lines, the columns of x, y, z, and the delimiter."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for number, line in enumerate(file):
-            text = line.split("#")[0].strip()
-            if not text:
-                continue
-            delimiter = next((sign for sign in ";," if sign in text), None)
-            words = [word.strip().strip("\"'").lower() for word in text.split(delimiter)]
-            if not any(_is_number(word) for word in words):
-                known = sorted(words) == sorted(NAMES)
-                return (
-                    number + 1,
-                    [words.index(n) for n in NAMES] if known else [0, 1, 2],
-                    delimiter,
-                )
-            return number, [0, 1, 2], delimiter
-    raise DataError("expected lines with x y z of a point, found none; check the file")
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _distinct(points: Array) -> tuple[Array, int, float]:
@@ -162,7 +99,7 @@ def _distinct(points: Array) -> tuple[Array, int, float]:
     np.minimum.at(low, which, points[:, 2])
     single = high == low  # averaging would round these
     z[single] = high[single]
-    return np.column_stack([places, z]), repeated, float((high - low).max())
+    return np.column_stack([places, z]), repeated, float((high - low).max(initial=0.0))
 
 
 def _distance(places: Array) -> float:
