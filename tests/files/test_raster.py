@@ -476,15 +476,65 @@ def test_a_picture_needs_cell_and_registration(tmp_path):
 @pytest.mark.parametrize(
     ("mode", "words"),
     [
-        ("RGB", "one band of heights, found 3 bands; .*gdal_translate -b 1"),
+        ("RGB", "a picture in colours of 3 bands; .*gdal_translate -b 1"),
         ("LA", "one band of heights, found 2 bands"),
         ("P", "colours of a palette"),
     ],
 )
 def test_pictures_refused(tmp_path, mode, words):
-    Image.new(mode, (6, 6)).save(tmp_path / "map.png")
+    picture = Image.new(mode, (6, 6))
+    if mode == "P":
+        picture.putpalette([200, 100, 0] * 256)
+    picture.save(tmp_path / "map.png")
     with pytest.raises(DataError, match=f"map.png: expected .*{words}"):
         read_map(tmp_path / "map.png", cell=1.0, registration="area")
+
+
+LEVELS = np.arange(35).reshape(5, 7) * 7
+GRAY = {  # the same levels in other formats
+    "map.png": lambda path: Image.fromarray(LEVELS.astype(np.uint8)).save(path),
+    "map.bmp": lambda path: Image.fromarray(LEVELS.astype(np.uint8)).save(path),
+    "map.tga": lambda path: Image.fromarray(LEVELS.astype(np.uint8)).save(path),
+    "map.pgm": lambda path: path.write_bytes(
+        b"P5\n# by a camera\n7 5\n# most\n255\n" + LEVELS.astype(np.uint8).tobytes()
+    ),
+    "16.pgm": lambda path: path.write_bytes(b"P5 7 5 1000\n" + LEVELS.astype(">u2").tobytes()),
+    "text.pgm": lambda path: path.write_text(
+        "P2 # by hand\n7 5\n250\n" + " ".join(map(str, LEVELS.ravel().tolist()))
+    ),
+    "16_text.pgm": lambda path: path.write_text(
+        "P2\n7 5 65535\n" + "\n".join(map(str, LEVELS.ravel().tolist()))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GRAY)
+def test_gray_pictures_of_all_formats(tmp_path, name):
+    """GDAL returns an uninitialized transform for PGM, which must not be used as coordinates."""
+    GRAY[name](tmp_path / name)
+    with pytest.raises(DataError, match="expected cell and registration for a raster without"):
+        read_map(tmp_path / name)
+    found = read_map(tmp_path / name, cell=0.5, registration="point")
+    assert found.gray
+    assert_array_equal(found.grid.z, LEVELS[::-1].T)
+    assert_array_equal(found.grid.x, 0.5 * np.arange(7))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("map.pgm", b"P2\n7 5\n255\n1 2 3", "expected 35 levels from 0 to 255.*found 3 levels"),
+        ("map.pgm", b"P5 6 6 255\n" + bytes([205, 0, 254] * 12), "an occupancy map of ROS; use"),
+        ("map.yaml", b"image: map.pgm\nresolution: 0.05\n", "settings of an occupancy map of ROS"),
+        ("map.tif", b"ply\nformat ascii 1.0\n", "found a mesh or a point cloud; write its points"),
+        ("map.tif", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS; fetch it: git lfs"),
+    ],
+)
+def test_other_contents_are_named(tmp_path, name, content, words):
+    (tmp_path / name).write_bytes(content)
+    keys = {"cell": 1.0, "registration": "area"} if name != "map.yaml" else {}
+    with pytest.raises(DataError, match=words):
+        read_map(tmp_path / name, **keys)
 
 
 def test_damaged_pictures_refused(tmp_path):

@@ -26,6 +26,8 @@ TO_ONE_FILE = (
     "gdal_translate {} out.tif"
 )
 
+Purpose = Literal["map", "table"]
+
 
 class Format(NamedTuple):
     """A format that is not read.
@@ -94,7 +96,7 @@ FORMATS = (
     Format("a pickle of Python", ".pkl .pickle", (b"\x80\x04\x95", b"\x80\x05\x95"), TO_XYZ),
     Format(
         "a single array of numpy",
-        ".npy .npz",
+        ".npy",
         (b"\x93NUMPY",),
         "write it with numpy.savez('out.npz', x=x, y=y, z=z)",
         f"{TO_CSV} (numpy.savetxt)",
@@ -129,15 +131,13 @@ FORMATS = (
 )
 
 
-def check_format(
-    path: Path, purpose: Literal["map", "table"], expected: str, read: tuple[str, ...] = ()
-) -> None:
-    """Raise DataError for a file of a known format that is not read.
+def check_ending(path: Path, purpose: Purpose, expected: str, read: tuple[str, ...] = ()) -> None:
+    """Raise DataError if the ending of a file is that of a known format that is not read.
 
     Parameters
     ----------
     path : Path
-        A regular file.
+        The file.
     purpose : {"map", "table"}
         Contents that are expected.
     expected : str
@@ -146,19 +146,24 @@ def check_format(
         Endings of files that are read.
     """
     ending = path.suffix.lower()
+    for known in FORMATS:
+        remedy = getattr(known, purpose)
+        if remedy and ending in known.endings.split() and ending not in read:
+            found = f"{ending!r}, {known.name}"
+            raise DataError(
+                f"{path}: expected {expected}, found {found}; {remedy.format(path.name)}"
+            )
+
+
+def check_contents(path: Path, purpose: Purpose, expected: str) -> None:
+    """Raise DataError if a file begins as a known format that is not read; see `check_ending`."""
     with path.open("rb") as file:
         head = file.read(HEAD)
     for known in FORMATS:
         remedy = getattr(known, purpose)
-        is_usual = bool(ending) and ending in known.endings.split()
-        if (
-            remedy
-            and (is_usual or head.startswith(known.magic))
-            and not (is_usual and ending in read)
-        ):
-            found = f"{ending!r}, {known.name}" if is_usual else known.name
+        if remedy and head.startswith(known.magic):
             raise DataError(
-                f"{path}: expected {expected}, found {found}; {remedy.format(path.name)}"
+                f"{path}: expected {expected}, found {known.name}; {remedy.format(path.name)}"
             )
     if purpose == "table" and b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise DataError(f"{path}: expected {expected}, found binary data; {TO_CSV}")

@@ -20,7 +20,7 @@ import numpy as np
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
-from slipfree.files.foreign_formats import check_format
+from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.mcap_reader import is_mcap, read_mcap
 from slipfree.records import Array
 from slipfree.regular_files import read_bytes
@@ -263,7 +263,8 @@ def _opened(path: Path, expected: str) -> TextIO:
         If the file is not a regular file, or has a format that is not text.
     """
     content = read_bytes(path, f"{expected} as text")
-    check_format(path, "table", f"{expected} as text")
+    check_ending(path, "table", f"{expected} as text")
+    check_contents(path, "table", f"{expected} as text")
     encoding = "utf-8-sig" if _is_utf_8(content[:HEAD]) else "cp1252"
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         encoding = "utf-16"

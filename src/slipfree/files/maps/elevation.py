@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.files.foreign_formats import check_format
+from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps.point_cloud import read_point_cloud
 from slipfree.files.maps.points import read_points
 from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
@@ -164,7 +164,7 @@ def read_map(
     try:
         _check_keys(ending, reading)
         with regular_file(path, "a map"):
-            check_format(path, "map", _expected_endings(), ENDINGS)
+            check_ending(path, "map", _expected_endings(), ENDINGS)
             found = _reader(ending).read(path, reading)
         _check_degrees(found, local=geographic is not None)
         return _mapped(found, geographic, fill)
@@ -407,6 +407,8 @@ def _read_raster(path: Path, ask: Reading) -> Heights:
     try:
         return read_raster(path, ask)
     except DataError as error:
+        if UNKNOWN in str(error):
+            check_contents(path, "map", _expected_endings())
         if path.suffix.lower() in FORMATS or UNKNOWN not in str(error):
             raise
         ending = repr(path.suffix) if path.suffix else "no ending"
