@@ -19,6 +19,7 @@ from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps.point_cloud import read_point_cloud
 from slipfree.files.maps.points import read_points
 from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
+from slipfree.files.maps.reference_systems import metric_system
 from slipfree.records import Array, field_overview
 from slipfree.regular_files import regular_file
 from slipfree.terrain.base import Grid
@@ -214,9 +215,10 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
             f"geographic: expected a map in degrees, found {found.crs or 'a map in metres'} with "
             f"{reach}; remove geographic"
         )
+    system = metric_system(float(found.x.mean()), float(found.y.mean()))
     remedy = (
-        '; set geographic = "local", or reproject it to metres: gdalwarp -t_srs '
-        "EPSG:326xx in out.tif (xx: the UTM zone)"
+        f'; set geographic = "local", or reproject it to metres: gdalwarp -t_srs {system} in '
+        "out.tif"
     )
     if found.geographic and not local:
         raise DataError(f"expected a map in metres, found degrees ({found.crs}): {reach}{remedy}")
@@ -267,8 +269,8 @@ def _mapped(
         raise DataError(
             "geographic: expected a map with errors of distances along x of at most "
             f"{100 * MAX_STRETCH:g} %, found {100 * wrong:.2g} % at its northern or southern "
-            "border; set a window, or reproject it to metres: gdalwarp -t_srs EPSG:326xx in "
-            "out.tif (xx: the UTM zone)"
+            "border; set a window, or reproject it to metres: gdalwarp -t_srs "
+            f"{metric_system(float(found.x.mean()), float(found.y.mean()))} in out.tif"
         )
     return Map(Grid(x, y, found.z, mask, holes), frame, found.crs, geographic=True, facts=facts)
 

@@ -71,7 +71,7 @@ TO_LEVELS = (
 )
 TO_GRAY = "keep only the band of heights: gdal_translate -b 1 in.tif out.tif"
 TO_REAL = "convert them: gdal_translate -ot Float32 in.tif out.tif"
-TO_METRES = "reproject it to metres: gdalwarp -t_srs EPSG:326xx in.tif out.tif (xx: the UTM zone)"
+TO_METRES = "gdalwarp -t_srs {} in.tif out.tif"
 Registration = Literal["area", "point"]
 WORDS = {
     "area": "heights at the centres of cells (pixel is area)",
@@ -432,7 +432,14 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
     crs = None if file.driver == "BT" and file.crs and file.crs.is_projected else file.crs
     registration = file.tags().get("AREA_OR_POINT", "Area").lower()
     x, y, upward = _axes(file)
-    return _Place(x, y, upward, registration, *system_name(crs, TO_METRES), placed=True)
+    return _Place(
+        x, y, upward, registration, *system_name(crs, TO_METRES, *_middle(x, y)), placed=True
+    )
+
+
+def _middle(x: Axis, y: Axis) -> tuple[float, float]:
+    """Return the centre of a map, in its units."""
+    return x.first + x.step * (x.size - 1) / 2, y.first + y.step * (y.size - 1) / 2
 
 
 def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
