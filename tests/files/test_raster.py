@@ -528,13 +528,15 @@ def test_a_picture_needs_cell_and_registration(tmp_path):
 @pytest.mark.parametrize(
     ("mode", "words"),
     [
-        ("RGB", "a picture in colours of 3 bands; .*gdal_translate -b 1"),
+        ("RGB", "the colours of a picture; .*gdal_translate -b 1"),
         ("LA", "one band of heights, found 2 bands"),
         ("P", "colours of a palette"),
     ],
 )
 def test_pictures_refused(tmp_path, mode, words):
     picture = Image.new(mode, (6, 6))
+    if mode == "RGB":
+        picture.putpixel((2, 3), (9, 9, 8))
     if mode == "P":
         picture.putpalette([200, 100, 0] * 256)
     picture.save(tmp_path / "map.png")
@@ -545,6 +547,9 @@ def test_pictures_refused(tmp_path, mode, words):
 LEVELS = np.arange(35).reshape(5, 7) * 7
 GRAY = {  # the same levels in other formats
     "map.png": lambda path: Image.fromarray(LEVELS.astype(np.uint8)).save(path),
+    "colours.png": lambda path: Image.fromarray(np.stack([LEVELS.astype(np.uint8)] * 3, -1)).save(
+        path
+    ),
     "map.bmp": lambda path: Image.fromarray(LEVELS.astype(np.uint8)).save(path),
     "map.tga": lambda path: Image.fromarray(LEVELS.astype(np.uint8)).save(path),
     "map.pgm": lambda path: path.write_bytes(

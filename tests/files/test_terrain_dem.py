@@ -36,8 +36,11 @@ def test_asc_centre_registration_and_case(tmp_path):
 
 
 def test_asc_without_nodata(tmp_path):
-    text = HEADER.replace("NODATA_value -9999\n", "") + ROWS.replace("23", "-9999")
-    assert read_grid(written(tmp_path, text)).z[3, 1] == -9999
+    header = HEADER.replace("NODATA_value -9999\n", "")
+    assert read_grid(written(tmp_path, header + ROWS)).z[3, 1] == 23
+    path = written(tmp_path, header + ROWS.replace("23", "-9999"))
+    with pytest.raises(DataError, match="expected heights, found the value -9999 at 1 of 20 nodes"):
+        read_grid(path)
 
 
 def test_asc_of_cells_that_are_not_square(tmp_path):

@@ -16,6 +16,7 @@ import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.files.foreign_formats import check_contents, check_ending
+from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.point_cloud import read_point_cloud
 from slipfree.files.maps.points import read_points
 from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
@@ -126,6 +127,7 @@ def read_map(
     spacing: float | None = None,
     geographic: Literal["local"] | Frame | None = None,
     fill: Literal["linear"] | None = None,
+    vertical_scale: float | None = None,
 ) -> Map:
     """Return the height map in a file.
 
@@ -152,16 +154,20 @@ def read_map(
     fill : {"linear"}, optional
         Method of filling holes that do not reach the border (see `fill_holes`); by default no hole
         is filled, and no wheel may touch one.
+    vertical_scale : float, optional
+        Metres per unit of the heights, if they are not metres: they are not converted, but markers
+        of missing heights are recognized by their distance from the others in metres.
 
     Raises
     ------
     DataError
-        If the file cannot be read, or does not contain a complete uniform grid, or if an argument
-        is missing or not allowed for this file.
+        If the file cannot be read, or does not contain a complete uniform grid, if it contains
+        markers of missing heights such as -9999 that it does not declare, or if an argument is
+        missing or not allowed for this file.
     """
     path = Path(path)
     ending = path.suffix.lower()
-    reading = Reading(window, cell, registration, spacing)
+    reading = Reading(window, cell, registration, spacing, vertical_scale)
     try:
         _check_keys(ending, reading)
         with regular_file(path, "a map"):
@@ -371,14 +377,22 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
     """Return the map in a numpy archive."""
     x, y, z = _arrays(path)
     grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes
-    i, j = parts(*axes_of(x, y), ask.window)
+    axes = axes_of(x, y)
+    i, j = parts(*axes, ask.window)
+    check_values(
+        z[i, j],
+        lambda k: f"x = {x[i][k[0]]:.9g}, y = {y[j][k[1]]:.9g}",
+        lambda _, value: f"set them to NaN: z[z == {value}] = numpy.nan",
+        metres=ask.vertical_scale or 1.0,
+        steps=(axes[0].step, axes[1].step),
+    )
     facts = (("ground map", "numpy archive, CRS not given, heights at nodes"),)
     return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), facts)
 
 
 def _read_points(path: Path, ask: Reading) -> Heights:
     """Return the height map interpolated from the scattered points in a file."""
-    return read_points(path, ask.spacing, ask.window)
+    return read_points(path, ask)
 
 
 def _read_cloud(path: Path, ask: Reading) -> Heights:

@@ -11,6 +11,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError, missing_package
+from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.points import interpolate_points
 from slipfree.files.maps.reference_systems import (
     LENGTHS,
@@ -103,6 +104,14 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
             f"{len(points)}",
             "use another file" if near is None else "enlarge or move the window",
         )
+    check_values(
+        points[:, 2],
+        lambda k: f"x = {points[k][0]:.9g}, y = {points[k][1]:.9g}",
+        lambda marker, _: (
+            f"remove these points: pdal translate in.laz out.laz range "
+            f"--filters.range.limits='Z[{marker.low:.9g}:{marker.high:.9g}]'"
+        ),
+    )
     density = _density(points)
     cell = _two_digits(math.sqrt(POINTS_PER_CELL / density)) if spacing is None else spacing
     x, y = (_axis(points[:, k], cell) for k in (0, 1))

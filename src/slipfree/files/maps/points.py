@@ -7,15 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.maps.missing_values import check_values
+from slipfree.files.maps.raster import Reading
 from slipfree.files.tables import read_columns
 from slipfree.records import Array
-from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
+from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, parts
 
 NAMES = ("x", "y", "z")
 BLOCK = 2**20  # number of nodes interpolated at once; limits the memory
 
 
-def read_points(path: Path, spacing: float | None, window: Window | None) -> Heights:
+def read_points(path: Path, ask: Reading) -> Heights:
     """Return the height map interpolated from scattered points.
 
     Heights are interpolated linearly on a Delaunay triangulation; nodes outside the convex hull of
@@ -27,10 +29,9 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
         Text file with x, y and z in each line, see `slipfree.files.tables.read_columns`. Without
         the names x, y and z, they are the first three columns; others, such as colours, are
         ignored. [m]
-    spacing : float or None
-        Distance between nodes; for None the error message suggests a value. [m]
-    window : tuple of 4 floats or None
-        The part to read: x_min, x_max, y_min, y_max. [m]
+    ask : Reading
+        Window, and the distance between nodes, for None of which the error message suggests a
+        value.
 
     Raises
     ------
@@ -46,7 +47,14 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
             f"expected coordinates with absolute values of at most {MAX_COORDINATE:g} m, found "
             f"{farthest:g}; correct the file"
         )
+    check_values(
+        columns[:, 2],
+        lambda k: f"x = {columns[k][0]:.9g}, y = {columns[k][1]:.9g}",
+        lambda _, value: f"remove the lines with z = {value}",
+        metres=ask.vertical_scale or 1.0,
+    )
     points, repeated, apart = _distinct(columns)
+    spacing = ask.spacing
     distance = _distance(points[:, :2])
     if spacing is None:
         raise DataError(
@@ -62,7 +70,7 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
             f"expected points that span at least 4 by 4 nodes, found {counts[0]} by "
             f"{counts[1]} at spacing = {spacing:g} m; set a smaller spacing"
         )
-    i, j = parts(x, y, window)
+    i, j = parts(x, y, ask.window)
     z = interpolate_points(points, low, spacing, (i, j))
     words = (
         f"{len(points)}, a median of {distance:.3g} m apart, for {z.size} nodes {spacing:g} m apart"

@@ -17,6 +17,7 @@ from typing import Any, BinaryIO, Literal, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.maps.missing_values import Marker, check_values
 from slipfree.files.maps.netcdf_header import check_header
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
@@ -64,6 +65,8 @@ BY_NAME = {  # drivers that open files only by name, by the first bytes of the f
 }
 UNKNOWN = "not recognized as being in a supported file format"  # in errors of GDAL
 CACHE = 64  # GDAL's cache of blocks [MB]
+EDITABLE = "GTiff", "HFA"  # formats whose missing value gdal_edit.py changes in the file
+DEGREE = 1.11e5  # approximate length of a degree [m]
 OCCUPANCY = 205, 0, 254  # gray levels of map_server: unknown, occupied, free
 TO_LEVELS = (
     "use the elevation model from which it was drawn, or, if its colours are gray levels of "
@@ -94,12 +97,16 @@ class Reading(NamedTuple):
         border passes through the first node.
     spacing : float or None
         Distance between nodes for scattered points and point clouds. [m]
+    vertical_scale : float or None
+        Metres per unit of the heights, to recognize markers of missing heights; None if the heights
+        are metres, or unknown gray levels.
     """
 
     window: Window | None = None
     cell: float | None = None
     registration: Registration | None = None
     spacing: float | None = None
+    vertical_scale: float | None = None
 
 
 class _Place(NamedTuple):
@@ -277,6 +284,9 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
     x, y = place.x.nodes(i), place.y.nodes(j)
     top = j.start if place.upward else place.y.size - j.stop
     rows = range(top, top + j.stop - j.start)
+    window = (rows.start, rows.stop), (i.start, i.stop)
+    if file.count > 1 and np.ptp(file.read((1, 2, 3), window=window), axis=0).any():
+        refuse("heights", "the colours of a picture", TO_LEVELS.format("-b 1"))
     if file.driver == "AAIGrid":
         _check_numbers(path, file.shape, rows)
     crs = place.crs or ("CRS not given" if place.placed else "placed by cell and registration")
@@ -288,7 +298,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
     )
     values = file.read(
         1,
-        window=((rows.start, rows.stop), (i.start, i.stop)),
+        window=window,
         masked=True,
         out_dtype=np.float64,
     )
@@ -299,17 +309,42 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
             f"only the levels {', '.join(map(str, OCCUPANCY))} of an occupancy map of ROS",
             "use an elevation map",
         )
-    heights = (values.filled(np.nan) * file.scales[0] + file.offsets[0]) * _unit(file)
+    raw = values.filled(np.nan)
+    raw = np.ascontiguousarray((raw if place.upward else raw[::-1]).T)
+    if not is_picture or ask.vertical_scale is not None:
+        degree = DEGREE if place.geographic else 1.0
+        check_values(
+            raw,
+            lambda k: f"x = {x[k[0]]:.9g}, y = {y[k[1]]:.9g}",
+            partial(_declaration, file, path.name),
+            metres=abs(file.scales[0]) * _unit(file) * (ask.vertical_scale or 1.0),
+            steps=(degree * place.x.step, degree * place.y.step),
+        )
     return Heights(
         x,
         y,
-        np.ascontiguousarray((heights if place.upward else heights[::-1]).T),
+        (raw * file.scales[0] + file.offsets[0]) * _unit(file),
         facts,
         place.crs,
         place.geographic,
         place.placed,
         gray=is_picture,
     )
+
+
+def _declaration(file: Any, name: str, _: Marker, value: str) -> str:
+    """Return the command that declares a value of a raster as missing."""
+    declared = file.nodata
+    if declared is not None and np.isfinite(declared):
+        return (
+            f"replace it by the declared value: gdal_calc.py -A {name} --outfile=out.tif "
+            f'--calc="numpy.where(A == {value}, {declared:.15g}, A)" --NoDataValue={declared:.15g}'
+        )
+    if file.driver == "AAIGrid":
+        return f"declare it by the line NODATA_value {value} at the end of the header"
+    if file.driver in EDITABLE:
+        return f"declare it: gdal_edit.py -a_nodata {value} {name}"
+    return f"declare it: gdal_translate -a_nodata {value} {name} out.tif"
 
 
 def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
@@ -380,9 +415,7 @@ def _is_picture(file: Any, is_placed: bool) -> bool:
 
 def _check_band(file: Any) -> None:
     """Raise DataError unless the file has a single band of heights in a known unit of length."""
-    if file.count > 1 and "red" in {each.name for each in file.colorinterp}:
-        refuse("heights", f"a picture in colours of {file.count} bands", TO_LEVELS.format("-b 1"))
-    if file.count != 1:
+    if file.count != 1 and not _is_coloured(file):
         refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
     if kind not in "iuf":
@@ -401,6 +434,11 @@ def _check_band(file: Any) -> None:
             f"the unit {file.units[0]!r}",
             f"correct it with gdal_edit.py -units; known units: {', '.join(sorted(LENGTHS)[1:])}",
         )
+
+
+def _is_coloured(file: Any) -> bool:
+    """Return whether the bands are the colours of a picture, with or without transparency."""
+    return [each.name for each in file.colorinterp[:3]] == ["red", "green", "blue"]
 
 
 def _is_gray(palette: dict[int, tuple[int, ...]]) -> bool:
