@@ -8,11 +8,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-import re
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
@@ -22,53 +19,26 @@ from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.mcap_reader import is_mcap, read_mcap
+from slipfree.files.table_layout import (
+    ALIASES,
+    LONG,
+    SHOWN,
+    Layout,
+    cell_number,
+    column_names,
+    has_width,
+    is_number,
+    known_unit,
+    line_body,
+    line_cells,
+    split_unit,
+    table_layout,
+)
 from slipfree.records import Array
 from slipfree.regular_files import read_bytes
 
 HEAD = 1 << 16  # bytes from which the encoding is inferred
-SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
 COUNTS = {2: "two", 3: "three", 4: "four"}
-SAMPLE = 50  # number of lines from which the layout of a table is inferred
-SEPARATORS = (";", "|", "\t", ",", None)  # None: blanks
-COMMENTS = ("#", "%", "//")
-UNITS = {  # SI unit of a column, and factor to it
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), ("s", 1.0)),
-    **dict.fromkeys(("ms", "msec", "milliseconds"), ("s", 1e-3)),
-    **dict.fromkeys(("us", "µs", "μs", "usec", "microseconds"), ("s", 1e-6)),
-    **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), ("s", 1e-9)),
-    **dict.fromkeys(("min", "minutes"), ("s", 60.0)),
-    **dict.fromkeys(("rad", "radians"), ("rad", 1.0)),
-    **dict.fromkeys(("deg", "degree", "degrees", "°"), ("rad", math.pi / 180)),
-    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), ("m", 1.0)),
-    "km": ("m", 1e3),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    **dict.fromkeys(("ft", "feet"), ("m", 0.3048)),
-    **dict.fromkeys(("m/s", "mps"), ("m/s", 1.0)),
-    "cm/s": ("m/s", 1e-2),
-    "mm/s": ("m/s", 1e-3),
-    **dict.fromkeys(("km/h", "kmh", "kph"), ("m/s", 1 / 3.6)),
-    "rad/s": ("rad/s", 1.0),
-    **dict.fromkeys(("deg/s", "°/s", "dps"), ("rad/s", math.pi / 180)),
-    **dict.fromkeys(("rpm", "1/min", "min-1"), ("rad/s", math.pi / 30)),
-    "1": ("1", 1.0),
-    "%": ("1", 1e-2),
-    "N": ("N", 1.0),
-    "kN": ("N", 1e3),
-    **dict.fromkeys(("N m", "Nm", "N*m"), ("N m", 1.0)),
-}
-UNIT_IN_NAME = (  # "x [m]", "time(s)"; "t / s"; "yaw_deg"
-    re.compile(r"^(.*?)[\s_]*[\[(]\s*(.*?)\s*[\])]$"),
-    re.compile(r"^(.*?)\s*/\s*(\S+)$"),
-    re.compile(r"^(.*)_([^\W_]+)$"),
-)
-ALIASES = (  # names of the same quantity
-    {"t", "time", "timestamp", "stamp"},
-    {"x", "easting", "east", "e", "lon", "longitude"},
-    {"y", "northing", "north", "n", "lat", "latitude"},
-    {"z", "height", "elevation", "altitude"},
-    {"heading", "yaw"},
-)
 EPOCH = 1e8  # smallest time that counts from a fixed date, not from the start of a log [s]
 LARGE_TIMES = {
     "nanoseconds": (1e17, "ns"),
@@ -94,32 +64,6 @@ class Columns(NamedTuple):
     def rows(self) -> list[tuple[float, ...]]:
         """Return the rows of the table."""
         return [*zip(*(each.tolist() for each in self.values.values()), strict=True)]
-
-
-class _Layout(NamedTuple):
-    """Layout of the text of a table.
-
-    Attributes
-    ----------
-    separator : str or None
-        Separator of the columns; None for blanks.
-    first : int
-        Number of the first row's line.
-    header : str
-        Line with the names; empty without one.
-    names, units : list of str
-        Names of the columns as in the file, and units in the line below them; empty without such
-        lines.
-    row : list of str
-        First row; empty if there is none.
-    """
-
-    separator: str | None
-    first: int
-    header: str
-    names: list[str]
-    units: list[str]
-    row: list[str]
 
 
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -172,8 +116,8 @@ def read_names(path: Path, expected: str) -> list[str]:
     """
     if is_mcap(path):
         return [*read_mcap(path, "v_x")]
-    layout = _layout(path, _opened(path, expected))
-    bases = [_split(name)[0] for name in _column_names(layout)]
+    layout = table_layout(path, _opened(path, expected))
+    bases = [split_unit(name)[0] for name in column_names(layout)]
     return ["t" if base.lower() in ALIASES[0] else base for base in bases]
 
 
@@ -218,7 +162,7 @@ def read_columns(
         table = read_mcap(path, [*names][-1])
         return Columns({key: table[name] for key, name in names.items()})
     file = _opened(path, expected)
-    layout = _layout(path, file)
+    layout = table_layout(path, file)
     width, count = len(layout.row), len(names)
     wanted = f"{COUNTS.get(count, count)} numbers {','.join(names)}"
     notes = []
@@ -237,21 +181,17 @@ def read_columns(
     found = _read_numbers(path, file, layout, chosen, wanted)
     values = {}
     for column, (name, (index, unit)) in zip(found.T, chosen.items(), strict=True):
-        title = _column_names(layout)[index] if layout.names else name
+        title = column_names(layout)[index] if layout.names else name
         values[name], words = _converted(path, title, name, unit, column, where)
         notes += words
     return Columns(values, tuple(notes))
 
 
-def _is_in_order(layout: _Layout, names: Collection[str], others: bool) -> bool:
+def _is_in_order(layout: Layout, names: Collection[str], others: bool) -> bool:
     """Return whether the columns are chosen by their order, not by their names."""
-    known = {base.lower() for base in (_split(name)[0] for name in layout.names)}
+    known = {base.lower() for base in (split_unit(name)[0] for name in layout.names)}
     strange = not known & set.union({*names}, *ALIASES)
     return not layout.names or (others and strange and len(layout.row) == len(names))
-
-
-def _column_names(layout: _Layout) -> list[str]:
-    return layout.names or [str(k + 1) for k in range(len(layout.row))]
 
 
 def _opened(path: Path, expected: str) -> TextIO:
@@ -280,166 +220,15 @@ def _is_utf_8(head: bytes) -> bool:
     return True
 
 
-def _body(line: str, separator: str | None) -> str:
-    """Return a line without comment and blanks at its ends; empty tab-separated cells remain."""
-    text = line.split("#", 1)[0].strip(" \r\n" if separator == "\t" else None)
-    return "" if text.startswith(COMMENTS) or (text[:1] == ";" != separator) else text
-
-
-def _cells(text: str, separator: str | None) -> list[str]:
-    """Return the cells of a line, without quotes."""
-    if '"' in text:
-        cells = next(csv.reader([text], delimiter=separator or " ", skipinitialspace=True))
-        cells = [cell for cell in cells if cell or separator]
-    elif separator is None:  # a unit in brackets belongs to the name before it
-        cells = re.sub(r"\s+([\[(][^\])]*[\])])", r"\1", text).split()
-    else:
-        cells = text.split(separator)
-    return [cell.strip().strip("'").strip() for cell in cells]
-
-
-def _number(cell: str, separator: str | None) -> float:
-    """Return the number in a cell, in which a comma is a decimal point; raise ValueError."""
-    return float(cell if separator == "," else cell.replace(",", ".", 1))
-
-
-def _is_number(cell: str, separator: str | None) -> bool:
-    try:
-        _number(cell, separator)
-    except ValueError:
-        return False
-    return True
-
-
-def _layout(path: Path, file: TextIO) -> _Layout:
-    """Return the layout of a table, with the separator that divides most lines alike.
-
-    Raises
-    ------
-    DataError
-        If there are other numbers or names before the table, or decimal commas and points in it.
-    """
-    lines = list(islice(file, SAMPLE))
-    found: list[tuple[int, str | None, int]] = []
-    for separator in SEPARATORS:
-        rows = [_cells(text, separator) for line in lines if (text := _body(line, separator))]
-        widths = Counter(len(row) for row in rows if len(row) > 1)
-        width, count = max(widths.items(), key=lambda item: item[1], default=(0, 0))
-        table = [row for row in rows if len(row) == width]
-        is_split = not any(_is_row(cell.split(), None) for row in table for cell in row)
-        if is_split and any(_is_number(cell, separator) for row in table for cell in row):
-            found.append((count, separator, width))
-    if not found:
-        return _layout_of_names(lines)
-    _, separator, width = max(found, key=lambda item: item[0])
-    return _layout_with(path, lines, separator, width)
-
-
-def _is_row(words: Sequence[str], separator: str | None) -> bool:
-    """Return whether words are two or more numbers."""
-    return len(words) > 1 and all(_is_number(word, separator) for word in words)
-
-
-def _layout_of_names(lines: Sequence[str]) -> _Layout:
-    """Return the layout of a table without numbers."""
-    text = next((text for line in lines if (text := _body(line, None))), "")
-    separator = next((each for each in SEPARATORS[:-1] if each in text), None)
-    return _Layout(separator, 0, text, _cells(text, separator) if text else [], [], [])
-
-
-def _layout_with(path: Path, lines: Sequence[str], separator: str | None, width: int) -> _Layout:
-    """Return the layout of a table of known separator and width."""
-    heads: list[tuple[int, str, list[str]]] = []  # lines of words before the first row
-    comments: list[str] = []
-    rows: list[tuple[int, list[str]]] = []
-    for number, line in enumerate(lines, start=1):
-        text = _body(line, separator)
-        cells = _cells(text, separator)
-        if rows or (len(cells) == width and any(_is_number(cell, separator) for cell in cells)):
-            rows.append((number, cells))
-        elif not text:
-            comments.append(line.strip(" #%/;\r\n"))
-        elif _is_row(cells, separator):
-            raise DataError(
-                f"{path}:{number}: expected {width} values as in the lines below, found {text!r}; "
-                "correct the line"
-            )
-        elif len(cells) > 1 or not _is_number(text, separator):  # a number alone counts the rows
-            heads.append((number, text, cells))
-    table = [cells for _, cells in rows if len(cells) == width]
-    _check_decimals(path, rows, separator)
-    while width > 2 and not any(cells[width - 1] for cells in table):  # separators at line ends
-        width -= 1
-    named = [head for head in heads if _has_width(head[2], width)]
-    units = []
-    if len(named) > 1 and any(named[-1][2]) and all(_unit(cell) for cell in named[-1][2] if cell):
-        units = named.pop()[2]
-    if heads and not named and len(heads[-1][2]) > 1:
-        number, text, cells = heads[-1]
-        raise DataError(
-            f"{path}:{number}: expected {width} names, one for each column, found {len(cells)}: "
-            f"{text[:SHOWN]!r}; correct the line, or begin it with '#'"
-        )
-    names = named[-1][2] if named else _commented_names(comments, separator, width)
-    header = named[-1][1] if named else ""
-    return _Layout(separator, rows[0][0], header, names, units[:width], rows[0][1][:width])
-
-
-def _has_width(cells: Sequence[str], width: int) -> bool:
-    """Return whether cells are as many as columns, besides empty ones at the end."""
-    return len(cells) >= width and not any(cells[width:])
-
-
-def _commented_names(comments: Sequence[str], separator: str | None, width: int) -> list[str]:
-    """Return the names in the last comment that has one for each column; empty without one."""
-    known = set.union(*ALIASES)
-    for text in reversed(comments):
-        names = _cells(text, separator)
-        if len(names) == width and any(_split(name)[0].lower() in known for name in names):
-            return names
-    return []
-
-
-def _check_decimals(
-    path: Path, rows: Iterable[tuple[int, Sequence[str]]], separator: str | None
-) -> None:
-    """Raise DataError if some numbers have decimal commas and others points."""
-    used: dict[str, str] = {}
-    for number, cells in rows:
-        for cell in cells:
-            if separator != "," and _is_number(cell, separator):
-                used |= {sign: cell for sign in ".," if sign in cell}
-        if len(used) > 1:
-            raise DataError(
-                f"{path}:{number}: expected one decimal sign, found {' and '.join(used.values())}; "
-                "write all numbers with decimal points and without separators of thousands"
-            )
-
-
-def _unit(text: str) -> tuple[str, float] | None:
-    """Return the SI unit and the factor of a unit, also in brackets; None if it is not known."""
-    text = text.strip("[]() ")
-    return UNITS.get(text, UNITS.get(text.lower()))
-
-
-def _split(name: str) -> tuple[str, str]:
-    """Return the name and the unit in the name of a column; the unit is empty if it has none."""
-    for pattern in UNIT_IN_NAME:
-        found = pattern.match(name)
-        if found and found[1] and _unit(found[2]):
-            return found[1], found[2]
-    return name, ""
-
-
 def _choose(
-    path: Path, layout: _Layout, requested: Mapping[str, str], where: str
+    path: Path, layout: Layout, requested: Mapping[str, str], where: str
 ) -> dict[str, tuple[int, str]]:
     """Return index and unit of the requested columns."""
-    names = _column_names(layout)
-    bases = [_split(name) for name in names]
+    names = column_names(layout)
+    bases = [split_unit(name) for name in names]
     chosen = {}
     for key, name in requested.items():
-        base, unit = (part.lower() for part in _split(name))
+        base, unit = (part.lower() for part in split_unit(name))
         same = next((each for each in ALIASES if base in each), {base})
         ranks = (
             [k for k, each in enumerate(names) if each == name],
@@ -460,7 +249,7 @@ def _choose(
 
 
 def _read_numbers(
-    path: Path, file: TextIO, layout: _Layout, chosen: Mapping[str, tuple[int, str]], wanted: str
+    path: Path, file: TextIO, layout: Layout, chosen: Mapping[str, tuple[int, str]], wanted: str
 ) -> Array:
     """Return the numbers of the chosen columns, shape (n, n_chosen)."""
     if not layout.row:
@@ -469,7 +258,7 @@ def _read_numbers(
     converters: dict[int | str, Callable[[str], float]] = {
         index: _timestamp
         for index in indices
-        if not _is_number(layout.row[index], layout.separator) and _is_timestamp(layout.row[index])
+        if not is_number(layout.row[index], layout.separator) and _is_timestamp(layout.row[index])
     }
     try:
         found: Array = np.loadtxt(
@@ -490,10 +279,12 @@ def _read_numbers(
         return found
     file.seek(0)
     for number, text in _lines(path, file, layout, wanted):
-        cells = _cells(text, layout.separator)
+        cells = line_cells(text, layout.separator)
         try:
             values = [
-                converters[k](cells[k]) if k in converters else _number(cells[k], layout.separator)
+                converters[k](cells[k])
+                if k in converters
+                else cell_number(cells[k], layout.separator)
                 for k in indices
             ]
         except ValueError:
@@ -503,7 +294,7 @@ def _read_numbers(
     raise DataError(f"{path}: expected {wanted} in each line, found others; check the file")
 
 
-def _lines(path: Path, file: TextIO, layout: _Layout, wanted: str) -> Iterator[tuple[int, str]]:
+def _lines(path: Path, file: TextIO, layout: Layout, wanted: str) -> Iterator[tuple[int, str]]:
     """Yield number and text of the rows of a table.
 
     Raises
@@ -513,14 +304,14 @@ def _lines(path: Path, file: TextIO, layout: _Layout, wanted: str) -> Iterator[t
     """
     separator, width = layout.separator, len(layout.row)
     for number, line in enumerate(file, start=1):
-        text = _body(line, separator)
+        text = line_body(line, separator)
         if not text or number < layout.first or text == layout.header:  # repeated in joined files
             continue
         if separator is None or '"' in text:
-            count = len(_cells(text, separator))
+            count = len(line_cells(text, separator))
         else:
             count = text.count(separator) + 1
-        if count != width and not _has_width(_cells(text, separator), width):
+        if count != width and not has_width(line_cells(text, separator), width):
             raise _line_error(path, number, text, wanted)
         yield number, text
 
@@ -555,7 +346,7 @@ def _converted(
     DataError
         If times without a unit are too large for seconds.
     """
-    symbol, factor = (unit and _unit(unit)) or ("", 1.0)
+    symbol, factor = (unit and known_unit(unit)) or ("", 1.0)
     notes = [f"{title} converted from {unit} to {symbol}"] if factor != 1 else []
     if name in ALIASES[0] and values.size:
         largest = float(np.abs(values).max())

@@ -170,8 +170,8 @@ def read_map(
     reading = Reading(window, cell, registration, spacing, vertical_scale)
     try:
         _check_keys(ending, reading)
+        check_ending(path, "map", _expected_endings(), _endings())
         with regular_file(path, "a map"):
-            check_ending(path, "map", _expected_endings(), ENDINGS)
             found = _reader(ending).read(path, reading)
         _check_degrees(found, local=geographic is not None)
         return _mapped(found, geographic, fill)
@@ -191,9 +191,15 @@ def _reader(ending: str) -> MapReader:
     return next((each for each in READERS if ending in each.endings), RASTERS)
 
 
+def _endings() -> tuple[str, ...]:
+    return tuple(each for reader in READERS for each in reader.endings)
+
+
 def _expected_endings() -> str:
     """Return the description of the files that can be read."""
-    return f"a file ending in {', '.join(ENDINGS)}, or another single-file raster that GDAL reads"
+    return (
+        f"a file ending in {', '.join(_endings())}, or another single-file raster that GDAL reads"
+    )
 
 
 def _check_keys(ending: str, reading: Reading) -> None:
@@ -221,13 +227,13 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
             f"geographic: expected a map in degrees, found {found.crs or 'a map in metres'} with "
             f"{reach}; remove geographic"
         )
-    system = metric_system(float(found.x.mean()), float(found.y.mean()))
+    new = metric_system(float(found.x.mean()), float(found.y.mean()))
     remedy = (
-        f'; set geographic = "local", or reproject it to metres: gdalwarp -t_srs {system} in '
-        "out.tif"
+        f'; set geographic = "local", or reproject it to metres: gdalwarp -t_srs {new} in out.tif'
     )
+    system = f" ({found.crs})" if found.crs else ""
     if found.geographic and not local:
-        raise DataError(f"expected a map in metres, found degrees ({found.crs}): {reach}{remedy}")
+        raise DataError(f"expected a map in metres, found degrees{system}: {reach}{remedy}")
     if local or found.crs or not (found.placed and fits):
         return
     rise = np.abs(np.diff(np.where(np.isinf(found.z), np.nan, found.z), axis=1))
@@ -441,7 +447,6 @@ READERS: tuple[MapReader, ...] = (
     MapReader((".xyz", ".txt", ".csv"), _read_points, ("spacing",)),
     MapReader((".las", ".laz"), _read_cloud, ("spacing",)),
 )
-ENDINGS = tuple(each for reader in READERS for each in reader.endings)
 KEYS = ("cell", "registration", "spacing")  # arguments of some formats only
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.raster import Reading
-from slipfree.files.tables import read_columns
+from slipfree.files.tables import read_columns, read_names
 from slipfree.records import Array
 from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, parts
 
@@ -40,20 +41,25 @@ def read_points(path: Path, ask: Reading) -> Heights:
         large or too small, if the window contains too few nodes, or if the points lie on a line or
         have fewer than three different positions.
     """
-    values, notes = read_columns(path, NAMES, "points", others=True)
-    columns = np.column_stack([values[name] for name in NAMES])
-    if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:
+    names = {name.lower() for name in read_names(path, "points")}
+    geographic = bool(names & {"longitude", "lon"})
+    columns: Sequence[str] | dict[str, str] = NAMES
+    if geographic:
+        columns = {"x": "longitude", "y": "latitude", "z": "z"}
+    values, notes = read_columns(path, columns, "points", others=True)
+    table = np.column_stack([values[name] for name in NAMES])
+    if (farthest := float(np.abs(table).max(initial=0.0))) > MAX_COORDINATE:
         raise DataError(
             f"expected coordinates with absolute values of at most {MAX_COORDINATE:g} m, found "
             f"{farthest:g}; correct the file"
         )
     check_values(
-        columns[:, 2],
-        lambda k: f"x = {columns[k][0]:.9g}, y = {columns[k][1]:.9g}",
+        table[:, 2],
+        lambda k: f"x = {table[k[0], 0]:.9g}, y = {table[k[0], 1]:.9g}",
         lambda _, value: f"remove the lines with z = {value}",
         metres=ask.vertical_scale or 1.0,
     )
-    points, repeated, apart = _distinct(columns)
+    points, repeated, apart = _distinct(table)
     spacing = ask.spacing
     distance = _distance(points[:, :2])
     if spacing is None:
@@ -82,7 +88,11 @@ def read_points(path: Path, ask: Reading) -> Heights:
         )
     words = "; ".join([words, *notes])
     return Heights(
-        x.nodes(i), y.nodes(j), z, (("ground map", "scattered points"), ("ground points", words))
+        x.nodes(i),
+        y.nodes(j),
+        z,
+        (("ground map", "scattered points"), ("ground points", words)),
+        geographic=geographic,
     )
 
 
