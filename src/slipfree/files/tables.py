@@ -278,6 +278,7 @@ def _read_numbers(
     if np.isfinite(found).all():
         return found
     file.seek(0)
+    rows = []
     for number, text in _lines(path, file, layout, wanted):
         cells = line_cells(text, layout.separator)
         try:
@@ -291,7 +292,8 @@ def _read_numbers(
             values = [math.nan]
         if not all(map(math.isfinite, values)):
             raise _line_error(path, number, text, wanted)
-    raise DataError(f"{path}: expected {wanted} in each line, found others; check the file")
+        rows.append(values)
+    return np.array(rows)
 
 
 def _lines(path: Path, file: TextIO, layout: Layout, wanted: str) -> Iterator[tuple[int, str]]:
