@@ -374,7 +374,7 @@ def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
         ),
         (
             "t,x,y,heading\n" + "".join(f"{k},{-k},{2 * k},26.6\n" for k in range(6)),
-            "found values up to 26.6 that agree with the direction of motion as degrees; name their",
+            "found values up to 26.6 that agree with the direction of motion as degrees; name",
         ),
     ],
 )

@@ -9,6 +9,7 @@ import scipy
 from rasterio.transform import Affine
 
 from slipfree import DataError
+from slipfree.files.maps import missing_values
 from slipfree.files.maps.elevation import jacksboro, read_map
 
 X, Y = np.meshgrid(np.arange(40.0), np.arange(30.0), indexing="ij")
@@ -97,6 +98,15 @@ def test_two_markers_and_most_nodes_missing(tmp_path):
     z[:6, :6], z[:6, 6] = MOUNTAINS[:6, :6], -9999
     words = _refused(_geotiff(tmp_path / "map.tif", z))
     assert "-32768 at 1158 of 1200 nodes" in words
+
+
+def test_markers_of_a_large_map(monkeypatch, tmp_path):
+    """Of large maps, only extremes and a part of the heights are sorted."""
+    monkeypatch.setattr(missing_values, "MAX_SORTED", 100)
+    for value in (-32768, 0, 65535):
+        z = np.where((X == 7) & (Y == 9), value, MOUNTAINS)
+        assert f"the value {value} at 1 of 1200" in _refused(_geotiff(tmp_path / "map.tif", z))
+    read_map(_geotiff(tmp_path / "map.tif", MOUNTAINS))
 
 
 @pytest.mark.parametrize(("value", "factor"), [(-9999, 2), (-32768, 5), (1e30, 3), (65535, 4)])

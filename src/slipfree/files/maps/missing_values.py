@@ -13,6 +13,7 @@ from slipfree.records import Array
 
 NINES = re.compile(r"-?9{3,}(\.[09]+)?")  # -999, -9999, 99999.9
 BEYOND_EARTH = 1e4  # values above it are no heights of the ground [units of the file]
+MAX_SORTED = 500_000  # largest number of heights that are sorted
 MARKERS = 4  # largest number of different markers in a file
 RATIO = 10.0  # least distance of a marker from other heights, relative to the gaps among these
 # least distances of a value from all other heights that relief cannot explain [m]
@@ -108,7 +109,7 @@ def _repeated_marker(z: Array, metres: float) -> Marker | None:
     finite = z[np.isfinite(z)]
     if np.ptp(finite) * metres < NAMED_GAP:
         return None
-    values, counts = np.unique(finite, return_counts=True)
+    values = _distinct_values(finite)
     gaps = np.diff(values)
     inner = float(np.sort(gaps)[-MARKERS - 1]) if gaps.size > MARKERS else 0.0
     ends = np.flatnonzero(gaps >= max(NAMED_GAP / metres, RATIO * inner)) + 1
@@ -118,7 +119,7 @@ def _repeated_marker(z: Array, metres: float) -> Marker | None:
         key=lambda group: (
             group.size > 1 or not _is_named(values[group[0]]),
             group.size,
-            counts[group].sum(),
+            group.size == 1 and np.count_nonzero(finite == values[group[0]]),
         ),
     )
     low, high = float(values[body[0]]), float(values[body[-1]])
@@ -126,10 +127,26 @@ def _repeated_marker(z: Array, metres: float) -> Marker | None:
         value = float(values[group[0]])
         gap = max(low - value, value - high)
         is_one = group.size == 1 or all(_is_named(float(each)) for each in values[group])
-        share = counts[group].sum() / finite.size
+        share = np.count_nonzero(finite == value) / finite.size
         if is_one and gap > 0 and gap * metres >= _least_gap(value, low, high, share):
             return Marker(value, low, high, is_exact=True)
     return None
+
+
+def _distinct_values(z: Array) -> Array:
+    """Return the distinct heights in ascending order, of large maps all extremes and a part."""
+    if z.size <= MAX_SORTED:
+        return np.unique(z)
+    parts = [z[:: z.size // MAX_SORTED]]
+    for sign, end in zip((1, -1), np.quantile(parts[0], (0.01, 0.99)), strict=True):
+        rest = sign * z[sign * z <= sign * end]
+        for _ in range(2 * MARKERS):
+            least = rest.min()
+            parts.append(sign * least[None])
+            rest = rest[rest > least]
+            if not rest.size:
+                break
+    return np.unique(np.concatenate(parts))
 
 
 def _least_gap(value: float, low: float, high: float, share: float) -> float:
