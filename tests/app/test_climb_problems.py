@@ -471,7 +471,7 @@ def test_commands_for_other_problems_say_so():
         ),
         (
             ("check", "p.toml", "--set", "profile={file='x.csv'}"),
-            "--set profile: profile.file: x.csv: expected corners of solids as CSV, found that it "
+            "--set profile: profile.file: x.csv: expected corners of solids as text, found that it "
             "cannot be read (No such file or directory)",
         ),
     ):

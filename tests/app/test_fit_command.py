@@ -21,6 +21,8 @@ from slipfree.files.tables import write_rows
 from slipfree.files.vehicle_writer import vehicle_text
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem.build_vehicle import read_vehicle
+from slipfree.problem.load import load_problem
+from slipfree.problem.verbs.fit import _read_windows
 from slipfree.vehicle.tree import Vehicle
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "fit_skid_steer.toml"
@@ -207,3 +209,84 @@ def test_vehicles_of_the_catalogue_are_written(name: str) -> None:
         vehicle.coordinates,
         vehicle.body,
     )
+
+
+TIMES = np.linspace(0, 20, 201)
+YAW = 0.5 * TIMES  # more than a turn
+CIRCLE = np.column_stack([TIMES, 3 + 0 * TIMES, 4 + 0 * TIMES, np.sin(YAW), 1 - np.cos(YAW), YAW])
+UNITS = {  # factors of time and heading, header, and settings of the columns
+    "as it is": (1, 1, "t,left,right,x,y,heading", ""),
+    "milliseconds in the file": (1e3, 1, "time [ms],left,right,x,y,yaw", ""),
+    "nanoseconds since 1970 by the problem": (1e9, 1, "t,left,right,x,y,yaw", 't = "t [ns]"'),
+    "degrees in the file": (1, 180 / np.pi, "t;left;right;x;y;yaw_deg", ""),
+    "degrees by the problem": (1, 180 / np.pi, "t left right x y a", 'heading = "a [deg]"'),
+}
+LOG_OF_CIRCLE = """
+verb = "fit"
+frame = "rep103"
+[vehicle]
+catalog = "differential_drive"
+[data]
+file = "log.csv"
+window = 2.0
+[data.rates]
+left_rate = "left"
+right_rate = "right"
+[unknowns.track]
+[data.columns]
+"""
+
+
+def _write_circle(time: float, heading: float, header: str, columns: str) -> None:
+    separator = next(sign for sign in ",; " if sign in header)
+    factors = np.array([time, 1, 1, 1, 1, heading])
+    start = np.array([1.7e18 * (time == 1e9), 0, 0, 0, 0, 0])
+    np.savetxt("log.csv", CIRCLE * factors + start, delimiter=separator, header=header, comments="")
+    Path("fit.toml").write_text(LOG_OF_CIRCLE + columns)
+
+
+@pytest.mark.parametrize("kind", UNITS)
+def test_units_of_a_log(kind: str) -> None:
+    """One log with times and headings in several units has the same windows."""
+    names = ("left_rate", "right_rate")
+    _write_circle(*UNITS["as it is"])
+    wanted, _ = _read_windows(load_problem("fit.toml", command="fit"), names, [])
+    _write_circle(*UNITS[kind])
+    found, notes = _read_windows(load_problem("fit.toml", command="fit"), names, [])
+    for part, other in zip(found, wanted, strict=True):
+        assert_allclose(part, other, rtol=1e-6, atol=1e-6)
+    assert bool(notes) == (kind != "as it is")
+
+
+@pytest.mark.parametrize(
+    ("time", "heading", "words"),
+    [
+        (1e9, 1, "probably nanoseconds; name it 't [ns]' in [data.columns]"),
+        (1e3, 1, "at most 10 s apart, found 100 s (median); if the times are in other units, name"),
+        (1, 180 / np.pi, "values up to 572.958 that agree with the direction of motion as degrees"),
+    ],
+)
+def test_units_that_a_log_does_not_name(time: float, heading: float, words: str) -> None:
+    _write_circle(time, heading, "t,left,right,x,y,heading", "")
+    done = CliRunner().invoke(app, ["fit", "fit.toml"])
+    assert done.exit_code == 2
+    assert words in done.output
+
+
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [
+        (b"#ROSBAG V2.0\n", "found a bag of ROS 1; convert it to MCAP"),
+        (b"SQLite format 3\x00", "found binary data"),
+        (b"MATLAB 5.0 MAT-file", "found a MATLAB file"),
+        (b"\x1f\x8b\x08\x00", "found a gzip file; unpack it: gunzip log.csv"),
+        (b"PK\x03\x04", "found a zip archive"),
+        (b"ULog\x01\x12\x35", "found a log of PX4 (ULog); use ulog2csv log.csv"),
+    ],
+)
+def test_binary_logs_are_named(head: bytes, words: str) -> None:
+    _write_circle(*UNITS["as it is"])
+    Path("log.csv").write_bytes(head + bytes(range(256)))
+    done = CliRunner().invoke(app, ["fit", "fit.toml"])
+    assert done.exit_code == 2
+    assert words in done.output

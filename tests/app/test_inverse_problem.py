@@ -359,15 +359,23 @@ def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (None, "way.csv: expected way-points as CSV, found that it cannot be read"),
+        (None, "way.csv: expected way-points as text, found that it cannot be read"),
         ("", "path.file: expected at least 6 way-points, found 0"),
         (CSV.replace("3,0.0,", "3,"), "way.csv:5: expected four numbers t,x,y,heading, found '3,"),
         (CSV.replace("3,0.0,", "3,nan,"), "way.csv:5: expected four numbers t,x,y,heading"),
         (
-            CSV.replace("heading", "yaw"),
-            "way.csv:1: expected four numbers t,x,y,heading, found 't,x,y,yaw'",
+            CSV.replace("heading", "psi"),
+            "way.csv: expected the columns t, x, y, heading, found no column 'heading' among t, x,",
         ),
         (CSV.replace("3,0.0,", "1,0.0,"), "path.file: expected increasing times, found 1 s at"),
+        (
+            CSV.replace(",0.0,", "000,0.0,").replace("0000,", "0,"),
+            "found rows 1000 s apart (median); if the times are in other units, name them in the",
+        ),
+        (
+            "t,x,y,heading\n" + "".join(f"{k},{-k},{2 * k},26.6\n" for k in range(6)),
+            "found values up to 26.6 that agree with the direction of motion as degrees; name",
+        ),
     ],
 )
 def test_what_is_wrong_with_the_file_of_a_path(text: str | None, words: str) -> None:
@@ -438,3 +446,16 @@ def test_a_path_may_be_sampled_more_coarsely_than_it_is_solved(tmp_path):
         ],
     )
     assert result.exit_code == 0, result.stderr
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_path_of_another_program() -> None:
+    """Separators, decimal commas, milliseconds and degrees are read; the summary says so."""
+    rows = [line.split(",") for line in CSV.splitlines()[1:]]
+    lines = [f"{int(t) * 1000};{x};{y};0;odom".replace(".", ",") for t, x, y, _ in rows]
+    Path("way.csv").write_text("\n".join(["time [ms];X;Y;yaw_deg;frame", *lines]))
+    done = CliRunner().invoke(app, ["check", "file.toml"])
+    assert done.exit_code == 0, done.output
+    words = " ".join(done.output.split())
+    assert "path of 6 way-points in 5 s; " in words
+    assert "time [ms] converted from ms to s; yaw_deg converted from deg to rad" in words

@@ -293,7 +293,7 @@ def test_commands_are_read(tmp_path: Path) -> None:
     file = _bag(tmp_path, ("/cmd_vel", "geometry_msgs/msg/Twist", _twists()))
     names = read_names(file, "commands")
     assert names == ["t", "v_x", "v_y", "omega_z"]
-    rows = read_columns(file, names, "commands")
+    rows = read_columns(file, names, "commands").rows()
     assert_allclose(rows, [[0.5 * k, 0.1 * k, 0.01, -0.2 * k] for k in range(3)], atol=1e-15)
     stamped = STORE.types["geometry_msgs/msg/TwistStamped"]
     head = SimpleNamespace(header=_poses([0.0])[0].header)
@@ -308,10 +308,10 @@ def test_paths_are_read(tmp_path: Path) -> None:
     poses = _poses([3.0, 3.1, -3.1])
     path = STORE.types["nav_msgs/msg/Path"](poses[0].header, poses)
     file = _bag(tmp_path, ("/plan", "nav_msgs/msg/Path", [path]))
-    rows = read_columns(file, ("t", "x", "y", "heading"))
+    rows = read_columns(file, ("t", "x", "y", "heading")).rows()
     expected = [[0, 0, 0, 3], [1, 1, 0.1, 3.1], [2, 2, 0.2, 2 * np.pi - 3.1]]
     assert_allclose(rows, expected, rtol=0, atol=1e-12)
-    assert_allclose(read_columns(file, "xy"), np.array(expected)[:, 1:3], rtol=0, atol=1e-15)
+    assert_allclose(read_columns(file, "xy").rows(), np.array(expected)[:, 1:3], rtol=0, atol=1e-15)
 
 
 def test_a_written_path_is_read_again(drive: tuple[Path, Trajectory]) -> None:
@@ -334,8 +334,8 @@ def test_odometry_is_read(tmp_path: Path) -> None:
         )
         for p in _poses([0.0, 0.1])
     ]
-    rows = read_columns(_bag(tmp_path, ("/odom", kind, messages)), ("t", "x", "y", "heading"))
-    assert_allclose(rows, [[0, 0, 0, 0], [1, 1, 0.1, 0.1]], rtol=0, atol=1e-12)
+    table = read_columns(_bag(tmp_path, ("/odom", kind, messages)), ("t", "x", "y", "heading"))
+    assert_allclose(table.rows(), [[0, 0, 0, 0], [1, 1, 0.1, 0.1]], rtol=0, atol=1e-12)
 
 
 def test_what_cannot_be_read(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def test_a_plane_is_exact_and_cells_without_points_are_holes(tmp_path, ending):
     facts = dict(found.facts)
     assert facts["ground points"].startswith(f"all {len(places)} points, ")
     assert "cells of 1 m; 431 of 441 cells have points" in facts["ground points"]
-    assert "1.00040 m along x" in facts["ground map scale"]
+    assert "1 m of the map is 1.0004" in facts["ground map scale"]
 
 
 def test_the_mean_density_gives_the_width_of_cells(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.server
+import re
 import struct
 import sys
 import threading
@@ -18,6 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
+from rasterio.warp import transform
 
 from helpers.cases import drive
 from slipfree import Bicubic, DataError, Grid
@@ -382,12 +384,62 @@ def test_geotiffs_refused(tmp_path, options, words):
 def test_a_metre_of_the_map_is_one_on_the_ground(tmp_path):
     """UTM shrinks its central meridian by 0.9996; Mercator stretches by 1 / cos(latitude)."""
     told = dict(read_map(geotiff(tmp_path / "map.tif")).facts)["ground map scale"]
-    assert told.startswith(f"1 m of the map is {1 / 0.9996:.5f} m along x and {1 / 0.9996:.5f} m")
+    assert told.startswith(f"1 m of the map is {1 / 0.9996:.7f} m along x and {1 / 0.9996:.7f} m")
     north = 6378137 * np.arctanh(np.sin(np.pi / 3))  # of 60 degrees
     path = geotiff(tmp_path / "map.tif", crs="EPSG:3857", transform=from_origin(0, north, 0.25))
     east = 0.5 / np.sqrt(1 - 6.69437999e-3 * 0.75)  # N cos(60 degrees) / a on the ellipsoid
     with pytest.raises(DataError, match=rf"1 m of the map is {east:.4g} m along x and .*EPSG:3857"):
         read_grid(path)
+
+
+MOON, MARS = "+a=1737400 +b=1737400", "+a=3396190 +b=3376200"
+
+
+@pytest.mark.parametrize(
+    ("crs", "x", "y", "scale"),
+    [
+        *(
+            (f"+proj=stere +lat_0=-90 {MOON}", x, x, 1 / (1 + x**2 / (2 * 1737400.0**2)))
+            for x in (0.0, 100.0, 2000.0, 1e5)
+        ),
+        ("EPSG:5041", 2e6, 2e6, 1 / 0.994),  # UPS at the north pole
+        ("EPSG:32660", 8.7e5, 0.0, None),  # nodes on both sides of the antimeridian
+        ("EPSG:32701", 1.3e5, 1e7, None),
+        ("EPSG:2193", 1.6e6, 5.4e6, 1 / 0.9996),  # northing is the first axis of the system
+        ("EPSG:32633+6360", 5e5, 5e6, 1 / 0.9996),  # heights in feet
+    ],
+)
+def test_scale_from_chords(tmp_path, crs, x, y, scale):
+    """Right at poles and at the antimeridian, where longitudes jump, and on other bodies."""
+    place = from_origin(x - 5, y + 4, CELL)
+    told = dict(read_map(geotiff(tmp_path / "map.tif", crs=crs, transform=place)).facts)
+    words = told["ground map scale"].split()
+    if scale is None:  # transverse Mercator at the equator
+        scale = 1 / (0.9996 * np.cosh((x - 5e5) / 0.9996 / 6378137))
+        assert_allclose([float(words[6]), float(words[11])], scale, rtol=2e-5)
+    else:
+        assert_allclose([float(words[6]), float(words[11])], scale, rtol=0, atol=6e-7 * scale)
+
+
+@pytest.mark.parametrize(
+    ("crs", "x", "y", "words"),
+    [
+        (f"+proj=sinu {MARS}", 2e6, 1e6, r"directions .*'(\+proj=stere .*)' in.tif"),  # sheared
+        (f"+proj=eqc {MARS}", 1e6, 1.5e6, r"directions .*'(\+proj=stere .*)' in.tif"),
+        (f"+proj=longlat {MOON}", 30, -85, r"radius 1737400 m .*'(\+proj=stere .*)' in.tif"),
+        ("EPSG:3031", 0, 0, r"1.028 m along x .*-t_srs (EPSG:5042) in.tif"),
+        ("EPSG:4087", 1e6, 5e6, r"0.7093 to 0.9983 m in all .*-t_srs (EPSG:32632) in.tif"),
+        ("EPSG:4326", 179.9, -30, r"degrees .*-t_srs (EPSG:32760) in out"),
+    ],
+)
+def test_projections_refused_with_one_of_their_body(tmp_path, crs, x, y, words):
+    """The projection of the message is accepted at the same place."""
+    path = geotiff(tmp_path / "map.tif", crs=crs, transform=from_origin(x, y, 1e-4))
+    with pytest.raises(DataError, match=words) as error:
+        read_map(path)
+    new = re.search(words, str(error.value))[1]
+    (place,) = zip(*transform(crs, new, [x], [y]), strict=True)
+    read_map(geotiff(path, crs=new, transform=from_origin(*place, CELL)))
 
 
 def test_a_compound_system_is_named_by_its_horizontal_part(tmp_path):
@@ -476,15 +528,70 @@ def test_a_picture_needs_cell_and_registration(tmp_path):
 @pytest.mark.parametrize(
     ("mode", "words"),
     [
-        ("RGB", "one band of heights, found 3 bands; .*gdal_translate -b 1"),
+        ("RGB", "the colours of a picture; .*gdal_translate -b 1"),
         ("LA", "one band of heights, found 2 bands"),
         ("P", "colours of a palette"),
     ],
 )
 def test_pictures_refused(tmp_path, mode, words):
-    Image.new(mode, (6, 6)).save(tmp_path / "map.png")
+    picture = Image.new(mode, (6, 6))
+    if mode == "RGB":
+        picture.putpixel((2, 3), (9, 9, 8))
+    if mode == "P":
+        picture.putpalette([200, 100, 0] * 256)
+    picture.save(tmp_path / "map.png")
     with pytest.raises(DataError, match=f"map.png: expected .*{words}"):
         read_map(tmp_path / "map.png", cell=1.0, registration="area")
+
+
+LEVELS = np.arange(35).reshape(5, 7) * 7
+GRAY = {  # the same levels in other formats
+    "map.png": lambda path: Image.fromarray(LEVELS.astype(np.uint8)).save(path),
+    "colours.png": lambda path: Image.fromarray(np.stack([LEVELS.astype(np.uint8)] * 3, -1)).save(
+        path
+    ),
+    "map.bmp": lambda path: Image.fromarray(LEVELS.astype(np.uint8)).save(path),
+    "map.tga": lambda path: Image.fromarray(LEVELS.astype(np.uint8)).save(path),
+    "map.pgm": lambda path: path.write_bytes(
+        b"P5\n# by a camera\n7 5\n# most\n255\n" + LEVELS.astype(np.uint8).tobytes()
+    ),
+    "16.pgm": lambda path: path.write_bytes(b"P5 7 5 1000\n" + LEVELS.astype(">u2").tobytes()),
+    "text.pgm": lambda path: path.write_text(
+        "P2 # by hand\n7 5\n250\n" + " ".join(map(str, LEVELS.ravel().tolist()))
+    ),
+    "16_text.pgm": lambda path: path.write_text(
+        "P2\n7 5 65535\n" + "\n".join(map(str, LEVELS.ravel().tolist()))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GRAY)
+def test_gray_pictures_of_all_formats(tmp_path, name):
+    """GDAL returns an uninitialized transform for PGM, which must not be used as coordinates."""
+    GRAY[name](tmp_path / name)
+    with pytest.raises(DataError, match="expected cell and registration for a raster without"):
+        read_map(tmp_path / name)
+    found = read_map(tmp_path / name, cell=0.5, registration="point")
+    assert found.gray
+    assert_array_equal(found.grid.z, LEVELS[::-1].T)
+    assert_array_equal(found.grid.x, 0.5 * np.arange(7))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("map.pgm", b"P2\n7 5\n255\n1 2 3", "expected 35 levels from 0 to 255.*found 3 levels"),
+        ("map.pgm", b"P5 6 6 255\n" + bytes([205, 0, 254] * 12), "an occupancy map of ROS; use"),
+        ("map.yaml", b"image: map.pgm\nresolution: 0.05\n", "settings of an occupancy map of ROS"),
+        ("map.tif", b"ply\nformat ascii 1.0\n", "found a mesh or a point cloud; write its points"),
+        ("map.tif", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS; fetch it: git lfs"),
+    ],
+)
+def test_other_contents_are_named(tmp_path, name, content, words):
+    (tmp_path / name).write_bytes(content)
+    keys = {"cell": 1.0, "registration": "area"} if name != "map.yaml" else {}
+    with pytest.raises(DataError, match=words):
+        read_map(tmp_path / name, **keys)
 
 
 def test_damaged_pictures_refused(tmp_path):

@@ -1,7 +1,8 @@
-"""Tests of tables of comma-separated values: written tables can be read."""
+"""Tests of tables in text files: every layout of the same numbers is the same table."""
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,22 @@ import pytest
 
 from slipfree.errors import DataError
 from slipfree.files.netcdf import write_csv
-from slipfree.files.tables import read_columns
+from slipfree.files.tables import Columns, read_columns, read_names
 from slipfree.records import Label
 from slipfree.trajectory import Column, Trajectory
+
+ROWS = np.array([[0.0, 1.5, -2.0], [0.5, 2.25, 1e3], [1.0, 3.0, 0.125]])
+
+
+def _read(folder: Path, text: str | bytes, columns: object = ("t", "x", "heading")) -> Columns:
+    path = folder / "a.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_columns(path, columns)  # type: ignore[arg-type]
+
+
+def _text(separator: str = ",", head: str = "t,x,heading", factors: object = 1.0) -> str:
+    lines = [separator.join(map(repr, row)) for row in (ROWS / factors).tolist()]  # type: ignore[operator]
+    return "\n".join([*([head.replace(",", separator)] if head else []), *lines, ""])
 
 
 def test_a_result_is_a_path(tmp_path: Path) -> None:
@@ -23,15 +37,95 @@ def test_a_result_is_a_path(tmp_path: Path) -> None:
     }
     write_csv(tmp_path / "run.csv", Trajectory(t, columns, ("left", "right")))
     assert (tmp_path / "run.csv").read_text().startswith("time,y,slip[left],slip[right],x\n0.0,")
-    found = np.array(read_columns(tmp_path / "run.csv", ("t", "x", "y")))
+    found = np.array(read_columns(tmp_path / "run.csv", ("t", "x", "y")).rows())
     np.testing.assert_array_equal(found, np.stack([t, 3 * t, t**2], axis=1))
 
 
-@pytest.mark.parametrize("row", ["1,2", "1,2,3,4", "1,2,x", "1,2,nan"])
+DECIMAL_COMMAS = {
+    f"decimal commas and {separator!r}": _text(separator).replace(".", ",")
+    for separator in (";", "\t", " ", "|")
+}
+LAYOUTS = {
+    **{
+        f"separator {separator!r}": _text(separator)
+        for separator in (",", ";", "\t", " ", "|", ", ")
+    },
+    **DECIMAL_COMMAS,
+    "no names": _text(head=""),
+    "names in a comment": _text(" ", "# t,x,heading"),
+    "names in a comment of MATLAB": _text(head="%time,x,yaw"),
+    "names of others": _text("\t", "Time (s),X [m],Yaw (rad)"),
+    "quotes": '"' + _text('","').strip().replace("\n", '"\n"') + '"\n',
+    "carriage returns": _text().replace("\n", "\r\n"),
+    "byte order mark": b"\xef\xbb\xbf" + _text().encode(),
+    "UTF-16": _text(";").encode("utf-16"),
+    "separators at line ends": _text(";").replace("\n", ";\n"),
+    "names repeated, empty lines": _text().replace("0.5,", "t,x,heading\n\n0.5,"),
+    "comments": f"// a\n% b\n; c\n# d\n{_text()}# e\n",
+    "title above the names": "Measured on Tuesday\n\n" + _text(";"),
+    "line of units": _text(head="t,x,heading\ns,m,rad"),
+    "further columns": "id," + _text().replace("\n", ",stone\na,").removesuffix("a,"),
+    "milliseconds and degrees": _text(";", "t_ms,x [mm],yaw [°]", [1e-3, 1e-3, np.pi / 180]).encode(
+        "latin-1"
+    ),
+    "dates": _text()
+    .replace("\n0.0", "\n2026-03-01 12:00:00")
+    .replace("\n0.5", "\n2026-03-01T12:00:00.5")
+    .replace("\n1.0", "\n2026-03-01T12:00:01Z"),
+    "nanoseconds since 1970": _text(head="stamp [ns],x,heading")
+    .replace("\n0.0", "\n1700000000000000000")
+    .replace("\n0.5", "\n1700000000500000000")
+    .replace("\n1.0", "\n1700000001000000000"),
+}
+
+
+@pytest.mark.parametrize("text", LAYOUTS.values(), ids=LAYOUTS)
+def test_layouts_of_one_table(tmp_path: Path, text: str | bytes) -> None:
+    found = _read(tmp_path, text)
+    np.testing.assert_allclose(np.array(found.rows()), ROWS, rtol=1e-14, atol=1e-12)
+    has_units = b"mm" in (tmp_path / "a.csv").read_bytes()
+    assert any("converted from ms to s" in note for note in found.notes) == has_units
+
+
+def test_columns_named_by_the_user(tmp_path: Path) -> None:
+    """A name may have the unit of the column; numbers count columns without names."""
+    found = _read(
+        tmp_path, "stamp,yaw\n0,180\n500,90\n", {"t": "stamp [ms]", "heading": "yaw [deg]"}
+    )
+    np.testing.assert_allclose(found.rows(), [(0, np.pi), (0.5, np.pi / 2)])
+    assert _read(tmp_path, "0;7;8\n1;9;8\n", {"t": "1", "x": "2"}).rows() == [(0, 7), (1, 9)]
+    (tmp_path / "a.csv").write_text("time_ms;v_x [mm/s]\n0;1\n")
+    assert read_names(tmp_path / "a.csv", "commands") == ["t", "v_x"]
+
+
+@pytest.mark.parametrize("row", ["1,2", "1,2,3,4", "1,2,x", "1,2,nan", "1,2,"])
 def test_rows_as_long_as_the_first_line(tmp_path: Path, row: str) -> None:
-    (tmp_path / "a.csv").write_text(f"y,other,x\n0,0,0\n{row}\n")
     with pytest.raises(
         DataError,
-        match=r"a.csv:3: expected 3 values as in line 1, with numbers for x,y, found '1,2",
+        match=r"a.csv:3: expected 3 values as in the first row, with numbers for x,y, found '1,2",
     ):
-        read_columns(tmp_path / "a.csv", "xy")
+        _read(tmp_path, f"y,other,x\n0,0,0\n{row}\n", "xy")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t,x\n0,1\n", "expected the columns t, x, heading, found no column 'heading' among t, x;"),
+        ("x,t,x,yaw\n0,1,2,3\n", "found 2 columns 'x' among x, t, x, yaw; name the columns in"),
+        ("t x yaw\n1 0 1 2\n2 0 1 2\n", ":1: expected 4 names, one for each column, found 3"),
+        ("1.234,5;2,5;3\n1.234,5;2,5;3\n", ":1: expected .* found '1.234,5;2,5;3'"),
+        ("1.5;2,5;3\n", ":1: expected one decimal sign, found 1.5 and 2,5; write all numbers"),
+        ("t,x,yaw\n17e17,0,0\n17.1e17,0,0\n", r"up to 1.71e\+18 .*nanoseconds; name it 't \[ns\]'"),
+        ("t,x,yaw\n17e11,0,0\n17e11,0,0\n", r"probably milliseconds; name it 't \[ms\]' in"),
+        (gzip.compress(b"t,x,yaw\n"), "found a gzip file; unpack it: gunzip a.csv"),
+        (
+            b"#ROSBAG V2.0\n",
+            "found a bag of ROS 1; convert it to MCAP: rosbags-convert --src a.csv",
+        ),
+        (b"SQLite format 3\0", "expected way-points as text, found binary data; write its columns"),
+        (b"\x00\x01\x02", "expected way-points as text, found binary data; write its columns"),
+    ],
+)
+def test_tables_refused(tmp_path: Path, text: str | bytes, words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        _read(tmp_path, text)

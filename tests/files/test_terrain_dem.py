@@ -36,8 +36,11 @@ def test_asc_centre_registration_and_case(tmp_path):
 
 
 def test_asc_without_nodata(tmp_path):
-    text = HEADER.replace("NODATA_value -9999\n", "") + ROWS.replace("23", "-9999")
-    assert read_grid(written(tmp_path, text)).z[3, 1] == -9999
+    header = HEADER.replace("NODATA_value -9999\n", "")
+    assert read_grid(written(tmp_path, header + ROWS)).z[3, 1] == 23
+    path = written(tmp_path, header + ROWS.replace("23", "-9999"))
+    with pytest.raises(DataError, match="expected heights, found the value -9999 at 1 of 20 nodes"):
+        read_grid(path)
 
 
 def test_asc_of_cells_that_are_not_square(tmp_path):
@@ -209,11 +212,14 @@ def test_npz_refuses(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("map.sdat", r"ending in .npz, .tif, .* found '.sdat'; header and .*translate"),
+        (
+            "map.sdat",
+            r"ending in .npz, .tif, .* found '.sdat', a part of a map; header and .*translate",
+        ),
         ("map.tif", "map.tif: expected a map, found that it cannot be read"),
         ("junk", "another single-file raster that GDAL reads, found no ending with unknown"),
-        ("a.zip", "unpack it: unzip in.zip"),
-        ("a.shp", "contours to a raster: gdal_grid .* in.shp out.tif"),
+        ("a.zip", "unpack it: unzip a.zip"),
+        ("a.shp", "contours to a raster: gdal_grid .* a.shp out.tif"),
         ("a.hdr", "give the name of the file with the heights"),
         ("none.asc", "none.asc: expected a map, found that it cannot be read"),
     ],

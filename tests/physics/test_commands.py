@@ -436,7 +436,7 @@ def test_a_path_in_a_problem() -> None:
         ),
         (
             ["given={file='p.toml'}"],
-            "expected a first line with comma-separated names, each once: t, and one or more of",
+            "expected a first line with the names of columns, each once: t, and one or more of",
         ),
         (
             ["given={file='late.csv'}"],

@@ -1,4 +1,4 @@
-"""Tables of comma-separated values: a line of column names, then lines of numbers.
+"""Tables of numbers in text files: separators, comments, names and units of columns.
 
 Tables of paths and commands are also read from MCAP files (`slipfree.files.mcap_reader`).
 """
@@ -6,16 +6,64 @@ Tables of paths and commands are also read from MCAP files (`slipfree.files.mcap
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
-from math import isfinite
+import io
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple, TextIO
+
+import numpy as np
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
+from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.mcap_reader import is_mcap, read_mcap
+from slipfree.files.table_layout import (
+    ALIASES,
+    LONG,
+    SHOWN,
+    Layout,
+    cell_number,
+    column_names,
+    has_width,
+    is_number,
+    known_unit,
+    line_body,
+    line_cells,
+    split_unit,
+    table_layout,
+)
+from slipfree.records import Array
 from slipfree.regular_files import read_bytes
 
+HEAD = 1 << 16  # bytes from which the encoding is inferred
 COUNTS = {2: "two", 3: "three", 4: "four"}
+EPOCH = 1e8  # smallest time that counts from a fixed date, not from the start of a log [s]
+LARGE_TIMES = {
+    "nanoseconds": (1e17, "ns"),
+    "microseconds": (1e14, "us"),
+    "milliseconds": (1e11, "ms"),
+}
+
+
+class Columns(NamedTuple):
+    """Columns of a table, in SI units.
+
+    Attributes
+    ----------
+    values : dict of str and ndarray, shape (n,)
+        Values by requested name.
+    notes : tuple of str
+        Conversions and choices that were made.
+    """
+
+    values: dict[str, Array]
+    notes: tuple[str, ...] = ()
+
+    def rows(self) -> list[tuple[float, ...]]:
+        """Return the rows of the table."""
+        return [*zip(*(each.tolist() for each in self.values.values()), strict=True)]
 
 
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -46,16 +94,20 @@ def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]
 
 
 def read_names(path: Path, expected: str) -> list[str]:
-    """Return the column names in the first line of a table; ``time`` is returned as ``t``.
-
-    For an MCAP file, return those of its commands (`slipfree.files.mcap_reader.read_mcap`).
+    """Return the names of the columns of a table without their units; ``t`` for the time.
 
     Parameters
     ----------
     path : Path
-        The table.
+        The table. For an MCAP file, the names are those of its commands
+        (`slipfree.files.mcap_reader.read_mcap`).
     expected : str
         Description of the expected contents in messages, such as ``"way-points"``.
+
+    Returns
+    -------
+    list of str
+        Names; ``"1"``, ``"2"``, ... if the file has none.
 
     Raises
     ------
@@ -64,67 +116,249 @@ def read_names(path: Path, expected: str) -> list[str]:
     """
     if is_mcap(path):
         return [*read_mcap(path, "v_x")]
-    text = read_bytes(path, f"{expected} as CSV").decode("utf-8-sig", "replace")
-    return _names(text.partition("\n")[0])
-
-
-def _names(line: str) -> list[str]:
-    """Return the names in a line, with ``t`` for the ``time`` of results."""
-    cells = (cell.strip() for cell in line.split(","))
-    return ["t" if cell == "time" else cell for cell in cells]
+    layout = table_layout(path, _opened(path, expected))
+    bases = [split_unit(name)[0] for name in column_names(layout)]
+    return ["t" if base.lower() in ALIASES[0] else base for base in bases]
 
 
 def read_columns(
-    path: Path, columns: Sequence[str], expected: str = "way-points"
-) -> list[tuple[float, ...]]:
-    """Return the rows of a table of numbers, each with the values of the requested columns.
+    path: Path,
+    columns: Sequence[str] | Mapping[str, str],
+    expected: str = "way-points",
+    *,
+    where: str = "the first line",
+    others: bool = False,
+) -> Columns:
+    """Return columns of a table of numbers, in SI units.
 
     Parameters
     ----------
     path : Path
-        The table. If its first line contains the requested names (``time`` counts as ``t``), other
-        columns are ignored and the order is free. Otherwise the table must have exactly the
-        requested columns in their order.
-    columns : sequence of str
-        Names of the requested columns.
+        The table: columns separated by commas, semicolons, tabs, bars or blanks, with decimal
+        points, or commas if these are no separators. ``#``, ``%`` and ``//`` begin comments. A line
+        before the numbers, also a comment, may contain the names of the columns, with or without
+        units: ``t [ms]``, ``yaw_deg``.
+    columns : sequence of str, or mapping of str to str
+        Names of the requested columns. If the table has no names, it must have exactly these
+        columns in this order. A mapping has the name in the file of each name in the result: it may
+        have a unit, which replaces that of the file, and may be the number of the column if the
+        table has no names.
     expected : str
         Description of the expected contents in messages.
+    where : str
+        Place of the names in messages.
+    others : bool
+        Whether a table without these names may have further columns after the requested ones.
 
     Raises
     ------
     DataError
-        If the file cannot be read, if the number of values in a line differs from the number of
-        columns, if a value is not a finite number, or if an MCAP file has no such table.
+        If the file cannot be read, if a column is missing or ambiguous, if the number of values in
+        a line differs from the number of columns, if a value is not a finite number, if times are
+        probably not in seconds, or if an MCAP file has no such table.
     """
+    names = dict(columns) if isinstance(columns, Mapping) else {name: name for name in columns}
     if is_mcap(path):
-        table = read_mcap(path, columns[-1])
-        return [*zip(*(table[name].tolist() for name in columns), strict=True)]
+        table = read_mcap(path, [*names][-1])
+        return Columns({key: table[name] for key, name in names.items()})
+    file = _opened(path, expected)
+    layout = table_layout(path, file)
+    width, count = len(layout.row), len(names)
+    wanted = f"{COUNTS.get(count, count)} numbers {','.join(names)}"
+    notes = []
+    if not isinstance(columns, Mapping) and _is_in_order(layout, names, others):
+        chosen = {name: (k, "") for k, name in enumerate(names)}
+        if width > count and others:
+            notes = [f"{', '.join(names)} are the first {count} of {width} columns"]
+        elif width != count and layout.row:
+            text = (layout.separator or " ").join(layout.row)
+            raise _line_error(path, layout.first, text, wanted)
+    else:
+        chosen = _choose(path, layout, names, where)
+    if width > count:
+        wanted = f"{width} values as in the first row, with numbers for {','.join(names)}"
+    file.seek(0)
+    found = _read_numbers(path, file, layout, chosen, wanted)
+    values = {}
+    for column, (name, (index, unit)) in zip(found.T, chosen.items(), strict=True):
+        title = column_names(layout)[index] if layout.names else name
+        values[name], words = _converted(path, title, name, unit, column, where)
+        notes += words
+    return Columns(values, tuple(notes))
+
+
+def _is_in_order(layout: Layout, names: Collection[str], others: bool) -> bool:
+    """Return whether the columns are chosen by their order, not by their names."""
+    known = {base.lower() for base in (split_unit(name)[0] for name in layout.names)}
+    strange = not known & set.union({*names}, *ALIASES)
+    return not layout.names or (others and strange and len(layout.row) == len(names))
+
+
+def _opened(path: Path, expected: str) -> TextIO:
+    """Return the text of a file.
+
+    Raises
+    ------
+    DataError
+        If the file is not a regular file, or has a format that is not text.
+    """
+    content = read_bytes(path, f"{expected} as text")
+    check_ending(path, "table", f"{expected} as text")
+    check_contents(path, "table", f"{expected} as text")
+    encoding = "utf-8-sig" if _is_utf_8(content[:HEAD]) else "cp1252"
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        encoding = "utf-16"
+    return io.TextIOWrapper(io.BytesIO(content), encoding=encoding, errors="replace")
+
+
+def _is_utf_8(head: bytes) -> bool:
+    """Return whether the beginning of a file is UTF-8; its last character may be incomplete."""
     try:
-        text = read_bytes(path, f"{expected} as CSV").decode("utf-8-sig")
+        head.decode()
     except UnicodeDecodeError as error:
-        raise DataError(
-            f"{path}: expected {expected} as CSV, found a file that is not UTF-8 text; save it "
-            "as UTF-8"
-        ) from error
-    rows, order, width = [], list(range(len(columns))), len(columns)
-    wanted = f"{COUNTS.get(width, width)} numbers {','.join(columns)}"
-    for number, line in enumerate(text.splitlines(), 1):
-        cells = [cell.strip() for cell in line.split(",")]
-        if not line.strip():
-            continue
-        if number == 1 and {*columns} <= {*(names := _names(line))}:
-            order, width = [names.index(name) for name in columns], len(names)
-            wanted = f"{COUNTS.get(width, width)} numbers {','.join(names)}"
-            if width > len(columns):
-                wanted = f"{width} values as in line 1, with numbers for {','.join(columns)}"
-            continue
-        try:
-            row = [float(cells[k]) for k in order] if len(cells) == width else []
-        except ValueError:
-            row = []
-        if not row or not all(map(isfinite, row)):
+        return error.start > len(head) - 4
+    return True
+
+
+def _choose(
+    path: Path, layout: Layout, requested: Mapping[str, str], where: str
+) -> dict[str, tuple[int, str]]:
+    """Return index and unit of the requested columns."""
+    names = column_names(layout)
+    bases = [split_unit(name) for name in names]
+    chosen = {}
+    for key, name in requested.items():
+        base, unit = (part.lower() for part in split_unit(name))
+        same = next((each for each in ALIASES if base in each), {base})
+        ranks = (
+            [k for k, each in enumerate(names) if each == name],
+            [k for k, (each, _) in enumerate(bases) if each.lower() == base],
+            [k for k, (each, _) in enumerate(bases) if each.lower() in same],
+        )
+        found = next((rank for rank in ranks if rank), [])
+        if len(found) != 1:
+            columns = ", ".join(dict.fromkeys(requested.values()))
+            fault = f"no column {name!r}" if not found else f"{len(found)} columns {name!r}"
             raise DataError(
-                f"{path}:{number}: expected {wanted}, found {line.strip()!r}; correct the line"
+                f"{path}: expected the columns {columns}, found {fault} among "
+                f"{', '.join(names)[:LONG]}; name the columns in {where}"
             )
-        rows.append(tuple(row))
-    return rows
+        k = found[0]
+        chosen[key] = k, unit or bases[k][1] or (layout.units[k] if layout.units else "")
+    return chosen
+
+
+def _read_numbers(
+    path: Path, file: TextIO, layout: Layout, chosen: Mapping[str, tuple[int, str]], wanted: str
+) -> Array:
+    """Return the numbers of the chosen columns, shape (n, n_chosen)."""
+    if not layout.row:
+        return np.empty((0, len(chosen)))
+    indices = [index for index, _ in chosen.values()]
+    converters: dict[int | str, Callable[[str], float]] = {
+        index: _timestamp
+        for index in indices
+        if not is_number(layout.row[index], layout.separator) and _is_timestamp(layout.row[index])
+    }
+    try:
+        found: Array = np.loadtxt(
+            (
+                text if layout.separator == "," else text.replace(",", ".")
+                for _, text in _lines(path, file, layout, wanted)
+            ),
+            delimiter=layout.separator,
+            usecols=indices,
+            quotechar='"',
+            comments=None,
+            converters=converters or None,
+            ndmin=2,
+        )
+    except ValueError:
+        found = np.full((1, 1), np.nan)
+    if np.isfinite(found).all():
+        return found
+    file.seek(0)
+    rows = []
+    for number, text in _lines(path, file, layout, wanted):
+        cells = line_cells(text, layout.separator)
+        try:
+            values = [
+                converters[k](cells[k])
+                if k in converters
+                else cell_number(cells[k], layout.separator)
+                for k in indices
+            ]
+        except ValueError:
+            values = [math.nan]
+        if not all(map(math.isfinite, values)):
+            raise _line_error(path, number, text, wanted)
+        rows.append(values)
+    return np.array(rows)
+
+
+def _lines(path: Path, file: TextIO, layout: Layout, wanted: str) -> Iterator[tuple[int, str]]:
+    """Yield number and text of the rows of a table.
+
+    Raises
+    ------
+    DataError
+        If a row has too few or too many values.
+    """
+    separator, width = layout.separator, len(layout.row)
+    for number, line in enumerate(file, start=1):
+        text = line_body(line, separator)
+        if not text or number < layout.first or text == layout.header:  # repeated in joined files
+            continue
+        if separator is None or '"' in text:
+            count = len(line_cells(text, separator))
+        else:
+            count = text.count(separator) + 1
+        if count != width and not has_width(line_cells(text, separator), width):
+            raise _line_error(path, number, text, wanted)
+        yield number, text
+
+
+def _line_error(path: Path, number: int, text: str, wanted: str) -> DataError:
+    return DataError(
+        f"{path}:{number}: expected {wanted}, found {text[:SHOWN]!r}; correct or remove the line"
+    )
+
+
+def _timestamp(text: str) -> float:
+    """Return the seconds since 1970 of a time such as ``2026-03-01T12:00:00.5``, in UTC."""
+    time = datetime.fromisoformat(text.strip(" \"'"))
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+def _is_timestamp(text: str) -> bool:
+    try:
+        _timestamp(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _converted(
+    path: Path, title: str, name: str, unit: str, values: Array, where: str
+) -> tuple[Array, list[str]]:
+    """Return a column in SI units, times from a date relative to the first one, and notes.
+
+    Raises
+    ------
+    DataError
+        If times without a unit are too large for seconds.
+    """
+    symbol, factor = (unit and known_unit(unit)) or ("", 1.0)
+    notes = [f"{title} converted from {unit} to {symbol}"] if factor != 1 else []
+    if name in ALIASES[0] and values.size:
+        largest = float(np.abs(values).max())
+        for word, (smallest, short) in LARGE_TIMES.items():
+            if not unit and largest >= smallest:
+                raise DataError(
+                    f"{path}: expected times in s, found values up to {largest:.3g} in the column "
+                    f"{title!r}, probably {word}; name it {f'{title} [{short}]'!r} in {where}"
+                )
+        if factor * values.min() >= EPOCH:
+            notes.append(f"{title} counts from the first time, {factor * values[0]:.10g} s")
+            values = values - values[0]  # before the conversion: less rounding
+    return factor * values, notes

@@ -61,4 +61,6 @@ def path_points(problem: Problem[S], driver: Driver) -> Array:
             "driver: name = 'follow' requires either 'path' (an array of [x, y]) or 'file', found "
             + ("neither; give one" if driver.path is None else "both; remove one")
         )
-    return np.array(driver.path or read_columns(problem.folder / str(driver.file), "xy"))
+    if driver.path is not None:
+        return np.array(driver.path)
+    return np.array(read_columns(problem.folder / str(driver.file), "xy").rows())

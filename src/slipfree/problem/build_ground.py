@@ -234,7 +234,9 @@ def _read(problem: Problem[S]) -> tuple[Map, str]:
         if window is not None and spec.geographic is None:
             a, b, c, d = (each / horizontal for each in window)
             window = a, b, c, d
-        options = {key: getattr(spec, key) for key in OF_FILES}
+        options: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES}
+        if "vertical_scale" in spec.model_fields_set:
+            options["vertical_scale"] = spec.vertical_scale
         with at(problem, ("terrain", "file")):
             found = read_map(problem.folder / spec.file, window=window, **options)
             if "vertical_scale" not in spec.model_fields_set:

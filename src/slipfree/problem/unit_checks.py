@@ -1,16 +1,22 @@
-"""Check of the units of named values in a problem against those of the model."""
+"""Checks of units: of named values in a problem, and of times and headings in tables."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from slipfree.dae import Dae
-from slipfree.files.toml.angles import unit_faults
+from slipfree.errors import DataError
+from slipfree.files.toml.angles import FULL_TURN, unit_faults
 from slipfree.files.toml.errors import Fault
 from slipfree.problem import schema
-from slipfree.records import leaves
+from slipfree.records import Array, leaves
 
 BARE = ("start", "goal", "limits")  # tables with angles
+MAX_INTERVAL = 10.0  # largest median time between samples of a log [s]
+MAX_INTERVALS = 10.0  # largest median time between rows of a table [duration of the motion]
+CHORDS = 200  # number of parts of a path whose directions are compared with headings
 TABLES = (*BARE, "inputs", "bounds")
 
 
@@ -35,3 +41,58 @@ def _units(dae: Dae) -> dict[str, str]:
 
 def _rate(unit: str) -> str:
     return unit.replace(" s-1", " s-2") if " s-1" in unit else f"{unit} s-1"
+
+
+def check_sampling(t: Array) -> None:
+    """Raise DataError if the times of a log are too far apart for seconds [s]."""
+    interval = float(np.median(np.diff(t))) if t.size > 1 else 0.0
+    if interval > MAX_INTERVAL:
+        raise DataError(
+            f"expected samples of a log at most {MAX_INTERVAL:g} s apart, found {interval:g} s "
+            "(median); if the times are in other units, name them in [data.columns], as in "
+            "t = 't [ms]'"
+        )
+
+
+def check_time_unit(t: Array, duration: float) -> None:
+    """Raise DataError if rows of a table are too far apart for the duration of a motion [s]."""
+    interval = float(np.median(np.diff(t))) if t.size > 2 else 0.0
+    if interval > MAX_INTERVALS * duration:
+        raise DataError(
+            f"expected times in s for a motion of {duration:g} s, found rows {interval:g} s apart "
+            "(median); if the times are in other units, name them in the first line, as in "
+            "'t [ms]', else increase the duration"
+        )
+
+
+def check_heading_unit(x: Array, y: Array, heading: Array, *, zero: float = 0.0) -> None:
+    """Raise DataError if the headings of a motion are probably in degrees.
+
+    They are if they exceed a full turn and agree with the directions of motion, forward or
+    backward, as degrees but not as radians: headings that continue over turns are valid.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n,)
+        Positions. [m]
+    heading : ndarray, shape (n,)
+        Headings, counter-clockwise. [rad]
+    zero : float
+        Direction of heading zero, from the y axis. [rad]
+    """
+    if np.abs(heading).max(initial=0.0) <= FULL_TURN:
+        return
+    step = max(1, x.size // CHORDS)
+    dx, dy = (each[step:] - each[:-step] for each in (x, y))
+    middle, length = heading[step // 2 :][: dx.size], np.hypot(dx, dy)
+    course = np.arctan2(-dx, dy) - zero
+    radians, degrees = (
+        float((length * np.cos(2 * (course - angle))).sum() / max(length.sum(), 1e-300))
+        for angle in (middle, np.deg2rad(middle))
+    )
+    if degrees > 0.8 and degrees > radians + 0.3:
+        raise DataError(
+            f"expected headings in rad, found values up to {np.abs(heading).max():g} that agree "
+            "with the direction of motion as degrees; name their unit with the column, as in "
+            "'heading [deg]'"
+        )

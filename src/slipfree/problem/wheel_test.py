@@ -186,11 +186,11 @@ def _read_measured(path: Path, load: float) -> dict[str, Measured]:
             f"{', '.join(names)}; add the names of the columns"
         )
     given = ["slip", *(name for name in ("slip_angle", "load") if name in names)]
-    rows = np.array(read_columns(path, [*given, *found], "measured points")).T
-    columns = dict(zip([*given, *found], rows, strict=True))
-    angle = columns.get("slip_angle", np.zeros_like(rows[0]))
-    loads = columns.get("load", np.full_like(rows[0], load))
-    return {name: Measured(columns["slip"], angle, loads, columns[name]) for name in found}
+    columns = read_columns(path, [*given, *found], "measured points").values
+    slip = columns["slip"]
+    angle = columns.get("slip_angle", np.zeros_like(slip))
+    loads = columns.get("load", np.full_like(slip, load))
+    return {name: Measured(slip, angle, loads, columns[name]) for name in found}
 
 
 def _error(soil: Soil, size: WheelSize, name: str, points: Measured) -> tuple[float, float]:

@@ -15,9 +15,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.foreign_formats import check_contents, check_ending
+from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.point_cloud import read_point_cloud
 from slipfree.files.maps.points import read_points
 from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
+from slipfree.files.maps.reference_systems import metric_system
 from slipfree.records import Array, field_overview
 from slipfree.regular_files import regular_file
 from slipfree.terrain.base import Grid
@@ -54,36 +57,6 @@ UNREADABLE = (  # exceptions of numpy for a damaged archive
     zlib.error,
     lzma.LZMAError,
 )
-TO_XYZ = "write its points as text with x y z of one point per line, with the ending .xyz"
-TO_ONE_FILE = (
-    "header and heights are in separate files, of which only one is read: write them as one file: "
-    "gdal_translate in{} out.tif"
-)
-TO_HEIGHTS = "give the name of the file with the heights"
-OTHERS = {  # remedies for unsupported formats
-    ".zip": "unpack it: unzip in.zip",
-    ".gz": "unpack it: gunzip in.gz",
-    **{each: f"unpack it: tar xf in{each}" for each in (".tar", ".tgz")},
-    ".7z": "unpack it: 7z x in.7z",
-    ".bag": "write the layer of heights of a grid_map message as .npz with arrays x, y, z, for "
-    "example with the Python package rosbags",
-    ".vrt": "write the rasters that it refers to as one file: gdal_translate in.vrt out.tif",
-    **{
-        each: f"interpolate its points or contours to a raster: gdal_grid -txe ... -tye ... "
-        f"-tr ... in{each} out.tif"
-        for each in (".shp", ".geojson", ".kml", ".dxf")
-    },
-    **dict.fromkeys((".ply", ".pcd", ".obj", ".stl", ".dae", ".glb"), TO_XYZ),
-    ".e57": "write its points as LAS: pdal translate in.e57 out.laz",
-    **{
-        each: TO_ONE_FILE.format(each) for each in (".bil", ".flt", ".sdat", ".ers", ".rst", ".adf")
-    },
-    **dict.fromkeys((".hdr", ".sgrd", ".rdc", ".prj", ".tfw", ".xml"), TO_HEIGHTS),
-    **{
-        each: f"convert it: gdal_translate in{each} out.tif"
-        for each in (".ecw", ".sid", ".h5", ".pdf")
-    },
-}
 Facts = tuple[tuple[str, str], ...]
 
 
@@ -154,6 +127,7 @@ def read_map(
     spacing: float | None = None,
     geographic: Literal["local"] | Frame | None = None,
     fill: Literal["linear"] | None = None,
+    vertical_scale: float | None = None,
 ) -> Map:
     """Return the height map in a file.
 
@@ -180,20 +154,23 @@ def read_map(
     fill : {"linear"}, optional
         Method of filling holes that do not reach the border (see `fill_holes`); by default no hole
         is filled, and no wheel may touch one.
+    vertical_scale : float, optional
+        Metres per unit of the heights, if they are not metres: they are not converted, but markers
+        of missing heights are recognized by their distance from the others in metres.
 
     Raises
     ------
     DataError
-        If the file cannot be read, or does not contain a complete uniform grid, or if an argument
-        is missing or not allowed for this file.
+        If the file cannot be read, or does not contain a complete uniform grid, if it contains
+        markers of missing heights such as -9999 that it does not declare, or if an argument is
+        missing or not allowed for this file.
     """
     path = Path(path)
     ending = path.suffix.lower()
-    if ending in OTHERS:
-        raise DataError(f"{path}: {_expected_endings()}, found {ending!r}; {OTHERS[ending]}")
-    reading = Reading(window, cell, registration, spacing)
+    reading = Reading(window, cell, registration, spacing, vertical_scale)
     try:
         _check_keys(ending, reading)
+        check_ending(path, "map", _expected_endings(), _endings())
         with regular_file(path, "a map"):
             found = _reader(ending).read(path, reading)
         _check_degrees(found, local=geographic is not None)
@@ -214,10 +191,15 @@ def _reader(ending: str) -> MapReader:
     return next((each for each in READERS if ending in each.endings), RASTERS)
 
 
+def _endings() -> tuple[str, ...]:
+    return tuple(each for reader in READERS for each in reader.endings)
+
+
 def _expected_endings() -> str:
     """Return the description of the files that can be read."""
-    known = ", ".join(each for reader in READERS for each in reader.endings)
-    return f"expected a file ending in {known}, or another single-file raster that GDAL reads"
+    return (
+        f"a file ending in {', '.join(_endings())}, or another single-file raster that GDAL reads"
+    )
 
 
 def _check_keys(ending: str, reading: Reading) -> None:
@@ -245,12 +227,13 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
             f"geographic: expected a map in degrees, found {found.crs or 'a map in metres'} with "
             f"{reach}; remove geographic"
         )
+    new = metric_system(float(found.x.mean()), float(found.y.mean()))
     remedy = (
-        '; set geographic = "local", or reproject it to metres: gdalwarp -t_srs '
-        "EPSG:326xx in out.tif (xx: the UTM zone)"
+        f'; set geographic = "local", or reproject it to metres: gdalwarp -t_srs {new} in out.tif'
     )
+    system = f" ({found.crs})" if found.crs else ""
     if found.geographic and not local:
-        raise DataError(f"expected a map in metres, found degrees ({found.crs}): {reach}{remedy}")
+        raise DataError(f"expected a map in metres, found degrees{system}: {reach}{remedy}")
     if local or found.crs or not (found.placed and fits):
         return
     rise = np.abs(np.diff(np.where(np.isinf(found.z), np.nan, found.z), axis=1))
@@ -298,8 +281,8 @@ def _mapped(
         raise DataError(
             "geographic: expected a map with errors of distances along x of at most "
             f"{100 * MAX_STRETCH:g} %, found {100 * wrong:.2g} % at its northern or southern "
-            "border; set a window, or reproject it to metres: gdalwarp -t_srs EPSG:326xx in "
-            "out.tif (xx: the UTM zone)"
+            "border; set a window, or reproject it to metres: gdalwarp -t_srs "
+            f"{metric_system(float(found.x.mean()), float(found.y.mean()))} in out.tif"
         )
     return Map(Grid(x, y, found.z, mask, holes), frame, found.crs, geographic=True, facts=facts)
 
@@ -400,14 +383,22 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
     """Return the map in a numpy archive."""
     x, y, z = _arrays(path)
     grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes
-    i, j = parts(*axes_of(x, y), ask.window)
+    axes = axes_of(x, y)
+    i, j = parts(*axes, ask.window)
+    check_values(
+        z[i, j],
+        lambda k: f"x = {x[i][k[0]]:.9g}, y = {y[j][k[1]]:.9g}",
+        lambda _, value: f"set them to NaN: z[z == {value}] = numpy.nan",
+        metres=ask.vertical_scale or 1.0,
+        steps=(axes[0].step, axes[1].step),
+    )
     facts = (("ground map", "numpy archive, CRS not given, heights at nodes"),)
     return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), facts)
 
 
 def _read_points(path: Path, ask: Reading) -> Heights:
     """Return the height map interpolated from the scattered points in a file."""
-    return read_points(path, ask.spacing, ask.window)
+    return read_points(path, ask)
 
 
 def _read_cloud(path: Path, ask: Reading) -> Heights:
@@ -438,12 +429,14 @@ def _read_raster(path: Path, ask: Reading) -> Heights:
     try:
         return read_raster(path, ask)
     except DataError as error:
+        if UNKNOWN in str(error):
+            check_contents(path, "map", _expected_endings())
         if path.suffix.lower() in FORMATS or UNKNOWN not in str(error):
             raise
+        ending = repr(path.suffix) if path.suffix else "no ending"
         raise DataError(
-            f"{_expected_endings()}, found {repr(path.suffix) if path.suffix else 'no ending'} "
-            "with unknown contents; convert it: gdal_translate in out.tif, or check that it is a "
-            "map"
+            f"expected {_expected_endings()}, found {ending} with unknown contents; convert it: "
+            "gdal_translate in out.tif, or check that it is a map"
         ) from error
 
 

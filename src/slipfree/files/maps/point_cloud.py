@@ -11,8 +11,16 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError, missing_package
+from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.points import interpolate_points
-from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
+from slipfree.files.maps.reference_systems import (
+    LENGTHS,
+    UNKNOWN_ZONE,
+    refuse,
+    reprojection,
+    scale_facts,
+    system_name,
+)
 from slipfree.records import Array, Mask
 from slipfree.terrain.grid_ops import MAX_COORDINATE, Axis, Heights, Window, parts
 
@@ -25,10 +33,7 @@ MAX_POINTS = 1e8  # largest number of points in memory, 25 bytes each
 MAX_RECORD = 4096  # largest size of a point; points of the standard have up to 67 [bytes]
 VERTICAL_UNIT, VERTICAL_SYSTEM, LINEAR_UNIT = 4099, 4096, 3076  # keys of GeoTIFF
 UNITS = {9001: "metre", 9002: "foot", 9003: "US survey foot"}  # codes of EPSG
-TO_METRES = (
-    "reproject it to metres: pdal translate in.laz out.laz reprojection "
-    "--filters.reprojection.out_srs=EPSG:326xx (xx: the UTM zone)"
-)
+TO_METRES = "pdal translate in.laz out.laz reprojection --filters.reprojection.out_srs={}"
 TO_METRIC_HEIGHTS = (
     "convert them to metres and state the horizontal system alone: pdal translate in.laz out.laz "
     "assign --filters.assign.value='Z = Z * METRES_PER_UNIT' --writers.las.a_srs=EPSG:326xx"
@@ -84,9 +89,14 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
     """
     near = None if window is None or spacing is None else _widened(window, spacing)
     cloud = _read(path, near)
-    name, geographic = system_name(cloud.crs, TO_METRES)
+    middle = np.mean(cloud.points[:, :2], axis=0) if len(cloud.points) else (math.nan, math.nan)
+    name, geographic = system_name(cloud.crs, TO_METRES, *middle)
     if geographic:
-        refuse("a point cloud in metres", f"degrees ({name})", TO_METRES)
+        refuse(
+            "a point cloud in metres",
+            f"degrees ({name})",
+            reprojection(cloud.crs, TO_METRES, *middle),
+        )
     points = cloud.points[cloud.ground] if cloud.ground.any() else cloud.points
     if len(points) < 3:
         refuse(
@@ -94,6 +104,14 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
             f"{len(points)}",
             "use another file" if near is None else "enlarge or move the window",
         )
+    check_values(
+        points[:, 2],
+        lambda k: f"x = {points[k][0]:.9g}, y = {points[k][1]:.9g}",
+        lambda marker, _: (
+            f"remove these points: pdal translate in.laz out.laz range "
+            f"--filters.range.limits='Z[{marker.low:.9g}:{marker.high:.9g}]'"
+        ),
+    )
     density = _density(points)
     cell = _two_digits(math.sqrt(POINTS_PER_CELL / density)) if spacing is None else spacing
     x, y = (_axis(points[:, k], cell) for k in (0, 1))
@@ -209,7 +227,8 @@ def _system(header: Any) -> tuple[Any, str]:
     crs = header.parse_crs()
     if crs is None:
         if (code := keys.get(LINEAR_UNIT, 9001)) != 9001:
-            refuse("coordinates in metres", f"the unit {UNITS.get(code, code)!r}", TO_METRES)
+            remedy = f"reproject it to metres: {TO_METRES.format(UNKNOWN_ZONE)}"
+            refuse("coordinates in metres", f"the unit {UNITS.get(code, code)!r}", remedy)
         return None, _vertical_unit(keys, None)
     flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
     vertical = crs.sub_crs_list[1] if crs.is_compound else crs

@@ -1,23 +1,24 @@
-"""Maps from scattered points: text files with x, y and z of one point per line."""
+"""Maps from scattered points: text files with x, y and z of a point in each line."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from math import isfinite
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.maps.missing_values import check_values
+from slipfree.files.maps.raster import Reading
+from slipfree.files.tables import read_columns, read_names
 from slipfree.records import Array
-from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
+from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, parts
 
 NAMES = ("x", "y", "z")
 BLOCK = 2**20  # number of nodes interpolated at once; limits the memory
 
 
-def read_points(path: Path, spacing: float | None, window: Window | None) -> Heights:
+def read_points(path: Path, ask: Reading) -> Heights:
     """Return the height map interpolated from scattered points.
 
     Heights are interpolated linearly on a Delaunay triangulation; nodes outside the convex hull of
@@ -26,12 +27,12 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
     Parameters
     ----------
     path : Path
-        Text file with three numbers per line, x, y, z, separated by blanks, commas or semicolons;
-        ``#`` begins a comment. A first line of names may give another order of x, y and z. [m]
-    spacing : float or None
-        Distance between nodes; for None the error message suggests a value. [m]
-    window : tuple of 4 floats or None
-        The part to read: x_min, x_max, y_min, y_max. [m]
+        Text file with x, y and z in each line, see `slipfree.files.tables.read_columns`. Without
+        the names x, y and z, they are the first three columns; others, such as colours, are
+        ignored. [m]
+    ask : Reading
+        Window, and the distance between nodes, for None of which the error message suggests a
+        value.
 
     Raises
     ------
@@ -40,13 +41,26 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
         large or too small, if the window contains too few nodes, or if the points lie on a line or
         have fewer than three different positions.
     """
-    columns = _columns(path)
-    if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:
+    names = {name.lower() for name in read_names(path, "points")}
+    geographic = bool(names & {"longitude", "lon"})
+    columns: Sequence[str] | dict[str, str] = NAMES
+    if geographic:
+        columns = {"x": "longitude", "y": "latitude", "z": "z"}
+    values, notes = read_columns(path, columns, "points", others=True)
+    table = np.column_stack([values[name] for name in NAMES])
+    if (farthest := float(np.abs(table).max(initial=0.0))) > MAX_COORDINATE:
         raise DataError(
             f"expected coordinates with absolute values of at most {MAX_COORDINATE:g} m, found "
             f"{farthest:g}; correct the file"
         )
-    points, repeated, apart = _distinct(columns)
+    check_values(
+        table[:, 2],
+        lambda k: f"x = {table[k[0], 0]:.9g}, y = {table[k[0], 1]:.9g}",
+        lambda _, value: f"remove the lines with z = {value}",
+        metres=ask.vertical_scale or 1.0,
+    )
+    points, repeated, apart = _distinct(table)
+    spacing = ask.spacing
     distance = _distance(points[:, :2])
     if spacing is None:
         raise DataError(
@@ -62,7 +76,7 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
             f"expected points that span at least 4 by 4 nodes, found {counts[0]} by "
             f"{counts[1]} at spacing = {spacing:g} m; set a smaller spacing"
         )
-    i, j = parts(x, y, window)
+    i, j = parts(x, y, ask.window)
     z = interpolate_points(points, low, spacing, (i, j))
     words = (
         f"{len(points)}, a median of {distance:.3g} m apart, for {z.size} nodes {spacing:g} m apart"
@@ -72,73 +86,14 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
             f"; {repeated} at repeated positions averaged, with height differences of at most "
             f"{apart:.3g} m"
         )
+    words = "; ".join([words, *notes])
     return Heights(
-        x.nodes(i), y.nodes(j), z, (("ground map", "scattered points"), ("ground points", words))
+        x.nodes(i),
+        y.nodes(j),
+        z,
+        (("ground map", "scattered points"), ("ground points", words)),
+        geographic=geographic,
     )
-
-
-def _columns(path: Path) -> Array:
-    """Return x, y, z of all lines, shape (n, 3) [m]."""
-    skip, order, delimiter = _layout(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of a file without points
-            found = np.loadtxt(
-                path, delimiter=delimiter, skiprows=skip, ndmin=2, encoding="utf-8-sig"
-            )
-    except (ValueError, OSError):
-        found = np.empty((0, 0))
-    if found.shape[1] != 3 or not np.isfinite(found).all():
-        number, text = next(_bad_lines(path, skip, delimiter), (0, ""))
-        if not number:
-            raise DataError(
-                "expected lines with three numbers x y z, found none that can be read; check the "
-                "file"
-            )
-        raise DataError(
-            f"line {number}: expected three numbers x y z, found {text!r}; correct it, or keep "
-            "three columns, for example: awk '{print $1, $2, $3}' in.txt > out.xyz"
-        )
-    return np.asarray(found[:, order])
-
-
-def _bad_lines(path: Path, skip: int, delimiter: str | None) -> Iterator[tuple[int, str]]:
-    """Yield number and text of the lines without three finite numbers."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for number, line in enumerate(file, start=1):
-            text = line.split("#")[0].strip()
-            words = text.split(delimiter)
-            good = len(words) == 3 and all(_is_number(w) and isfinite(float(w)) for w in words)
-            if number > skip and text and not good:
-                yield number, text[:60]
-
-
-def _layout(path: Path) -> tuple[int, list[int], str | None]:
-    """Return the number of header lines, the columns of x, y, z, and the delimiter."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for number, line in enumerate(file):
-            text = line.split("#")[0].strip()
-            if not text:
-                continue
-            delimiter = next((sign for sign in ";," if sign in text), None)
-            words = [word.strip().strip("\"'").lower() for word in text.split(delimiter)]
-            if not any(_is_number(word) for word in words):
-                known = sorted(words) == sorted(NAMES)
-                return (
-                    number + 1,
-                    [words.index(n) for n in NAMES] if known else [0, 1, 2],
-                    delimiter,
-                )
-            return number, [0, 1, 2], delimiter
-    raise DataError("expected lines with x y z of a point, found none; check the file")
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _distinct(points: Array) -> tuple[Array, int, float]:
@@ -162,7 +117,7 @@ def _distinct(points: Array) -> tuple[Array, int, float]:
     np.minimum.at(low, which, points[:, 2])
     single = high == low  # averaging would round these
     z[single] = high[single]
-    return np.column_stack([places, z]), repeated, float((high - low).max())
+    return np.column_stack([places, z]), repeated, float((high - low).max(initial=0.0))
 
 
 def _distance(places: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import sys
@@ -16,6 +17,7 @@ from typing import Any, BinaryIO, Literal, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.maps.missing_values import Marker, check_values
 from slipfree.files.maps.netcdf_header import check_header
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
@@ -41,6 +43,7 @@ FORMATS = {  # names of formats by their usual file endings
     ".dem": "USGS DEM",
     ".jp2": "JPEG 2000 file",
     ".png": "PNG",
+    ".pgm": "PGM picture",
 }
 NAMES = {  # names of formats by drivers
     "AAIGrid": "ESRI ASCII grid",
@@ -62,9 +65,16 @@ BY_NAME = {  # drivers that open files only by name, by the first bytes of the f
 }
 UNKNOWN = "not recognized as being in a supported file format"  # in errors of GDAL
 CACHE = 64  # GDAL's cache of blocks [MB]
+EDITABLE = "GTiff", "HFA"  # formats whose missing value gdal_edit.py changes in the file
+DEGREE = 1.11e5  # approximate length of a degree [m]
+OCCUPANCY = 205, 0, 254  # gray levels of map_server: unknown, occupied, free
+TO_LEVELS = (
+    "use the elevation model from which it was drawn, or, if its colours are gray levels of "
+    "heights, gdal_translate {} in.png out.tif"
+)
 TO_GRAY = "keep only the band of heights: gdal_translate -b 1 in.tif out.tif"
 TO_REAL = "convert them: gdal_translate -ot Float32 in.tif out.tif"
-TO_METRES = "reproject it to metres: gdalwarp -t_srs EPSG:326xx in.tif out.tif (xx: the UTM zone)"
+TO_METRES = "gdalwarp -t_srs {} in.tif out.tif"
 Registration = Literal["area", "point"]
 WORDS = {
     "area": "heights at the centres of cells (pixel is area)",
@@ -87,12 +97,16 @@ class Reading(NamedTuple):
         border passes through the first node.
     spacing : float or None
         Distance between nodes for scattered points and point clouds. [m]
+    vertical_scale : float or None
+        Metres per unit of the heights, to recognize markers of missing heights; None if the heights
+        are metres, or unknown gray levels.
     """
 
     window: Window | None = None
     cell: float | None = None
     registration: Registration | None = None
     spacing: float | None = None
+    vertical_scale: float | None = None
 
 
 class _Place(NamedTuple):
@@ -147,26 +161,30 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     ending = path.suffix.lower()
     with path.open("rb") as file:
         head = file.read(4)  # raises I/O errors, which GDAL would hide
+    content = _raw_pgm(path.read_bytes()) if head.startswith(b"P2") else b""
     # the name of an SRTM tile gives its position; others may have characters that GDAL rejects
     name = path.name if ending == ".hgt" else f"raster{ending if ending.isascii() else ''}"
     try:
         # the stack closes the streams of files that GDAL cannot read
         with (
             ExitStack() as opened,
-            warnings.catch_warnings(),
             _quiet_log(),
             rasterio.Env(GDAL_CACHEMAX=CACHE),
         ):
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            noted = opened.enter_context(warnings.catch_warnings(record=True))
+            warnings.simplefilter("always", NotGeoreferencedWarning)
             if head in BY_NAME:  # link it in a folder without other files, which GDAL would read
                 check_header(path)
                 folder = Path(opened.enter_context(TemporaryDirectory()))
                 (folder / name).symlink_to(path.resolve())
                 dataset = rasterio.open(folder / name, driver=BY_NAME[head])
             else:
-                dataset = _open_alone(name, partial(_open_only, path, name, opened))
+                dataset = _open_alone(name, partial(_open_only, path, content, name, opened))
             with dataset:
-                return _from_dataset(dataset, path, ask)
+                # without georeferencing some drivers return an uninitialized transform
+                is_warned = any(each.category is NotGeoreferencedWarning for each in noted)
+                is_placed = not is_warned and not dataset.transform.is_identity
+                return _from_dataset(dataset, path, ask, is_placed)
     except DataError:
         raise
     except Exception as error:  # GDAL raises various exceptions for damaged files
@@ -222,25 +240,53 @@ def _quiet_log() -> Iterator[None]:
         sys.excepthook, sys.unraisablehook = hooks
 
 
-def _open_only(path: Path, known: str, opened: ExitStack, name: str, mode: str = "rb") -> BinaryIO:
-    """Open the raster file for GDAL; raise FileNotFoundError for all other files.
+def _open_only(
+    path: Path, content: bytes, known: str, opened: ExitStack, name: str, mode: str = "rb"
+) -> BinaryIO:
+    """Open the raster file for GDAL, or its content; raise FileNotFoundError for other files.
 
     GDAL looks for masks, world files, ``.aux.xml`` and other files beside a raster, which can
     change heights and coordinates, or refer to network addresses.
     """
     if Path(name).name != known or not mode.startswith("r"):
         raise FileNotFoundError(name)
-    return opened.enter_context(path.open("rb"))
+    return io.BytesIO(content) if content else opened.enter_context(path.open("rb"))
 
 
-def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
+def _raw_pgm(content: bytes) -> bytes:
+    """Return a PGM picture with levels in binary form, which GDAL reads, from one with text."""
+    words = re.sub(rb"#[^\r\n]*", b"", content).split()[1:]
+    try:
+        width, height, most, *levels = (int(word) for word in words)
+    except ValueError as error:
+        raise DataError(
+            f"expected width, height, maximum and levels of a PGM picture, found {error}; copy or "
+            "download it again"
+        ) from error
+    if (
+        len(levels) != width * height
+        or not 0 <= min(levels, default=0) <= max(levels, default=0) <= most < 2**16
+    ):
+        refuse(
+            f"{width * height} levels from 0 to {most}, at most 65535",
+            f"{len(levels)} levels",
+            "copy or download it again",
+        )
+    raw = np.array(levels, ">u2" if most > 255 else "u1").tobytes()
+    return f"P5\n{width} {height}\n{most}\n".encode() + raw
+
+
+def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heights:
     """Return the heights in an open raster."""
     _check_band(file)
-    place = _place(file, ask)
+    place = _place(file, ask, is_placed)
     i, j = parts(place.x, place.y, ask.window)
     x, y = place.x.nodes(i), place.y.nodes(j)
     top = j.start if place.upward else place.y.size - j.stop
     rows = range(top, top + j.stop - j.start)
+    window = (rows.start, rows.stop), (i.start, i.stop)
+    if file.count > 1 and np.ptp(file.read((1, 2, 3), window=window), axis=0).any():
+        refuse("heights", "the colours of a picture", TO_LEVELS.format("-b 1"))
     if file.driver == "AAIGrid":
         _check_numbers(path, file.shape, rows)
     crs = place.crs or ("CRS not given" if place.placed else "placed by cell and registration")
@@ -252,21 +298,53 @@ def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
     )
     values = file.read(
         1,
-        window=((rows.start, rows.stop), (i.start, i.stop)),
+        window=window,
         masked=True,
         out_dtype=np.float64,
     )
-    heights = (values.filled(np.nan) * file.scales[0] + file.offsets[0]) * _unit(file)
+    is_picture = _is_picture(file, is_placed)
+    if is_picture and OCCUPANCY[0] in values and not np.setdiff1d(values, OCCUPANCY).size:
+        refuse(
+            "heights",
+            f"only the levels {', '.join(map(str, OCCUPANCY))} of an occupancy map of ROS",
+            "use an elevation map",
+        )
+    raw = values.filled(np.nan)
+    raw = np.ascontiguousarray((raw if place.upward else raw[::-1]).T)
+    if not is_picture or ask.vertical_scale is not None:
+        degree = DEGREE if place.geographic else 1.0
+        check_values(
+            raw,
+            lambda k: f"x = {x[k[0]]:.9g}, y = {y[k[1]]:.9g}",
+            partial(_declaration, file, path.name),
+            metres=abs(file.scales[0]) * _unit(file) * (ask.vertical_scale or 1.0),
+            steps=(degree * place.x.step, degree * place.y.step),
+        )
     return Heights(
         x,
         y,
-        np.ascontiguousarray((heights if place.upward else heights[::-1]).T),
+        (raw * file.scales[0] + file.offsets[0]) * _unit(file),
         facts,
         place.crs,
         place.geographic,
         place.placed,
-        gray=_is_picture(file),
+        gray=is_picture,
     )
+
+
+def _declaration(file: Any, name: str, _: Marker, value: str) -> str:
+    """Return the command that declares a value of a raster as missing."""
+    declared = file.nodata
+    if declared is not None and np.isfinite(declared):
+        return (
+            f"replace it by the declared value: gdal_calc.py -A {name} --outfile=out.tif "
+            f'--calc="numpy.where(A == {value}, {declared:.15g}, A)" --NoDataValue={declared:.15g}'
+        )
+    if file.driver == "AAIGrid":
+        return f"declare it by the line NODATA_value {value} at the end of the header"
+    if file.driver in EDITABLE:
+        return f"declare it: gdal_edit.py -a_nodata {value} {name}"
+    return f"declare it: gdal_translate -a_nodata {value} {name} out.tif"
 
 
 def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
@@ -324,7 +402,7 @@ def _unit(file: Any) -> float:
     return LENGTHS[(file.units[0] or "").lower()]
 
 
-def _is_picture(file: Any) -> bool:
+def _is_picture(file: Any, is_placed: bool) -> bool:
     """Return whether the values are gray levels of a picture.
 
     Such values are unsigned, without scale and unit, and of 8 bits or without coordinates.
@@ -332,22 +410,18 @@ def _is_picture(file: Any) -> bool:
     kind = np.dtype(file.dtypes[0])
     if kind.kind != "u" or (file.scales[0], file.offsets[0]) != (1, 0) or file.units[0]:
         return False
-    return kind.itemsize == 1 or (file.crs is None and file.transform.is_identity)
+    return kind.itemsize == 1 or (file.crs is None and not is_placed)
 
 
 def _check_band(file: Any) -> None:
     """Raise DataError unless the file has a single band of heights in a known unit of length."""
-    if file.count != 1:
+    if file.count != 1 and not _is_coloured(file):
         refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
     if kind not in "iuf":
         refuse("heights that are real numbers", f"the type {file.dtypes[0]}", TO_REAL)
-    if file.colorinterp[0].name == "palette":
-        refuse(
-            "heights",
-            "colours of a palette",
-            "use the elevation model from which the image was drawn",
-        )
+    if file.colorinterp[0].name == "palette" and not _is_gray(file.colormap(1)):
+        refuse("heights", "colours of a palette", TO_LEVELS.format("-expand gray"))
     if not math.isfinite(file.offsets[0]) or not 0 < abs(file.scales[0]) < math.inf:
         refuse(
             "a scale of the heights other than 0, and an offset, both finite",
@@ -362,7 +436,17 @@ def _check_band(file: Any) -> None:
         )
 
 
-def _place(file: Any, ask: Reading) -> _Place:
+def _is_coloured(file: Any) -> bool:
+    """Return whether the bands are the colours of a picture, with or without transparency."""
+    return [each.name for each in file.colorinterp[:3]] == ["red", "green", "blue"]
+
+
+def _is_gray(palette: dict[int, tuple[int, ...]]) -> bool:
+    """Return whether the colours of a palette are gray levels equal to their indices."""
+    return all((k, k, k) == colour[:3] for k, colour in palette.items())
+
+
+def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
     """Return the positions of the nodes of a raster.
 
     They follow from the coordinates in the file, else from ``ask.cell`` and ``ask.registration``.
@@ -373,7 +457,7 @@ def _place(file: Any, ask: Reading) -> _Place:
             f"{len(file.gcps[0])} ground control points",
             "resample it: gdalwarp in.tif out.tif",
         )
-    if file.transform.is_identity:
+    if not is_placed:
         return _place_by_user(file.width, file.height, ask)
     for name in ("cell", "registration"):
         if (value := getattr(ask, name)) is not None:
@@ -386,7 +470,14 @@ def _place(file: Any, ask: Reading) -> _Place:
     crs = None if file.driver == "BT" and file.crs and file.crs.is_projected else file.crs
     registration = file.tags().get("AREA_OR_POINT", "Area").lower()
     x, y, upward = _axes(file)
-    return _Place(x, y, upward, registration, *system_name(crs, TO_METRES), placed=True)
+    return _Place(
+        x, y, upward, registration, *system_name(crs, TO_METRES, *_middle(x, y)), placed=True
+    )
+
+
+def _middle(x: Axis, y: Axis) -> tuple[float, float]:
+    """Return the centre of a map, in its units."""
+    return x.first + x.step * (x.size - 1) / 2, y.first + y.step * (y.size - 1) / 2
 
 
 def _place_by_user(width: int, height: int, ask: Reading) -> _Place:

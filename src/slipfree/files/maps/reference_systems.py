@@ -9,11 +9,14 @@ from typing import Any, NoReturn
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.records import Array
 
-STRETCH, SPAN = 0.01, 100.0  # largest scale error [1], and length over which it is measured [m]
+STRETCH, SPAN = 0.01, 1000.0  # largest scale error [1], and length over which it is measured [m]
 SPHEROID = re.compile(r'SPHEROID\["[^"]*",([\d.]+),([\d.]+)')
 SEMI_MAJOR, ROUND = 6378137.0, 0.01  # semi-major axis of the earth [m], and its relative tolerance
+UTM = -80.0, 84.0  # latitudes at which UTM is used, UPS beyond [deg]
 COMPOUND = re.compile(r'AUTHORITY\["EPSG","(\d+)"\]\],VERT_CS')
+UNKNOWN_ZONE = "EPSG:326xx (xx: the UTM zone)"
 LOCAL = ("LOCAL_CS", "ENGCRS")
 METRES = {"", "m", "metre", "meter", "metres", "meters"}
 LENGTHS = {  # units of heights [m]
@@ -32,15 +35,17 @@ def refuse(expected: str, found: str, remedy: str) -> NoReturn:
     raise DataError(f"expected {expected}, found {found}; {remedy}")
 
 
-def system_name(crs: Any, remedy: str) -> tuple[str, bool]:
+def system_name(crs: Any, command: str, x: float, y: float) -> tuple[str, bool]:
     """Return the name of a coordinate reference system, and whether its unit is the degree.
 
     Parameters
     ----------
     crs : rasterio.crs.CRS or None
         Reference system of a file.
-    remedy : str
-        Command that reprojects such a file to metres, for messages.
+    command : str
+        Command that reprojects such a file, with ``{}`` for the new system, for messages.
+    x, y : float
+        Centre of the map, in units of the system.
 
     Raises
     ------
@@ -54,20 +59,85 @@ def system_name(crs: Any, remedy: str) -> tuple[str, bool]:
     if code is None and (part := COMPOUND.search(wkt)):  # horizontal part of a compound system
         code = int(part[1])
     name = crs.to_string() if code is None else f"EPSG:{code}"
+    remedy = reprojection(crs, command, x, y)
     if not (crs.is_geographic or crs.is_projected or wkt.startswith(LOCAL)):
         refuse("a projected or a geographic reference system", name, remedy)
-    globe = SPHEROID.search(wkt)
-    if crs.is_geographic and globe and abs(float(globe[1]) / SEMI_MAJOR - 1) > ROUND:
-        refuse(
-            "degrees on the earth",
-            f"a body of radius {float(globe[1]):.9g} m ({name})",
-            "project it to metres first: gdalwarp -t_srs '+proj=eqc +lat_ts=... +R=...'",
-        )
+    if crs.is_geographic and not _is_earth(crs):
+        radius = f"a body of radius {_ellipsoid(crs)[0]:.9g} m ({name})"
+        refuse("degrees on the earth", radius, remedy)
     unit, size = crs.units_factor
     wanted, expected = (math.radians(1), "degrees") if crs.is_geographic else (1.0, "metres")
     if abs(size / wanted - 1) > 1e-9:
+        if wkt.startswith(LOCAL):
+            remedy = (
+                f"multiply the coordinates by {size:.9g} and remove the system: gdal_translate "
+                '-a_srs "" -a_ullr ULX ULY LRX LRY in.tif out.tif'
+            )
         refuse(f"coordinates in {expected}", f"the unit {unit!r} of {name}", remedy)
     return name, bool(crs.is_geographic)
+
+
+def metric_system(longitude: float, latitude: float) -> str:
+    """Return the projection of UTM or UPS that is used at a position on the earth [deg]."""
+    if not math.isfinite(longitude + latitude):
+        return UNKNOWN_ZONE
+    if not UTM[0] <= latitude <= UTM[1]:
+        return "EPSG:5041" if latitude > 0 else "EPSG:5042"
+    zone = int((longitude + 180) // 6) % 60 + 1
+    return f"EPSG:{326 if latitude >= 0 else 327}{zone:02d}"
+
+
+def reprojection(crs: Any, command: str, x: float, y: float) -> str:
+    """Return the advice to project a map to metres of its own body.
+
+    Parameters
+    ----------
+    crs : rasterio.crs.CRS
+        Reference system of the map.
+    command : str
+        Command that reprojects such a file, with ``{}`` for the new system.
+    x, y : float
+        Centre of the map, in units of the system; NaN if unknown.
+    """
+    longitude, latitude = (float(each[0]) for each in _degrees(crs, [x], [y]))
+    system = metric_system(longitude, latitude)
+    if not _is_earth(crs):
+        centre = f"+lat_0={latitude:.6g} +lon_0={longitude:.6g}"
+        if not math.isfinite(longitude + latitude):
+            centre = "+lat_0=... +lon_0=..."
+        a, b = _ellipsoid(crs)
+        system = f"'+proj=stere {centre} +a={a:.10g} +b={b:.10g} +units=m'"
+    return f"reproject it to metres: {command.format(system)}"
+
+
+def _ellipsoid(crs: Any) -> tuple[float, float]:
+    """Return the semi-axes of the ellipsoid of a reference system, NaN without one [m]."""
+    sizes = SPHEROID.search(crs.to_wkt())
+    if sizes is None:
+        return math.nan, math.nan
+    a, inverse = float(sizes[1]), float(sizes[2])
+    return a, a * (1 - 1 / inverse) if inverse else a
+
+
+def _is_earth(crs: Any) -> bool:
+    """Return whether the ellipsoid of a reference system is one of the earth, or unknown."""
+    return not abs(_ellipsoid(crs)[0] / SEMI_MAJOR - 1) > ROUND
+
+
+def _degrees(crs: Any, x: list[float], y: list[float]) -> Array:
+    """Return longitudes and latitudes on the ellipsoid of a system, NaN outside its domain [deg].
+
+    The result has the shape (2, n).
+    """
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    a, b = _ellipsoid(crs)
+    try:
+        globe = CRS.from_proj4(f"+proj=longlat +a={a!r} +b={b!r} +no_defs")
+        return np.array(transform(crs, globe, x, y))
+    except Exception:  # PROJ raises various exceptions outside the projection's domain
+        return np.full((2, len(x)), np.nan)
 
 
 def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, float]:
@@ -95,7 +165,7 @@ def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, fl
     return x[0], y[0]
 
 
-def scale_facts(crs: Any, x: float, y: float, remedy: str) -> tuple[tuple[str, str], ...]:
+def scale_facts(crs: Any, x: float, y: float, command: str) -> tuple[tuple[str, str], ...]:
     """Return the scale of a projected map as facts for summaries.
 
     In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres.
@@ -106,62 +176,60 @@ def scale_facts(crs: Any, x: float, y: float, remedy: str) -> tuple[tuple[str, s
         Reference system of the map; without one, or with degrees, there are no facts.
     x, y : float
         Position where the scale is computed. [m]
-    remedy : str
-        Command that reprojects such a file to metres, for messages.
+    command : str
+        Command that reprojects such a file, with ``{}`` for the new system, for messages.
 
     Raises
     ------
     DataError
-        If the scale differs from 1 by more than 1 %, or the position is outside the domain of the
-        projection.
+        If the scale in any direction differs from 1 by more than 1 %, or the position is outside
+        the domain of the projection.
     """
     if crs is None or not crs.is_projected:
         return ()
-    found = _metres(crs, x, y)
-    if not np.isfinite(found).all():
+    steps = _steps(crs, x, y)
+    if not np.isfinite(steps).all():
         refuse(
             "a map inside the domain of its projection",
             f"no scale at x = {x:.9g}, y = {y:.9g} ({crs.to_string()})",
             "correct the coordinates or the reference system of the file",
         )
-    if not np.allclose(found, 1.0, rtol=0, atol=STRETCH):
+    along_x, along_y = np.linalg.norm(steps, axis=1)
+    extremes = np.linalg.svd(steps, compute_uv=False)
+    if not np.allclose(extremes, 1.0, rtol=0, atol=STRETCH):
         refuse(
             f"a map with a scale error of at most {100 * STRETCH:g} %",
-            f"that 1 m of the map is {found[0]:.4g} m along x and {found[1]:.4g} m along y on the "
-            f"ground at x = {x:.9g}, y = {y:.9g} ({crs.to_string()})",
-            remedy,
+            f"that 1 m of the map is {along_x:.4g} m along x and {along_y:.4g} m along y on the "
+            f"ground at x = {x:.9g}, y = {y:.9g}, {extremes[1]:.4g} to {extremes[0]:.4g} m in all "
+            f"directions ({crs.to_string()})",
+            reprojection(crs, command, x, y),
         )
     return (
         (
             "ground map scale",
-            f"1 m of the map is {found[0]:.5f} m along x and {found[1]:.5f} "
-            "m along y on the ellipsoid",
+            f"1 m of the map is {along_x:.7f} m along x and {along_y:.7f} m along y on the "
+            "ellipsoid",
         ),
     )
 
 
-def _metres(crs: Any, x: float, y: float) -> tuple[float, float]:
-    """Return the lengths on the ellipsoid of one map metre along x and along y at (x, y) [m].
+def _steps(crs: Any, x: float, y: float) -> Array:
+    """Return the displacements in space of one map metre along x and along y at (x, y).
 
-    They are NaN outside the domain of the projection.
+    They are differences of geocentric positions, shape (2, 3) [m], which have no singularity at
+    poles and at the antimeridian, and NaN outside the domain of the projection.
     """
-    from rasterio.crs import CRS
-    from rasterio.warp import transform
-
-    sizes = SPHEROID.search(crs.to_wkt())
-    if sizes is None:
-        return math.nan, math.nan
-    a, inverse = float(sizes[1]), float(sizes[2])
-    e2 = (2 - 1 / inverse) / inverse if inverse else 0.0
-    globe = CRS.from_proj4(f"+proj=longlat +a={a!r} +b={a * math.sqrt(1 - e2)!r} +no_defs")
     half = SPAN / 2
-    try:
-        places = transform(crs, globe, [x - half, x + half, x, x], [y, y, y - half, y + half])
-    except Exception:  # PROJ raises various exceptions outside the projection's domain
-        return math.nan, math.nan
-    longitude, latitude = (np.radians(each) for each in places)
-    w2 = 1 - e2 * math.sin(latitude[0]) ** 2
-    east = a / math.sqrt(w2) * np.cos(latitude[0]) * np.diff(longitude)[::2]
-    north = a * (1 - e2) / w2**1.5 * np.diff(latitude)[::2]
-    along_x, along_y = (np.hypot(east, north) / SPAN).tolist()
-    return along_x, along_y
+    places = _degrees(crs, [x - half, x + half, x, x], [y, y, y - half, y + half])
+    longitude, latitude = np.radians(places)
+    a, b = _ellipsoid(crs)
+    normal = a**2 / np.hypot(a * np.cos(latitude), b * np.sin(latitude))
+    positions = np.column_stack(
+        [
+            normal * np.cos(latitude) * np.cos(longitude),
+            normal * np.cos(latitude) * np.sin(longitude),
+            (b / a) ** 2 * normal * np.sin(latitude),
+        ]
+    )
+    steps: Array = (positions[1::2] - positions[::2]) / SPAN
+    return steps

@@ -327,7 +327,8 @@ def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, 
     DataError
         If the file cannot be read.
     """
-    rows = read_columns(problem.folder / name, ("solid", "x", "z"), "corners of solids")
+    columns = read_columns(problem.folder / name, ("solid", "x", "z"), "corners of solids")
+    rows = columns.rows()
     found: list[Solid] = []
     numbers = [number for number, _ in groupby(row[0] for row in rows)]
     for number in numbers:

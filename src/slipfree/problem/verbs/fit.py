@@ -14,7 +14,7 @@ from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.files.mcap_reader import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
-from slipfree.files.tables import read_columns, read_names
+from slipfree.files.tables import Columns, read_columns
 from slipfree.files.toml.angles import Quantity
 from slipfree.files.toml.errors import name_errors, problem_error
 from slipfree.files.toml.types import Positive, Record
@@ -47,6 +47,7 @@ from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, Vehicle
 from slipfree.problem.summary import Facts
+from slipfree.problem.unit_checks import check_heading_unit, check_sampling
 from slipfree.problem.verbs.base import Verb
 from slipfree.records import Array
 from slipfree.terrain.analytic import Analytic
@@ -57,7 +58,7 @@ SHOWN_WEIGHT = 0.2  # smallest weight of an unknown that is named in a direction
 OWN_COLUMNS = {"t": "t", "x": "x", "y": "y", "heading": "heading"}  # of results of slipfree
 
 
-class Columns(Record):
+class PoseColumns(Record):
     """Columns of the time and the pose in a table."""
 
     t: str = Field(default="t", description="column of the time, in s")
@@ -72,12 +73,14 @@ class Data(Record):
     """The log, and its windows."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
-        description="the log: CSV, MCAP, or a result of slipfree (.nc)"
+        description="the log: a table as text, MCAP, or a result of slipfree (.nc)"
     )
     window: Positive | Annotated[str, Field(min_length=1)] = Field(
         description="duration of the windows, or the column with the number of the window [s]"
     )
-    columns: Columns = Field(default=Columns(), description="names of the columns of the pose")
+    columns: PoseColumns = Field(
+        default=PoseColumns(), description="names of the columns of the pose"
+    )
     rates: dict[str, str] = Field(
         default={},
         description="column of each input and commanded joint, by name; by default the column of "
@@ -169,12 +172,15 @@ class Fitted(NamedTuple):
         Fitted constants of the law.
     sensor : dict of str and float
         Fitted pose of the sensor. [m, rad]
+    notes : tuple of str
+        Conversions of units in the log.
     """
 
     calibration: Calibration
     vehicle: VehicleModel
     constants: dict[str, float]
     sensor: dict[str, float]
+    notes: tuple[str, ...]
 
 
 def fit(problem: Problem[Fit]) -> Fitted:
@@ -200,7 +206,7 @@ def fit(problem: Problem[Fit]) -> Fitted:
             with_unknowns(vehicle, unknowns[-1:], [value_of(unknowns[-1], vehicle, law)])
     dae = parametric_model(build, vehicle, law, unknowns)
     names = body_motion(dae).names
-    windows = _read_windows(problem, names, [c.name for c in vehicle.of("passive")])
+    windows, notes = _read_windows(problem, names, [c.name for c in vehicle.of("passive")])
     found = calibrate(
         build,
         vehicle,
@@ -219,6 +225,7 @@ def fit(problem: Problem[Fit]) -> Fitted:
         with_unknowns(vehicle, unknowns, values),
         {u.quantity: getattr(new, u.quantity) for u, _ in pairs if hasattr(new, u.quantity)},
         {u.quantity: value for u, value in pairs if u.quantity.startswith("sensor_")},
+        notes,
     )
 
 
@@ -234,13 +241,15 @@ def _builder(spec: Fit) -> Any:
     return build
 
 
-def _read_windows(problem: Problem[Fit], names: tuple[str, ...], passive: list[str]) -> Windows:
-    """Return the windows of the log; passive joints are at zero.
+def _read_windows(
+    problem: Problem[Fit], names: tuple[str, ...], passive: list[str]
+) -> tuple[Windows, tuple[str, ...]]:
+    """Return the windows of the log, and notes on its units; passive joints are at zero.
 
     Raises
     ------
     ProblemError
-        If the log cannot be read, or lacks a column.
+        If the log cannot be read, lacks a column, or has times or headings in other units.
     """
     data = problem.spec.data
     measured = [name for name in names if name not in passive]
@@ -249,39 +258,31 @@ def _read_windows(problem: Problem[Fit], names: tuple[str, ...], passive: list[s
     columns = {name: data.rates.get(name, name) for name in measured}
     with at(problem, ("data",)):
         path = problem.folder / data.file
+        notes: tuple[str, ...] = ()
         if path.suffix == ".nc":
             table, frame = _read_result(path, columns), "paper"
         elif is_mcap(path):
             table, frame = _read_mcap(path, columns), "rep103"
         else:
-            table, frame = _read_csv(path, data, columns), problem.spec.frame
+            (table, notes), frame = _read_table(path, data, columns), problem.spec.frame
         t, x, y, heading = (table[key] for key in OWN_COLUMNS)
         place = (x, y) if frame == "paper" else (-y, x)
+        check_sampling(t)
+        check_heading_unit(*place, heading)
         given = [table[name] if name in table else np.zeros_like(t) for name in names]
         log = Log(t, np.column_stack(given), np.column_stack([*place, heading]), table["window"])
         if isinstance(data.window, float):
             log = _divided(log, data.window)
-        return cut(log)
+        return cut(log), notes
 
 
-def _read_csv(path: Path, data: Data, columns: Mapping[str, str]) -> dict[str, Array]:
-    """Return the columns of a log in CSV, by name in this module; a column window of zeros."""
+def _read_table(path: Path, data: Data, columns: Mapping[str, str]) -> Columns:
+    """Return the columns of a log in a text file, by name in this module; a column of windows."""
     wanted = {**dict(data.columns), **columns}
     if isinstance(data.window, str):
         wanted["window"] = data.window
-    known = read_names(path, "a log")
-    wanted = {key: "t" if name == "time" else name for key, name in wanted.items()}
-    for name in wanted.values():
-        if name not in known:
-            raise DataError(
-                f"{path}:1: expected the columns {', '.join(dict.fromkeys(wanted.values()))}, "
-                f"found no column {name!r} among {', '.join(known)}; name the columns in "
-                "[data.columns] and [data.rates]"
-            )
-    distinct = list(dict.fromkeys(wanted.values()))
-    rows = np.array(read_columns(path, distinct, "a log")).reshape(-1, len(distinct))
-    found = {key: rows[:, distinct.index(name)] for key, name in wanted.items()}
-    return {"window": np.zeros(len(rows)), **found}
+    values, notes = read_columns(path, wanted, "a log", where="[data.columns] or [data.rates]")
+    return Columns({"window": np.zeros(values["t"].size), **values}, notes)
 
 
 def _read_result(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
@@ -358,6 +359,7 @@ def facts(fitted: Fitted) -> Facts:
     """Return the facts of a fit: estimates, identifiable directions, and errors of predictions."""
     found = fitted.calibration
     return [
+        *([("log", "; ".join(fitted.notes))] if fitted.notes else []),
         ("windows", f"{len(found.train.measured)} for training, {len(found.test.measured)} others"),
         *_estimates(found.estimate),
         *_directions(found.estimate),

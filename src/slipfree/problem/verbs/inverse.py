@@ -42,6 +42,7 @@ from slipfree.problem.build_common import (
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts, integrator_fact
+from slipfree.problem.unit_checks import check_heading_unit, check_time_unit
 from slipfree.problem.verbs.base import Extremes, Quantity, Result, Watch, differences
 from slipfree.problem.verbs.drive_facts import trust_facts
 from slipfree.problem.verbs.driving import DriveVerb, integrate
@@ -99,10 +100,11 @@ class InverseVerb(DriveVerb):
             vehicle or start are not valid.
         """
         spec = problem.spec
-        points = _points(problem, spec)
+        points, notes = _points(problem, spec)
         with at(problem, ("vehicle",)):
             vehicle = build_vehicle(spec.vehicle, problem)
         given, words = _given_rates(problem, spec, vehicle, points)
+        words = "; ".join([words, *notes])
         place = ("given",) if points is None else ("path",)
         is_rolling_path = points is not None and not are_commands(given)
         options: dict[str, Any] = {
@@ -252,20 +254,21 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
         yield Fault(("given",), expected, f"{', '.join(angular)}; remove one kind")
 
 
-def _points(problem: Problem[S], spec: Inverse) -> Array | None:
-    """Return t, x, y, heading of the way-points [s, m, m, rad], shape (4, n); None without path.
+def _points(problem: Problem[S], spec: Inverse) -> tuple[Array | None, tuple[str, ...]]:
+    """Return the way-points, None without path, and notes on the units of their file.
 
-    The headings are measured from the y axis.
+    Way-points are t, x, y, heading [s, m, m, rad], shape (4, n), with headings from the y axis.
 
     Raises
     ------
     ProblemError
-        If the file cannot be read or has headings of another frame, or times or headings are not
-        valid.
+        If the file cannot be read or has headings of another frame or in degrees, or times or
+        headings are not valid.
     """
     path = spec.path
     if path is None:
-        return None
+        return None, ()
+    notes: tuple[str, ...] = ()
     place = ("path", "t" if path.file is None else "file")
     if path.file is None:
         points = np.array([path.t, path.x, path.y, path.heading], dtype=float)
@@ -276,8 +279,10 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
                     "expected frame = 'rep103' for a path in MCAP, with headings from the x axis, "
                     f"found frame = {spec.frame!r}; set frame = 'rep103'"
                 )
-            rows = read_columns(problem.folder / path.file, COLUMNS)
-        points = np.array(rows, dtype=float).reshape(-1, len(COLUMNS)).T
+            columns, notes = read_columns(problem.folder / path.file, COLUMNS)
+            points = np.array([columns[name] for name in COLUMNS])
+            check_time_unit(points[0], spec.time.duration)
+            check_heading_unit(*points[1:], zero=heading_offset(problem))
     heading_key = ("path", "heading") if path.file is None else place
     faults = [
         *_time_errors(points[0], place, spec.time.duration),
@@ -286,7 +291,7 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
     if faults:
         raise problem_error(problem.source, faults)
     points[3] += heading_offset(problem)
-    return points
+    return points, notes
 
 
 def _time_errors(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:

@@ -19,6 +19,7 @@ from slipfree.problem.build_common import samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import FILE, Time
+from slipfree.problem.unit_checks import check_time_unit
 from slipfree.problem.verbs.inverse_schema import Inverse
 from slipfree.vehicle.formula import evaluate
 
@@ -52,8 +53,8 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
                     "expected the name of a CSV file in quotes, found "
                     f"{format_value(file)}; put the name in quotes"
                 )
-            columns = _read_file(problem.folder / file)
-        words = [f"{', '.join(columns)} of {file}"]
+            columns, notes = _read_file(problem.folder / file, spec.time.duration)
+        words = ["; ".join([f"{', '.join(columns)} of {file}", *notes])]
     if faults := [*_faults(spec, given, columns)]:
         raise problem_error(problem.source, faults)
     for name, value in given.items():
@@ -68,26 +69,27 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     return found, ", ".join(words)
 
 
-def _read_file(file: Path) -> dict[str, Piecewise]:
-    """Return the commands of a CSV file by name; a command is constant until the next row.
+def _read_file(file: Path, duration: float) -> tuple[dict[str, Piecewise], tuple[str, ...]]:
+    """Return the commands of a table by name, constant until the next row, and notes on units.
 
     Raises
     ------
     DataError
-        If the file cannot be read, its first line is not valid, or times do not increase from 0.
+        If the file cannot be read, its first line is not valid, or times do not increase from 0 or
+        are probably not in seconds.
     """
     names = read_names(file, "commands")
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
         raise DataError(
-            f"{file}: expected a first line with comma-separated names, each once: t, and one or "
+            f"{file}: expected a first line with the names of columns, each once: t, and one or "
             f"more of {', '.join(COMMANDS)} or one or more of {', '.join(ROBOT)}, found "
             f"{','.join(names)!r}; correct the first line"
         )
-    rows = read_columns(file, ["t", *rates], "commands")
-    if not rows:
+    table = read_columns(file, ["t", *rates], "commands")
+    if not table.values["t"].size:
         raise DataError(f"{file}: expected one or more rows of numbers, found only names; add rows")
-    t, *columns = zip(*rows, strict=True)
+    t, *columns = (column.tolist() for column in table.values.values())
     if t[0] != 0:
         raise DataError(f"{file}: expected 0 as the first time, found {t[0]:g} s; shift the times")
     for before, after in pairwise(t):
@@ -95,9 +97,9 @@ def _read_file(file: Path) -> dict[str, Piecewise]:
             found = f"{after:g} s after {before:g} s"
             remedy = "sort the rows" if after < before else "keep one row for each time"
             raise DataError(f"{file}: expected increasing times, found {found}; {remedy}")
-    return {
-        name: tuple(zip(t, rate, strict=True)) for name, rate in zip(rates, columns, strict=True)
-    }
+    check_time_unit(table.values["t"], duration)
+    pairs = zip(rates, columns, strict=True)
+    return {name: tuple(zip(t, rate, strict=True)) for name, rate in pairs}, table.notes
 
 
 def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -> Iterator[Fault]:

@@ -1,0 +1,193 @@
+"""Markers of missing heights that a map file does not declare, such as -9999."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.records import Array
+
+NINES = re.compile(r"-?9{3,}(\.[09]+)?")  # -999, -9999, 99999.9
+BEYOND_EARTH = 1e4  # values above it are no heights of the ground [units of the file]
+MAX_SORTED = 500_000  # largest number of heights that are sorted
+MARKERS = 4  # largest number of different markers in a file
+RATIO = 10.0  # least distance of a marker from other heights, relative to the gaps among these
+# least distances of a value from all other heights that relief cannot explain [m]
+NAMED_GAP, LOW_GAP, MIDDLE_GAP, DEEP_GAP, HIGH_GAP = 30.0, 50.0, 100.0, 300.0, 1000.0
+MAX_SHARE = 0.1  # largest share of nodes with a marker near other heights [1]
+# least difference of neighbouring nodes [m], slope [1] and ratio to the median of interpolated
+# markers, and heights between which there are none [m]
+JUMP, SLOPE, STEEPER, PLAUSIBLE = 100.0, 10.0, 50.0, (-1000.0, 10000.0)
+
+
+class Marker(NamedTuple):
+    """A value that is probably a marker of missing heights.
+
+    Attributes
+    ----------
+    value : float
+        The value, in units of the file; the extreme one of interpolated markers.
+    low, high : float
+        Range of the other values.
+    is_exact : bool
+        Whether the value is repeated exactly, not interpolated between markers and heights.
+    """
+
+    value: float
+    low: float
+    high: float
+    is_exact: bool
+
+
+def check_values(
+    z: Array,
+    place: Callable[[tuple[int, ...]], str],
+    remedy: Callable[[Marker, str], str],
+    *,
+    metres: float = 1.0,
+    steps: tuple[float, float] | None = None,
+) -> None:
+    """Raise DataError if heights contain markers of missing heights.
+
+    Parameters
+    ----------
+    z : ndarray
+        Heights at nodes, shape (n_x, n_y), or of points, shape (n,), in units of the file; NaN
+        where the file declares none.
+    place : callable
+        ``place(index)`` returns the position of a node or point as text.
+    remedy : callable
+        ``remedy(marker, text)`` returns what to do with a marker whose value is ``text``.
+    metres : float
+        Metres per unit of the file.
+    steps : tuple of 2 floats, optional
+        Distances of nodes; for None, markers that were interpolated are not found. [m]
+    """
+    z = np.where(np.isfinite(z), z, np.nan)
+    if np.isnan(z).all():
+        return
+    with np.errstate(over="ignore"):  # differences of the largest numbers
+        found = _repeated_marker(z, metres)
+        if found is None and steps is not None:
+            found = _interpolated_marker(z, metres, steps)
+    if found is None:
+        return
+    beyond = z < found.low if found.value < found.low else z > found.high
+    if found.is_exact:
+        beyond = z == found.value
+    value = (
+        f"{found.value:.0f}"
+        if found.value.is_integer() and abs(found.value) < 1e15
+        else repr(found.value)
+    )
+    first = tuple(int(k[0]) for k in np.nonzero(beyond))
+    count = f"{np.count_nonzero(beyond)} of {z.size} {'nodes' if z.ndim > 1 else 'points'}"
+    where = f"at {count}, first at {place(first)}"
+    others = f"the others are from {found.low:.6g} to {found.high:.6g}"
+    if not found.is_exact:
+        raise DataError(
+            f"expected heights, found steps of a cell that no ground has and values to {value} "
+            f"{where}, while {others}: probably markers of missing heights that were interpolated; "
+            "declare their value before resampling, as in gdal_edit.py -a_nodata -9999 original.tif"
+        )
+    raise DataError(
+        f"expected heights, found the value {value} {where}, while {others}: probably missing "
+        f"heights that the file does not declare; {remedy(found, value)}"
+    )
+
+
+def _repeated_marker(z: Array, metres: float) -> Marker | None:
+    """Return a value that is far from all others; None without one.
+
+    Distances are judged in metres, and relative to the gaps among the other heights: maps of few
+    nodes have large gaps. Deep pits without walls are rarer than towers.
+    """
+    finite = z[np.isfinite(z)]
+    if np.ptp(finite) * metres < NAMED_GAP:
+        return None
+    values = _distinct_values(finite)
+    gaps = np.diff(values)
+    inner = float(np.sort(gaps)[-MARKERS - 1]) if gaps.size > MARKERS else 0.0
+    ends = np.flatnonzero(gaps >= max(NAMED_GAP / metres, RATIO * inner)) + 1
+    groups = np.split(np.arange(values.size), ends)
+    body = max(
+        groups,
+        key=lambda group: (
+            group.size > 1 or not _is_named(values[group[0]]),
+            group.size,
+            group.size == 1 and np.count_nonzero(finite == values[group[0]]),
+        ),
+    )
+    low, high = float(values[body[0]]), float(values[body[-1]])
+    for group in groups:
+        value = float(values[group[0]])
+        gap = max(low - value, value - high)
+        is_one = group.size == 1 or all(_is_named(float(each)) for each in values[group])
+        share = np.count_nonzero(finite == value) / finite.size
+        if is_one and gap > 0 and gap * metres >= _least_gap(value, low, high, share):
+            return Marker(value, low, high, is_exact=True)
+    return None
+
+
+def _distinct_values(z: Array) -> Array:
+    """Return the distinct heights in ascending order, of large maps all extremes and a part."""
+    if z.size <= MAX_SORTED:
+        return np.unique(z)
+    parts = [z[:: z.size // MAX_SORTED]]
+    for sign, end in zip((1, -1), np.quantile(parts[0], (0.01, 0.99)), strict=True):
+        rest = sign * z[sign * z <= sign * end]
+        for _ in range(2 * MARKERS):
+            least = rest.min()
+            parts.append(sign * least[None])
+            rest = rest[rest > least]
+            if not rest.size:
+                break
+    return np.unique(np.concatenate(parts))
+
+
+def _least_gap(value: float, low: float, high: float, share: float) -> float:
+    """Return the least distance of a marker from heights in a range that relief cannot explain [m].
+
+    The larger the distance is relative to the relief, the smaller it may be, unless the value has
+    a large share of the nodes: it may be the sea below a cliff.
+    """
+    if _is_named(value):
+        return NAMED_GAP
+    if value > high or share > MAX_SHARE:
+        return HIGH_GAP if value > high else DEEP_GAP
+    relief = (high - low) / (low - value)
+    return LOW_GAP if relief <= 1 / RATIO else MIDDLE_GAP if relief <= 1 else DEEP_GAP
+
+
+def _is_named(value: float) -> bool:
+    """Return whether a value is one that programs use for missing heights."""
+    return abs(value) >= BEYOND_EARTH or NINES.fullmatch(f"{value:.7g}") is not None
+
+
+def _interpolated_marker(z: Array, metres: float, steps: tuple[float, float]) -> Marker | None:
+    """Return the extreme of values between markers and heights; None without steep steps.
+
+    Walls of buildings and mountains are as steep, but not as low or high.
+    """
+    lowest, highest = float(np.nanmin(z)), float(np.nanmax(z))
+    if PLAUSIBLE[0] <= lowest * metres <= highest * metres <= PLAUSIBLE[1]:
+        return None
+    rises = [np.abs(np.diff(z, axis=axis)) for axis in (0, 1)]
+    steep = any(
+        np.nanmax(rise, initial=0.0) * metres >= max(JUMP, SLOPE * step)
+        for rise, step in zip(rises, steps, strict=True)
+    )
+    if not steep:
+        return None
+    every = np.concatenate([rise[np.isfinite(rise)] for rise in rises])
+    jump = float(every.max())
+    if jump < STEEPER * np.median(every):
+        return None
+    middle = float(np.nanmedian(z))
+    near = z[np.abs(z - middle) < jump / 2]
+    value = lowest if middle - lowest > highest - middle else highest
+    return Marker(value, float(near.min()), float(near.max()), is_exact=False)
