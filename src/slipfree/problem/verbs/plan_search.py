@@ -83,6 +83,7 @@ def find_plan(
     progress: Callable[[str, Iterate], bool],
     length: float,
     tightening: Tightening = MappingProxyType({}),
+    keep: Callable[[FoundPlan], None] | None = None,
 ) -> FoundPlan:
     """Return the plan of a problem.
 
@@ -104,6 +105,8 @@ def find_plan(
         Duration of the plan if the problem gives none. [s]
     tightening : mapping of Bound to float
         Distance of each tightened bound from the given one, in the unit of the quantity.
+    keep : callable, optional
+        As for `plan`.
 
     Raises
     ------
@@ -131,6 +134,7 @@ def find_plan(
                 duration=spec.plan.duration or (length, length),
                 resume=saved,
                 progress=progress,
+                keep=keep,
             )
         if found is not None:
             if not now.success and now.run.outcome is not Outcome.INTERRUPTED:
