@@ -212,14 +212,14 @@ def export(
     """
     with reported(), about(file):
         from slipfree.files.export import export_path, export_rates
-        from slipfree.problem.result import export_mcap
+        from slipfree.problem.result import export_mcap, result_files
 
         if path is None and rates is None and mcap is None:
             raise DataError(
                 "export: expected --path, --rates or --mcap, found none; add one of them"
             )
         write_motion = partial(export_mcap, folder=folder)
-        check_outputs([path, rates, mcap], [file])
+        check_outputs([path, rates, mcap], result_files(file, folder))
         for out, write in ((path, export_path), (rates, export_rates), (mcap, write_motion)):
             if out is not None:
                 write(file, out)

@@ -54,10 +54,11 @@ def track(
     """
     with reported(), about(file):
         from slipfree.files.netcdf import write
+        from slipfree.problem.result import result_files
         from slipfree.problem.verbs.plan_tracking import follow_plan, tracking_rows
 
         with regular_file(file, "a result file of slipfree"):
-            check_outputs([out], [file])
+            check_outputs([out], result_files(file, folder))
         with held_interrupt():
             test = follow_plan(
                 file,
