@@ -25,6 +25,8 @@ from slipfree import Analytic, SolverOptions, codegen_cache, direct_kinematics, 
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.files import netcdf
+from slipfree.files.tables import write_rows
+from slipfree.fit import estimate
 from slipfree.interrupt import (
     InterruptGuard,
     check_interrupt,
@@ -34,10 +36,12 @@ from slipfree.interrupt import (
     with_interrupt_guard,
 )
 from slipfree.nlp import Nlp
-from slipfree.plan import ipopt, verification
+from slipfree.plan import ipopt, tracking, verification
 from slipfree.plan import plan as planning
 from slipfree.plan.external_nlp import solve_nlp
+from slipfree.plan.mpc import horizon
 from slipfree.plan.verification import simulate_plan
+from slipfree.problem.verbs import compare
 from slipfree.problem.verbs import driving as runner
 from slipfree.problem.verbs import plan as plan_verb
 from slipfree.solve import simulate, zero_order_hold
@@ -668,3 +672,55 @@ def test_a_plan_whose_verification_fails_is_kept(folder, monkeypatch):
     assert kept.outcome.name == "SOLVER_FAILURE"
     assert "the plan is solved" in kept.stop.words
     assert "IDA_CONV_FAIL" in kept.stop.words
+
+
+FIT = """
+verb = "fit"
+[vehicle]
+catalog = "rigid_skid_steer"
+[data]
+file = "log.csv"
+window = 1.0
+[unknowns.track]
+"""
+
+
+@pytest.mark.parametrize(("at", "rows"), [(1, 0), (4, 1)], ids=["start", "accepted step"])
+def test_a_fit_keeps_its_last_accepted_estimate(tmp_path, monkeypatch, at, rows):
+    monkeypatch.chdir(tmp_path)
+    t = np.linspace(0, 12, 13)
+    turned = -0.2 * t
+    names = ["front_right", "front_left", "rear_right", "rear_left"]
+    columns = [t, 5 * np.cos(turned), 5 * np.sin(turned), turned]
+    columns += [np.full(t.size, 6.0 if "left" in name else 3.0) for name in names]
+    head = ["time", "x", "y", "heading", *(f"{name}_rate" for name in names)]
+    write_rows(tmp_path / "log.csv", head, np.column_stack(columns).tolist())
+    (tmp_path / "fit.toml").write_text(FIT)
+    pressed, _ = pressing(estimate.end_poses, at)
+    monkeypatch.setattr(estimate, "end_poses", pressed)
+    found = CliRunner().invoke(app, ["fit", "fit.toml", "--no-draw"])
+    assert found.exit_code == 130, (found.output, found.exception)
+    kept = "interrupted; fit.csv contains the estimates so far\n"
+    assert found.stderr == (kept if rows else "interrupted\n")
+    assert (tmp_path / "fit.csv").exists() == bool(rows)
+
+
+def test_a_comparison_keeps_its_finished_vehicles(monkeypatch):
+    problem = HILLS.with_name("compare_axles.toml")
+    pressed, _ = pressing(compare._row, at=2)
+    monkeypatch.setattr(compare, "_row", pressed)
+    brief = ["--set", "time.duration=0.1", "--set", "time.step=0.02"]
+    found = CliRunner().invoke(app, ["compare", str(problem), *brief])
+    assert found.exit_code == 130, found.output
+    assert re.fullmatch(r"interrupted; the table contains 1 of \d vehicles\n", found.stderr)
+
+
+def test_a_tracking_keeps_its_cycles(monkeypatch):
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
+    pressed, _ = pressing(tracking._drive, at=3)
+    monkeypatch.setattr(tracking, "_drive", pressed)
+    frame = horizon(planned(), span=1.0)
+    with held_interrupt():
+        found = tracking.track_plan(frame, dae, settle(dae), period=0.25)
+    assert found.run.stop.name == "interrupted"
+    assert_allclose(found.run.t[-1], 0.5)
