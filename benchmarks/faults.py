@@ -230,7 +230,7 @@ VERBS = {  # command, its file, and what its details say when there is something
 
 
 def interruptions(tries: int, seed: int) -> int:
-    """Print what each verb leaves after signals at random times; return 1 if anything was lost."""
+    """Interrupt each verb at random times and print a table; return 1 if anything was lost."""
     rng, bad = Random(seed), 0
     names = ("nothing yet", "samples", "iterate", "solved plan", "whole", "lost", "traceback")
     print(f"{'verb':10}{'took':>7}" + "".join(f"{name:>13}" for name in names) + "  exit codes")
@@ -269,7 +269,7 @@ def remove(folder: Path, name: str) -> None:
 
 
 def left(file: Path | None, told: str, sign: str, code: int) -> str:
-    """Return what an interrupted command left: the name of a column of the table."""
+    """Return the column of the table that counts the output of an interrupted command."""
     if file is None:
         return (
             "whole" if code == 0 else "samples" if "the table contains" in told else "nothing yet"

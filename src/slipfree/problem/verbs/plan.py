@@ -51,7 +51,7 @@ from slipfree.problem.verbs.plan_facts import CHECKS, plan_facts
 from slipfree.problem.verbs.plan_goals import (
     regions,
 )
-from slipfree.problem.verbs.plan_robust import Tested, make_robust
+from slipfree.problem.verbs.plan_robust import UNTESTED, Tested, make_robust
 from slipfree.problem.verbs.plan_search import find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
     Planning,
@@ -142,6 +142,7 @@ class PlanVerb(DriveVerb):
         found = find_plan(problem, setup, guesses, resume, progress, length, keep=keep)
         tested = Tested(found)
         if spec.plan.robust is not None and found.accurate:
+            keep(replace(found, replay=replace(found.replay, stop=UNTESTED)))
             tested = make_robust(problem, setup, found, spec.plan.robust, progress, watch.line)
             found = tested.plan
         run, stop = found.replay, tested.stop or with_offer(setup, found, guesses)
