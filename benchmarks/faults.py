@@ -3,7 +3,10 @@
 ``python benchmarks/faults.py [--tries N] [--seed N] [--only NAME]`` prints a line for every fault
 and command: the numbers of tries, of lost files (neither the old file nor a complete new one), of
 tracebacks on stderr, of complete new files, of leftover unfinished files, of later successes of the
-same command without the fault, and the exit codes. ``--only compiler`` installs the package into a
+same command without the fault, and the exit codes. ``--only interrupted`` sends SIGINT and SIGTERM
+to each verb at random times and prints what it leaves on disk: nothing before its first step or
+iterate, samples or iterates, solved plans, whole results; ``lost`` counts commands that leave
+nothing afterwards. ``--only compiler`` installs the package into a
 fresh environment without a compiler, which takes a minute and needs the package's dependencies.
 """
 
@@ -12,6 +15,7 @@ from __future__ import annotations
 import argparse
 import csv
 import os
+import re
 import resource
 import shutil
 import signal
@@ -19,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -204,6 +209,110 @@ def tried(name: str, fault: Start, folder: Path, counts: Counter[str], rows: int
         print(told[-600:], file=sys.stderr)
 
 
+WINDOWS = (
+    "--set inputs= --set driver={name='follow',speed=0.25,path=[[0.0,0.0],[0.2,1.5],[0.6,2.6]]} "
+    "--set plan.window=1.2 --set plan.overlap=0.4 --set plan.intervals=8"
+)
+VERBS = {  # command, its file, and what its details say when there is something to keep
+    "direct": ("run p.toml -o o.nc", "o.nc", "integrated to"),
+    "sampled": ("run sampled.toml -o o.nc", "o.nc", "integrated to"),
+    "inverse": ("run inverse.toml -o o.nc --set time.duration=4", "o.nc", "integrated to"),
+    "climb": ("run climb.toml -o o.nc", "o.nc", "integrated to"),
+    "plan": ("run plan.toml -o o.nc", "o.nc", "iteration 1,"),
+    "robust": ("run robust.toml -o o.nc", "o.nc", "iteration 1,"),
+    "windows": (f"run plan.toml -o o.nc {WINDOWS}", "o.nc", "iteration 1,"),
+    "compare": ("compare compare.toml", "", ""),
+    "fit": ("fit fit.toml -o o.csv", "o.csv", ""),
+    "track": ("track plan.nc -o o.nc", "o.nc", "replanned at 0.04"),
+    "pareto": ("pareto plan.toml --points 3 -o front", "front/point_01.nc", "point 2 of 3"),
+    "report": ("report old.nc -o o.html", "o.html", ""),
+}
+
+
+def interruptions(tries: int, seed: int) -> int:
+    """Interrupt each verb at random times and print a table; return 1 if anything was lost."""
+    rng, bad = Random(seed), 0
+    names = ("nothing yet", "samples", "iterate", "solved plan", "whole", "lost", "traceback")
+    print(f"{'verb':10}{'took':>7}" + "".join(f"{name:>13}" for name in names) + "  exit codes")
+    with tempfile.TemporaryDirectory() as above:
+        folder = Path(above)
+        os.environ[FOLDER] = str(folder / "cache")
+        prepare_verbs(folder)
+        for verb, (command, name, sign) in VERBS.items():
+            words, counts, codes = [*command.split(), "--verbose"], Counter[str](), Counter[int]()
+            words += ["--no-draw"] if words[0] in ("run", "fit", "pareto") else []
+            begin = time.perf_counter()
+            code, told = plain(words, folder)
+            took = time.perf_counter() - begin
+            if code:
+                raise RuntimeError(f"{verb}: {told}")
+            for k in range(tries):
+                remove(folder, name)
+                start = signalled((signal.SIGINT, signal.SIGTERM)[k % 2], rng.uniform(0.3, took))
+                code, told = start(words, folder)
+                codes[code] += 1
+                counts["traceback"] += "Traceback" in told
+                counts[left(folder / name if name else None, told, sign, code)] += 1
+            bad += counts["lost"] + counts["traceback"]
+            row = "".join(f"{counts[each]:>13}" for each in names)
+            listed = ", ".join(f"{code}: {n}" for code, n in sorted(codes.items()))
+            print(f"{verb:10}{took:>6.1f}s{row}  {listed}", flush=True)
+    return int(bad > 0)
+
+
+def remove(folder: Path, name: str) -> None:
+    """Remove the output of a command."""
+    if "/" in name:
+        shutil.rmtree(folder / Path(name).parent, ignore_errors=True)
+    elif name:
+        (folder / name).unlink(missing_ok=True)
+
+
+def left(file: Path | None, told: str, sign: str, code: int) -> str:
+    """Return the column of the table that counts the output of an interrupted command."""
+    if file is None:
+        return (
+            "whole" if code == 0 else "samples" if "the table contains" in told else "nothing yet"
+        )
+    if not file.is_file():
+        return "lost" if sign and sign in told else "nothing yet"
+    if not complete(file, 0):
+        return "lost"
+    if file.suffix != ".nc" or code == 0:
+        return "whole" if code == 0 or file.suffix == ".html" else "samples"
+    stop = netcdf.read(file).stop
+    kinds = {"plan": "iterate", "plan_unverified": "solved plan", "plan_share": "solved plan"}
+    return "whole" if stop is None else kinds.get(stop.name, "samples")
+
+
+def prepare_verbs(folder: Path) -> None:
+    """Write a short problem of each verb, and the results that commands read."""
+    prepared(folder)
+    problems = ROOT / "problems"
+    data = dict(bases("direct")[0])
+    long = {**data, "time": {"duration": 7.0, "step": 0.02}}
+    (folder / "p.toml").write_text(document(long))
+    sampled = tomllib.loads((folder / "climb.toml").read_text())
+    (folder / "climb.toml").write_text(
+        document({**sampled, "time": {"duration": 3.0, "step": 0.01}})
+    )
+    sampled["control"] = {**sampled["control"], "period": 0.002}
+    (folder / "sampled.toml").write_text(document(sampled))
+    (folder / "inverse.toml").write_text((problems / "paper_inverse.toml").read_text())
+    plan = (problems / "plan_rigid_hills.toml").read_text()
+    plan = re.sub(r"intervals = \d+", "intervals = 12", plan)
+    (folder / "plan.toml").write_text(plan)
+    robust = "\n[plan.robust]\nfriction = 0.1\ninputs = 0.01\ndraws = 20\nfinal_draws = 40\n"
+    (folder / "robust.toml").write_text(plan + robust)
+    (folder / "compare.toml").write_text((problems / "compare_axles.toml").read_text())
+    (folder / "fit.toml").write_text((problems / "fit_skid_steer.toml").read_text())
+    shutil.copy(problems / "skid_steer_log.csv", folder)
+    for words in (["plan.toml", "-o", "plan.nc"], ["p.toml", "-o", "old.nc"]):
+        code, told = plain(["run", *words, "--no-draw"], folder)
+        if code:
+            raise RuntimeError(f"{words[0]}: {told}")
+
+
 def faults(rng: Random, took: float) -> dict[str, Callable[[], Start]]:
     """Return the faults by name."""
     return {
@@ -335,10 +444,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Inject faults.")
     parser.add_argument("--tries", type=int, default=6)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", help="a fault or a command, or compiler")
+    parser.add_argument("--only", help="a fault or a command, compiler, or interrupted")
     asked = parser.parse_args()
     if asked.only == "compiler":
         return without_compiler()
+    if asked.only == "interrupted":
+        return interruptions(asked.tries, asked.seed)
     return table(asked.tries, asked.seed, asked.only)
 
 

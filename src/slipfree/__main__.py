@@ -27,13 +27,15 @@ if __name__ == "__main__":
 
 import signal  # noqa: E402
 
+from slipfree.interrupt import interrupt_at_signals  # noqa: E402
 from slipfree.threads import single  # noqa: E402
 
 INTERRUPTED = 130  # exit code; equal to that of `slipfree.outcome`, whose import would be slow
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends it with the message ``interrupted`` and exit code 130."""
+    """Run the command line; Ctrl-C, SIGTERM and SIGHUP end it with exit code 130."""
+    interrupt_at_signals()
     try:
         single()
         os.environ["MPLBACKEND"] = "agg"  # a notebook's backend may not be installed here
@@ -45,7 +47,9 @@ def main() -> None:
         sys.stderr.write("interrupted\n")
         sys.exit(INTERRUPTED)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # no traceback from Ctrl-C at exit
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # no traceback from a signal at exit
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 def _open_streams() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from slipfree.errors import DataError
+from slipfree.errors import DataError, WriteError
 
 
 def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
@@ -26,8 +26,10 @@ def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
 
     Raises
     ------
+    WriteError
+        If the file cannot be written.
     DataError
-        If the file cannot be written, or if ``path`` is a folder, device, pipe or socket.
+        If ``path`` is a folder, device, pipe or socket.
     """
     target = Path(os.path.realpath(path))  # a symbolic link stays a link
     part = target.with_name(f".{secrets.token_hex(6)}.part{target.suffix}")
@@ -42,7 +44,7 @@ def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
             os.fsync(file.fileno())
         part.replace(target)
     except OSError as error:
-        raise DataError(
+        raise WriteError(
             f"{path}: cannot be written ({error.strerror or error}); choose another name or folder"
         ) from error
     finally:

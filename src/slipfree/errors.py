@@ -15,6 +15,10 @@ class DataError(SlipfreeError, ValueError):
     """File that cannot be read or written, or whose contents cannot be used."""
 
 
+class WriteError(DataError):
+    """File that cannot be written, for example because its disk is full."""
+
+
 def missing_package(package: str, extra: str) -> str:
     """Return an error message for a missing optional package, with the command to install it."""
     return (

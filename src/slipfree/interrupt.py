@@ -96,6 +96,80 @@ class InterruptGuard:
             raise
 
 
+class _Hold:
+    """Ctrl-C held back by `held_interrupt`, and whether the computation has asked for it."""
+
+    def __init__(self) -> None:
+        self.pressed = self.delivered = False
+
+
+_holds: list[_Hold] = []
+
+
+@contextmanager
+def held_interrupt() -> Iterator[None]:
+    """Hold back the first Ctrl-C, so that a computation can end where its results are consistent.
+
+    Computations inside the context ask for it with `interrupt_requested` or `check_interrupt`. If
+    none has, the end of the context raises KeyboardInterrupt. A second Ctrl-C is not held back. The
+    context has no effect outside the main thread or without a Python handler of SIGINT.
+    """
+    former = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(former):
+        yield
+        return
+    hold = _Hold()
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        if hold.pressed:
+            former(number, frame)
+            raise KeyboardInterrupt  # an outer context may have held it back
+        hold.pressed = True
+
+    _holds.append(hold)
+    signal.signal(signal.SIGINT, remember)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
+        _holds.remove(hold)
+    if hold.pressed and not hold.delivered:
+        former(signal.SIGINT, None)
+
+
+def interrupt_requested() -> bool:
+    """Return whether Ctrl-C was pressed inside the contexts `held_interrupt` around the caller."""
+    pressed = [hold for hold in _holds if hold.pressed]
+    for hold in pressed:
+        hold.delivered = True
+    return bool(pressed)
+
+
+def check_interrupt() -> None:
+    """Raise KeyboardInterrupt if Ctrl-C was pressed inside `held_interrupt`."""
+    if interrupt_requested():
+        raise KeyboardInterrupt
+
+
+def interrupt_at_signals() -> None:
+    """Let SIGTERM and SIGHUP interrupt this process as Ctrl-C does, even if it ignores Ctrl-C."""
+    is_ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+    def interrupt(number: int, _frame: FrameType | None) -> None:
+        if number != signal.SIGINT or not is_ignored:
+            raise KeyboardInterrupt
+
+    def forward(number: int, frame: FrameType | None) -> None:
+        handler = signal.getsignal(signal.SIGINT)  # perhaps that of a guard
+        (handler if callable(handler) else interrupt)(number, frame)
+
+    signal.signal(signal.SIGINT, interrupt)
+    for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, forward)
+
+
 _ENTER, _EXIT = InterruptGuard.__enter__.__code__, InterruptGuard.__exit__.__code__
 
 

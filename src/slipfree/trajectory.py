@@ -23,7 +23,8 @@ STATISTICS = "statistics_"  # prefix of the solver's statistics in the metadata
 STOP = ("stop_name", "stop_time", "stop_words")
 OUTCOME = "outcome"
 PLAN, PLAN_ACCURACY, PLAN_SHARE = "plan", "plan_accuracy", "plan_share"
-PLAN_STOPS = (PLAN, PLAN_ACCURACY, PLAN_SHARE)  # names of stops of plans
+PLAN_UNVERIFIED = "plan_unverified"
+PLAN_STOPS = (PLAN, PLAN_ACCURACY, PLAN_SHARE, PLAN_UNVERIFIED)  # names of stops of plans
 
 
 class Stop(NamedTuple):
@@ -46,8 +47,10 @@ class Stop(NamedTuple):
             The simulation deviates from a solved plan by more than the required accuracy.
         ``"plan_share"``
             A robust plan holds on too few of the drawn worlds, or they were not all simulated.
+        ``"plan_unverified"``
+            The plan is solved, but the simulation that verifies it was interrupted.
     t : float
-        Time of the last sample. It has no meaning for the three stops of plans. [s]
+        Time of the last sample. It has no meaning for the four stops of plans. [s]
     words : str
         Message: the cause, its location, and a remedy if there is one.
     outcome : Outcome

@@ -117,7 +117,7 @@ def test_a_failing_integrator_saves_what_was_reached(
         slice(3), Stop("solver", 0.2, "gave up", Outcome.SOLVER_FAILURE)
     )
     error = SolverError("gave up", replace(reached, attributes={}))
-    _broken("verbs.driving.simulate", monkeypatch, error)
+    _broken("verbs.base.simulate", monkeypatch, error)
     result = _invoke("run", "p.toml", "--no-draw", "-o", "q.nc")
     assert result.exit_code == 1
     assert re.match("outcome +solver failure at t = 0.2 s: gave up\n", result.stdout)
@@ -128,7 +128,7 @@ def test_a_failing_integrator_saves_what_was_reached(
 
 
 def test_a_failure_without_a_motion(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _broken("verbs.driving.simulate", monkeypatch, SolverError("nothing at all"))
+    _broken("verbs.base.simulate", monkeypatch, SolverError("nothing at all"))
     result = _invoke("run", "p.toml", "--no-draw")
     assert (result.exit_code, result.stderr) == (1, "nothing at all\n")
     assert not (folder / "p.nc").exists()
@@ -136,7 +136,7 @@ def test_a_failure_without_a_motion(folder: Path, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.usefixtures("folder")
 def test_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
-    _broken("verbs.driving.simulate", monkeypatch, KeyboardInterrupt())
+    _broken("verbs.base.simulate", monkeypatch, KeyboardInterrupt())
     result = _invoke("run", "p.toml", "--no-draw")
     assert (result.exit_code, result.stderr) == (130, "interrupted\n")
 
@@ -235,7 +235,7 @@ def test_places_are_checked_before_anything_is_computed(
     assert "no/a.nc: expected a folder no" in _refused("run", "p.toml", "-o", "no/a.nc")
     assert "expected a folder no" in _refused("run", "p.toml", "--csv", "no/a.csv")
     assert "expected the name of a file" in _refused("run", "p.toml", "-o", str(folder))
-    assert "p.toml: expected a folder for figures" in _refused(
+    assert "p.toml: expected a folder, found a file" in _refused(
         "run", "p.toml", "--figures", "p.toml"
     )
     monkeypatch.setattr(os, "access", lambda path, _: Path(path).suffix == ".toml")
@@ -372,9 +372,9 @@ def test_path_from_a_file(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("places", "words"),
     [
-        (["-o", "p.toml"], "p.toml: expected a separate file, found the problem file"),
+        (["-o", "p.toml"], "p.toml: expected a separate file, found the input p.toml"),
         (["-o", "a.nc", "--csv", "a.nc"], "a.nc: expected a separate file, found another output"),
-        (["-o", "a.nc", "--figures", "p.toml"], "p.toml: expected a folder for figures"),
+        (["-o", "a.nc", "--figures", "p.toml"], "p.toml: expected a folder, found a file"),
     ],
 )
 def test_outputs_do_not_replace_inputs(folder: Path, places: list[str], words: str) -> None:

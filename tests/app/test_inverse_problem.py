@@ -228,7 +228,7 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
     def fail(*_: Any, **__: Any) -> None:
         raise SolverError("gave up", reached)
 
-    monkeypatch.setattr("slipfree.problem.verbs.driving.simulate", fail)
+    monkeypatch.setattr("slipfree.problem.verbs.base.simulate", fail)
     file = str(PROBLEMS / "paper_inverse.toml")
     result = _invoke("run", file, "--no-draw", "-o", "q.nc", *_set("steering=rate"))
     assert result.exit_code == 1

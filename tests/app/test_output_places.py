@@ -170,3 +170,108 @@ def test_names_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, name: str) -
 def test_a_problem_names_results_by_their_ending(monkeypatch: pytest.MonkeyPatch) -> None:
     told = _refused(monkeypatch, _problem(".zshrc"), "--no-draw")
     assert f"p.toml:{LINE}: output.file: expected a name that ends in .nc, found .zshrc; " in told
+
+
+FIT = """
+verb = "fit"
+[vehicle]
+catalog = "rigid_skid_steer"
+[data]
+file = "x.csv"
+window = 1.0
+[unknowns.track]
+"""
+WHEEL = """
+[wheel]
+radius = 0.09
+width = 0.11
+load = 64.0
+[soil]
+name = "lunar"
+[test]
+points = 2
+measured = "x.csv"
+"""
+ROBOT = """
+verb = "direct"
+[terrain]
+file = "map.asc"
+[vehicle]
+file = "robot.urdf"
+[start]
+[driver]
+name = "straight"
+speed = 0.2
+[time]
+duration = 0.1
+step = 0.1
+"""
+URDF = """<robot name="r"><link name="a"><visual><geometry>
+<mesh filename="package://r/meshes/wheel.stl"/></geometry></visual></link></robot>"""
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_table_does_not_replace_the_input_of_the_same_name() -> None:
+    points = "slip,slip_angle,pull\n0.2,0,1\n"
+    Path("x.csv").write_text(points)
+    Path("x.toml").write_text(WHEEL)
+    done = CliRunner().invoke(app, ["wheel", "x.toml", "--no-draw"])
+    assert done.exit_code == 0, done.output
+    assert "warning: x.csv is an input: the table is called x_wheel.csv" in done.stderr
+    assert "wrote x_wheel.csv" in done.stdout
+    Path("hard.csv").hardlink_to("x.csv")
+    Path("soft.csv").symlink_to("x.csv")
+    for name in ("x.csv", "hard.csv", "soft.csv", "x.toml"):
+        done = CliRunner().invoke(app, ["wheel", "x.toml", "-o", name])
+        assert done.exit_code == 2
+        assert f"{name}: expected a separate file, found the input x." in done.stderr
+    assert Path("x.csv").read_text() == points
+
+
+@pytest.mark.usefixtures("folder")
+def test_an_export_does_not_replace_the_path_of_its_problem() -> None:
+    Path("way.csv").write_text("x,y\n0,0\n0,1\n0,2\n")
+    path = 'driver={name="follow", speed=0.2, file="way.csv"}'
+    Path("p.toml").write_text(PROBLEM)
+    done = _run("p.toml", "-o", "p.nc", "--no-draw", "--set", path)
+    assert done.exit_code == 0, done.output
+    done = CliRunner().invoke(app, ["export", "p.nc", "--path", "way.csv"])
+    assert done.exit_code == 2
+    assert "way.csv: expected a separate file, found the input" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "file"),
+    [
+        (["fit", "x.toml", "-o", "x.csv"], "x.csv"),
+        (["fit", "x.toml", "-o", "a.csv", "--write", "x.csv", "--force"], "x.csv"),
+        (["run", "r.toml", "-o", "map.asc"], "map.asc"),
+        (["run", "r.toml", "--csv", "map.prj"], "map.prj"),
+        (["run", "r.toml", "--csv", "meshes/wheel.stl"], "meshes/wheel.stl"),
+        (["run", "r.toml", "--resume", "old.nc", "--csv", "old.nc"], "old.nc"),
+        (["sweep", "s.toml", "--vary", "driver.speed=1,2", "-o", "sw"], "sw/table.csv"),
+        (["vehicle", "robot.urdf", "--write", "robot.urdf", "--force"], "robot.urdf"),
+        (["export", "old.nc", "--path", "old.nc"], "old.nc"),
+        (["report", "old.nc", "-o", "old.nc"], "old.nc"),
+        (["track", "old.nc", "-o", "old.nc"], "old.nc"),
+        (["show", "old.nc", "--animation", "old.nc"], "old.nc"),
+    ],
+)
+@pytest.mark.usefixtures("folder")
+def test_no_command_replaces_a_file_that_it_reads(words: list[str], file: str) -> None:
+    for name in ("meshes", "sw"):
+        Path(name).mkdir()
+    texts = {
+        "x.toml": FIT,
+        "r.toml": ROBOT,
+        "s.toml": ROBOT.replace("map.asc", "sw/table.csv"),
+        "robot.urdf": URDF,
+    }
+    for name in ("x.csv", "map.asc", "map.prj", "meshes/wheel.stl", "old.nc", "sw/table.csv"):
+        texts[name] = "precious"
+    for name, text in texts.items():
+        Path(name).write_text(text)
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2, (done.output, done.exception)
+    assert f"{file}: expected a separate file, found the input {file}" in done.stderr
+    assert {name: Path(name).read_text() for name in texts} == texts

@@ -243,7 +243,7 @@ def test_files_that_a_problem_names_are_sought(
     [
         (["no.nc"], "no.nc: expected a result file of slipfree"),
         (["a.nc"], "a.nc: expected a result file of slipfree, found a file that is not netCDF"),
-        (["a.html"], "a.html: expected a separate file, found the result file"),
+        (["a.html"], "a.html: expected a separate file, found the input"),
         (["a.nc", "-o", "b.pdf"], "b.pdf: expected a name that ends in .html"),
         (["a.nc", "-o", "no/b.html"], "no/b.html: expected a folder no to write to"),
         (["a.nc", "-o", "d.html"], "d.html: expected the name of a file"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -77,17 +76,13 @@ def test_a_file_keeps_what_a_plan_leaves(solved):
 def interrupt_search(monkeypatch, calls):
     """Press Ctrl-C at one of the reports of progress."""
 
-    @contextmanager
-    def interruptible():
-        left = iter(range(calls))
+    left = iter(range(calls))
 
-        def poll():
-            if next(left, None) is None:
-                raise KeyboardInterrupt
+    def poll():
+        if next(left, None) is None:
+            raise KeyboardInterrupt
 
-        yield poll
-
-    monkeypatch.setattr("slipfree.cli.progress.interruptible", interruptible)
+    monkeypatch.setattr("slipfree.cli.progress.check_interrupt", poll)
 
 
 @pytest.fixture

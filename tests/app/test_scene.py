@@ -497,9 +497,7 @@ def test_what_cannot_be_shown_is_refused(
     old = {**run.attributes, "problem": PROBLEM.replace("speed", "pace")}
     netcdf.write(bare, replace(run, attributes=old))
     assert "correct these errors and run the problem again:\nhills.toml:" in refused(str(bare))
-    assert "expected a separate file, found the result file" in refused(
-        str(file), "--html", str(file)
-    )
+    assert "expected a separate file, found the input" in refused(str(file), "--html", str(file))
 
 
 @pytest.fixture(scope="module")
@@ -598,7 +596,7 @@ def test_places_are_checked_before_anything_is_drawn(
         ("--animation", "a.avi", "expected a name that ends in .gif or .mp4"),
         ("--animation", "gone/a.gif", "expected a folder gone to write to, found none"),
         ("--animation", "d.gif", "expected the name of a file to write, found a folder"),
-        ("--animation", str(file), "expected a separate file, found the result file"),
+        ("--animation", str(file), "expected a separate file, found the input"),
         ("--html", "a.gif", "expected a name that ends in .html"),
         ("--html", "-", "expected a name that ends in .html"),
         ("--html", "d.html", "expected the name of a file to write, found a folder"),

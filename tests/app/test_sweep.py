@@ -190,7 +190,7 @@ def test_a_seed_that_the_file_leaves_out_is_found() -> None:
         (["--vary", "driver.sped=1,2"], "--vary driver.sped: did you mean 'speed'?"),
         (["--vary", f"{SPEED}=1:2:1000", "--repeat", "1000"], "at most 100000 runs, found 1000000"),
         (["--scheduler", "tcp://x:1", "--processes", "2"], "expected --scheduler or --processes"),
-        (["-o", "p.toml"], "expected a folder for the sweep, found a file"),
+        (["-o", "p.toml"], "expected a folder, found a file"),
     ],
 )
 def test_bad_input_is_refused_before_anything_runs(file: Path, words: list[str], said: str) -> None:
@@ -439,7 +439,7 @@ def test_places_of_figures_are_checked_before_anything_runs(file: Path) -> None:
     (file.parent / "out" / "figures").write_text("")
     result = sweep_in(file.parent, "--repeat", "2")
     assert result.exit_code == 2
-    assert "figures: expected a folder for figures, found a file" in result.stderr
+    assert "figures: expected a folder, found a file" in result.stderr
     assert [path.name for path in (file.parent / "out").iterdir()] == ["figures"]
 
 

@@ -410,7 +410,7 @@ def test_what_the_integrator_reached_is_kept(monkeypatch: pytest.MonkeyPatch) ->
         stop = Stop("solver", 0.0, "gave up", Outcome.SOLVER_FAILURE)
         raise SolverError("gave up", replace(start, stop=stop))
 
-    monkeypatch.setattr("slipfree.problem.verbs.driving.simulate", fail)
+    monkeypatch.setattr("slipfree.problem.verbs.base.simulate", fail)
     result = _invoke(*CAR)
     assert result.exit_code == 1
     assert "solver failure at t = 0 s: gave up\n" in result.stdout

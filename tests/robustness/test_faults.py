@@ -205,11 +205,36 @@ def test_a_disk_that_is_full_while_a_result_is_written(folder: Path) -> None:
 
     process = _begun(folder, "run", "p.toml", "-o", "p.nc", "--no-draw", preexec_fn=limit)
     _, told = process.communicate(timeout=60)
-    assert (process.returncode, told) == (
-        2,
-        "p.nc: cannot be written (File too large); choose another name or folder\n",
-    )
+    assert process.returncode == 1
+    begin, end = told.split("; the earlier file is unchanged; ")
+    assert begin == "p.nc: cannot be written (File too large); choose another name or folder"
+    assert end.endswith("p.nc: cannot be written (File too large); choose another name or folder\n")
     assert {each.name for each in folder.iterdir()} == {"p.toml", "p.nc"}
+    assert (folder / "p.nc").read_bytes() == OLD
+
+
+def test_a_full_disk_leaves_the_old_file_and_the_result_elsewhere(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: Any
+) -> None:
+    other = tmp_path_factory.mktemp("other")
+    monkeypatch.setattr("tempfile.tempdir", str(other))
+    monkeypatch.chdir(folder)
+    replace = Path.replace
+
+    def fail(part: Path, target: Path) -> None:
+        if part.parent == folder:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace(part, target)
+
+    monkeypatch.setattr(Path, "replace", fail)
+    found = CliRunner().invoke(app, ["run", "p.toml", "-o", "p.nc", "--no-draw"])
+    assert found.exit_code == 1
+    (saved,) = other.glob("slipfree_*/p.nc")
+    assert netcdf.read(saved).stop is None
+    assert found.stderr == (
+        "p.nc: cannot be written (No space left on device); choose another name or folder; the "
+        f"earlier file is unchanged; saved as {saved}\n"
+    )
     assert (folder / "p.nc").read_bytes() == OLD
 
 

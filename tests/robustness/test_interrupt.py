@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import signal
 import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import casadi as ca
@@ -23,15 +24,28 @@ from helpers.toy_models import model
 from slipfree import Analytic, SolverOptions, codegen_cache, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
-from slipfree.cli.common import interruptible
 from slipfree.files import netcdf
-from slipfree.interrupt import InterruptGuard, ended_by_interrupt, with_interrupt_guard
+from slipfree.files.tables import write_rows
+from slipfree.fit import estimate
+from slipfree.interrupt import (
+    InterruptGuard,
+    check_interrupt,
+    ended_by_interrupt,
+    held_interrupt,
+    interrupt_at_signals,
+    with_interrupt_guard,
+)
 from slipfree.nlp import Nlp
-from slipfree.plan import ipopt
+from slipfree.plan import ipopt, tracking, verification
 from slipfree.plan import plan as planning
 from slipfree.plan.external_nlp import solve_nlp
+from slipfree.plan.mpc import horizon
+from slipfree.plan.verification import simulate_plan
+from slipfree.problem.verbs import compare
 from slipfree.problem.verbs import driving as runner
+from slipfree.problem.verbs import plan as plan_verb
 from slipfree.solve import simulate, zero_order_hold
+from slipfree.trajectory import SolverError
 
 pytestmark = pytest.mark.slow
 
@@ -436,7 +450,7 @@ def slow(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("context", [nullcontext, interruptible, InterruptGuard])
+@pytest.mark.parametrize("context", [nullcontext, held_interrupt, InterruptGuard])
 def test_the_compiler_is_out_of_reach_and_ends_with_us(slow, context):
     """Also where the first Ctrl-C is only remembered."""
     x = ca.SX.sym("x")
@@ -468,24 +482,20 @@ def _ends(number):
 # The command line
 
 
-@pytest.mark.parametrize("fails", [False, True])
-def test_pressed_behind_the_last_poll(fails):
-    def work():
-        with interruptible() as poll:
-            poll()
-            press()
-            if fails:
-                raise ValueError("what became of it")
+@held_interrupt()
+def _held(*calls):
+    for call in calls:
+        call()
 
+
+@pytest.mark.parametrize(
+    "calls",
+    [(check_interrupt, press), (press, check_interrupt), (press, lost)],
+    ids=["behind the last poll", "at a poll", "twice"],
+)
+def test_a_held_interrupt_comes_once(calls):
     with pytest.raises(KeyboardInterrupt):
-        work()
-
-
-def test_what_was_told_is_not_told_again():
-    with interruptible() as poll:
-        press()
-        with pytest.raises(KeyboardInterrupt):
-            poll()
+        _held(*calls)
 
 
 @pytest.fixture
@@ -506,30 +516,104 @@ def run(*words):
     return CliRunner().invoke(app, ["run", *words, "--no-draw"])
 
 
-def test_a_run_behind_its_last_step_writes_nothing(folder, monkeypatch):
+def test_a_run_interrupted_in_its_diagnostics_is_kept(folder, monkeypatch):
     pressed, _ = pressing(runner._with_filled)
     monkeypatch.setattr(runner, "_with_filled", pressed)
     found = run("p.toml", "-o", "p.nc")
-    assert (found.exit_code, found.stderr) == (130, "interrupted\n")
+    assert (found.exit_code, found.stderr) == (
+        130,
+        "interrupted at t = 0.5 s; p.nc contains the result so far\n",
+    )
+    kept = netcdf.read(folder / "p.nc")
+    assert kept.t[-1] == 0.5
+    assert "not all diagnostics" in kept.stop.words
+
+
+def test_a_run_interrupted_while_it_is_written_is_whole(folder, monkeypatch):
+    pressed, _ = pressing(os.fsync)
+    monkeypatch.setattr(os, "fsync", pressed)
+    found = run("p.toml", "-o", "p.nc")
+    assert (found.exit_code, found.stderr) == (
+        130,
+        "interrupted; p.nc contains the result, which is complete\n",
+    )
+    assert netcdf.read(folder / "p.nc").stop is None
+
+
+def test_a_second_ctrl_c_while_a_result_is_written_leaves_the_old_one(folder, monkeypatch):
+    def twice(*_):
+        press()
+        press()
+
+    monkeypatch.setattr(os, "fsync", twice)
+    found = run("p.toml", "-o", "p.nc")
+    assert (found.exit_code, found.stderr) == (
+        130,
+        "interrupted; p.nc is not written: the earlier file is unchanged\n",
+    )
     assert (folder / "p.nc").read_bytes() == OLD
+    assert not [*folder.glob(".*.part*")]
 
 
-@pytest.mark.parametrize("twice", [False, True])
-def test_a_run_at_the_entry_of_a_step(folder, monkeypatch, twice):
-    function, calls = simulate._doubles, []
+@pytest.mark.parametrize(
+    ("where", "name", "at", "settings"),
+    [
+        (simulate, "_doubles", 9, ()),
+        (simulate, "_doubles", 200, ("model=dynamics",)),
+        (zero_order_hold, "run_buffered", 61, ("model=dynamics", "driver.period=0.01")),
+    ],
+    ids=["kinematics", "dynamics", "sampled"],
+)
+def test_a_run_interrupted_in_its_integration_keeps_its_samples(
+    folder, monkeypatch, where, name, at, settings
+):
+    pressed, _ = pressing(getattr(where, name), at)
+    monkeypatch.setattr(where, name, pressed)
+    words = [word for each in ("terrain.friction=0.8", *settings) for word in ("--set", each)]
+    found = run("p.toml", "-o", "p.nc", *words)
+    assert found.exit_code == 130, found.output
+    assert re.match(r"interrupted at t = \S+ s.*; p.nc contains the result so far\n", found.stderr)
+    kept = netcdf.read(folder / "p.nc")
+    assert (kept.outcome.name, kept.stop.name) == ("INTERRUPTED", "interrupted")
+    assert 0 < kept.t[-1] < 0.5
+    for name, *options in (["info"], ["export", "--path", "p.csv"], ["export", "--mcap", "p.mcap"]):
+        used = CliRunner().invoke(app, [name, "p.nc", *options])
+        assert used.exit_code == 0, used.output
 
+
+def test_a_run_interrupted_twice_in_its_integration_writes_nothing(folder, monkeypatch):
     def pressed(memory):
-        calls.append(1)
-        if len(calls) == 9:
-            press()
-            if twice:
-                press()
-        return function(memory)
+        press()
+        press()
+        return memory
 
     monkeypatch.setattr(simulate, "_doubles", pressed)
     found = run("p.toml", "-o", "p.nc")
     assert (found.exit_code, found.stderr) == (130, "interrupted\n")
     assert (folder / "p.nc").read_bytes() == OLD
+
+
+@pytest.fixture
+def signals():
+    former = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    interrupt_at_signals()
+    yield
+    for number, handler in {**former, signal.SIGINT: signal.default_int_handler}.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_other_signals_interrupt_as_well(name):
+    def fail():
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(getattr(signal, name))
+        raise RuntimeError("what CasADi says")
+
+    with pytest.raises(KeyboardInterrupt):
+        _held(lambda: signal.raise_signal(getattr(signal, name)), check_interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        with_interrupt_guard(fail)()
 
 
 def test_a_plan_before_its_first_iteration_writes_nothing(folder, monkeypatch):
@@ -548,4 +632,95 @@ def test_a_plan_behind_its_first_iteration_is_kept(folder, monkeypatch):
     assert found.exit_code == 130, found.output
     assert "to resume: slipfree run" in found.stderr
     assert "--resume p.nc" in found.stderr
-    assert netcdf.read(folder / "p.nc").statistics["plan_iterations"] == 1
+    kept = netcdf.read(folder / "p.nc")
+    assert kept.statistics["plan_iterations"] == 1
+    assert kept.stop.name == "plan"
+
+
+@pytest.mark.parametrize("where", ["verification", "by_friction"])
+def test_a_plan_interrupted_after_its_search_is_kept(folder, monkeypatch, where):
+    """Also on disk while it is verified, in case that the process is killed."""
+    seen = []
+
+    def pressed(*args, **more):
+        seen.append(netcdf.read(folder / "p.nc").stop.name)
+        press()
+        return simulate_plan(*args, **more)
+
+    module = verification if where == "verification" else plan_verb
+    monkeypatch.setattr(module, "simulate_plan", pressed)
+    settings = ("--set", "terrain.friction=0.8") if where == "by_friction" else ()
+    found = run(str(HILLS), "-o", "p.nc", *SMALL, *settings)
+    assert found.exit_code == 130, found.output
+    kept, arrays = netcdf.read(folder / "p.nc"), netcdf.read_arrays(folder / "p.nc")
+    assert seen == ["plan_unverified"]
+    assert kept.outcome.name == "INTERRUPTED"
+    assert kept.stop.name == ("plan_unverified" if where == "verification" else "interrupted")
+    assert ("plan_difference_x" in kept.statistics) == (where == "by_friction")
+    assert arrays["plan_unknowns"].size
+    assert "--resume p.nc" in found.stderr
+
+
+def test_a_plan_whose_verification_fails_is_kept(folder, monkeypatch):
+    def fail(*_, **__):
+        raise SolverError("IDA_CONV_FAIL")
+
+    monkeypatch.setattr(verification, "simulate_plan", fail)
+    found = run(str(HILLS), "-o", "p.nc", *SMALL)
+    kept = netcdf.read(folder / "p.nc")
+    assert found.exit_code == 1
+    assert kept.outcome.name == "SOLVER_FAILURE"
+    assert "the plan is solved" in kept.stop.words
+    assert "IDA_CONV_FAIL" in kept.stop.words
+
+
+FIT = """
+verb = "fit"
+[vehicle]
+catalog = "rigid_skid_steer"
+[data]
+file = "log.csv"
+window = 1.0
+[unknowns.track]
+"""
+
+
+@pytest.mark.parametrize(("at", "rows"), [(1, 0), (4, 1)], ids=["start", "accepted step"])
+def test_a_fit_keeps_its_last_accepted_estimate(tmp_path, monkeypatch, at, rows):
+    monkeypatch.chdir(tmp_path)
+    t = np.linspace(0, 12, 13)
+    turned = -0.2 * t
+    names = ["front_right", "front_left", "rear_right", "rear_left"]
+    columns = [t, 5 * np.cos(turned), 5 * np.sin(turned), turned]
+    columns += [np.full(t.size, 6.0 if "left" in name else 3.0) for name in names]
+    head = ["time", "x", "y", "heading", *(f"{name}_rate" for name in names)]
+    write_rows(tmp_path / "log.csv", head, np.column_stack(columns).tolist())
+    (tmp_path / "fit.toml").write_text(FIT)
+    pressed, _ = pressing(estimate.end_poses, at)
+    monkeypatch.setattr(estimate, "end_poses", pressed)
+    found = CliRunner().invoke(app, ["fit", "fit.toml", "--no-draw"])
+    assert found.exit_code == 130, (found.output, found.exception)
+    kept = "interrupted; fit.csv contains the estimates so far\n"
+    assert found.stderr == (kept if rows else "interrupted\n")
+    assert (tmp_path / "fit.csv").exists() == bool(rows)
+
+
+def test_a_comparison_keeps_its_finished_vehicles(monkeypatch):
+    problem = HILLS.with_name("compare_axles.toml")
+    pressed, _ = pressing(compare._row, at=2)
+    monkeypatch.setattr(compare, "_row", pressed)
+    brief = ["--set", "time.duration=0.1", "--set", "time.step=0.02"]
+    found = CliRunner().invoke(app, ["compare", str(problem), *brief])
+    assert found.exit_code == 130, found.output
+    assert re.fullmatch(r"interrupted; the table contains 1 of \d+ vehicles\n", found.stderr)
+
+
+def test_a_tracking_keeps_its_cycles(monkeypatch):
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
+    pressed, _ = pressing(tracking._drive, at=3)
+    monkeypatch.setattr(tracking, "_drive", pressed)
+    frame = horizon(planned(), span=1.0)
+    with held_interrupt():
+        found = tracking.track_plan(frame, dae, settle(dae), period=0.25)
+    assert found.run.stop.name == "interrupted"
+    assert_allclose(found.run.t[-1], 0.5)

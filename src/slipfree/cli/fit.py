@@ -13,13 +13,14 @@ from slipfree.cli.common import (
     Settings,
     Trust,
     about,
-    check_output,
     print_facts,
     read_problem,
     reported,
 )
-from slipfree.cli.messages import add_json, add_json_file, print_error, print_line
+from slipfree.cli.messages import INTERRUPTED, add_json, add_json_file, print_error, print_line
 from slipfree.cli.new import write_new_file
+from slipfree.cli.outputs import check_outputs, default_table, save
+from slipfree.interrupt import held_interrupt, interrupt_requested
 
 
 def fit(
@@ -33,7 +34,7 @@ def fit(
             metavar="OUT.csv",
             help="Table of the estimates; the table of the windows and the figure have the same "
             "name with _windows.csv and .png. Default: the name of the file, in the current "
-            "folder.",
+            "folder; with _fit if that is an input.",
         ),
     ] = None,
     write: Annotated[
@@ -55,6 +56,7 @@ def fit(
     with reported(), about(file):
         from slipfree.files.tables import write_rows
         from slipfree.files.vehicle_writer import vehicle_text
+        from slipfree.problem.input_files import files_read
         from slipfree.problem.verbs.fit import (
             estimate_rows,
             facts,
@@ -63,31 +65,37 @@ def fit(
         )
         from slipfree.problem.verbs.fit import fit as solve
 
-        table = out or Path(f"{file.stem}.csv")
-        others = table.with_name(f"{table.stem}_windows.csv")
-        picture = table.with_suffix(".png")
-        for path in (table, others, picture):
-            check_output(path)
         problem: Any = read_problem(file, settings, trust, "fit")
-        fitted = solve(problem)
+        inputs = files_read(problem)
+        table = out or default_table(file, "fit", inputs)
+        others = table.with_name(f"{table.stem}_windows.csv")
+        picture = table.with_suffix(".png") if draw else None
+        check_outputs([table, others, picture, write], inputs)
+        with held_interrupt():
+            fitted = solve(problem)
+            rows, lost = estimate_rows(fitted), fitted.calibration.estimate.undetermined
+            written = [
+                save(table, lambda path: write_rows(path, *rows)),
+                save(others, lambda path: write_rows(path, *window_rows(fitted))),
+            ]
+            if write is not None and not lost:
+                write_new_file(vehicle_text(fitted.vehicle, vehicle_comments(fitted)), write, force)
+                written.append(write)
+            is_interrupted = interrupt_requested() or fitted.calibration.estimate.is_interrupted
         print_facts(facts(fitted))
-        rows = estimate_rows(fitted)
-        write_rows(table, *rows)
-        write_rows(others, *window_rows(fitted))
         add_json("estimates", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
-        written = [table, others]
-        lost = fitted.calibration.estimate.undetermined
-        if write is not None and not lost:
-            write_new_file(vehicle_text(fitted.vehicle, vehicle_comments(fitted)), write, force)
-            written.append(write)
-        if draw:
+        if picture is not None and not is_interrupted:
             from slipfree.show.fit_figures import fit_plot
-            from slipfree.show.plots import save
+            from slipfree.show.plots import save as save_plots
 
-            written += save([fit_plot(picture.stem, fitted.calibration)], picture.parent)
-        for path in written:
-            add_json_file(path)
+            plots = [fit_plot(picture.stem, fitted.calibration)]
+            for path in save_plots(plots, picture.parent):
+                add_json_file(path)
+                written.append(path)
         print_line(f"wrote {' and '.join(map(str, written))}")
+        if is_interrupted:
+            print_error(f"interrupted; {written[0]} contains the estimates so far")
+            raise typer.Exit(INTERRUPTED)
         if lost:
             print_error(
                 f"{file}: expected a log that determines all unknowns, found no information on "

@@ -16,7 +16,6 @@ from slipfree.cli.common import (
     Settings,
     Trust,
     about,
-    check_output,
     print_facts,
     read_problem,
     reported,
@@ -24,6 +23,7 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.json_output import motion_json, quantities, row_json
 from slipfree.cli.messages import (
+    INTERRUPTED,
     add_json,
     add_json_file,
     detail,
@@ -34,7 +34,9 @@ from slipfree.cli.messages import (
 )
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outcomes import resume_command
+from slipfree.cli.outputs import check_outputs
 from slipfree.errors import DataError
+from slipfree.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
     from slipfree.problem.verbs.compare import Drive
@@ -80,9 +82,11 @@ def vehicle(
     """
     with reported():
         from slipfree.problem.build_vehicle import guessed_completion
+        from slipfree.problem.input_files import files_named_in
         from slipfree.problem.vehicle_report import describe
 
         if write is not None:
+            check_outputs([write], [file, *files_named_in(file)])
             write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
             print_line(f"wrote {write}\n")
         found = describe(file, settings or [], trust or [])
@@ -109,7 +113,9 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
             detail(f"vehicle {name}")
 
         problem = read_problem(file, settings, trust, "compare")
-        ground, rows = solve(problem, print_progress)
+        with held_interrupt():
+            ground, rows = solve(problem, print_progress)
+            is_interrupted = interrupt_requested()
         print_facts(ground_facts(ground))
         add_json("vehicles", lambda: [row_json(row) for row in rows])
         width = max(len(row.name) for row in rows)
@@ -124,6 +130,10 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
                 rank = f"{row.rank}/{row.conditions}"
                 print_line(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
         print_line("\n* largest friction coefficient that a wheel requires; forces load-weighted")
+        if is_interrupted:
+            count = f"{len(rows)} of {len(problem.spec.vehicles)}"
+            print_error(f"interrupted; the table contains {count} vehicles")
+            raise typer.Exit(INTERRUPTED)
 
 
 def _drive(drive: Drive) -> str:
@@ -202,16 +212,16 @@ def export(
     """
     with reported(), about(file):
         from slipfree.files.export import export_path, export_rates
-        from slipfree.problem.result import export_mcap
+        from slipfree.problem.result import export_mcap, result_files
 
         if path is None and rates is None and mcap is None:
             raise DataError(
                 "export: expected --path, --rates or --mcap, found none; add one of them"
             )
         write_motion = partial(export_mcap, folder=folder)
+        check_outputs([path, rates, mcap], result_files(file, folder))
         for out, write in ((path, export_path), (rates, export_rates), (mcap, write_motion)):
             if out is not None:
-                check_output(out)
                 write(file, out)
                 add_json_file(out)
                 print_line(f"wrote {out}")

@@ -75,12 +75,15 @@ class _CommandOutput:
         Start time of the command, from `time.perf_counter`. [s]
     content : dict
         Keys and values of the JSON object.
+    is_failed : bool
+        Whether a part of the command has failed.
     """
 
     options: OutputOptions
     stderr: TextIO = field(default_factory=lambda: sys.stderr)
     began: float = field(default_factory=time.perf_counter)
     content: dict[str, Any] = field(default_factory=dict)
+    is_failed: bool = False
 
 
 _global_options = [OutputOptions()]  # options given before the command's name
@@ -119,6 +122,8 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
                 print_error("expected --quiet or --verbose, found both; remove one of them")
                 raise typer.Exit(BAD_INPUT)
             command(**values)
+            if _current_output().is_failed:
+                raise typer.Exit(STOPPED)
 
     hints |= annotations
     given: list[inspect.Parameter] = [
@@ -228,6 +233,17 @@ def add_json_facts(facts: list[tuple[str, str]]) -> None:
 def add_json_file(file: object) -> None:
     """Add the name of a written file to the JSON object."""
     _current_output().content.setdefault("files", []).append(str(file))
+
+
+def written() -> list[str]:
+    """Return a text with the files that the running command has written; an empty list if none."""
+    files = dict.fromkeys(_current_output().content.get("files", ()))
+    return [f"wrote {', '.join(files)}"] if files else []
+
+
+def note_failure() -> None:
+    """Let the running command end with exit code 1, although it continues."""
+    _current_output().is_failed = True
 
 
 def add_json_lines(name: str, words: str) -> None:

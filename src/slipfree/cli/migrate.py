@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from slipfree.cli.common import check_output, refuse_result, reported
+from slipfree.cli.common import refuse_result, reported
 from slipfree.cli.messages import add_json, add_json_file, print_line, warn
+from slipfree.cli.outputs import check_outputs
 from slipfree.errors import DataError
 from slipfree.regular_files import resolve_links
 
@@ -49,7 +50,7 @@ def migrate(
         old = file.with_name(f"{file.name}{SUFFIX}")
         _check_new(old if out is None else out, file)
         if out is None:
-            check_output(file)
+            check_outputs([file])
             _write(old, file, file.read_bytes())
         target = out or file
         _write(target, file, found.text.encode())
@@ -60,7 +61,7 @@ def migrate(
 
 def _check_new(path: Path, file: Path) -> None:
     """Raise DataError if the output file exists, cannot be written, or is the input ``file``."""
-    check_output(path)
+    check_outputs([path])
     if resolve_links(path) == resolve_links(file):
         raise DataError(
             f"{path}: expected a file other than FILE, found FILE itself; omit -o to rewrite it"

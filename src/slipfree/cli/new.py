@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from slipfree.cli.common import check_output, reported
+from slipfree.cli.common import reported
 from slipfree.cli.messages import add_json_file, print_line
+from slipfree.cli.outputs import check_outputs
 from slipfree.errors import DataError
 
 FOLDER = "starters"  # folder of the templates in the package
@@ -52,7 +53,7 @@ def new(
 
 def write_new_file(text: str, out: Path, force: bool) -> None:
     """Write a new file; raise DataError if it exists without ``force``, or cannot be written."""
-    check_output(out)
+    check_outputs([out])
     if out.exists() and not force:
         raise DataError(
             f"{out}: expected a new file, found an existing one; replace it with --force"

@@ -11,16 +11,21 @@ from slipfree.cli.common import (
     File,
     Settings,
     Trust,
-    check_output,
-    check_writable,
     print_facts,
     read_problem,
     reported,
 )
-from slipfree.cli.messages import add_json, add_json_file, detail, print_error, print_line
+from slipfree.cli.messages import (
+    INTERRUPTED,
+    add_json,
+    add_json_file,
+    detail,
+    print_error,
+    print_line,
+)
+from slipfree.cli.outputs import check_outputs, save
 from slipfree.cli.progress import reporting
-from slipfree.errors import DataError
-from slipfree.regular_files import check_name
+from slipfree.interrupt import interrupt_requested
 
 if TYPE_CHECKING:
     from slipfree.plan.pareto import FrontPoint
@@ -64,17 +69,19 @@ def pareto(
     with reported():
         from slipfree.files.netcdf import write
         from slipfree.files.tables import write_rows
+        from slipfree.problem.input_files import files_read
         from slipfree.problem.pareto import plan_front
         from slipfree.problem.pareto_table import front_facts, front_plot, front_rows, table_lines
 
         problem = read_problem(file, settings, trust)
         folder = out or Path(f"{problem.source.path.stem}_pareto")
-        _check_folder(folder, points)
+        outputs = [TABLE, FIGURE, *(_plan_name(k) for k in range(points))]
+        check_outputs([], files_read(problem), folder=folder, names=outputs)
 
         def keep(number: int, point: FrontPoint) -> None:
             result, path = point.solution.result, folder / _plan_name(number)
             folder.mkdir(parents=True, exist_ok=True)
-            write(path, result.trajectory, result.arrays)
+            save(path, lambda path: write(path, result.trajectory, result.arrays))
             detail(f"wrote {path}")
 
         with reporting(None) as reports:
@@ -86,19 +93,18 @@ def pareto(
                 report=reports.search,
                 keep=keep,
             )
-        names, rows = front_rows(front)
-        write_rows(folder / TABLE, names, rows)
+            names, rows = front_rows(front)
+            save(folder / TABLE, lambda path: write_rows(path, names, rows))
+            is_interrupted = interrupt_requested()
         print_facts(front_facts(front))
         print_line("\n".join(["", *table_lines(front)]))
         add_json("points", lambda: [dict(zip(names, row, strict=True)) for row in rows])
-        written = [folder / TABLE]
-        written += [folder / _plan_name(k) for k, each in enumerate(front.points) if each.is_solved]
+        draw = draw and not is_interrupted
         if draw:
-            from slipfree.show.plots import save
+            from slipfree.show.plots import save as save_plots
 
-            written += save([front_plot(front)], folder)
-        for path in written:
-            add_json_file(path)
+            for path in save_plots([front_plot(front)], folder):
+                add_json_file(path)
         print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
         if front.outcome.exit_code:
             unsolved = sum(not each.is_solved for each in front.points)
@@ -107,24 +113,8 @@ def pareto(
                 f"{unsolved} of {len(front.points)} points {verb} not solved; {what} in the last "
                 f"column of {folder / TABLE}"
             )
-            raise typer.Exit(front.outcome.exit_code)
+            raise typer.Exit(INTERRUPTED if is_interrupted else front.outcome.exit_code)
 
 
 def _plan_name(number: int) -> str:
     return f"point_{number + 1:02}.nc"
-
-
-def _check_folder(folder: Path, count: int) -> None:
-    """Raise DataError if the results cannot be written to a folder, before any computation."""
-    check_name(folder)
-    if folder.is_dir():
-        for name in (TABLE, FIGURE, *(_plan_name(k) for k in range(count))):
-            check_output(folder / name)
-    elif folder.exists():
-        raise DataError(
-            f"{folder}: expected a folder for the results, found a file; choose another folder "
-            "with -o"
-        )
-    else:
-        above = next(each for each in folder.absolute().parents if each.exists())
-        check_writable(folder, above)

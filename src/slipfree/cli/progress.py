@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from slipfree.cli.common import interruptible, throttled
+from slipfree.cli.common import throttled
 from slipfree.cli.messages import detail, has_bar, is_verbose, print_line, visible
+from slipfree.interrupt import check_interrupt, held_interrupt
 
 FIRST_LINE = 2.0  # time before the first line of a computation [s]
 NEW_PHASE = 1.0  # shortest time between lines of different phases [s]
@@ -36,6 +37,7 @@ class Reports(NamedTuple):
 def reporting(duration: float | None) -> Iterator[Reports]:
     """Yield callables that report the progress of a computation.
 
+    Ctrl-C is held back inside the context, see `held_interrupt`.
     With ``--verbose`` every iterate is printed; with ``--quiet`` and ``--json`` nothing is printed.
 
     Parameters
@@ -43,22 +45,21 @@ def reporting(duration: float | None) -> Iterator[Reports]:
     duration : float or None
         Duration of the motion; None for a search over the whole motion. [s]
     """
-    with interruptible() as poll:
+    with held_interrupt():
         if is_verbose():
-            yield _reports(poll, _detailed(), lambda _, line: detail(line), duration)
+            yield _reports(_detailed(), lambda _, line: detail(line), duration)
         elif not has_bar():
-            yield Reports(lambda _: poll(), lambda *_: poll())
+            yield Reports(lambda _: check_interrupt(), lambda *_: check_interrupt())
         elif sys.stderr.isatty():
-            with _bar(poll, duration) as reports:
+            with _bar(duration) as reports:
                 yield reports
         else:
             stderr = sys.stderr  # the current one: integrators redirect sys.stderr
             show = _sparse(lambda line: print_line(line, file=stderr), SAME_PHASE)
-            yield _reports(poll, show, show, duration)
+            yield _reports(show, show, duration)
 
 
 def _reports(
-    poll: Callable[[], None],
     integration: Callable[[str, str], None],
     search: Callable[[str, str], None],
     duration: float | None,
@@ -66,11 +67,11 @@ def _reports(
     of = "" if duration is None else f" of {duration:g}"
 
     def show_time(t: float) -> None:
-        poll()
+        check_interrupt()
         integration(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
 
     def show_search(phase: str, line: str) -> None:
-        poll()
+        check_interrupt()
         search(phase, line)
 
     return Reports(show_time, show_search)
@@ -108,7 +109,7 @@ def _sparse(show: Callable[[str], None], apart: float) -> Callable[[str, str], N
 
 
 @contextmanager
-def _bar(poll: Callable[[], None], duration: float | None) -> Iterator[Reports]:
+def _bar(duration: float | None) -> Iterator[Reports]:
     """Yield callables that update a progress bar."""
     from rich.console import Console
     from rich.markup import escape
@@ -120,11 +121,11 @@ def _bar(poll: Callable[[], None], duration: float | None) -> Iterator[Reports]:
         describe = throttled(lambda line: bar.update(task, description=escape(visible(line))))
 
         def show_time(t: float) -> None:
-            poll()
+            check_interrupt()
             move(t)
 
         def show_search(_phase: str, line: str) -> None:
-            poll()
+            check_interrupt()
             describe(line)
 
         yield Reports(show_time, show_search)

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from slipfree.cli.common import InputFolder, about, check_page, reported
+from slipfree.cli.common import InputFolder, about, reported
 from slipfree.cli.messages import add_json_file, detail, print_line, warn
+from slipfree.cli.outputs import check_page
 from slipfree.regular_files import regular_file
 
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from slipfree.cli.common import (
-    OUTPUT,
     File,
     Settings,
     Trust,
-    check_default_outputs,
-    check_outputs,
     print_facts,
     read_problem,
     reported,
@@ -21,19 +19,25 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.json_output import motion_json
 from slipfree.cli.messages import (
+    INTERRUPTED,
     add_json,
     add_json_file,
     detail,
+    note_failure,
+    print_error,
     print_line,
     warn,
 )
 from slipfree.cli.outcomes import print_incomplete, resume_command
+from slipfree.cli.outputs import OUTPUT, check_default_outputs, check_outputs, save
 from slipfree.cli.progress import reporting
-from slipfree.errors import DataError
+from slipfree.errors import DataError, SlipfreeError, WriteError
+from slipfree.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
+    from slipfree.cli.progress import Reports
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.problem.problem import Problem
     from slipfree.problem.result import Result
@@ -98,6 +102,7 @@ def run(
     Print a summary and draw figures.
     """
     with reported():
+        from slipfree.problem.input_files import files_read
         from slipfree.problem.verbs.registry import verb_of
 
         problem = read_problem(file, settings, trust)
@@ -106,23 +111,30 @@ def run(
         options += [] if draw else ["--no-draw"]
         options += [word for each in trust or () for word in ("--trust", str(each))]
         out, folder = _output_paths(problem, out, figures, draw=draw)
-        check_outputs([out, csv, animation], folder, problem)
+        # the search may go on in the file from which it resumes
+        check_outputs([csv, animation], [*files_read(problem), *([resume] if resume else [])])
+        check_outputs([out, csv, animation], files_read(problem), folder=folder)
         _check_options(problem, cross_check, resume, animation)
-        result = _solve(problem, verb, _resumed_plan(resume))
-        _save(result, out, csv)
-        _print_summary(result, verb)
-        _print_written(out, *([csv] if csv else []))
-        if cross_check:
-            _cross_check(result)
-        if folder is not None:
-            _draw(verb.figures(result), folder, every=figures_all)
-        if animation is not None:
-            verb.animate(result, animation)
-            _print_written(animation)
-        if result.outcome.exit_code:
-            go_on = resume_command(result.trajectory, out, *options)
-            print_incomplete(result.trajectory, out, go_on)
-            raise typer.Exit(result.outcome.exit_code)
+        former = _resumed_plan(resume)
+        with reporting(problem.spec.time.duration if verb.is_timed else None) as reports:
+            result = _solve(problem, reports, former, out)
+            files = _save(result, out, csv)
+            is_interrupted = interrupt_requested() or result.outcome.exit_code == INTERRUPTED
+        with _after(files[0], "summary"):
+            _print_summary(result, verb)
+        _print_written(*files)
+        if cross_check and not is_interrupted:
+            with _after(files[0], "cross-check"):
+                _cross_check(result)
+        if folder is not None and not is_interrupted:
+            with _after(files[0], "figures"):
+                _draw(verb.figures(result), folder, every=figures_all)
+        if animation is not None and not is_interrupted:
+            with _after(files[0], "animation"):
+                verb.animate(result, animation)
+                add_json_file(animation)
+                _print_written(animation)
+        _exit(result, files[0], options, is_interrupted=is_interrupted)
 
 
 def _output_paths(
@@ -166,17 +178,44 @@ def output_of(problem: Problem[Any]) -> str:
     return spec.file if spec else f"{problem.source.path.stem}.nc"
 
 
-def _solve(problem: Problem[Any], verb: MotionVerb, former: SavedPlan | None) -> Result:
-    """Solve a problem, report the progress, and return the result."""
+@contextmanager
+def _after(out: Path, name: str) -> Iterator[None]:
+    """Print an error of a step after the result is written; the command ends with exit code 1."""
+    try:
+        yield
+    except OSError:  # of stdout or a disk
+        raise
+    except Exception as error:  # it must not hide where the result is
+        kind = "" if isinstance(error, SlipfreeError) else f"{type(error).__name__}: "
+        print_error(f"{name}: {kind}{error}; {out} contains the result")
+        note_failure()
+
+
+def _exit(result: Result, out: Path, options: Sequence[str], *, is_interrupted: bool) -> None:
+    """Exit with the code of an interruption or of an incomplete result, and print the reason."""
+    run = result.trajectory
+    if result.outcome.exit_code:
+        print_incomplete(run, out, resume_command(run, out, *options))
+    elif is_interrupted:
+        print_error(f"interrupted; {out} contains the result, which is complete")
+    if code := INTERRUPTED if is_interrupted else result.outcome.exit_code:
+        raise typer.Exit(code)
+
+
+def _solve(problem: Problem[Any], reports: Reports, former: SavedPlan | None, out: Path) -> Result:
+    """Solve a problem, report the progress, and return the result.
+
+    A solved plan is written to ``out`` before it is verified, in case that this process is killed.
+    """
+    from slipfree.files.netcdf import write
     from slipfree.problem.solve import run_problem
 
-    duration = problem.spec.time.duration if verb.is_timed else None
-    with reporting(duration) as reports:
-        return _report_counts(run_problem(problem, *reports, former))
+    def keep(result: Result) -> None:
+        with suppress(WriteError), held_interrupt():
+            write(out, result.trajectory, result.arrays)
+        detail(f"wrote {out}: {result.outcome.title}")
 
-
-def _report_counts(result: Result) -> Result:
-    """Print the statistics of the solver if ``--verbose`` is given, and return the result."""
+    result = run_problem(problem, *reports, former, keep=keep)
     counts = result.trajectory.statistics.items()
     detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
     return result
@@ -191,20 +230,20 @@ def _resumed_plan(file: Path | None) -> SavedPlan | None:
 
 
 def _print_written(*files: Path) -> None:
-    """Print the names of written files, and add them to the JSON object."""
-    for file in files:
-        add_json_file(file)
+    """Print the names of written files."""
     names = ", ".join(map(str, files))
     print_line(f"wrote {names}")
     detail(f"wrote {names}")
 
 
-def _save(result: Result, out: Path, csv: Path | None) -> None:
+def _save(result: Result, out: Path, csv: Path | None) -> list[Path]:
+    """Write a result; return the written files."""
     from slipfree.files.netcdf import write, write_csv
 
-    write(out, result.trajectory, result.arrays)
+    files = [save(out, lambda path: write(path, result.trajectory, result.arrays))]
     if csv is not None:
-        write_csv(csv, result.trajectory)
+        files.append(save(csv, lambda path: write_csv(path, result.trajectory)))
+    return files
 
 
 def _draw(plots: Sequence[Plot], folder: Path, *, every: bool) -> None:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slipfree.cli.common import InputFolder, about, check_apart, check_output, check_page, reported
+from slipfree.cli.common import InputFolder, about, reported
 from slipfree.cli.messages import add_json_file, print_line, warn
+from slipfree.cli.outputs import check_outputs, check_page
 from slipfree.errors import DataError
 from slipfree.regular_files import escape_name
 
@@ -82,9 +83,8 @@ def _check_outputs(files: Sequence[Path], html: Path | None, animation: Path | N
     if animation is not None:
         from slipfree.show.film import FRAMES, film_writer
 
-        check_apart(animation, files)
+        check_outputs([html, animation], files)
         film_writer(animation, FRAMES)
-        check_output(animation)
 
 
 def _write(part: Path, text: str) -> None:

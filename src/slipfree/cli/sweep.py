@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipfree.cli.common import STOPPED, File, Settings, Trust, interruptible, print_facts, reported
+from slipfree.cli.common import STOPPED, File, Settings, Trust, print_facts, reported
 from slipfree.cli.messages import add_json_file, detail, has_bar, print_line, warn
+from slipfree.cli.outputs import check_outputs
 from slipfree.errors import DataError
-from slipfree.regular_files import check_name
+from slipfree.interrupt import check_interrupt, held_interrupt
 
 if TYPE_CHECKING:
     from slipfree.show.sweep_results import Swept
@@ -87,6 +88,7 @@ def sweep(
     """
     with reported():
         from slipfree.codegen_cache import obstacle
+        from slipfree.problem.input_files import files_read
         from slipfree.processes import available_cores
         from slipfree.sweep.grid import sweep_of
         from slipfree.sweep.log import FAILED, LOST
@@ -98,8 +100,10 @@ def sweep(
         if dry_run:
             _print_plan(plan, folder, processes or available_cores())
             return
+        reads = [plan.problem.folder / name for name in plan.files] + files_read(plan.problem)
+        check_outputs([], reads, folder=folder, names=("table.csv", "run_*.nc", "runs.jsonl"))
         if draw:
-            _check_figures(folder / FIGURES)
+            check_outputs([], reads, folder=folder / FIGURES, names=("*",))
         if plan.problem.spec.solver.compiled and (why := obstacle()):
             warn(
                 f"solver.compiled is true, but functions cannot be compiled: {why}; until then, "
@@ -117,16 +121,6 @@ def sweep(
             _draw(plan, drawn_grids(rows, found, names), folder / FIGURES)
         if rows.ended(FAILED, LOST):
             raise typer.Exit(STOPPED)
-
-
-def _check_figures(folder: Path) -> None:
-    """Raise DataError if the folder for figures has an invalid name or is a file."""
-    check_name(folder)
-    if folder.exists() and not folder.is_dir():
-        raise DataError(
-            f"{folder}: expected a folder for figures, found a file; move it, or draw no figures: "
-            "--no-draw"
-        )
 
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
@@ -194,7 +188,7 @@ def _run_all(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, ag
     from slipfree.sweep.log import FAILED, LOST
     from slipfree.sweep.run import run_sweep
 
-    with interruptible() as poll, _progress("runs") as show:
+    with held_interrupt(), _progress("runs") as show:
 
         def progress(rows: Rows) -> None:
             wrong = rows.outcomes[FAILED] + rows.outcomes[LOST]
@@ -202,7 +196,9 @@ def _run_all(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, ag
             last = f", the last: {rows.last.run}, {rows.last.outcome}" if rows.last else ""
             detail(f"{len(rows)} of {plan.count} runs{last}")
 
-        return run_sweep(plan, folder, pool, keep=keep, again=again, poll=poll, progress=progress)
+        return run_sweep(
+            plan, folder, pool, keep=keep, again=again, poll=check_interrupt, progress=progress
+        )
 
 
 @contextmanager

@@ -11,12 +11,12 @@ from slipfree.cli.common import (
     InputFolder,
     Settings,
     about,
-    check_apart,
-    check_output,
     print_facts,
     reported,
 )
-from slipfree.cli.messages import add_json_file, detail, print_line
+from slipfree.cli.messages import INTERRUPTED, detail, print_error, print_line, written
+from slipfree.cli.outputs import check_outputs, save
+from slipfree.interrupt import held_interrupt, interrupt_requested
 from slipfree.regular_files import regular_file
 
 
@@ -54,25 +54,29 @@ def track(
     """
     with reported(), about(file):
         from slipfree.files.netcdf import write
+        from slipfree.problem.result import result_files
         from slipfree.problem.verbs.plan_tracking import follow_plan, tracking_rows
 
         with regular_file(file, "a result file of slipfree"):
-            if out is not None:
-                check_output(out)
-                check_apart(out, [file])
-        test = follow_plan(
-            file,
-            settings or [],
-            period=period,
-            window=window,
-            folder=folder,
-            progress=lambda t: detail(f"replanned at {t:.4g} s"),
-        )
+            check_outputs([out], result_files(file, folder))
+        with held_interrupt():
+            test = follow_plan(
+                file,
+                settings or [],
+                period=period,
+                window=window,
+                folder=folder,
+                progress=lambda t: detail(f"replanned at {t:.4g} s"),
+            )
+            run = test.motions[-1].run
+            if out is not None and run is not None:
+                out = save(out, lambda path: write(path, run))
+            is_interrupted = interrupt_requested()
         print_facts(list(tracking_rows(test)))
-        run = test.motions[-1].run
         if out is not None and run is not None:
-            write(out, run)
-            add_json_file(out)
             print_line(f"wrote {out}")
+        if is_interrupted:
+            print_error("; ".join(["interrupted", *written()]))
+            raise typer.Exit(INTERRUPTED)
         if run is not None and run.outcome.exit_code:
             raise typer.Exit(run.outcome.exit_code)

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from slipfree.cli.common import Settings, about, check_output, print_facts, reported
+from slipfree.cli.common import Settings, about, print_facts, reported
 from slipfree.cli.messages import add_json_file, print_line
+from slipfree.cli.outputs import check_outputs, default_table, save
 
 
 def wheel(
@@ -23,7 +24,8 @@ def wheel(
             "--output",
             metavar="OUT.csv",
             help="Table of the curves; the figure has the same name with .png. "
-            "Default: the name of the file, in the current folder.",
+            "Default: the name of the file, in the current folder; with _wheel if that is an "
+            "input.",
         ),
     ] = None,
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")] = True,
@@ -37,22 +39,20 @@ def wheel(
         from slipfree.files.tables import write_rows
         from slipfree.problem.wheel_test import QUANTITIES, run_wheel_file, wheel_facts, wheel_rows
 
-        table = out or Path(f"{file.stem}.csv")
-        picture = table.with_suffix(".png")
-        check_output(table)
-        check_output(picture)
         test = run_wheel_file(file, settings or [])
+        table = out or default_table(file, "wheel", test.files)
+        picture = table.with_suffix(".png") if draw else None
+        check_outputs([table, picture], test.files)
         names, rows = wheel_rows(test.curves)
-        write_rows(table, names, rows)
-        written = [table]
+        written = [save(table, lambda path: write_rows(path, names, rows))]
         print_facts(wheel_facts(test))
-        if draw:
-            from slipfree.show.plots import save
+        if picture is not None:
+            from slipfree.show.plots import save as save_plots
             from slipfree.show.wheel_figures import DrawnWheel, wheel_plot
 
             values = {name: getattr(test.curves, name) for name in QUANTITIES}
             drawn = DrawnWheel(*test.curves[:2], test.load, values, test.measured)
-            written += save([wheel_plot(picture.stem, drawn)], picture.parent)
-        for path in written:
-            add_json_file(path)
+            for path in save_plots([wheel_plot(picture.stem, drawn)], picture.parent):
+                add_json_file(path)
+                written.append(path)
         print_line(f"wrote {' and '.join(map(str, written))}")

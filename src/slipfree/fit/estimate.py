@@ -29,6 +29,7 @@ from slipfree.fit.body_motion import (
 )
 from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
 from slipfree.fit.windows import Windows, end_poses
+from slipfree.interrupt import check_interrupt, interrupt_requested
 from slipfree.records import Array, Label, Mask
 from slipfree.vehicle.tree import Vehicle
 
@@ -42,6 +43,7 @@ LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is
 WEAK = 0.1  # deviation of a direction, relative to its scale, from which it is weakly determined
 CONFIDENCE = 0.95
 EXTREMUM = 0.02  # ratio of derivatives, to that at the nominal value, at an extremum
+MIN_ACCEPTED = 2  # accepted values, with the start, from which an interrupted fit is kept
 EDGE = 1e-4  # distance of estimates from their bounds [scales]
 AT_BOUND = 1e-3  # distance from a bound that counts as zero [scales]
 
@@ -84,6 +86,9 @@ class Estimate(NamedTuple):
         Standard deviations of the residuals: two of position [m], and heading [rad].
     evaluations : int
         Number of evaluations of the predictions.
+    is_interrupted : bool
+        Whether Ctrl-C, held back by `held_interrupt`, ended the search; the values are then those
+        of its last accepted step.
     """
 
     labels: tuple[Label, ...]
@@ -96,6 +101,7 @@ class Estimate(NamedTuple):
     directions: tuple[Direction, ...]
     deviations: Array
     evaluations: int
+    is_interrupted: bool = False
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -245,30 +251,38 @@ def estimate(
     values = np.clip(nominal, *bounds)
     priors = _Priors.of(unknowns)
     predict.accept(values)
-    for _ in range(REWEIGHTINGS):
+    is_interrupted = False
+    for k in range(REWEIGHTINGS):
         deviations = _deviations(predict(values).end - windows.end)
         search = _Search(predict, windows, deviations, priors)
-        found = scipy.optimize.least_squares(
-            search.residual,
-            values,
-            search.jacobian,
-            bounds=bounds,
-            x_scale=scales,
-            loss=loss,
-            xtol=1e-10,
-        )
+        try:
+            found = scipy.optimize.least_squares(
+                search.residual,
+                values,
+                search.jacobian,
+                bounds=bounds,
+                x_scale=scales,
+                loss=loss,
+                xtol=1e-10,
+            )
+        except KeyboardInterrupt:
+            if not interrupt_requested() or k + len(search.accepted) < MIN_ACCEPTED:
+                raise
+            values, is_interrupted = [values, *search.accepted][-1], True
+            break
         values = np.asarray(found.x)
-    search.check(found, scales)
     prediction = predict(values)
     edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
     at_bound = edges < AT_BOUND * scales
     covariance, directions = _covariance(
         prediction, windows, deviations, priors, scales, ~at_bound, loss
     )
-    for k in np.flatnonzero(np.sqrt(np.diag(covariance)) > scales).tolist():
-        other = values.copy()
-        other[k] = nominal[k]
-        _check_extremum(predict, (prediction, predict(other)), labels[k], values[k], k)
+    if not is_interrupted:
+        search.check(found, scales)
+        for k in np.flatnonzero(np.sqrt(np.diag(covariance)) > scales).tolist():
+            other = values.copy()
+            other[k] = nominal[k]
+            _check_extremum(predict, (prediction, predict(other)), labels[k], values[k], k)
     freedom = len(windows.end) - len(unknowns)
     reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
     spread = reach * np.sqrt(np.diag(covariance))
@@ -283,6 +297,7 @@ def estimate(
         directions,
         deviations,
         predict.evaluations,
+        is_interrupted,
     )
 
 
@@ -376,7 +391,7 @@ def _deviations(residual: Array) -> Array:
 
 
 class _Search:
-    """Functions of residuals and of their Jacobian, without unit, and rejected values.
+    """Functions of residuals and of their Jacobian, without unit; accepted and rejected values.
 
     `scipy.optimize.least_squares` rejects a trial whose residuals are not finite, and requests the
     Jacobian only where it accepts one.
@@ -388,8 +403,10 @@ class _Search:
         self._predict, self._windows = predict, windows
         self._deviations, self._priors = deviations, priors
         self._rejected = list[tuple[Array, MotionError]]()
+        self.accepted = list[Array]()  # the first is the start
 
     def residual(self, values: Array) -> Array:
+        check_interrupt()
         priors = self._priors
         try:
             missed = (self._predict(values).end - self._windows.end) / self._deviations
@@ -399,6 +416,7 @@ class _Search:
         return np.append(missed, (values[priors.rows] - priors.mean) / priors.deviation)
 
     def jacobian(self, values: Array) -> Array:
+        self.accepted.append(values.copy())
         slopes = self._predict.accept(values).slopes / self._deviations[:, None]
         rows = np.zeros((self._priors.rows.size, values.size))
         rows[np.arange(self._priors.rows.size), self._priors.rows] = 1 / self._priors.deviation

@@ -22,6 +22,7 @@ from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import with_interrupt_guard
+from slipfree.outcome import Outcome
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.convergence import Convergence
 from slipfree.plan.explanation import explanation
@@ -66,7 +67,7 @@ from slipfree.plan.verification import (
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
 from slipfree.records import Array, Record, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
-from slipfree.trajectory import PLAN, Stop, Trajectory
+from slipfree.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory
 
 SLIP_STAGES = (0.0, 1.0)  # factors of the weight of the slip, one per stage
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
@@ -236,6 +237,7 @@ def plan(
     seed: int = 0,
     resume: SavedPlan | None = None,
     progress: PlanProgress | None = None,
+    keep: Callable[[Plan], None] | None = None,
 ) -> Plan:
     """Return the inputs that reach a goal at least cost, with the resulting motion.
 
@@ -302,6 +304,9 @@ def plan(
     progress : callable, optional
         Function called with a description of the program and every iterate. If it returns False,
         the search ends, and the plan is the iterate with the smallest violation.
+    keep : callable, optional
+        Function called with each plan before the simulation that verifies it. ``replay`` is then
+        the planned motion, whose stop says that it is not verified.
 
     Returns
     -------
@@ -375,6 +380,8 @@ def plan(
 
     def verify(search: _SearchState) -> Verification:
         program, unknowns = search.program, search.found.unknowns
+        if keep is not None:
+            keep(_unverified(search))
         return verify_plan(program, unknowns, start, accuracy=accuracy, step=step)
 
     search, verification, optima = _best_verified(searches, verify, progress)
@@ -705,11 +712,33 @@ def _has_improved(before: Verification, after: Verification) -> bool:
 
 
 def _to_plan(search: _SearchState, verification: Verification) -> Plan:
-    program, found, first, stages, run, *_ = search
+    program, found, first, _, run, *_ = search
     run = sample_plan(program, found.unknowns) if run is None else run
     if not found.success:
         why = explanation(program, found, first)
         run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, why.outcome))
+    return _as_plan(search, run, verification)
+
+
+def _unverified(search: _SearchState) -> Plan:
+    """Return a plan without verification; its stop says so."""
+    program, found = search.program, search.found
+    run = sample_plan(program, found.unknowns) if search.run is None else search.run
+    name, words = PLAN, "the search for a plan was interrupted"
+    if found.status == STOPPED_STATUS:
+        words = explanation(program, found, search.first).words
+    elif found.success:
+        name = PLAN_UNVERIFIED
+        words = "the plan is solved, but the simulation that verifies it did not end"
+    run = replace(run, stop=Stop(name, float(run.t[-1]), words, Outcome.INTERRUPTED))
+    nothing = np.zeros(program.mesh.ends.size - 1, dtype=bool)
+    verification = Verification(run, {}, {}, {}, nothing, accurate=False)
+    return _as_plan(search, run, verification)
+
+
+def _as_plan(search: _SearchState, run: Trajectory, verification: Verification) -> Plan:
+    """Return the plan of a search with its samples ``run`` and its verification."""
+    program, found, stages = search.program, search.found, search.stages
     motion = motion_of(program, found.unknowns)
     return Plan(
         run,

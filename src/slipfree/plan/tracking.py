@@ -12,10 +12,11 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
+from slipfree.interrupt import interrupt_requested
 from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, replan
 from slipfree.records import leaves
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.simulate import simulate
+from slipfree.solve.simulate import interrupted_at, simulate
 from slipfree.trajectory import SolverError, Trajectory, joined
 
 
@@ -71,7 +72,8 @@ def track_plan(
     Returns
     -------
     TrackedMotion
-        The motion ends early if a limit of ``world`` is violated or the simulation fails.
+        The motion ends early if a limit of ``world`` is violated, the simulation fails, or a
+        Ctrl-C is held back by `held_interrupt`.
 
     Raises
     ------
@@ -106,7 +108,13 @@ def track_plan(
             failures += 1
         if progress is not None:
             progress(t)
-        here = _drive(world, here, window, cycle, (t, end), options)
+        try:
+            here = _drive(world, here, window, cycle, (t, end), options)
+        except KeyboardInterrupt:
+            if not (runs and interrupt_requested()):
+                raise
+            runs[-1] = replace(here, stop=interrupted_at(t))
+            break
         runs.append(here)
         if here.stop is not None or here.t[-1] < end - 1e-9:
             break

@@ -33,7 +33,7 @@ from slipfree.plan.warm_start import SavedPlan, local_motion, save_motion
 from slipfree.records import Array, Label, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
-from slipfree.trajectory import SolverError, Stop, Trajectory, joined
+from slipfree.trajectory import PLAN, SolverError, Stop, Trajectory, joined
 
 GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 WINDOW_POINTS = 400  # points of the route in a guess
@@ -172,6 +172,7 @@ class _WindowSearch(NamedTuple):
     overlap: float
     goal: Mapping[str, float | Range]
     progress: PlanProgress | None
+    keep: Callable[[Plan, _HandOver, float], None]
     arguments: Mapping[str, Any]
 
     def solve(self, here: _HandOver) -> tuple[Plan, float, tuple[SolvedStage, ...]]:
@@ -201,6 +202,7 @@ class _WindowSearch(NamedTuple):
             duration=float(guess.t[-1]),
             initial_inputs=here.inputs,
             progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
+            keep=lambda found: self.keep(found, here, end),
             **self.arguments,
         )
 
@@ -267,6 +269,7 @@ def plan_windows(
     options: SolverOptions = SolverOptions(),
     resume: SavedPlan | None = None,
     progress: PlanProgress | None = None,
+    keep: Callable[[LongPlan], None] | None = None,
     **arguments: Any,
 ) -> LongPlan:
     """Return a plan along a long route, planned in windows that overlap.
@@ -300,6 +303,9 @@ def plan_windows(
         search continues at its end.
     progress : callable, optional
         As for `plan`; the description of each program begins with the position of the window.
+    keep : callable, optional
+        Called before each window with the plan up to its beginning, without costs, and before the
+        first window is verified with its plan.
     **arguments
         Further arguments of `plan`: ``costs`` and optionally ``limits``, ``inputs``, ``intervals``
         (of a window) and others, but neither ``duration``, ``way_points`` nor ``cost_limits``.
@@ -328,7 +334,13 @@ def plan_windows(
             f"of {overlap:g} m and a window of {length:g} m; adjust one of them"
         )
     own = {"step": step, "options": options, **arguments}
-    search = _WindowSearch(dae, law, route, speed, length, overlap, goal, progress, own)
+
+    def keep_first(found: Plan, here: _HandOver, end: float) -> None:
+        if keep is not None and not parts:
+            part = _first_part(found, (0.0, end), 0.0, 0.0, found.stages)
+            keep(_join([part], None, _stop_of(found, here, end), dae, options))
+
+    search = _WindowSearch(dae, law, route, speed, length, overlap, goal, progress, keep_first, own)
     bounds = bounds_of(dae, arguments.get("inputs") or {})
     here, parts, task, stop = _HandOver(start, {}, 0.0), list[_Part](), None, None
     if resume is not None:
@@ -337,6 +349,9 @@ def plan_windows(
         parts.append(former._replace(window=former.window._replace(end=reached)))
         here = _HandOver(former.replay, _end_inputs(dae, former.motion, bounds), reached)
     while stop is None and here.reached < route.length - MIN_REST:
+        if keep is not None and parts:
+            words = f"the plan from {here.reached:.4g} m of the route was interrupted"
+            keep(_join(parts, None, Stop(PLAN, 0.0, words, Outcome.INTERRUPTED), dae, options))
         found, end, stages = search.solve(here)
         stop, task = _stop_of(found, here, end), found.program.task
         if found.success or not parts:

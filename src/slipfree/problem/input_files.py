@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from hashlib import file_digest
@@ -13,11 +14,17 @@ from slipfree.errors import DataError
 from slipfree.files.vehicle_toml import open_file
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
-from slipfree.regular_files import regular_file
+from slipfree.regular_files import read_bytes, regular_file
 
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
 DRAWN = ("terrain", "profile")  # tables of the ground
 MISSING = "missing"
+SIDES = (".prj", ".aux.xml", ".hdr", ".tfw", ".wld", ".ovr", ".msk")  # endings beside maps
+URDF = (".urdf", ".xacro", ".xml")
+# name in a package, as in package://NAME/meshes/a.stl and $(find NAME)/a.xacro, or a path
+FILE_NAME = re.compile(
+    r"""filename\s*=\s*["'](?:package://[^/"']*/|file://|[^"']*[)}]/)?([^"']+)"""
+)
 
 
 def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
@@ -39,6 +46,37 @@ def input_files(problem: Problem[Any]) -> dict[str, Path]:
     for name in input_names(problem.spec, ["vehicle"]):
         names += _named_urdf(problem.folder, name)
     return {name: problem.folder / name for name in names}
+
+
+def files_read(problem: Problem[Any]) -> list[Path]:
+    """Return the paths of all files of a problem: its own, its inputs, and files that these name.
+
+    Those are the side files of maps, such as ``.prj``, and includes and meshes of a URDF.
+    """
+    found = [problem.source.path]
+    for path in input_files(problem).values():
+        found += [path, *_side_files(path), *files_named_in(path)]
+    return found
+
+
+def _side_files(path: Path) -> list[Path]:
+    """Return the names of side files of a map."""
+    return [path.with_name(name + ending) for name in (path.stem, path.name) for ending in SIDES]
+
+
+def files_named_in(urdf: Path) -> list[Path]:
+    """Return the files that exist of those named in a URDF and in its includes."""
+    found, waiting = list[Path](), [urdf] if urdf.suffix in URDF else []
+    while waiting:
+        file = waiting.pop()
+        with suppress(DataError):  # build_vehicle reports errors in the file
+            text = read_bytes(file, "a URDF").decode(errors="replace")
+            tops = (file.parent, *file.absolute().parents[1:4])  # a package is above its folders
+            places = [top / name for name in FILE_NAME.findall(text) for top in tops]
+            new = [each for each in dict.fromkeys(places) if each.is_file() and each not in found]
+            found += new
+            waiting += [each for each in new if each.suffix in URDF]
+    return found
 
 
 def digest(file: Path) -> str:

@@ -182,6 +182,9 @@ def plan_front(
     best = begin("least slip", slip, given)
     other = begin("least slip from the initial guess", slip, None, is_needed=False)
     best = other if is_better(other, best) else best
+    if keep is not None:
+        keep(0, least)
+        keep(count - 1, best)
     with closing(_PointSolver(problem, against, count, processes, report, keep)) as solver:
         points = pareto_front(solver.solve, least, best, count)
     if keep is not None:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from slipfree.errors import DataError
+from slipfree.errors import DataError, SlipfreeError
 from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.files.toml.errors import ProblemError
-from slipfree.problem.input_files import DRAWN, digest, input_names
+from slipfree.problem.input_files import DRAWN, digest, files_read, input_names
 from slipfree.problem.load import load_earlier
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Runnable
@@ -109,6 +110,14 @@ def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
     vehicle, problem = vehicle_of(result), result.problem
     robot = read_robot(problem.spec.vehicle, problem)
     write_mcap(out, result.trajectory, vehicle, robot)
+
+
+def result_files(file: Path, folder: Path | None = None) -> list[Path]:
+    """Return a result file and the files of its problem, if these are found; see `open_result`."""
+    found = [file]
+    with suppress(SlipfreeError):  # the command reports it if it needs the problem
+        found += files_read(problem_of(file, read(file, lazy=True), folder))
+    return found
 
 
 def problem_of(

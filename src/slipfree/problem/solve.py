@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from slipfree.forks import computing
+from slipfree.outcome import Outcome
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
@@ -19,11 +20,13 @@ from slipfree.problem.verbs.base import (
     MotionVerb,
     Result,
     Setup,
+    Solution,
     Watch,
 )
 from slipfree.problem.verbs.registry import check_option, verb_of
 from slipfree.records import Array
 from slipfree.regular_files import escape_name
+from slipfree.trajectory import Stop
 
 
 @computing
@@ -46,8 +49,11 @@ def run_problem(
     tell: Callable[[str, str], None] | None = None,
     resume: SavedPlan | None = None,
     path: Callable[[Array], None] | None = None,
+    keep: Callable[[Result], None] = lambda _: None,
 ) -> Result:
     """Solve a problem and return its motion.
+
+    After Ctrl-C, or after an error in a diagnostic, the result is what was computed before.
 
     Parameters
     ----------
@@ -61,6 +67,8 @@ def run_problem(
         Plan for a warm start; only for planning problems.
     path : callable, optional
         Called for every iterate of a plan with the path of the platform, shape (n, 2). [m]
+    keep : callable, optional
+        Called with what is computed so far, such as a solved plan that is not verified.
 
     Returns
     -------
@@ -75,12 +83,33 @@ def run_problem(
     SolverError
         If the integrator fails before the first sample; a later failure is the stop of
         the trajectory.
+    KeyboardInterrupt
+        After Ctrl-C before anything is computed.
     """
-    verb = verb_of(problem)
+    verb, kept = verb_of(problem), list[Result]()
+
+    def store(found: Solution) -> None:
+        kept[:] = [_result(problem, verb, found, stored)]
+        keep(kept[-1])
+
     setup = build(problem)
     stored = stored_inputs(problem)  # before a long search, in which files may change
-    with at(problem, ("start",)):
-        found = verb.solve(problem, setup, Watch(progress, tell, path), resume)
+    try:
+        with at(problem, ("start",)):
+            found = verb.solve(problem, setup, Watch(progress, tell, path, store), resume)
+        return _result(problem, verb, found, stored)
+    except KeyboardInterrupt:
+        if not kept:
+            raise
+    except Exception as error:
+        if not kept:
+            raise
+        kept[-1] = _failed(kept[-1], error)
+    return kept[-1]
+
+
+def _result(problem: Problem[Runnable], verb: MotionVerb, found: Solution, stored: str) -> Result:
+    """Return the result of a solution, with the attributes of its problem."""
     attributes = {
         **found.trajectory.attributes,
         **_attributes(problem, verb, found.setup),
@@ -90,6 +119,15 @@ def run_problem(
     return Result(
         verb.name, run, verb.verification(run), found.setup, found.arrays, lambda: problem
     )
+
+
+def _failed(result: Result, error: Exception) -> Result:
+    """Return a result whose stop reports an error after its computation."""
+    run = result.trajectory
+    before = f"{run.stop.words}; " if run.stop else ""
+    words = f"{before}{type(error).__name__}: {error}"
+    stop = Stop("solver", float(run.t[-1]), words, Outcome.SOLVER_FAILURE)
+    return replace(result, trajectory=replace(run, stop=stop))
 
 
 @computing

@@ -102,6 +102,8 @@ class WheelTest(NamedTuple):
         Measured points, by quantity.
     errors : dict of str and tuple of 2 floats
         Root mean square, and mean, of computed minus measured values, by quantity.
+    files : list of Path
+        The wheel file, and the file of measured points if there is one.
     """
 
     title: str
@@ -111,6 +113,7 @@ class WheelTest(NamedTuple):
     curves: WheelCurves
     measured: dict[str, Measured]
     errors: dict[str, tuple[float, float]]
+    files: list[Path]
 
 
 def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
@@ -138,12 +141,13 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     low, high = spec.test.slip
     slips = np.linspace(low, high, spec.test.points)
     curves = single_wheel(soil, size, spec.wheel.load, slips, spec.test.slip_angles)
-    measured = {}
+    measured, files = {}, [path]
     if spec.test.measured is not None:
-        measured = _read_measured(path.parent / spec.test.measured, spec.wheel.load)
+        files.append(path.parent / spec.test.measured)
+        measured = _read_measured(files[-1], spec.wheel.load)
     errors = {name: _error(soil, size, name, points) for name, points in measured.items()}
     title = spec.title or path.stem
-    return WheelTest(title, soil, size, spec.wheel.load, curves, measured, errors)
+    return WheelTest(title, soil, size, spec.wheel.load, curves, measured, errors, files)
 
 
 def _read(path: Path, settings: Sequence[str]) -> Any:

@@ -19,7 +19,7 @@ from slipfree.batch import run_buffered
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.interrupt import InterruptGuard
+from slipfree.interrupt import InterruptGuard, check_interrupt
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Mask, Record
 from slipfree.solve.equations import scaled_jacobian
@@ -125,7 +125,7 @@ def simulate(
         solver = _Solver(system, options.tolerance, _method(system, options.method), guard)
         first = _initial_sample(system, start, t[0])
         clock = time.process_time()
-        observer = _StepObserver(guard, progress, guarded=True)
+        observer = _StepObserver(guard, progress, guarded=True, polled=True)
         samples, counts, end = _integrate(solver, observer, first, t, system.u)
         whole, samples, found = _check_samples(solver, samples, stops)
         left = t > samples.t[-1]
@@ -567,13 +567,19 @@ class _StepObserver:
     """Observer of the steps of an integrator.
 
     The observer records the times of the steps and reports progress. It ends the integration at a
-    step beyond a limit, if it is ``guarded``, or if the progress callable returns False.
+    step beyond a limit, if it is ``guarded``, if the progress callable returns False, or at a
+    Ctrl-C held back by `held_interrupt`, if it is ``polled``.
     """
 
     def __init__(
-        self, guard: InterruptGuard, progress: Progress | None = None, *, guarded: bool = False
+        self,
+        guard: InterruptGuard,
+        progress: Progress | None = None,
+        *,
+        guarded: bool = False,
+        polled: bool = False,
     ) -> None:
-        self.guard, self.progress, self.guarded = guard, progress, guarded
+        self.guard, self.progress, self.guarded, self.polled = guard, progress, guarded, polled
         self.times: list[float] = []
         self.paces: list[float] = []
         self.reported = -np.inf
@@ -604,6 +610,8 @@ class _StepObserver:
             answer = self.progress(t)
             if isinstance(answer, bool | np.bool_) and not answer:
                 raise _ProgressError
+        if self.polled:
+            check_interrupt()
         if self.guarded and not margin >= -LIMIT_TOLERANCE:
             raise _LimitError
 
@@ -669,9 +677,14 @@ def _finish_motion(
         run = replace(run, stop=Stop("solver", t, str(end), Outcome.SOLVER_FAILURE))
         raise SolverError(words, run)
     if isinstance(end, _ProgressError) and found is None:
-        words = "the progress callable ended the motion by returning False"
-        run = replace(run, stop=Stop("interrupted", t, words, Outcome.INTERRUPTED))
+        run = replace(run, stop=interrupted_at(t))
     return run
+
+
+def interrupted_at(t: float) -> Stop:
+    """Return the stop of a motion that is interrupted at a time in s."""
+    words = "Ctrl-C or the progress callable ended the integration"
+    return Stop("interrupted", t, words, Outcome.INTERRUPTED)
 
 
 def _event_times(

@@ -12,7 +12,7 @@ import numpy as np
 from slipfree.batch import run_buffered
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.interrupt import InterruptGuard
+from slipfree.interrupt import InterruptGuard, check_interrupt
 from slipfree.lookups import found_column
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Record, leaves, unpack
@@ -21,7 +21,9 @@ from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.simulate import (
     COUNTS,
     MAX_STEPS,
+    Progress,
     check_times,
+    interrupted_at,
     suppress_messages,
 )
 from slipfree.solve.system import System, with_inputs
@@ -39,6 +41,7 @@ def simulate_sampled(
     t: Array,
     *,
     options: SolverOptions = SolverOptions(),
+    progress: Progress | None = None,
 ) -> Trajectory:
     """Return the motion under inputs that are constant between samples.
 
@@ -59,6 +62,9 @@ def simulate_sampled(
         Times at which the controller samples, evenly spaced. [s]
     options : SolverOptions
         Options of the solvers; the method must be CVODES.
+    progress : callable, optional
+        Called with the time of every sample. If it returns False, the motion ends there with the
+        stop ``"interrupted"``.
 
     Raises
     ------
@@ -87,7 +93,9 @@ def simulate_sampled(
     system, law = _split_inputs(dae, inputs, t.size - 1, options)
     clock = time.process_time()
     with InterruptGuard() as guard:
-        samples, cost, failure = _integrate_periods(system, law, start, t, options.tolerance, guard)
+        samples, cost, failure, is_ended = _integrate_periods(
+            system, law, start, t, options.tolerance, guard, progress
+        )
     run = to_trajectory(system, samples, {})
     fault = first_violation(system, run, samples)
     if fault is not None:
@@ -96,6 +104,8 @@ def simulate_sampled(
         words = f"the integrator stopped at t = {run.t[-1]:.6g} s: {failure}"
         run = replace(run, stop=Stop("solver", float(run.t[-1]), failure, Outcome.SOLVER_FAILURE))
         raise SolverError(words, run)
+    elif is_ended:
+        run = replace(run, stop=interrupted_at(float(run.t[-1])))
     cost |= {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
     return replace(run, statistics=cost)
 
@@ -142,9 +152,11 @@ def _integrate_periods(
     t: Array,
     tolerance: float,
     guard: InterruptGuard,
-) -> tuple[Samples, dict[str, float], str]:
+    progress: Progress | None,
+) -> tuple[Samples, dict[str, float], str, bool]:
     """Return samples, the counts of the integrator, and the message of its failure or ``""``.
 
+    The last value is whether ``progress`` ended the motion.
     The samples end with the first sample beyond a limit of the model.
     """
     dae, n = system.dae, t.size
@@ -155,13 +167,17 @@ def _integrate_periods(
     x, q = np.zeros((n, dae.ode.numel())), np.zeros((n, dae.quad.numel()))
     x[0], q[0] = dae.rows("x", start, -1), dae.rows("q", start, -1)
     u, margin = np.zeros((n, system.u.shape[0])), np.empty(1)
-    cost, failure, last = dict.fromkeys(COUNTS, 0.0), "", 0
+    cost, failure, last, is_ended = dict.fromkeys(COUNTS, 0.0), "", 0, False
     for k in range(n):
         numbers = system.u[:, min(k, n - 2)]
         run_buffered(sample, {0: t[k : k + 1], 1: x[k], 2: numbers}, {0: u[k], 1: margin})
         last = k
         if k == n - 1 or margin[0] < 0:
             break
+        is_ended = progress is not None and progress(float(t[k])) is False
+        if is_ended:
+            break
+        check_interrupt()
         given = dict(zip(names, (x[k], np.append(u[k], t[k])), strict=True))
         found = dict(zip(results, (x[k + 1], q[k + 1]), strict=True))
         try:
@@ -176,7 +192,7 @@ def _integrate_periods(
         statistics = buffer.stats()
         cost = {name: cost[name] + statistics[key] for name, key in COUNTS.items()}
     samples = Samples(t, x.T, np.zeros((0, n)), q.T, u.T)
-    return samples.head(last + 1), cost, failure
+    return samples.head(last + 1), cost, failure, is_ended
 
 
 def _sample_function(system: System, law: ca.Function) -> ca.Function:

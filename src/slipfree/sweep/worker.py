@@ -52,13 +52,19 @@ def _worked(task: Task, begin: float) -> Done:
         raise SolverError(f"{error} (reached t = {error.trajectory.t[-1]:.6g} s)") from error
     motion = result.trajectory
     stop = motion.stop
+    outcome = f"stopped by {stop.name}" if stop else "complete"
+    words = stop.words if stop else verb_of(problem).describe_end(motion)
+    try:
+        figures = figures_of(motion, problem)
+    except Exception as error:  # failed metrics must not lose the motion
+        outcome, words, figures = FAILED, f"metrics: {type(error).__name__}: {error}", {}
     row = Row(
         task.run,
         own_settings(task),
-        f"stopped by {stop.name}" if stop else "complete",
-        stop.words if stop else verb_of(problem).describe_end(motion),
+        outcome,
+        words,
         float(motion.t[-1]),
-        figures_of(motion, problem),
+        figures,
         time.perf_counter() - begin,
     )
     return Done(row, motion, result.arrays) if task.keep else Done(row)

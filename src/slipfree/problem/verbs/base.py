@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, get_args
 
@@ -16,12 +16,16 @@ import numpy as np
 from typing_extensions import TypeVar  # with a default
 
 from slipfree.files.netcdf import NOTHING
+from slipfree.interrupt import check_interrupt
 from slipfree.outcome import Outcome
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
 from slipfree.problem.summary import Facts
 from slipfree.records import Array
-from slipfree.trajectory import Trajectory
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.simulate import simulate
+from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.trajectory import SolverError, Stop, Trajectory
 
 if TYPE_CHECKING:
     from slipfree.models.montana import Difference
@@ -30,6 +34,7 @@ if TYPE_CHECKING:
     from slipfree.show.scene import Scene
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
+FAILED_DIAGNOSTICS = "failed_diagnostics"  # attribute with names and errors of diagnostics
 CROSS_CHECK, RESUME, ANIMATION = "cross-check", "resume", "animation"  # options of slipfree run
 
 
@@ -57,7 +62,7 @@ class Setup(Protocol):
 
 
 class Watch(NamedTuple):
-    """Callbacks during the solution of a problem; each may raise KeyboardInterrupt.
+    """Callbacks during the solution of a problem; the first three may raise KeyboardInterrupt.
 
     Attributes
     ----------
@@ -68,11 +73,15 @@ class Watch(NamedTuple):
     path : callable or None
         Called for every iterate of a plan with the path of the platform in map coordinates, an
         ndarray of shape (n, 2). [m]
+    keep : callable
+        Called with a `Solution` of what is computed so far, which is the result if the computation
+        is interrupted or fails afterwards. The last one counts.
     """
 
     time: Callable[[float], None] | None = None
     line: Callable[[str, str], None] | None = None
     path: Callable[[Array], None] | None = None
+    keep: Callable[[Solution], None] = lambda _: None
 
 
 P = TypeVar("P", bound=CommonKeys, default=Any)  # record of a problem
@@ -95,6 +104,74 @@ class Solution(NamedTuple):
     trajectory: Trajectory
     setup: Setup
     arrays: Mapping[str, Array] = NOTHING
+
+
+def integrate(setup: Any, options: SolverOptions, watch: Watch) -> Trajectory:
+    """Return the motion of a set-up, or its part up to Ctrl-C or to a failure of the integrator.
+
+    The motion has all samples of a sampled driving law.
+
+    Raises
+    ------
+    SolverError
+        If the integrator fails before the first sample.
+    """
+
+    def progress(t: float) -> bool:
+        try:
+            if watch.time is not None:
+                watch.time(t)
+        except KeyboardInterrupt:
+            return False
+        return True
+
+    solver = simulate_sampled if setup.every else simulate
+    posed = setup.dae, setup.start, setup.inputs, setup.t
+    try:
+        return solver(*posed, options=options, progress=progress)
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        return error.trajectory
+
+
+def with_diagnostics(
+    run: Trajectory,
+    diagnostics: Mapping[str, Callable[[Trajectory], Trajectory]],
+    keep: Callable[[Trajectory], None],
+) -> Trajectory:
+    """Return a motion with diagnostics; an attribute names those that fail, with the error.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    diagnostics : mapping of str to callable
+        Functions that return a motion with one more diagnostic, by name.
+    keep : callable
+        Called after Ctrl-C with the motion and the diagnostics so far.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C.
+    """
+    for name, diagnose in diagnostics.items():
+        try:
+            check_interrupt()
+            run = diagnose(run)
+        except KeyboardInterrupt:
+            t = float(run.t[-1])
+            words = f"the motion is computed to its end, but not all diagnostics: without {name}"
+            stop = run.stop or Stop("interrupted", t, words, Outcome.INTERRUPTED)
+            keep(replace(run, stop=stop))
+            raise
+        except Exception as error:  # a failed diagnostic must not lose the motion
+            failures = [run.attributes.get(FAILED_DIAGNOSTICS, "")]
+            failures.append(f"{name}: {type(error).__name__}: {error}")
+            words = "; ".join(filter(None, failures))
+            run = replace(run, attributes={**run.attributes, FAILED_DIAGNOSTICS: words})
+    return run
 
 
 class CrossCheck(NamedTuple):

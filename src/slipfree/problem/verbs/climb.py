@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from math import degrees, isfinite, sqrt
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from slipfree.control.sensor_noise import Noise
 from slipfree.control.step_climbing import Control, check_period
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
+from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.source_lines import Place
@@ -38,7 +40,9 @@ from slipfree.problem.verbs.base import (
     Solution,
     Viewer,
     Watch,
+    integrate,
     largest_tilt,
+    with_diagnostics,
 )
 from slipfree.problem.verbs.climb_plan import (
     Planned,
@@ -48,11 +52,9 @@ from slipfree.problem.verbs.climb_plan import (
     plan_statistics,
     poses_of_plan,
 )
-from slipfree.problem.verbs.climb_summary import ENDING, climb_facts
+from slipfree.problem.verbs.climb_summary import ENDING, SLOW_CLIMB, climb_facts
 from slipfree.records import Array
 from slipfree.solve.settle import settle
-from slipfree.solve.simulate import simulate
-from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import Profile, Solid
 from slipfree.trajectory import SolverError, Trajectory
 from slipfree.vehicle.climber import AXLES, Climber, side_view
@@ -171,17 +173,27 @@ class ClimbVerb(MotionVerb):
         SolverError
             If no plan is found, or the integrator fails before the first sample.
         """
-        spec = problem.spec
-        if spec.plan is None:
-            return Solution(_judged(_simulated(spec, setup, watch), setup), setup)
-        with at(problem, ("plan",)):
-            plan = plan_climb(
-                setup.climber, setup.profile, spec.plan, spec.friction.static, spec.control.speed
-            )
-        setup = _tracking(problem, setup, plan)
-        run = _judged(_simulated(spec, setup, watch), setup)
-        statistics = {**run.statistics, **plan_statistics(plan, run)}
-        return Solution(replace(run, statistics=statistics), setup, arrays_of(plan.run))
+        spec, arrays = problem.spec, NOTHING
+        if spec.plan is not None:
+            with at(problem, ("plan",)):
+                plan = plan_climb(
+                    setup.climber,
+                    setup.profile,
+                    spec.plan,
+                    spec.friction.static,
+                    spec.control.speed,
+                )
+            setup = _tracking(problem, setup, plan)
+            arrays = arrays_of(plan.run)
+        run = _judged(integrate(setup, spec.solver.options, watch), setup)
+        if spec.plan is not None:
+            run = replace(run, statistics={**run.statistics, **plan_statistics(plan, run)})
+        run = with_diagnostics(
+            run,
+            {SLOW_CLIMB: partial(_with_slow_climb, setup)},
+            lambda run: watch.keep(Solution(run, setup, arrays)),
+        )
+        return Solution(run, setup, arrays)
 
     def describe_start(
         self, problem: Problem[climb_schema.Climb], setup: Climbing
@@ -528,36 +540,25 @@ def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Plann
 
 
 def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
-    """Return a motion with the description of its end, averages, and friction of a slow climb.
+    """Return a motion with the description of its end and averages.
 
     The samples are reduced to those of the result if a sampled controller has more steps.
     """
     end = obstacle_ending(run, side_view(setup.climber), prisms(setup.profile))
-    slow = _slow(setup)
-    statistics = {**run.statistics, **_averages(run, setup), **slow[0]}
-    attributes = {**run.attributes, ENDING: str(end), "slow_climb": slow[1]}
-    if setup.every:
-        run = run.part(slice(0, None, setup.every), run.stop)
+    statistics = {**run.statistics, **_averages(run, setup)}
+    attributes = {**run.attributes, ENDING: str(end)}
+    run = run.part(slice(0, None, setup.every or 1), run.stop)
     return replace(run, statistics=statistics, attributes=attributes)
 
 
-def _simulated(spec: climb_schema.Climb, setup: Climbing, watch: Watch) -> Trajectory:
-    options = spec.solver.options
-    try:
-        if setup.every:
-            return simulate_sampled(setup.dae, setup.start, setup.inputs, setup.t, options=options)
-        return simulate(
-            setup.dae,
-            setup.start,
-            setup.inputs,
-            setup.t,
-            options=options,
-            progress=watch.time,
-        )
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        return error.trajectory
+def _with_slow_climb(setup: Climbing, run: Trajectory) -> Trajectory:
+    """Return a motion with the friction that a quasi-static climb needs, and its description."""
+    statistics, words = _slow(setup)
+    return replace(
+        run,
+        statistics={**run.statistics, **statistics},
+        attributes={**run.attributes, SLOW_CLIMB: words},
+    )
 
 
 def _averages(run: Trajectory, setup: Climbing) -> dict[str, float]:

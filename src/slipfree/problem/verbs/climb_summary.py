@@ -11,6 +11,7 @@ from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory
 
 ENDING = "climb"  # attribute of a result with the end of the climb
+SLOW_CLIMB = "slow_climb"  # attribute with the friction that a quasi-static climb needs
 UNBALANCED = 1e-3  # largest unreported error of the energy balance, relative to the motors' work
 
 AVERAGES = {
@@ -79,7 +80,7 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 def _slippery(run: Trajectory) -> str:
     """Return the description of the friction that a quasi-static climb needs."""
-    words = run.attributes["slow_climb"]
+    words = run.attributes.get(SLOW_CLIMB, "not computed")
     if "slow_climb_friction" not in run.statistics:
         return words
     return f"{words}; available: {run.attributes['friction']}"

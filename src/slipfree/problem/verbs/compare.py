@@ -10,6 +10,7 @@ from pydantic import Field
 
 from slipfree.dae import Dae
 from slipfree.files.toml.angles import Quantity
+from slipfree.interrupt import interrupt_requested
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.slip import measured_slip
 from slipfree.problem.build_common import (
@@ -114,6 +115,8 @@ class Row(NamedTuple):
 def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple[Ground, list[Row]]:
     """Compare vehicles on one ground; return the ground and the results of each vehicle.
 
+    After a Ctrl-C held back by `held_interrupt`, the results are those of the finished vehicles.
+
     Parameters
     ----------
     problem : Problem
@@ -134,7 +137,12 @@ def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple
         progress(spec.name)
         with at(problem, ("vehicles", index)):
             vehicle = build_vehicle(spec, problem)
-        rows.append(_row(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain)))
+        try:
+            rows.append(_row(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain)))
+        except KeyboardInterrupt:
+            if not (rows and interrupt_requested()):
+                raise
+            break
     return ground, rows
 
 

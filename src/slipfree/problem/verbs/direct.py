@@ -30,9 +30,9 @@ from slipfree.problem.build_world import build_world
 from slipfree.problem.joint_inputs import read_joint_inputs
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import FILE, VERB, Driver, Modelled, Task
-from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch
+from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch, integrate
 from slipfree.problem.verbs.drive_facts import FORMULATION
-from slipfree.problem.verbs.driving import DriveVerb, integrate, model_attributes
+from slipfree.problem.verbs.driving import DriveVerb, model_attributes
 from slipfree.records import Array
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
@@ -139,7 +139,8 @@ class DirectVerb(DriveVerb):
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the motion, complete or up to its stop, and an empty mapping of arrays."""
-        return integrate(setup, solver_options(problem), watch), NOTHING
+        run = integrate(setup, solver_options(problem), watch)
+        return run.part(slice(0, None, setup.every or 1), run.stop), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model, law and formulation."""

@@ -9,6 +9,7 @@ import numpy as np
 from slipfree.models.drawbar import RESERVE
 from slipfree.models.rocking import has_pressed_wheels, lightest_wheel, rocks
 from slipfree.problem.summary import duration_fact
+from slipfree.problem.verbs.base import FAILED_DIAGNOSTICS
 from slipfree.trajectory import Trajectory, path_length
 
 FORMULATION = "formulation"  # attribute of results of direct problems
@@ -246,11 +247,12 @@ def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str,
         yield "drift of the assembly", f"{drift:.2e} m, {turned:.2e} rad at most"
     else:
         yield "closure residual", f"{run['closure_residual'].max():.2e} m at most"
-        step = run["newton_step"].max()
-        # The integrator's error test ignores the unknowns of pressed wheels.
-        tested = tolerance and not has_pressed_wheels(run)
-        of_it = f", {step / tolerance:.3g} x the tolerance" if tested else ""
-        yield "Newton step", f"{step:.2e} m at most{of_it}"
+        if "newton_step" in run:  # a plan that is not simulated has none
+            step = run["newton_step"].max()
+            # The integrator's error test ignores the unknowns of pressed wheels.
+            tested = tolerance and not has_pressed_wheels(run)
+            of_it = f", {step / tolerance:.3g} x the tolerance" if tested else ""
+            yield "Newton step", f"{step:.2e} m at most{of_it}"
     yield "singular value", f"{np.fmin.reduce(run['singular_value']):.4g} at least"
     yield "contact certificate", certificate(run)
     yield from _missing(run)
@@ -280,8 +282,8 @@ def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
     ]
     if listed:
         yield "not converged", ", ".join(listed)
-    if "failed_diagnostics" in run.attributes:
-        yield "diagnostics failed", run.attributes["failed_diagnostics"]
+    if FAILED_DIAGNOSTICS in run.attributes:
+        yield "diagnostics failed", run.attributes[FAILED_DIAGNOSTICS]
 
 
 def certificate(run: Trajectory) -> str:

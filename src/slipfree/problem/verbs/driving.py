@@ -43,6 +43,7 @@ from slipfree.problem.verbs.base import (
     Viewer,
     Watch,
     largest_tilt,
+    with_diagnostics,
 )
 from slipfree.problem.verbs.drive_facts import (
     CHECKS,
@@ -58,14 +59,11 @@ from slipfree.problem.verbs.drive_facts import (
     trust_facts,
 )
 from slipfree.records import Array, leaves
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import stable_poses
-from slipfree.solve.simulate import simulate
-from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism
-from slipfree.trajectory import SolverError, Trajectory, path_length
+from slipfree.trajectory import Trajectory, path_length
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
@@ -86,6 +84,7 @@ EXTREMES = Extremes(
     ),
     gained=("work", "potential_energy"),
 )
+Diagnostic = Callable[[Trajectory], Trajectory]
 STEEPEST = 3.0  # ratio of vertical to normal distance from the ground, at a slope of 70 degrees
 SAME = 1e-3  # largest distance of wheels from stored positions and from the ground, in radii
 
@@ -116,7 +115,12 @@ class DriveVerb(MotionVerb):
         """Return the motion of a problem with its diagnostics."""
         run, arrays = self.drive(problem, setup, watch, resume)
         law = model_law(problem, problem.spec) if isinstance(problem.spec, Modelled) else None
-        return Solution(_with_diagnostics(setup, law, run), setup, arrays)
+
+        def keep(run: Trajectory) -> None:
+            watch.keep(Solution(run, setup, arrays))
+
+        run = with_diagnostics(run, _diagnostics(setup, law, run), keep)
+        return Solution(run, setup, arrays)
 
     def describe_start(self, problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, Facts]:
         """Return the start in the frame of the problem, and facts about start and samples."""
@@ -294,50 +298,19 @@ def vehicle_of(result: Result) -> Vehicle:
     return vehicle
 
 
-def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:
-    """Return the motion, or its part up to a failure of the integrator.
-
-    Of the steps of a sampled driving law, the samples of the result are kept.
-
-    Raises
-    ------
-    SolverError
-        If the integrator fails before the first sample.
-    """
-    posed = setup.dae, setup.start, setup.inputs, setup.t
-    try:
-        if setup.every:
-            run = simulate_sampled(*posed, options=options)
-        else:
-            run = simulate(*posed, options=options, progress=watch.time)
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        run = error.trajectory
-    return run.part(slice(0, None, setup.every), run.stop) if setup.every else run
-
-
-def _with_diagnostics(setup: Setup, law: object, run: Trajectory) -> Trajectory:
-    """Return a motion with its diagnostics; its attributes name those that fail, with the error."""
-    diagnostics: dict[str, Callable[[Trajectory], Trajectory]] = {
+def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagnostic]:
+    """Return the diagnostics of a motion by name."""
+    found: dict[str, Diagnostic] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
         OBSTACLES: partial(_with_ending, setup),
     }
     vehicle = setup.vehicle
     has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
     if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
-        diagnostics[BEST.name] = partial(best_utilisation, setup.vehicle, setup.terrain)
+        found[BEST.name] = partial(best_utilisation, setup.vehicle, setup.terrain)
     if isinstance(law, Soil):
-        diagnostics[RESERVE.name] = partial(drawbar_reserve, vehicle, law)
-    failures = []
-    for name, diagnose in diagnostics.items():
-        try:
-            run = diagnose(run)
-        except Exception as error:  # a failed diagnostic must not lose the motion
-            failures.append(f"{name}: {type(error).__name__}: {error}")
-    if not failures:
-        return run
-    return replace(run, attributes={**run.attributes, "failed_diagnostics": "; ".join(failures)})
+        found[RESERVE.name] = partial(drawbar_reserve, vehicle, law)
+    return found
 
 
 def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:

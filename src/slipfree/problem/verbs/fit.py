@@ -41,6 +41,7 @@ from slipfree.fit.windows import Log, Windows, cut
 from slipfree.frames import Frame
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
+from slipfree.outcome import Outcome
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.build_vehicle import build_vehicle
@@ -358,7 +359,9 @@ def _divided(log: Log, duration: float) -> Log:
 def facts(fitted: Fitted) -> Facts:
     """Return the facts of a fit: estimates, identifiable directions, and errors of predictions."""
     found = fitted.calibration
+    outcome = Outcome.INTERRUPTED if found.estimate.is_interrupted else Outcome.COMPLETE
     return [
+        ("outcome", outcome.title),
         *([("log", "; ".join(fitted.notes))] if fitted.notes else []),
         ("windows", f"{len(found.train.measured)} for training, {len(found.test.measured)} others"),
         *_estimates(found.estimate),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,9 +44,18 @@ from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts, integrator_fact
 from slipfree.problem.unit_checks import check_heading_unit, check_time_unit
-from slipfree.problem.verbs.base import Extremes, Quantity, Result, Watch, differences
+from slipfree.problem.verbs.base import (
+    Extremes,
+    Quantity,
+    Result,
+    Solution,
+    Watch,
+    differences,
+    integrate,
+    with_diagnostics,
+)
 from slipfree.problem.verbs.drive_facts import trust_facts
-from slipfree.problem.verbs.driving import DriveVerb, integrate
+from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.problem.verbs.inverse_commands import ROBOT, are_commands, read_commands
 from slipfree.problem.verbs.inverse_facts import (
     CHECKS,
@@ -139,11 +149,16 @@ class InverseVerb(DriveVerb):
         """Return the motion with its differences from the direct model, and an empty mapping."""
         spec, options, inputs = problem.spec, problem.spec.solver.options, None
         if _is_collocated(spec, setup):
-            run, inputs = _collocate(setup, options, watch)
+            run, inputs = _collocate(setup, options)
         else:
             run = integrate(setup, options, watch)
-        run = _with_steering(setup.vehicle, run)
-        return _with_replay(setup, run, inputs, options), NOTHING
+        replayed = partial(_with_replay, setup, inputs, options)
+        run = with_diagnostics(
+            _with_steering(setup.vehicle, run),
+            {"replay": replayed},
+            lambda run: watch.keep(Solution(run, setup)),
+        )
+        return run, NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including its solution method."""
@@ -387,15 +402,13 @@ def _forward_inputs(
     return direct.inputs(**rates, **commanded)
 
 
-def _collocate(setup: Setup, options: SolverOptions, watch: Watch) -> tuple[Trajectory, Any]:
+def _collocate(setup: Setup, options: SolverOptions) -> tuple[Trajectory, Any]:
     """Return the motion along a path, steering included, and its inputs as functions of time."""
     steering = [c.name for c in setup.vehicle.of("commanded")]
     found = drive(
         setup.dae, setup.start, setup.inputs, setup.t, free_states=steering, options=options
     )
     statistics = {**found.run.statistics, "tolerance": options.tolerance}
-    if watch.time is not None:
-        watch.time(float(found.run.t[-1]))
     inputs = spline_inputs(setup.model, found.t, found.unknowns)
     return replace(found.run, statistics=statistics), inputs
 
@@ -410,7 +423,7 @@ def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
     return replace(run, stop=run.stop._replace(words=words))
 
 
-def _with_replay(setup: Setup, run: Trajectory, inputs: Any, options: SolverOptions) -> Trajectory:
+def _with_replay(setup: Setup, inputs: Any, options: SolverOptions, run: Trajectory) -> Trajectory:
     """Return a motion with statistics of its differences from the direct model.
 
     The direct model is integrated with ``inputs``, functions of time. If it is None, the inputs are
@@ -432,7 +445,8 @@ def _with_replay(setup: Setup, run: Trajectory, inputs: Any, options: SolverOpti
     at_stop = [c.name for c in setup.vehicle.of("commanded") if _reaches_stop(c, run)]
     attributes = {"replay_stopped": words, "held_at_stop": " ".join(at_stop)}
     attributes = {name: words for name, words in attributes.items() if words}
-    return replace(run, statistics={**run.statistics, **gaps}, attributes=attributes)
+    statistics = {**run.statistics, **gaps}
+    return replace(run, statistics=statistics, attributes={**run.attributes, **attributes})
 
 
 def _reaches_stop(c: Coordinate, run: Trajectory) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,11 +37,19 @@ from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.summary import Facts
 from slipfree.problem.verbs import plan_schema
-from slipfree.problem.verbs.base import RESUME, Quantity, Result, Watch, differences
-from slipfree.problem.verbs.driving import DriveVerb, model_attributes
+from slipfree.problem.verbs.base import (
+    RESUME,
+    Quantity,
+    Result,
+    Solution,
+    Watch,
+    differences,
+    with_diagnostics,
+)
+from slipfree.problem.verbs.driving import Diagnostic, DriveVerb, model_attributes
 from slipfree.problem.verbs.plan_facts import CHECKS, plan_facts
 from slipfree.problem.verbs.plan_goals import regions, spelled
-from slipfree.problem.verbs.plan_robust import Tested, make_robust
+from slipfree.problem.verbs.plan_robust import UNTESTED, Tested, make_robust
 from slipfree.problem.verbs.plan_search import find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
     Planning,
@@ -112,51 +121,74 @@ class PlanVerb(DriveVerb):
         spec = problem.spec
         progress, table = _iterate_reporter(watch, setup), ""
         if spec.plan.window is not None:
-            return self._drive_windows(problem, setup, progress, resume)
+            return self._drive_windows(problem, setup, watch, progress, resume)
         if resume is None and spec.plan.starts > 1:
             resume, table, is_interrupted = best_start(problem, setup, watch.line)
             progress = _stopped if is_interrupted else progress
         with at(problem, ("driver" if spec.driver else "inputs",)):
             guesses = [] if resume else [guess_motion(setup, start) for start in setup.starts]
         length = resume.motion.duration if resume else float(guesses[0].t[-1])
-        found = find_plan(problem, setup, guesses, resume, progress, length)
+        attributes = {"plan_starts": table} if table else {}
+
+        def described(found: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
+            run, arrays = _described(spec, setup, found, run, attributes)
+            return run, {**arrays, **_guess_arrays(guesses)}
+
+        def keep(found: Plan) -> None:
+            run, arrays = described(found, found.replay)
+            watch.keep(Solution(run, setup, arrays))
+
+        found = find_plan(problem, setup, guesses, resume, progress, length, keep=keep)
         tested = Tested(found)
         if spec.plan.robust is not None and found.accurate:
+            keep(replace(found, replay=replace(found.replay, stop=UNTESTED)))
             tested = make_robust(problem, setup, found, spec.plan.robust, progress, watch.line)
             found = tested.plan
         run, stop = found.replay, tested.stop or with_offer(setup, found, guesses)
         if stop is not None and (tested.stop or not found.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
-        attributes = {
-            **({"plan_robust": tested.words} if tested.words else {}),
-            **_optimality(found),
-            **_by_stiffness(problem, setup, found),
-            **_in_soil(problem, setup, found),
-            **_momentum(setup, found),
-            **({"plan_starts": table} if table else {}),
+        attributes |= {"plan_robust": tested.words} if tested.words else {}
+        run = replace(run, statistics={**run.statistics, **tested.statistics})
+        run, arrays = described(found, run)
+        diagnostics: dict[str, Diagnostic] = {
+            "optimality": partial(_with_optimality, found),
+            "by_friction": lambda run: _with_words(run, _by_friction(setup, found)),
+            "by_stiffness": lambda run: _with_words(run, _by_stiffness(problem, setup, found)),
+            "in_soil": lambda run: _with_words(run, _in_soil(problem, setup, found)),
+            "momentum": lambda run: _with_words(run, _momentum(setup, found)),
         }
-        prices = {
-            f"plan_price_{price.label.name}": price.rate
-            for price in found.prices
-            if price.role in (COST, DURATION)
-        }
-        run = replace(run, statistics={**run.statistics, **prices, **tested.statistics})
-        run, arrays = _described(spec, setup, found, run, attributes)
-        return run, {**arrays, **_guess_arrays(guesses)}
+        run = with_diagnostics(
+            run, diagnostics, lambda run: watch.keep(Solution(run, setup, arrays))
+        )
+        return run, arrays
 
     def _drive_windows(
         self,
         problem: Problem[plan_schema.Plan],
         setup: Planning,
+        watch: Watch,
         progress: PlanProgress,
         resume: SavedPlan | None,
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the simulated motion of a plan in windows, and the plan as arrays."""
         spec, model = problem.spec, (setup.dae, setup.vehicle, setup.terrain)
         arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
-        found = long_plan(problem, setup, setup.paths[0], arguments, resume, progress)
-        attributes = {"plan_windows": windows_words(found)}
-        return _described(spec, setup, found, found.replay, attributes)
+
+        def described(found: LongPlan) -> tuple[Trajectory, Mapping[str, Array]]:
+            attributes = {"plan_windows": windows_words(found)}
+            return _described(spec, setup, found, found.replay, attributes)
+
+        def keep(found: LongPlan) -> None:
+            run, arrays = described(found)
+            watch.keep(Solution(run, setup, arrays))
+
+        found = long_plan(problem, setup, setup.paths[0], arguments, resume, progress, keep)
+        run, arrays = described(found)
+        diagnostics = {"by_friction": lambda run: _with_words(run, _by_friction(setup, found))}
+        run = with_diagnostics(
+            run, diagnostics, lambda run: watch.keep(Solution(run, setup, arrays))
+        )
+        return run, arrays
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model and law."""
@@ -223,7 +255,6 @@ def _described(
         **run.attributes,
         **_turns(spec, setup, found),
         **_violations(found, spec.plan.accuracy),
-        **_by_friction(setup, found),
         **attributes,
         "plan_searches": "\n".join(stage.words for stage in found.stages),
     }
@@ -290,14 +321,23 @@ def _violations(found: Plan | LongPlan, accuracy: float) -> dict[str, str]:
     return {"plan_violations": f"{words}; plan.accuracy allows {accuracy:g}"}
 
 
-def _optimality(found: Plan) -> dict[str, str]:
-    """Return the descriptions of second-order conditions and prices of a solved plan."""
-    if found.optimality is None:
-        return {}
-    return {
-        "plan_optimality": found.optimality.words,
-        "plan_prices": prices_words(found.prices),
+def _with_words(run: Trajectory, attributes: Mapping[str, str]) -> Trajectory:
+    """Return a motion with further attributes."""
+    return replace(run, attributes={**run.attributes, **attributes})
+
+
+def _with_optimality(found: Plan, run: Trajectory) -> Trajectory:
+    """Return a motion with second-order conditions and prices of its plan, if it is solved."""
+    prices = {
+        f"plan_price_{price.label.name}": price.rate
+        for price in found.prices
+        if price.role in (COST, DURATION)
     }
+    run = replace(run, statistics={**run.statistics, **prices})
+    if found.optimality is None:
+        return run
+    words = {"plan_optimality": found.optimality.words, "plan_prices": prices_words(found.prices)}
+    return _with_words(run, words)
 
 
 def _inaccurate(spec: plan_schema.Plan, found: Plan | LongPlan) -> Stop:

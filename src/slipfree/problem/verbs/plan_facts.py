@@ -59,7 +59,10 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     kept = f"; violates {violated}" if violated else "; meets all constraints"
     if not solved:
         kept = ""  # the outcome names the violations
-    yield "simulated", f"differs from the {plan} by at most {listed}{kept}"
+    if not gaps:
+        yield "simulated", "not yet; the motion is that of the plan"
+    else:
+        yield "simulated", f"differs from the {plan} by at most {listed}{kept}"
     if "plan_optimality" in run.attributes:
         yield "optimality", run.attributes["plan_optimality"]
         yield "prices of limits", run.attributes["plan_prices"]

@@ -53,6 +53,12 @@ from slipfree.terrain.grid_ops import disturbed
 from slipfree.trajectory import PLAN_SHARE, Stop, Trajectory
 
 Report = Callable[[str, str], None]
+UNTESTED = Stop(
+    PLAN_SHARE,
+    0.0,
+    "the plan is solved and accurate, but not all drawn worlds are simulated",
+    Outcome.INTERRUPTED,
+)
 MAX_LISTED = 4  # largest number of bounds in a line of the summary
 
 
@@ -180,8 +186,7 @@ def make_robust(
                 seed=robust.seed,
             )
     except KeyboardInterrupt:
-        words = "the plan is solved and accurate, but not all drawn worlds are simulated"
-        return Tested(latest, Stop(PLAN_SHARE, 0.0, words, Outcome.INTERRUPTED))
+        return Tested(latest, UNTESTED)
     statistics = {
         "plan_share": found.after.share,
         "plan_share_first": found.before.share,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -33,7 +34,7 @@ from slipfree.problem.verbs.plan_setup import (
 from slipfree.problem.verbs.plan_windows import search_arguments
 from slipfree.records import Array
 from slipfree.solve.simulate import simulate
-from slipfree.trajectory import SolverError, Trajectory
+from slipfree.trajectory import PLAN, SolverError, Stop, Trajectory
 
 SMOOTHINGS = (1.0, 0.3)  # smoothing widths of the load law in the first plans, in static depths
 ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
@@ -83,6 +84,7 @@ def find_plan(
     progress: Callable[[str, Iterate], bool],
     length: float,
     tightening: Tightening = MappingProxyType({}),
+    keep: Callable[[FoundPlan], None] | None = None,
 ) -> FoundPlan:
     """Return the plan of a problem.
 
@@ -104,6 +106,8 @@ def find_plan(
         Duration of the plan if the problem gives none. [s]
     tightening : mapping of Bound to float
         Distance of each tightened bound from the given one, in the unit of the quantity.
+    keep : callable, optional
+        As for `plan`.
 
     Raises
     ------
@@ -131,6 +135,7 @@ def find_plan(
                 duration=spec.plan.duration or (length, length),
                 resume=saved,
                 progress=progress,
+                keep=keep if keep is None or dae is setup.dae else partial(_keep_smoothed, keep),
             )
         if found is not None:
             if not now.success and now.run.outcome is not Outcome.INTERRUPTED:
@@ -140,6 +145,13 @@ def find_plan(
             break
         found, saved = now, now.saved
     return now
+
+
+def _keep_smoothed(keep: Callable[[FoundPlan], None], found: FoundPlan) -> None:
+    """Keep a plan of one of the first searches; its stop says that it is not the final one."""
+    words = "the search was interrupted; this plan has a smoother load law or a larger creep speed"
+    stop = Stop(PLAN, float(found.replay.t[-1]), words, Outcome.INTERRUPTED)
+    keep(replace(found, replay=replace(found.replay, stop=stop)))
 
 
 def _smoothed_models(problem: Problem[Plan], setup: Planning) -> list[Dae]:

@@ -15,6 +15,7 @@ from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.geometry.path import Path as GroundPath
+from slipfree.interrupt import interrupt_requested
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.quasi_statics import quasi_statics
@@ -109,6 +110,12 @@ def follow_plan(
     progress : callable, optional
         Called with the time reached by the replanned motion. [s]
 
+    Returns
+    -------
+    TrackingTest
+        The motions, the replanned one last. After a Ctrl-C held back by `held_interrupt` those
+        simulated until then.
+
     Raises
     ------
     DataError
@@ -149,23 +156,17 @@ def follow_plan(
         progress=progress,
     )
     step = planned.spec.time.step
-    return TrackingTest(
-        found.replay,
-        (
-            Followed(
-                "open loop",
-                simulate_plan(world.dae, world.start, found.motion, step=step, options=options),
-                "inputs of the plan",
-            ),
-            *_with_forces(found, real, world),
-            _followed(found, world, step, options),
-            Followed(
-                "replanned",
-                tracked.run,
-                f"{tracked.cycles} cycles, {tracked.failures} failed, window {window:.3g} s",
-            ),
-        ),
-    )
+    cycles = f"{tracked.cycles} cycles, {tracked.failures} failed, window {window:.3g} s"
+    others = list[Followed]()
+    try:
+        run = simulate_plan(world.dae, world.start, found.motion, step=step, options=options)
+        others.append(Followed("open loop", run, "inputs of the plan"))
+        others.extend(_with_forces(found, real, world))
+        others.append(_followed(found, world, step, options))
+    except KeyboardInterrupt:
+        if not interrupt_requested():
+            raise
+    return TrackingTest(found.replay, (*others, Followed("replanned", tracked.run, cycles)))
 
 
 def _world(problem: Problem[Any]) -> World:

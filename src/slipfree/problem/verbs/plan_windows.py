@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -115,6 +115,7 @@ def long_plan(
     arguments: Mapping[str, Any],
     resume: SavedPlan | None,
     progress: PlanProgress,
+    keep: Callable[[LongPlan], None],
 ) -> LongPlan:
     """Return the plan of a problem along a route, planned in windows.
 
@@ -128,7 +129,7 @@ def long_plan(
         Arguments of `plan` for the problem.
     resume : SavedPlan or None
         Plan in windows from which the search continues.
-    progress : callable
+    progress, keep : callable
         As for `plan_windows`.
 
     Raises
@@ -156,6 +157,7 @@ def long_plan(
             overlap=_overlap(spec, window),
             resume=resume,
             progress=progress,
+            keep=keep,
             **search_arguments(spec),
             **options,
         )

@@ -1,0 +1,237 @@
+"""Output files of the commands: checks before a computation, and writing after it."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slipfree.cli.common import begins_with
+from slipfree.cli.messages import add_json_file, note_failure, print_error, warn
+from slipfree.errors import DataError, WriteError
+from slipfree.interrupt import held_interrupt
+from slipfree.regular_files import check_name, resolve_links
+
+if TYPE_CHECKING:
+    from slipfree.problem.problem import Problem
+
+OUTPUT = ("output", "file")  # key of a problem file with the name of its result
+FIGURE = b"\x89PNG"  # first bytes of a PNG file
+PAGES = (".html", ".htm")  # endings of pages
+
+
+def check_outputs(
+    files: Sequence[Path | None],
+    inputs: Iterable[Path] = (),
+    *,
+    folder: Path | None = None,
+    names: Sequence[str] = ("*.png",),
+) -> None:
+    """Raise DataError for outputs that cannot be written, or that would replace another file.
+
+    Parameters
+    ----------
+    files : sequence of Path or None
+        Files to write; None for an output that is not requested.
+    inputs : iterable of Path
+        Files that the command reads, which must not be replaced.
+    folder : Path or None
+        Folder for further files, such as figures; created later if it does not exist.
+    names : sequence of str
+        Patterns of the names of these files.
+    """
+    read, taken = list(inputs), list[Path]()
+    for path in files:
+        if path is None:
+            continue
+        if same := next((each for each in read if _is_same(path, each)), None):
+            raise _overwrites(path, f"the input {same}")
+        if any(_is_same(path, each) for each in taken):
+            raise _overwrites(path, "another output")
+        taken.append(path)
+        _check_file(path)
+    if folder is not None:
+        _check_folder(folder)
+        for path in (each for name in names for each in folder.glob(name)):
+            if same := next((each for each in read if _is_same(path, each)), None):
+                raise _overwrites(path, f"the input {same}")
+
+
+def default_table(file: Path, command: str, inputs: Sequence[Path]) -> Path:
+    """Return the default table of a command in the current folder: the name of the file with .csv.
+
+    If this is an input, the table is called NAME_COMMAND.csv instead, and a warning says so.
+    """
+    table = Path(f"{file.stem}.csv")
+    if not any(_is_same(table, each) for each in inputs):
+        return table
+    other = Path(f"{file.stem}_{command}.csv")
+    warn(f"{table} is an input: the table is called {other}; -o OUT.csv chooses another name")
+    return other
+
+
+def _overwrites(path: Path, found: str) -> DataError:
+    return DataError(f"{path}: expected a separate file, found {found}; choose another name")
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    """Return whether two paths lead to one file, also by links or by names in other case."""
+    if resolve_links(path) == resolve_links(other):
+        return True
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):  # one of them does not exist, or has an invalid name
+        return False
+
+
+def check_page(out: Path, inputs: Sequence[Path]) -> None:
+    """Raise DataError if a page cannot be written, or if its name does not end in .html or .htm."""
+    check_outputs([out], inputs)
+    if out.suffix.lower() not in PAGES:
+        raise DataError(f"{out}: expected a name that ends in .html or .htm; choose another name")
+
+
+def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any]) -> None:
+    """Raise DataError for default output paths that could overwrite other files of the user.
+
+    Parameters
+    ----------
+    out : Path
+        Result file: the ``[output] file`` of the problem, or the problem's name with ``.nc``.
+    folder : Path or None
+        Default folder for figures; None if no default folder is used.
+    problem : Problem
+        Problem whose results are written.
+
+    Raises
+    ------
+    DataError
+        If a path is not a valid file name or, with symbolic links resolved, is outside the working
+        folder and the problem's folder, if the result's name does not end in ``.nc``, or if a path
+        would replace a file that is not a result or a figure.
+    """
+    from slipfree.files.netcdf import is_result
+
+    for place in (out, folder):
+        if place is not None:
+            check_name(place)
+    where = problem.source.where(OUTPUT) if problem.spec.output else str(problem.source.path)
+    remedy = f"choose another name, or give it on the command line: -o {shlex.quote(str(out))}"
+    inside = [resolve_links(each) for each in (Path.cwd(), problem.folder)]
+    figures = [] if folder is None else [folder, *folder.glob("*.png")]
+    for path in (out, *figures):
+        target = resolve_links(path)
+        if not any(target.is_relative_to(each) for each in inside):
+            link = "" if target == Path.cwd() / path else f", which is {target}"
+            raise DataError(
+                f"{where}: expected a path in the working folder or in the problem's folder, "
+                f"found {path}{link}; {remedy}"
+            )
+    if out.suffix.lower() != ".nc":
+        raise DataError(f"{where}: expected a name that ends in .nc, found {out}; {remedy}")
+    if out.is_file() and not is_result(out):
+        raise DataError(
+            f"{where}: expected a new file or a result of an earlier run, found the file {out}, "
+            f"which is neither; {remedy}"
+        )
+    for path in figures[1:]:
+        if not begins_with(path, FIGURE):
+            raise DataError(
+                f"{where}: expected a new file or a figure of an earlier run, found the file "
+                f"{path}, which is neither; choose another folder: --figures DIR"
+            )
+
+
+def _check_file(path: Path) -> None:
+    """Raise DataError for a file that cannot be written, before any computation."""
+    check_name(path)
+    if path.is_dir():
+        raise DataError(
+            f"{path}: expected the name of a file to write, found a folder; choose another name"
+        )
+    if path.exists() and not path.is_file():
+        raise DataError(
+            f"{path}: expected the name of a file to write, found a device, pipe or socket; choose "
+            "another name"
+        )
+    if not path.parent.is_dir():
+        found, remedy = "none", "create it, or choose another folder"
+        if path.parent.exists():
+            found, remedy = "a file", "choose another folder"
+        raise DataError(
+            f"{path}: expected a folder {path.parent} to write to, found {found}; {remedy}"
+        )
+    _check_writable(path, path.parent)
+
+
+def _check_folder(folder: Path) -> None:
+    """Raise DataError if ``folder`` is not a folder, or cannot be created or written to."""
+    check_name(folder)
+    if folder.exists() and not folder.is_dir():
+        raise DataError(f"{folder}: expected a folder, found a file; choose another folder")
+    above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
+    _check_writable(folder, above)
+
+
+def _check_writable(path: Path, folder: Path) -> None:
+    """Raise DataError if ``folder``, which exists and will contain ``path``, is not writable."""
+    if not os.access(folder, os.W_OK):
+        raise DataError(
+            f"{path}: expected a folder {folder} that may be written to, found one without write "
+            "permission; choose another folder"
+        )
+
+
+def save(path: Path, write: Callable[[Path], object]) -> Path:
+    """Write a file that took long to compute, add it to the JSON object, and return its path.
+
+    The first Ctrl-C is held back until the file is written. If the file cannot be written, for
+    example because its disk is full, it is written to a new temporary folder, and the command ends
+    with exit code 1.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    write : callable
+        ``write(path)`` writes the file; an existing one is replaced only when the new one is
+        complete.
+
+    Raises
+    ------
+    WriteError
+        If the file cannot be written to the temporary folder either.
+    KeyboardInterrupt
+        After Ctrl-C. After a second one, its message says that the file is not written.
+    """
+    is_written = False
+    before = "the earlier file is unchanged" if path.exists() else "there is no file of this name"
+    try:
+        with held_interrupt():
+            try:
+                write(path)
+            except WriteError as error:
+                path = _save_elsewhere(path, write, f"{error}; {before}")
+            is_written = True
+            add_json_file(path)
+    except KeyboardInterrupt:
+        if is_written:
+            raise
+        raise KeyboardInterrupt(f"{path} is not written: {before}") from None
+    return path
+
+
+def _save_elsewhere(path: Path, write: Callable[[Path], object], words: str) -> Path:
+    """Write a file to a new temporary folder instead of to ``path``; return its path."""
+    other = Path(tempfile.mkdtemp(prefix="slipfree_")) / path.name
+    try:
+        write(other)
+    except WriteError as error:
+        other.parent.rmdir()
+        raise WriteError(f"{words}; {error}") from error
+    print_error(f"{words}; saved as {other}")
+    note_failure()
+    return other
