@@ -351,6 +351,8 @@ def _solve_cold(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[A
     values = begin * (end / begin) ** np.linspace(0, 1, count)[:, None]
     z, jac, good = _solve(motion, given, _with_stage(motion, p, values[0]), z)
     for pair in pairwise(values):
+        if not good.all():  # no motion is found
+            break
         z, jac, good = _solve_stage(motion, given, p, z, pair, MAX_DIVISIONS)
     return z, jac, good
 
@@ -368,9 +370,10 @@ def _solve_stage(
         bad = ~good
         begin, end = (each[bad] for each in pair)
         at = motion, given[bad], p[bad]
-        between, *_ = _solve_stage(*at, z[bad], (begin, np.sqrt(begin * end)), depth - 1)
-        parts = _solve_stage(*at, between, (np.sqrt(begin * end), end), depth - 1)
-        found[bad], jac[bad], good[bad] = parts
+        middle = np.sqrt(begin * end)
+        parts = _solve_stage(*at, z[bad], (begin, middle), depth - 1)
+        if parts[2].all():
+            found[bad], jac[bad], good[bad] = _solve_stage(*at, parts[0], (middle, end), depth - 1)
     return found, jac, good
 
 
