@@ -403,16 +403,11 @@ def test_fast_slip_is_solved(law: Any) -> None:
 
 
 def test_samples_without_motion_are_named() -> None:
-    """The centre of mass is ahead of the front axle; or rates of a window are absurd."""
     dae, windows = _skid_windows()
-    predict = Predictor(dae, SKID, windows)
-    words = r"window \d+, t = \d+ s: expected a motion of the vehicle at .*ahead = 0\.9.*tips over"
-    with pytest.raises(ModelError, match=words):
-        predict(np.array([*TRUTH[:3], 0.9, 0.05]))
-    fast = windows.given.copy()
-    fast[7, 1] = 1e12
-    with pytest.raises(ModelError, match=r"window 7, t = 22 s: .*no solution"):
-        _skid_estimate(dae, windows._replace(given=fast))
+    fast = windows.take(np.arange(8))
+    fast.given[7, 1] = 1e12
+    with pytest.raises(ModelError, match=r"window 7, t = 22 s: expected a motion .*no solution"):
+        Predictor(dae, SKID, fast)(TRUTH)
 
 
 def test_a_search_that_ends_where_a_wheel_lifts_off_is_refused() -> None:
@@ -423,7 +418,9 @@ def test_a_search_that_ends_where_a_wheel_lifts_off_is_refused() -> None:
     predict = Predictor(dae, unknowns, windows)
     ends = [predict(np.array([at])).end for at in (0.0, 0.1)]
     beyond = windows._replace(end=ends[0] + 3 * (ends[1] - ends[0]))
-    with pytest.raises(ModelError, match=r"the log favours values beyond it: .*lifts off"):
+    with pytest.raises(
+        ModelError, match=r"the log favours values beyond it: .*window \d+, t = .*lifts off"
+    ):
         estimate(dae, catalog.skid_steer(), Coulomb(0.1), unknowns, beyond, "linear")
 
 
