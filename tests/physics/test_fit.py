@@ -347,6 +347,8 @@ def test_a_velocity_does_not_depend_on_other_values() -> None:
     assert_allclose(back.values, cold.values, rtol=1e-9, atol=1e-12)
     start = settle(with_values(_rigid(), **dict(zip(motion.parameters, p.tolist(), strict=True))))
     assert_allclose(back.z[0, 1], start["roll"][0], atol=1e-8)
+    with pytest.raises(ModelError, match="the vehicle would fall from the pose"):
+        velocities(motion, given, np.array([0.3, 0.3, 0.05]))
 
 
 def _turning_windows(names: tuple[str, ...], effective: float, seed: int) -> Windows:
