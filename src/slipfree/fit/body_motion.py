@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.dae import Dae, Limit
+from slipfree.dae import Dae, Limit, power_of_length
 from slipfree.errors import ModelError
 from slipfree.records import Array, Mask, leaves
 from slipfree.solve.initial_conditions import MAX_DIVISIONS, MAX_STEP, limit_message
@@ -358,7 +358,9 @@ def _check_limits(motion: BodyMotion, z: Array, given: Array, many: Array) -> No
         return
     values = evaluate(motion.limited, z, given, many)[0][..., 0]
     for limit, column in zip(motion.limits, values.T, strict=True):
-        label, inside = limit.label, (limit.lower <= column) & (column <= limit.upper)
+        label = limit.label
+        size = motion.size ** power_of_length(label.unit)
+        inside = ~limit.violated_by(column, size)
         for value in column[~inside][:1]:
             words = limit_message(label.words, value, limit.lower, limit.upper, label.unit)
             _check(inside, np.arange(len(column)), words)
