@@ -184,6 +184,34 @@ def test_errors_name_the_line(change: tuple[str, str], words: str) -> None:
     assert re.search(words, found), found
 
 
+STRAIGHT = "".join(f"{name}_rate = 'rate'\n" for name in ("front_left", "front_right"))
+STRAIGHT += "".join(f"{name}_rate = 'rate'\n" for name in ("rear_left", "rear_right"))
+
+
+def test_undetermined_unknowns_end_with_exit_code_1() -> None:
+    """A straight drive says nothing about the track."""
+    times = np.arange(0, 20.05, 0.1)
+    y = 0.17 * (2 * times + 1 - np.cos(times)) + np.random.default_rng(0).normal(0, 1e-3, 201)
+    rows = zip(times, 0 * times, y, 0 * times, 2 + np.sin(times), strict=True)
+    write_rows(Path("log.csv"), ["t", "x", "y", "heading", "rate"], rows)
+    Path("fit.toml").write_text(LOG.replace("[unk", f"[data.rates]\n{STRAIGHT}[unk", 1))
+    shown = _called("fit", "fit.toml", "--no-draw", "--write", "v.toml", code=1)
+    assert re.search(r"track .* \(not determined by these data\)", shown)
+    assert "no information on track; no vehicle was written" in shown
+    assert not Path("v.toml").exists()
+    assert_allclose(float(_estimates("fit.csv")["radius"]["value"]), 0.17, rtol=0.01)
+
+
+@pytest.mark.parametrize("factor", [1e9, 1e3])
+def test_times_in_other_units_are_refused(factor: float) -> None:
+    lines = [f"{1.7e9 * factor + 0.1 * k * factor:.0f},0,{k},0,1" for k in range(50)]
+    Path("log.csv").write_text("\n".join(["t,x,y,heading,rate", *lines]))
+    Path("fit.toml").write_text(LOG.replace("[unk", f"[data.rates]\n{STRAIGHT}[unk", 1))
+    found = _called("fit", "fit.toml", code=2)
+    assert re.search(r"samples are 1e\+0\d+ s apart|samples are 100 s apart", found), found
+    assert "correct the unit of the times" in found
+
+
 def test_missing_columns_are_named() -> None:
     Path("log.csv").write_text("t,x,y,heading\n0,0,0,0\n1,0,0,0\n")
     Path("fit.toml").write_text(LOG)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -16,6 +17,7 @@ from slipfree import (
     Coulomb,
     LeastSlip,
     ModelError,
+    SolverOptions,
     catalog,
     direct_kinematics,
     dynamics,
@@ -23,9 +25,10 @@ from slipfree import (
     settle,
     simulate,
 )
+from slipfree.dae import PiecewiseLinear
 from slipfree.fit.body_motion import BodyMotion, body_motion, velocities
 from slipfree.fit.calibration import bootstrap, calibrate, position_rms
-from slipfree.fit.estimate import Estimate, estimate
+from slipfree.fit.estimate import Estimate, Predictor, estimate
 from slipfree.fit.unknowns import Unknown, parametric_model, with_unknowns
 from slipfree.fit.windows import Log, Windows, cut, end_poses
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
@@ -324,3 +327,157 @@ def test_models_with_inertia_are_refused() -> None:
     dae = dynamics(catalog.skid_steer(), LEVEL, law=Compliant())
     with pytest.raises(ModelError, match="found one with inertia"):
         body_motion(dae)
+
+
+RIGID = catalog.rigid_skid_steer(half_track=0.54, wheelbase=0.914, r1=0.08, r2=0.22)
+
+
+@cache
+def _rigid() -> Any:
+    return parametric_model(kinematic, RIGID, LeastSlip(), SKID[:3])
+
+
+def test_a_velocity_does_not_depend_on_other_values() -> None:
+    """The narrow track of a trial led to equilibrium on two wheels, at a roll of 1.07 rad."""
+    motion = body_motion(_rigid())
+    given = np.array([[2.0 if "left" in name else 3.0 for name in motion.names]])
+    cold = velocities(motion, given, (p := np.array([0.28532, 0.28608, 0.914])))
+    narrow = velocities(motion, given, np.array([0.28532053, 0.2860784, 0.09191936]), cold)
+    back = velocities(motion, given, p, narrow)
+    assert_allclose(back.values, cold.values, rtol=1e-9, atol=1e-12)
+    start = settle(with_values(_rigid(), **dict(zip(motion.parameters, p.tolist(), strict=True))))
+    assert_allclose(back.z[0, 1], start["roll"][0], atol=1e-8)
+    with pytest.raises(ModelError, match="the vehicle would fall from the pose"):
+        velocities(motion, given, np.array([0.3, 0.3, 0.05]))
+
+
+def _turning_windows(names: tuple[str, ...], effective: float, seed: int) -> Windows:
+    """Return noisy windows of a differential drive with radius 0.28 m and a given track."""
+    rng, count, time = np.random.default_rng(seed), 60, 2.0
+    left, right = rng.uniform(-8, 8, (2, count))
+    turn, ahead = 0.28 * time * (right - left) / effective, 0.28 * time * (left + right) / 2
+    half = np.sinc(turn / 2 / np.pi)
+    end = np.column_stack(
+        [-ahead * half * np.sin(turn / 2), ahead * half * np.cos(turn / 2), turn]
+    ) + rng.normal(size=(count, 3)) * [0.1, 0.1, 0.05]
+    given = np.column_stack([left if "left" in name else right for name in names])
+    order = np.arange(float(count))
+    return Windows(
+        order, 10 * order, np.full((count, 1), time), given[:, None].repeat(2, axis=1), end
+    )
+
+
+@pytest.mark.parametrize(
+    ("effective", "seed"), [(1.6, 1), (1.75, 0), (1.75, 1), (1.75, 2), (1.9, 1)]
+)
+def test_a_log_that_turns_faster_than_the_model_is_refused(effective: float, seed: int) -> None:
+    """The model turns fastest with a track equal to its wheelbase: as with a track of 1.828 m."""
+    dae = _rigid()
+    windows = _turning_windows(body_motion(dae).names, effective, seed)
+    if effective > 1.828:
+        found = estimate(dae, RIGID, LeastSlip(), SKID[:3], windows)
+        assert_allclose(found.values[:2], 0.28, rtol=0.02)
+        assert not found.undetermined
+    else:
+        words = (
+            r"turns fastest with track = 0\.91\d* m and the log turns faster: .* in window \d+, "
+        )
+        with pytest.raises(ModelError, match=words):
+            estimate(dae, RIGID, LeastSlip(), SKID[:3], windows)
+
+
+@pytest.mark.parametrize(
+    "law", [Coulomb(0.1), Coulomb(), pytest.param(Soil(creep=0.01), marks=pytest.mark.slow)]
+)
+def test_fast_slip_is_solved(law: Any) -> None:
+    """Rates and creep speed that are ten times as large give ten times the velocity."""
+    left, right = np.array([[3.4, -0.5, 0.5409, 3.0], [0.16, 6.6, -3.007, 3.0]])
+    slow_law, found = replace(law, creep=law.creep / 10), []
+    for factor, each in ((10, law), (1, slow_law)):
+        motion = body_motion(parametric_model(static, catalog.skid_steer(), each, SKID[2:3]))
+        given = factor * np.column_stack([left if "left" in n else right for n in motion.names])
+        found.append(velocities(motion, given, np.array([0.6])).values / factor)
+    assert_allclose(found[0], found[1], rtol=1e-6, atol=1e-9)
+    dae = static(catalog.skid_steer(), slow_law)
+    inputs = dae.inputs(**dict(zip(motion.names, given[0], strict=True)))
+    run = simulate(dae, settle(dae), inputs, [0.0, 0.01])
+    assert_allclose(found[0][0, 2] * 0.01, run["heading"][-1], rtol=1e-5)
+
+
+def test_samples_without_motion_are_named() -> None:
+    dae, windows = _skid_windows()
+    fast = windows.take(np.arange(8))
+    fast.given[7, 1] = 1e12
+    with pytest.raises(ModelError, match=r"window 7, t = 22 s: expected a motion .*no solution"):
+        Predictor(dae, SKID, fast)(TRUTH)
+
+
+def test_a_search_that_ends_where_a_wheel_lifts_off_is_refused() -> None:
+    """The poses are continued beyond the centre of mass at which a wheel lifts off."""
+    unknowns = (Unknown("ahead", "center_of_mass_ahead"),)
+    dae = parametric_model(static, catalog.skid_steer(), Coulomb(0.1), unknowns)
+    windows = _windows(body_motion(dae), np.zeros(1))
+    predict = Predictor(dae, unknowns, windows)
+    ends = [predict(np.array([at])).end for at in (0.0, 0.1)]
+    beyond = windows._replace(end=ends[0] + 3 * (ends[1] - ends[0]))
+    with pytest.raises(
+        ModelError, match=r"the log favours values beyond it: .*window \d+, t = .*lifts off"
+    ):
+        estimate(dae, catalog.skid_steer(), Coulomb(0.1), unknowns, beyond, "linear")
+
+
+RATES = {
+    "left": lambda t: 4 + 3 * np.sin(2 * t),
+    "right": lambda t: 3 + 4 * np.cos(1.7 * t + 1),
+}
+
+
+@cache
+def _cart() -> Any:
+    return parametric_model(kinematic, catalog.differential_drive(), LeastSlip(), SKID[2:3])
+
+
+def _predicted_end(times: Array) -> tuple[BodyMotion, Array, Array]:
+    """Return the model of a cart, rates at samples of smooth motion, and the predicted end."""
+    motion = body_motion(_cart())
+    rates = {name: RATES[name.removesuffix("_rate")](times) for name in ("left_rate", "right_rate")}
+    given = np.column_stack([rates.get(name, 0 * times) for name in motion.names])
+    log = Log(times, given, np.zeros((times.size, 3)), np.zeros(times.size))
+    end = Predictor(_cart(), SKID[2:3], cut(log))(np.array([_cart().p[0].value])).end[0]
+    return motion, given, end
+
+
+def test_rates_are_linear_between_samples() -> None:
+    """Unequal intervals, from which samples are missing, against a simulation."""
+    times = np.array([0.0, 0.1, 0.5, 0.9, 1.0, 1.3, 2.1, 2.2, 3.0])
+    motion, given, end = _predicted_end(times)
+    dae = kinematic(catalog.differential_drive(), LeastSlip())
+    slopes = np.diff(given, axis=0) / np.diff(times)[:, None]
+    inputs = {
+        name: PiecewiseLinear(given[:-1, k] - slopes[:, k] * times[:-1], slopes[:, k])
+        for k, name in enumerate(motion.names)
+        if name.endswith("_rate")
+    }
+    run = simulate(dae, settle(dae), dae.inputs(**inputs), times, options=SolverOptions(1e-9))
+    assert_allclose(end, [run[name][-1] for name in ("x", "y", "heading")], atol=2e-7)
+
+
+def test_errors_fall_with_the_square_of_the_interval() -> None:
+    """A dense log of a known motion, of which samples at longer intervals are used."""
+    exact, coarse, fine = (
+        _predicted_end(np.linspace(0, 4, count + 1))[2] for count in (1280, 10, 20)
+    )
+    errors = [np.hypot(*(end - exact)[:2]) for end in (coarse, fine)]
+    assert 3.5 < errors[0] / errors[1] < 4.5
+
+
+def test_logs_without_windows_or_with_too_many_samples_are_refused() -> None:
+    times = 1.7e18 + 1e8 * np.arange(20.0)
+    log = Log(times, np.ones((20, 1)), np.zeros((20, 3)), np.arange(20))
+    with pytest.raises(ModelError, match=r"samples are 1e\+08 s apart .* correct the unit"):
+        cut(log)
+    window = np.append(np.zeros(4000), np.arange(1, 400).repeat(2))
+    count = window.size
+    log = Log(np.arange(count) / 10, np.ones((count, 1)), np.zeros((count, 3)), window)
+    with pytest.raises(ModelError, match="found 400 windows of up to 4000 samples"):
+        cut(log)

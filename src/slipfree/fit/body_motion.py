@@ -20,14 +20,15 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.dae import Dae, Limit
+from slipfree.dae import Dae, Limit, power_of_length
 from slipfree.errors import ModelError
 from slipfree.records import Array, Mask, leaves
 from slipfree.solve.initial_conditions import MAX_DIVISIONS, MAX_STEP, limit_message
 
 MAX_STEPS = 30  # of Newton's method
 MAX_HALVINGS = 6  # of a step that does not reduce the residual
-MAX_STANDING_STEPS = 100  # of Newton's method for the pose at rest
+MAX_STANDING_STEPS = 100  # of the relaxation to the pose at rest
+FIRST_TIME_STEP, GROWTH = 1e-3, 1.5  # of the relaxation: first time step [s], ratio of consecutive
 SOLVED_RESIDUAL = 1e-11  # without unit
 STAGE_RATIO = 0.2  # smallest ratio of consecutive values of the continuation parameter
 BATCHES = (1, 4, 16, 64, 256, 1024)  # numbers of samples that are evaluated at once
@@ -264,7 +265,7 @@ def _standing_poses(motion: BodyMotion, given: Array, p: Array) -> Array:
     Raises
     ------
     MotionError
-        If Newton's method does not converge, or the equilibrium is not stable.
+        If the relaxation does not converge, or the equilibrium is not stable.
     """
     joints, first, inverse = np.unique(
         given[:, motion.inputs :], axis=0, return_index=True, return_inverse=True
@@ -274,13 +275,40 @@ def _standing_poses(motion: BodyMotion, given: Array, p: Array) -> Array:
     for k in range(0, len(joints), BATCHES[-1]):
         part = slice(k, k + BATCHES[-1])
         here, many = still[part], _repeated(p, len(still[part]))
-        guess = evaluate(motion.guess, here, many)[0][..., 0]
-        z, jac, solved = _solve(motion, here, many, guess, MAX_STANDING_STEPS, motion.scale)
+        z, jac, solved = _relax(motion, here, many)
         _check(solved, first[part], "the vehicle has no pose in which it stands on level ground")
         words = "the vehicle would fall from the pose in which its wheels bear it"
         _check(_is_stable(jac, motion.relaxing), first[part], words)
         found[part] = z
     return found[inverse.ravel()]
+
+
+def _relax(motion: BodyMotion, given: Array, p: Array) -> tuple[Array, Array, Mask]:
+    """Return unknowns, Jacobians and mask of solved samples of a vehicle that comes to rest.
+
+    The steps are those of the linearly implicit Euler method for the coordinates that relax, with
+    growing time steps; without such coordinates they are Newton's.
+    """
+    z, relaxing = evaluate(motion.guess, given, p)[0][..., 0], motion.relaxing
+    time_step, rates = FIRST_TIME_STEP, range(motion.scale.size - relaxing, motion.scale.size)
+    for _ in range(MAX_STANDING_STEPS):
+        residual, jac = evaluate(motion.newton, z, given, p)
+        rows = np.flatnonzero(_is_unsolved(residual, jac))
+        if not rows.size:
+            break
+        matrix = jac[rows].copy()
+        matrix[:, rates, range(relaxing)] -= 1 / time_step
+        step = _solved_linear(matrix, residual[rows])[..., 0]
+        size = np.abs(step / motion.scale).max(axis=1)
+        z[rows] -= step * (MAX_STEP / np.maximum(size, MAX_STEP))[:, None]
+        time_step *= GROWTH
+    residual, jac = evaluate(motion.newton, z, given, p)
+    return z, jac, _size(residual) < SOLVED_RESIDUAL
+
+
+def _is_unsolved(residual: Array, jac: Array) -> Mask:
+    """Return whether samples need further steps, and can take them."""
+    return ~(_size(residual) < SOLVED_RESIDUAL) & np.isfinite(jac).all(axis=(1, 2))
 
 
 def _is_stable(jac: Array, relaxing: int) -> Mask:
@@ -330,7 +358,9 @@ def _check_limits(motion: BodyMotion, z: Array, given: Array, many: Array) -> No
         return
     values = evaluate(motion.limited, z, given, many)[0][..., 0]
     for limit, column in zip(motion.limits, values.T, strict=True):
-        label, inside = limit.label, (limit.lower <= column) & (column <= limit.upper)
+        label = limit.label
+        size = motion.size ** power_of_length(label.unit)
+        inside = ~limit.violated_by(column, size)
         for value in column[~inside][:1]:
             words = limit_message(label.words, value, limit.lower, limit.upper, label.unit)
             _check(inside, np.arange(len(column)), words)
@@ -351,6 +381,8 @@ def _solve_cold(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[A
     values = begin * (end / begin) ** np.linspace(0, 1, count)[:, None]
     z, jac, good = _solve(motion, given, _with_stage(motion, p, values[0]), z)
     for pair in pairwise(values):
+        if not good.all():  # no motion is found
+            break
         z, jac, good = _solve_stage(motion, given, p, z, pair, MAX_DIVISIONS)
     return z, jac, good
 
@@ -368,9 +400,10 @@ def _solve_stage(
         bad = ~good
         begin, end = (each[bad] for each in pair)
         at = motion, given[bad], p[bad]
-        between, *_ = _solve_stage(*at, z[bad], (begin, np.sqrt(begin * end)), depth - 1)
-        parts = _solve_stage(*at, between, (np.sqrt(begin * end), end), depth - 1)
-        found[bad], jac[bad], good[bad] = parts
+        middle = np.sqrt(begin * end)
+        parts = _solve_stage(*at, z[bad], (begin, middle), depth - 1)
+        if parts[2].all():
+            found[bad], jac[bad], good[bad] = _solve_stage(*at, parts[0], (middle, end), depth - 1)
     return found, jac, good
 
 
@@ -381,27 +414,20 @@ def _with_stage(motion: BodyMotion, p: Array, values: Array) -> Array:
     return p
 
 
-def _solve(
-    motion: BodyMotion,
-    given: Array,
-    p: Array,
-    z: Array,
-    steps: int = MAX_STEPS,
-    scale: Array | float = np.inf,
-) -> tuple[Array, Array, Mask]:
+def _solve(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[Array, Array, Mask]:
     """Return unknowns and Jacobians after Newton's method, and the mask of solved samples.
 
-    A step is limited to `MAX_STEP` scales; one that does not reduce the largest residual is halved.
+    A step that does not reduce the largest residual is halved.
     """
     z = z.copy()
     residual, jac = (each.copy() for each in evaluate(motion.newton, z, given, p))
     size = _size(residual)
-    for _ in range(steps):
-        rows = np.flatnonzero(~(size < SOLVED_RESIDUAL) & np.isfinite(jac).all(axis=(1, 2)))
+    for _ in range(MAX_STEPS):
+        rows = np.flatnonzero(_is_unsolved(residual, jac))
         if not rows.size:
             break
         step = _solved_linear(jac[rows], residual[rows])[..., 0]
-        damping = MAX_STEP / np.maximum(np.abs(step / scale).max(axis=1), MAX_STEP)
+        damping = np.ones(rows.size)
         for _ in range(MAX_HALVINGS):
             trial = z[rows] - damping[:, None] * step
             new, new_jac = evaluate(motion.newton, trial, given[rows], p[rows])

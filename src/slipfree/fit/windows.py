@@ -147,7 +147,7 @@ def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, 
     count, samples, _ = velocity.shape
     pairs = np.concatenate([velocity[:, :-1], velocity[:, 1:]], axis=2).reshape(-1, 6)
     steps, by_pairs = evaluate(_interval_function(), windows.dt.reshape(-1, 1), pairs)
-    moved, by_steps = _chained(steps.reshape(count, samples - 1, 3))
+    moved, by_steps = _compose_steps(steps.reshape(count, samples - 1, 3))
     here = np.broadcast_to(sensor, (count, 3))
     end, by_moved, by_sensor = evaluate(_sensor_function(), moved, here)
     slopes = by_steps @ by_pairs.reshape(count, samples - 1, 3, 6)
@@ -158,7 +158,7 @@ def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, 
     return end[..., 0], by_velocity.transpose(0, 2, 1, 3), by_sensor
 
 
-def _chained(steps: Array) -> tuple[Array, Array]:
+def _compose_steps(steps: Array) -> tuple[Array, Array]:
     """Return pose changes over several intervals, and their derivatives with respect to each.
 
     The change ``(right, ahead, turn)`` over an interval, shape (n, k, 3), is in the axes at its
