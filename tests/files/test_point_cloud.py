@@ -168,7 +168,7 @@ def test_damaged_files_are_read_or_refused(tmp_path, ending):
     places = scattered(100)
     raw = cloud(tmp_path / f"a.{ending}", places, plane(*places.T)).read_bytes()
     path, rng, refused = tmp_path / f"b.{ending}", Random(4), []
-    for _ in range(60):
+    for _ in range(8):
         data = bytearray(raw)
         for _ in range(rng.choice([1, 2, 5])):
             data[rng.randrange(600 if rng.random() < 0.7 else len(data))] = rng.randrange(256)
@@ -177,7 +177,7 @@ def test_damaged_files_are_read_or_refused(tmp_path, ending):
             read_map(path)
         except DataError as error:
             refused.append(str(error))
-    assert len(refused) > 10
+    assert len(refused) > 2
     assert all(words.startswith(f"{path}: expected") for words in refused)
 
 
