@@ -68,7 +68,7 @@ def _bounded(read: Callable[..., T], path: Path, *arguments: Any) -> T:
         return bounded_read(read, path, *arguments)
 
 
-def _table(path: Path, names: tuple[str, ...]) -> Rows:
+def _table(path: Path, names: tuple[str, str, str]) -> Rows:
     """Return the table of `read_mcap` with the given columns."""
     topic, rows = _only_topic(path, MESSAGES[names])
     with _standard_fields(path, topic):
