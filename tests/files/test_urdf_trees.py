@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yourdfpy
 
-from helpers.urdf import FOUR, joint, link
+from helpers import urdf
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot, joint_values, link_poses
 from slipfree.files.urdf.reader import read_urdf
@@ -69,7 +69,7 @@ def test_a_long_chain_of_mimics_has_the_value_of_its_first_joint():
     count = 1500
     chain = "".join(
         f'<link name="part_{k}"/>'
-        + joint(
+        + urdf.joint(
             f"hinge_{k}",
             "revolute",
             "base",
@@ -79,7 +79,7 @@ def test_a_long_chain_of_mimics_has_the_value_of_its_first_joint():
         )
         for k in range(count)
     )
-    text = f'<robot name="r">{link("base")}{FOUR}{chain}</robot>'
+    text = f'<robot name="r">{urdf.link("base")}{urdf.FOUR}{chain}</robot>'
     tree = read_tree(text.encode(), "r.urdf")
     vehicle = read_urdf(tree).vehicle()
     angles = {wheel.name: ca.SX(0) for wheel in vehicle.wheels}

@@ -16,8 +16,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple
 
-from pydantic import TypeAdapter
-
 from slipfree.errors import DataError
 
 try:
@@ -104,7 +102,7 @@ class Rows:
         with self._path.open("rb") as file:
             for run in runs:
                 file.seek(self._offsets[run][0])
-                yield ROW.validate_json(file.readline())
+                yield row_of(json.loads(file.readline()))
 
     def ended(self, *outcomes: str) -> list[int]:
         """Return the numbers of the runs with one of the given outcomes, in ascending order."""
@@ -132,8 +130,19 @@ class Rows:
             self.outcomes[self._offsets.pop(run)[1]] -= 1
 
 
-HEAD = TypeAdapter(dict[str, Any])
-ROW = TypeAdapter(Row)  # of a line; unlike `json`, it also refuses deeply nested lines
+def row_of(line: Mapping[str, Any]) -> Row:
+    """Return the row of a line of the log.
+
+    Raises
+    ------
+    TypeError, ValueError, AttributeError, OverflowError
+        If the line does not describe a run.
+    """
+    row = Row(**line)
+    if not all(isinstance(each, str) for each in (row.outcome, row.words, *row.settings)):
+        raise TypeError("outcome, words and settings are not texts")
+    figures = {name: (float(value), str(unit)) for name, (value, unit) in row.figures.items()}
+    return row._replace(run=int(row.run), settings=tuple(row.settings), figures=figures)
 
 
 class Log:
@@ -222,19 +231,29 @@ class Log:
             if not line.endswith(b"\n"):
                 self._file.truncate(offset)
                 break
-            try:
-                found = HEAD.validate_json(line) if number == 1 else ROW.validate_json(line)
-            except ValueError as error:
-                raise self._damaged(number) from error
-            if isinstance(found, Row):
-                self._add(found, offset)
-            else:
+            found = self._parsed(number, line)
+            if number == 1:
                 self._check(found, head)
+            else:
+                self._add(number, found, offset)
             offset += len(line)
         if not offset:
             self._write(dict(head))
 
-    def _add(self, row: Row, offset: int) -> None:
+    def _parsed(self, number: int, line: bytes) -> dict[str, Any]:
+        try:
+            found = json.loads(line)
+        except (ValueError, RecursionError):
+            found = None
+        if not isinstance(found, dict):
+            raise self._damaged(number)
+        return found
+
+    def _add(self, number: int, line: Mapping[str, Any], offset: int) -> None:
+        try:
+            row = row_of(line)
+        except (TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise self._damaged(number) from error
         if row.outcome in self._open:
             self.rows.discard(row.run)  # the run was repeated
         else:
