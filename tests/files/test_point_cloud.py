@@ -181,6 +181,18 @@ def test_damaged_files_are_read_or_refused(tmp_path, ending):
     assert all(words.startswith(f"{path}: expected") for words in refused)
 
 
+def test_a_file_that_aborts_its_reader_is_refused(tmp_path):
+    places = scattered(100)
+    path = cloud(tmp_path / "a.laz", places, plane(*places.T))
+    data = bytearray(path.read_bytes())
+    points = int.from_bytes(data[96:100], "little")
+    table = int.from_bytes(data[points : points + 8], "little")
+    data[table + 4 : table + 8] = b"\xff" * 4  # number of chunks, for which lazrs allocates memory
+    path.write_bytes(data)
+    with pytest.raises(DataError, match=r"a\.laz: expected a readable file, found that its reader"):
+        read_map(path)
+
+
 def test_a_header_with_too_many_records_is_refused_at_once(tmp_path):
     places = scattered(100)
     path = cloud(tmp_path / "a.las", places, plane(*places.T))
