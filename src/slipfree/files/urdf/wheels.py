@@ -303,8 +303,10 @@ class Wheels:
             is_guess = is_mesh or joint.name in self._given
             if not is_guess or role.radius or self._roles.radius or not radii[k]:
                 continue
-            axis = self._frames[joint.child][0] @ unit_vector(joint.axis) if joint.moves else RIGHT
-            factor = unit_factor(radii, centers, np.asarray(axis), k)
+            axle = self._lateral(joint)
+            if joint.moves and is_level(self.tree, joint):
+                axle = self._frames[joint.child][0] @ unit_vector(joint.axis)
+            factor = unit_factor(radii, centers, axle, k)
             if factor is None:
                 continue
             mesh = self.tree.links[joint.child].meshes[0] if is_mesh else None
