@@ -30,9 +30,11 @@ from random import Random
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from helpers.fuzz_checks import READ, REFUSED, Verdict, judged
 from helpers.fuzz_files import KINDS, drawn
+from helpers.fuzz_libraries import LIBRARY_KINDS
 from helpers.fuzz_mutants import MUTANTS, judged_silently
 
 SHARES = {"direct": 4, "inverse": 2, "plan": 2, "climb": 2, "vehicle": 3, "result": 2}  # others: 2
+ALL_KINDS = KINDS | LIBRARY_KINDS
 MEMORY = 6 * 2**30  # of addresses that a process may have [B]
 LONGEST = 60.0  # that a case may take, on a busy machine [s]
 BEGIN = 120.0  # that a process may take to start [s]
@@ -153,7 +155,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Fuzz the readers.")
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--kinds", default=",".join(KINDS), help="which, with commas between")
+    parser.add_argument("--kinds", default=",".join(ALL_KINDS), help="which, with commas between")
     parser.add_argument("--only", metavar="KIND:NUMBER")
     parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
     asked = parser.parse_args()

@@ -18,12 +18,14 @@ from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, Protocol, TypeVar
 
-from slipfree.errors import SlipfreeError
+from slipfree.errors import DataError, SlipfreeError
 from slipfree.threads import NAMES
 
+MAX_DURATION = 6.0  # longest duration of a call with limits, in its longest CPU time
 TICK = 0.2  # between two polls [s]
 Poll = Callable[[], None]
 T = TypeVar("T")
@@ -270,7 +272,8 @@ def bounded_call(
     *arguments
         Its arguments, which can be pickled.
     seconds : float
-        Maximum duration, including the start of the process of about 0.2 s. [s]
+        Maximum CPU time, including the start of the process of about 0.2 s. The duration is at
+        most 6 times as long, since other processes may use the processors. [s]
     memory : float
         Maximum size of the process, where the operating system supports limits. [bytes]
 
@@ -293,11 +296,15 @@ def bounded_call(
         start_new_session=True,
     )
     try:
-        answer, _ = process.communicate(limits + pickle.dumps((function, arguments)), seconds)
+        answer, _ = process.communicate(
+            limits + pickle.dumps((function, arguments)), MAX_DURATION * seconds
+        )
     except subprocess.TimeoutExpired as error:
-        raise ProcessDiedError(f"it takes longer than {seconds:g} s") from error
+        raise ProcessDiedError(f"it takes longer than {seconds:.3g} s") from error
     finally:
         _kill_group(process)
+    if process.returncode == -getattr(signal, "SIGXCPU", 0):
+        raise ProcessDiedError(f"it takes longer than {seconds:.3g} s")
     if not answer:
         how = f"its process died ({_exit_words(process.returncode)})"
         raise ProcessDiedError(how)
@@ -307,6 +314,47 @@ def bounded_call(
     if isinstance(result, MemoryError):
         raise ProcessDiedError(f"it needs more than {memory / 1e9:g} GB of memory")
     raise result
+
+
+def bounded_read(
+    function: Callable[..., T],
+    path: Path,
+    *arguments: Any,
+    rate: float = 1e6,
+    growth: float = 20.0,
+) -> T:
+    """Return what a function reads from a file, in a process whose limits grow with the file.
+
+    Parameters
+    ----------
+    function : callable
+        Function at module level.
+    path : Path
+        The file, the first argument of the function.
+    *arguments
+        Further arguments.
+    rate : float
+        Size of the file per CPU time, in addition to 10 s. [bytes/s]
+    growth : float
+        Memory per size of the file, in addition to 3 GB. [1]
+
+    Raises
+    ------
+    DataError
+        If the function exceeds a limit or its process dies; the message names the file.
+    Exception
+        Any exception of the function that can be pickled.
+    """
+    size = path.stat().st_size
+    try:
+        return bounded_call(
+            function, path, *arguments, seconds=10 + size / rate, memory=3e9 + growth * size
+        )
+    except ProcessDiedError as error:
+        raise DataError(
+            f"{path}: expected a readable file, found that its reader crashed or exceeded its "
+            f"limits ({error}): the file is probably damaged; copy, download or export it again"
+        ) from error
 
 
 _BOUNDED = """
@@ -324,11 +372,14 @@ def _answer(seconds: float, memory: int) -> None:
     if sys.platform != "win32":
         import resource
 
-        signal.alarm(int(seconds) + 2)  # if the parent dies
-        for limit, most in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0)):
+        signal.alarm(int(MAX_DURATION * seconds) + 2)  # if the parent dies
+        limits = {"RLIMIT_CPU": int(seconds) + 1, "RLIMIT_AS": memory, "RLIMIT_CORE": 0}
+        for name, most in limits.items():
+            limit = getattr(resource, name)
             hard = resource.getrlimit(limit)[1]
             most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-            resource.setrlimit(limit, (most, hard))
+            with suppress(ValueError, OSError):  # macOS does not limit addresses
+                resource.setrlimit(limit, (most, hard))
     try:
         function, arguments = pickle.load(sys.stdin.buffer)
         answer = pickle.dumps((True, function(*arguments)))

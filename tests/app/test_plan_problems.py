@@ -94,6 +94,12 @@ def test_a_way_point_is_passed():
     ("settings", "words"),
     [
         (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected the key 'at'"),
+        (
+            ["plan.intervals=100000"],
+            "expected at most 2000 intervals, found 100000; reduce it, or d",
+        ),
+        (["plan.accuracy=10.0"], "expected a number of at most 1, found 10"),
+        (["plan.starts=100000"], "expected a number of at most 1000, found 100000"),
         (["way_points=[{ at = 1.0, x = 17.0 }]"], "greater than 0 and less than 1, found 1"),
         (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "way-point at 0.5 on the map, which"),
         (["way_points=[{ at = 0.5, x = 13.0, y = 19.0 }]", "driver.count=2"], "count = 1"),

@@ -147,7 +147,7 @@ def test_lines_of_keys() -> None:
         (
             "step = 0.25",
             "step = 1\n[solver]\ntolerance = 1",
-            "p.toml:26: solver.tolerance: expected a number less than 1, found 1",
+            "p.toml:26: solver.tolerance: expected a number of at most 0.01, found 1",
         ),
         (
             "step = 0.25",

@@ -456,7 +456,20 @@ def test_figures_that_cannot_be_written_are_told(
     assert "cannot be written (No space left on device)" in result.stderr
 
 
-@pytest.mark.parametrize("line", [b"{\n", b"[1]\n", b'{"run": 2}\n', b"\0\0\n"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"{\n",
+        b"[1]\n",
+        b'{"run": 2}\n',
+        b"\0\0\n",
+        b"[" * 100_000 + b"\n",
+        b'{"run": Infinity, "settings": [], "outcome": "complete", "words": "", "t": 1.0, '
+        b'"figures": {}, "seconds": 1.0}\n',
+        b'{"run": 2, "settings": [], "outcome": 5, "words": "", "t": 1.0, "figures": {}, '
+        b'"seconds": 1.0}\n',
+    ],
+)
 def test_a_damaged_log_is_refused_by_line(tmp_path: Path, line: bytes) -> None:
     path = tmp_path / "runs.jsonl"
     with Log(path, HEAD) as log:

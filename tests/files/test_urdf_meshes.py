@@ -9,8 +9,9 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
-from helpers.urdf import joint, link, wheel, written
+from helpers.urdf import FOUR, WHEEL, joint, link, wheel, written
 from slipfree.cli import app
+from slipfree.errors import DataError
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
@@ -112,7 +113,7 @@ def test_a_package_is_found_in_a_folder_above(tmp_path, monkeypatch):
         (
             "wheel.stl",
             exported(trimesh.creation.cylinder(200, 50), "wheel.stl"),
-            "found 'wheel.stl' with points 200 m from the axis of its joint; correct its scale",
+            "found 'wheel.stl' with points 200 m from the axis of its joint; is it in millimetres?",
         ),
     ],
 )
@@ -125,6 +126,86 @@ def test_a_mesh_that_is_no_wheel_is_named(name, data, words, tmp_path):
     assert "or write radius = ... for all wheels" in str(found.value)
     given = read_vehicle(written(tmp_path, parts, "radius = 0.12"))
     assert [each.radius for each in given.wheels] == [0.12] * 3
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale", "words"),
+    [
+        (1e3, "1 1 1", 'is it in millimetres? write scale="0.001 0.001 0.001"'),
+        (1 / 0.0254, "1 1 1", 'is it in inches? write scale="0.0254 0.0254 0.0254"'),
+        (1.0, "10 10 10", "correct its scale"),
+        (1.0, "0.001 0.001 0.001", 'write scale="1 1 1"'),
+    ],
+)
+def test_wheels_that_do_not_suit_their_distances_are_refused(unit, scale, words, tmp_path):
+    made = trimesh.creation.cylinder(0.033 * unit, 0.02 * unit, sections=48)
+    (tmp_path / "wheel.stl").write_bytes(exported(made, "wheel.stl"))
+    parts = FOUR.replace(WHEEL, mesh("wheel.stl", scale=scale))
+    with pytest.raises(VehicleError) as found:
+        read_vehicle(written(tmp_path, parts))
+    assert "suits the distances between the wheels, found a radius of" in str(found.value)
+    assert "in link 'front_left'; mesh 'wheel.stl': " in str(found.value)
+    assert words in str(found.value)
+    given = read_vehicle(written(tmp_path, parts, "radius = 0.033"))
+    assert [each.radius for each in given.wheels] == [0.033] * 4
+
+
+def test_a_small_caster_beside_a_large_wheel_suits(tmp_path):
+    (tmp_path / "plate.stl").write_bytes(exported(PLATE, "plate.stl"))
+    sizes = {"large": "2 2 2", "small": "0.4 0.4 0.4"}
+    shapes = {name: mesh("plate.stl", scale=scale) for name, scale in sizes.items()}
+    parts = "".join(
+        wheel(f"{size}_{side}", f"{x} {y} {z}", shapes[size])
+        for size, x, z in (("large", 0, 0), ("small", 0.25, -0.16))
+        for side, y in (("left", 0.15), ("right", -0.15))
+    )
+    found = read_vehicle(written(tmp_path, parts))
+    assert [each.radius for each in found.wheels] == pytest.approx([0.2, 0.2, 0.04, 0.04])
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "radius"),
+    [
+        ("meshes/Plate A.STL", "1 1 1", 0.1),
+        ("meshes\\Plate A.STL", "0.5", 0.05),
+        ("file://meshes/Plate%20A.STL", "0.5, 0.5, 0.5", 0.05),
+        ("{folder}/meshes/Plate A.STL", "1 1 1 1", 0.1),
+        ("file://{folder}/meshes/Plate A.STL", "1 -1 1", 0.1),
+        ("file://localhost{folder}/meshes/Plate A.STL", "1 1 1", 0.1),
+        ("model://robot/meshes/Plate A.STL", "1 1 1", 0.1),
+        ("package://robot/meshes\\Plate A.STL", "1 1 1", 0.1),
+    ],
+)
+def test_names_and_scales_of_meshes(name, scale, radius, tmp_path):
+    folder = tmp_path / "robot"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "meshes" / "Plate A.STL").write_bytes(exported(PLATE, "plate.stl"))
+    shape = mesh(name.format(folder=folder), scale=scale)
+    vehicle = read_vehicle(written(folder, tricycle(shape)))
+    assert vehicle.wheels[0].radius == pytest.approx(radius)
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "words"),
+    [
+        ("http://a.org/plate.stl", "1 1 1", "a local file, found 'http://a.org/plate.stl'; downl"),
+        ("C:\\robot\\plate.stl", "1 1 1", "no such file; correct the name"),
+        ("package://robot/plate.stl", "1 1 1", "no such file; put its package"),
+        ("", "1 1 1", "no such file; correct the name"),
+        ("plate.stl", "0", "expected factors other than zero in 'scale', found '0'"),
+        ("plate.stl", "1 0 1", "expected factors other than zero in 'scale', found '1 0 1'"),
+        ("plate.stl", "1 1", "expected three numbers in 'scale', found '1 1'"),
+        ("plate.stl", "mm", "expected three numbers in 'scale', found 'mm"),
+        ("plate.stl", "", "expected three numbers in 'scale', found ''"),
+        ("plate.stl", "1 nan 1", "expected three numbers in 'scale', found '1 nan 1'"),
+    ],
+)
+def test_wrong_names_and_scales_of_meshes_are_refused(name, scale, words, tmp_path):
+    (tmp_path / "plate.stl").write_bytes(exported(PLATE, "plate.stl"))
+    parts = tricycle(mesh(name, scale=scale)).replace("part_", "wheel_")
+    with pytest.raises((VehicleError, DataError)) as found:
+        read_vehicle(written(tmp_path, parts))
+    assert words in str(found.value)
 
 
 def test_an_arm_with_a_mesh_is_no_wheel(tmp_path):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import io
 
+import casadi as ca
 import numpy as np
 import pytest
 import yourdfpy
 
+from helpers import urdf
 from slipfree.files.urdf.elements import read_tree
-from slipfree.files.urdf.links import Robot, link_poses
+from slipfree.files.urdf.links import Robot, joint_values, link_poses
+from slipfree.files.urdf.reader import read_urdf
 
 INERTIAL = '<inertial><origin xyz="0 0 0"/><mass value="1"/></inertial>'
 
@@ -60,3 +63,26 @@ def test_poses_of_links_are_those_of_yourdfpy(count, rng):
             poses[each.child] = poses[each.parent] @ own
         for link, pose in poses.items():
             assert np.abs(pose - oracle.get_transform(link, "l0")).max() < 1e-9
+
+
+def test_a_long_chain_of_mimics_has_the_value_of_its_first_joint():
+    count = 1500
+    chain = "".join(
+        f'<link name="part_{k}"/>'
+        + urdf.joint(
+            f"hinge_{k}",
+            "revolute",
+            "base",
+            f"part_{k}",
+            more='<limit lower="0.25" upper="1"/>'
+            + (f'<mimic joint="hinge_{k + 1}" multiplier="-1"/>' if k < count - 1 else ""),
+        )
+        for k in range(count)
+    )
+    text = f'<robot name="r">{urdf.link("base")}{urdf.FOUR}{chain}</robot>'
+    tree = read_tree(text.encode(), "r.urdf")
+    vehicle = read_urdf(tree).vehicle()
+    angles = {wheel.name: ca.SX(0) for wheel in vehicle.wheels}
+    found = joint_values(vehicle, Robot(tree), {}, angles)
+    assert float(found[f"hinge_{count - 1}"]) == 0.25
+    assert float(found["hinge_0"]) == -0.25

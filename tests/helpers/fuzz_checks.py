@@ -16,6 +16,7 @@ from helpers.fuzz_damage import Case
 from slipfree.cli import app
 from slipfree.errors import SlipfreeError
 from slipfree.files.maps.elevation import read_map
+from slipfree.files.mcap_reader import read_joint_commands, read_mcap
 from slipfree.files.netcdf import read_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.schema import Time
@@ -94,6 +95,17 @@ def _use_vehicle(file: Path, _: bool) -> None:
         raise SlipfreeError("\n".join(found.faults))
 
 
+def _use_cloud(file: Path, _: bool) -> None:
+    grid = read_map(file).grid
+    Bicubic(grid).elevation(grid.x[:2], grid.y[:2])
+
+
+def _use_log(file: Path, deep: bool) -> None:
+    read_joint_commands(file) if deep or b"JointState" in file.read_bytes() else read_mcap(
+        file, "x"
+    )
+
+
 def _use_map(file: Path, _: bool) -> None:
     asked: list[dict[str, Any]] = [{}, {"cell": 0.5, "registration": "point"}]
     if file.suffix in (".csv", ".xyz", ".txt"):
@@ -137,6 +149,8 @@ def _use_result(file: Path, deep: bool) -> None:
 
 USES: dict[str, Callable[[Path, bool], None]] = {
     **dict.fromkeys(("direct", "inverse", "plan", "climb"), _use_problem),
-    **dict.fromkeys(("vehicle", "urdf"), _use_vehicle),
+    **dict.fromkeys(("vehicle", "urdf", "mesh"), _use_vehicle),
+    "laz": _use_cloud,
+    "mcap": _use_log,
     "result": _use_result,
 }

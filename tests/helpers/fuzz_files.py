@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import BaseModel, PlainValidator
 
 from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
+from helpers.fuzz_libraries import LIBRARY_KINDS
 from helpers.fuzz_maps import archive, ascii_grid, beside, picture, points
 from slipfree.files import netcdf
 from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable, wheel_table
@@ -38,7 +39,7 @@ Table = dict[str, Any]
 
 def drawn(kind: str, rng: Random) -> Case:
     """Return a case of a kind."""
-    return KINDS[kind](kind, rng)
+    return (KINDS | LIBRARY_KINDS)[kind](kind, rng)
 
 
 # -------------------------------------------------------------------------------------------- TOML

@@ -34,6 +34,7 @@ NO_MEMORY = (
     "not enough memory: reduce 'terrain.window', or increase the spacing of the ground or "
     "'time.step', or use fewer intervals of the plan"
 )
+MAX_PROCESSES = 1000  # more need hundreds of gigabytes
 REFRESH = 0.1  # shortest time between updates of the progress bar [s]
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Problem file (TOML).")]

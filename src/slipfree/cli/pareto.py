@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slipfree.cli.common import (
+    MAX_PROCESSES,
     File,
     Settings,
     Trust,
@@ -43,7 +44,7 @@ def pareto(
         ),
     ] = "duration",
     points: Annotated[
-        int, typer.Option(min=2, metavar="N", help="Number of points of the front.")
+        int, typer.Option(min=2, max=1000, metavar="N", help="Number of points of the front.")
     ] = 7,
     settings: Settings = None,
     out: Annotated[
@@ -57,7 +58,9 @@ def pareto(
     ] = None,
     processes: Annotated[
         int,
-        typer.Option("-j", "--processes", min=1, metavar="P", help="Number of processes."),
+        typer.Option(
+            "-j", "--processes", min=1, max=MAX_PROCESSES, metavar="P", help="Number of processes."
+        ),
     ] = 1,
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")] = True,
     trust: Trust = None,

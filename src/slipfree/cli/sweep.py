@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipfree.cli.common import STOPPED, File, Settings, Trust, print_facts, reported
+from slipfree.cli.common import (
+    MAX_PROCESSES,
+    STOPPED,
+    File,
+    Settings,
+    Trust,
+    print_facts,
+    reported,
+)
 from slipfree.cli.messages import add_json_file, detail, has_bar, print_line, warn
 from slipfree.cli.outputs import check_outputs
 from slipfree.errors import DataError
@@ -40,7 +48,12 @@ def sweep(
     ] = None,
     repeat: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Run each combination N times with different seeds."),
+        typer.Option(
+            min=1,
+            max=100_000,
+            metavar="N",
+            help="Run each combination N times with different seeds.",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(metavar="SEED", min=0, help="First seed of --repeat.")] = 1,
     settings: Settings = None,
@@ -56,7 +69,12 @@ def sweep(
     ] = None,
     processes: Annotated[
         int | None,
-        typer.Option(min=1, metavar="P", help="Number of processes; default: one per core."),
+        typer.Option(
+            min=1,
+            max=MAX_PROCESSES,
+            metavar="P",
+            help="Number of processes; default: one per core.",
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,

@@ -48,7 +48,7 @@ def _map_coordinates(run: Trajectory) -> list[MapCoordinate]:
         return [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
     try:
         return [MapCoordinate(*row) for row in json.loads(text)]
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise DataError(
             f"attribute {MAP_TRANSFORM!r} of the result: expected rows of name, offset, factor and "
             f"axis as JSON, found {text!r}; run the problem again"

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from math import atan2, nan
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.files.ros_messages import ros_package
+from slipfree.processes import bounded_read
 from slipfree.records import Array
-from slipfree.regular_files import read_bytes
+from slipfree.regular_files import read_bytes, regular_file
 
 Rows = Mapping[str, Array]
+T = TypeVar("T")
+MAX_LISTED = 6  # topics in a message
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MESSAGES = {  # types of the messages from which a table is read, by the names of its columns
     ("v_x", "v_y", "omega_z"): ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
@@ -55,9 +59,21 @@ def read_mcap(path: Path, name: str) -> Rows:
             f"{path}: expected a CSV file, found MCAP, from which only paths and commands are "
             "read; write the values as CSV"
         )
+    return _bounded(_table, path, names)
+
+
+def _bounded(read: Callable[..., T], path: Path, *arguments: Any) -> T:
+    """Return the result of a reader in a process with limits, since chunks may be bombs."""
+    with regular_file(path, "messages as MCAP"):
+        return bounded_read(read, path, *arguments)
+
+
+def _table(path: Path, names: tuple[str, str, str]) -> Rows:
+    """Return the table of `read_mcap` with the given columns."""
     topic, rows = _only_topic(path, MESSAGES[names])
-    stamped = [*_rows(rows)]
-    table = np.array([((t - stamped[0][0]) / 1e9, *row) for t, *row in stamped], dtype=float)
+    with _standard_fields(path, topic):
+        stamped = [*_rows(rows)]
+        table = np.array([((t - stamped[0][0]) / 1e9, *row) for t, *row in stamped], dtype=float)
     if not table.size:
         raise DataError(
             f"{path}: expected poses in the last message of topic {topic!r}, found none; record "
@@ -99,8 +115,15 @@ def read_joint_commands(path: Path) -> dict[str, JointCommands]:
         If the package mcap-ros2-support is not installed, if the file cannot be read, if it does
         not have exactly one topic with such messages, or if their times do not increase.
     """
+    return _bounded(_joint_commands, path)
+
+
+def _joint_commands(path: Path) -> dict[str, JointCommands]:
+    """Return the result of `read_joint_commands`."""
     topic, messages = _only_topic(path, (JOINT_STATE,))
-    return _commands(path, topic, messages, _time(messages[0][1], messages[0][0]))
+    with _standard_fields(path, topic):
+        first = _time(messages[0][1], messages[0][0])
+    return _commands(path, topic, messages, first)
 
 
 class MotionLog(NamedTuple):
@@ -126,10 +149,17 @@ def read_motion_log(path: Path) -> MotionLog:
     DataError
         As in `read_mcap` and `read_joint_commands`.
     """
-    _, poses = _only_topic(path, MESSAGES["x", "y", "heading"])
+    return _bounded(_motion_log, path)
+
+
+def _motion_log(path: Path) -> MotionLog:
+    """Return the result of `read_motion_log`."""
+    names = "x", "y", "heading"
+    table = _table(path, names)
+    _, poses = _only_topic(path, MESSAGES[names])
     first = next(_rows(poses))[0]
     topic, messages = _only_topic(path, (JOINT_STATE,))
-    return MotionLog(read_mcap(path, "x"), _commands(path, topic, messages, first))
+    return MotionLog(table, _commands(path, topic, messages, first))
 
 
 def _commands(
@@ -143,14 +173,15 @@ def _commands(
         If their times do not increase.
     """
     rows: dict[str, list[tuple[float, float, float]]] = {}
-    for recorded, message in messages:
-        time = (_time(message, recorded) - first) / 1e9
-        for k, name in enumerate(message.name):
-            position, velocity = (
-                float(values[k]) if k < len(values) else nan
-                for values in (message.position, message.velocity)
-            )
-            rows.setdefault(name, []).append((time, position, velocity))
+    with _standard_fields(path, topic):
+        for recorded, message in messages:
+            time = (_time(message, recorded) - first) / 1e9
+            for k, name in enumerate(message.name):
+                position, velocity = (
+                    float(values[k]) if k < len(values) else nan
+                    for values in (message.position, message.velocity)
+                )
+                rows.setdefault(str(name), []).append((time, position, velocity))
     found = {name: JointCommands(*np.array(table).T) for name, table in rows.items()}
     if any(np.diff(each.t, prepend=-1.0).min() <= 0 for each in found.values()):
         raise DataError(
@@ -163,30 +194,55 @@ def _commands(
 def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, Any]]]:
     """Return the only topic with messages of the given types, and the messages with times [ns]."""
     topics: dict[str, list[tuple[int, Any]]] = {}
-    for topic, time, message in _messages(path, kinds):
+    others: dict[str, str] = {}
+    for topic, time, message in _messages(path, kinds, others):
         topics.setdefault(topic, []).append((time, message))
     if len(topics) != 1:
+        found = ", ".join(sorted(topics)) or "none"
+        if others and not topics:
+            some = [f"{topic} ({kind})" for topic, kind in sorted(others.items())[:MAX_LISTED]]
+            found += f" among {', '.join(some)}{', ...' * (len(others) > MAX_LISTED)}"
         raise DataError(
             f"{path}: expected one topic with messages of type {' or '.join(kinds)}, found "
-            f"{', '.join(sorted(topics)) or 'none'}; record or extract one such topic"
+            f"{found}; record or extract one such topic"
         )
     return next(iter(topics.items()))
 
 
-def _messages(path: Path, kinds: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, recording time [ns] and content of each message of the given types."""
+@contextmanager
+def _standard_fields(path: Path, topic: str) -> Iterator[None]:
+    """Raise DataError if messages lack the fields of their type, which the file defines itself."""
+    try:
+        yield
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
+        raise DataError(
+            f"{path}: expected messages in topic {topic!r} with the fields that ROS 2 defines for "
+            f"their type, found a file that defines others ({error}); convert the messages"
+        ) from error
+
+
+def _messages(
+    path: Path, kinds: Sequence[str], others: dict[str, str]
+) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, recording time [ns] and content of each message of the given types.
+
+    Types of messages of other types are added to ``others``, by topic.
+    """
     ros = ros_package()
     from mcap.reader import make_reader
 
     content, factory = read_bytes(path, "messages as MCAP"), ros.decoder.DecoderFactory()
     try:
-        for schema, channel, record in make_reader(io.BytesIO(content)).iter_messages():
-            if schema is not None and schema.name in kinds:
+        for schema, channel, record in make_reader(io.BytesIO(content), True).iter_messages():
+            if schema is None or schema.name not in kinds:
+                others[channel.topic] = schema.name if schema else channel.message_encoding
+            else:
                 decode = factory.decoder_for(channel.message_encoding, schema)
                 if decode is None:
                     raise DataError(
                         f"{path}: expected messages of ROS 2 (CDR), found "
-                        f"{channel.message_encoding!r} in topic {channel.topic!r}; convert the file"
+                        f"{channel.message_encoding!r} with definitions in {schema.encoding!r} in "
+                        f"topic {channel.topic!r}; convert the file"
                     )
                 yield channel.topic, record.log_time, decode(record.data)
     except DataError:
@@ -194,24 +250,25 @@ def _messages(path: Path, kinds: Sequence[str]) -> Iterator[tuple[str, int, Any]
     except Exception as error:  # also errors of its parsers and codecs
         raise DataError(
             f"{path}: expected messages as MCAP, found a file that is damaged or of another "
-            f"format ({type(error).__name__}); record or convert it again"
+            f"format ({type(error).__name__}); repair it with 'mcap recover', or record it again"
         ) from error
 
 
 def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, float]]:
     """Yield the rows of a table, with absolute times [ns]."""
-    if hasattr(messages[-1][1], "poses"):
-        last = messages[-1][1]
+    last = messages[-1][1]
+    if type(last).__name__ == "Path":
         messages = [(_time(each, 0), each) for each in last.poses]
     for recorded, message in messages:
         time = _time(message, recorded)
-        if hasattr(message, "pose"):
-            pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        kind = type(message).__name__
+        if kind in ("Odometry", "PoseStamped"):
+            pose = message.pose.pose if kind == "Odometry" else message.pose
             q = pose.orientation
             yaw = atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
             yield time, pose.position.x, pose.position.y, yaw
         else:
-            twist = getattr(message, "twist", message)
+            twist = message.twist if kind == "TwistStamped" else message
             yield time, twist.linear.x, twist.linear.y, twist.angular.z
 
 

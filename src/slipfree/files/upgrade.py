@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
-from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.settings import replace_values
+from slipfree.files.toml.source_lines import load_toml
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Label
 from slipfree.trajectory import OUTCOME, STATISTICS, STOP, Column
@@ -120,9 +119,9 @@ def _problem_attributes(attributes: Mapping[str, str | float]) -> dict[str, str]
     The result is empty if the attributes contain no readable problem file.
     """
     try:
-        data = tomllib.loads(str(attributes["problem"]))
+        data = load_toml(str(attributes["problem"]))
         replace_values(data, str(attributes.get("settings", "")).splitlines())
-    except (KeyError, tomllib.TOMLDecodeError, ProblemError):  # no problem, or a damaged one
+    except (KeyError, ValueError):  # no problem, or a damaged one
         return {}
     verb, slip = str(data.get("verb")), str(data.get("slip", "least"))
     found = {"verb": verb}

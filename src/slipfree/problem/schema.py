@@ -25,7 +25,7 @@ from slipfree.problem.schema_ground import Synthetic as Synthetic
 from slipfree.problem.schema_ground import Terrain as Terrain
 from slipfree.problem.schema_law import Law as Law
 from slipfree.problem.schema_law import known_slip
-from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
+from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
 
 SlipName = Annotated[str, AfterValidator(known_slip)]
 
@@ -98,7 +98,7 @@ class Time(Record):
 class Solver(Record):
     """Options of the integrator."""
 
-    tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, lt=1)] = Field(
+    tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, le=MAX_TOLERANCE)] = Field(
         default=1e-8, description=SIZED
     )
     compiled: bool = Field(default=False, description=COMPILED)

@@ -38,7 +38,7 @@ class Stairs(Record):
 
     height: Positive = Field(description="height of a step [m]")
     depth: Positive = Field(description="depth of a step along x [m]")
-    count: Annotated[int, Field(ge=1)] = Field(description="number of steps")
+    count: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of steps")
 
 
 class Shapes(Record):

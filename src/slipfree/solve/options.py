@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from slipfree.errors import ModelError
 
 MIN_TOLERANCE = 1e-14  # rounding dominates below it
+MAX_TOLERANCE = 1e-2  # errors do not grow with the tolerance beyond it: steps are uncontrolled
 Method = Literal["idas", "cvodes"]
 
 
@@ -34,7 +35,7 @@ class SolverOptions:
     Raises
     ------
     ModelError
-        If the tolerance is less than 1e-14 or not less than 1, or the method is unknown.
+        If the tolerance is not between 1e-14 and 0.01, or the method is unknown.
     """
 
     tolerance: float = 1e-8
@@ -42,9 +43,9 @@ class SolverOptions:
     compiled: bool = False
 
     def __post_init__(self) -> None:
-        if not MIN_TOLERANCE <= self.tolerance < 1:
+        if not MIN_TOLERANCE <= self.tolerance <= MAX_TOLERANCE:
             raise ModelError(
-                f"tolerance: expected a number of at least {MIN_TOLERANCE:g} and less than 1, "
+                f"tolerance: expected a number from {MIN_TOLERANCE:g} to {MAX_TOLERANCE:g}, "
                 f"found {self.tolerance}; choose a number in this range"
             )
         if self.method is not None and self.method not in get_args(Method):

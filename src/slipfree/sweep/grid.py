@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -16,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.files.toml.source_lines import key_path
+from slipfree.files.toml.source_lines import key_path, load_toml, shortened
 from slipfree.files.urdf.expansion import trusted_paths
 from slipfree.problem.input_files import digest, input_files, input_names
 from slipfree.problem.load import load_variants
@@ -233,9 +232,10 @@ def axis_of(text: str) -> Axis:
         If the text has neither form, a value is empty or given twice, or a range is not valid.
     """
     key, equals, rest = text.partition("=")
+    text = shortened(text)
     try:
         spelled = ".".join(key_path(key))
-    except tomllib.TOMLDecodeError:
+    except ValueError:
         spelled = ""
     if not (spelled and equals and rest.strip()):
         raise DataError(
@@ -275,8 +275,8 @@ def _comparison_key(value: str) -> object:
     Such values are ``1`` and ``1.0``, or a word with and without quotes.
     """
     try:
-        found = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+        found = load_toml(f"value = {value}")["value"]
+    except ValueError:
         return value.strip()
     if isinstance(found, int | float) and not isinstance(found, bool):
         return float(found)
@@ -305,7 +305,7 @@ def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
     for setting in settings:
         try:
             given = key_path(setting.partition("=")[0])
-        except tomllib.TOMLDecodeError:
+        except ValueError:
             continue  # reading the problem reports the error
         for path in paths:
             if given[: len(path)] == path:
@@ -342,9 +342,9 @@ def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
 def _values(text: str) -> tuple[str, ...]:
     """Return comma-separated values as TOML text, or as words if they are not valid TOML."""
     try:
-        found = tomllib.loads(f"values = [{text}]")["values"]
+        found = load_toml(f"values = [{text}]")["values"]
         return tuple(map(_spelled, found))
-    except (tomllib.TOMLDecodeError, TypeError):
+    except (ValueError, TypeError):
         return tuple(part.strip() for part in text.split(","))
 
 

@@ -135,10 +135,12 @@ def row_of(line: Mapping[str, Any]) -> Row:
 
     Raises
     ------
-    TypeError, ValueError, AttributeError
+    TypeError, ValueError, AttributeError, OverflowError
         If the line does not describe a run.
     """
     row = Row(**line)
+    if not all(isinstance(each, str) for each in (row.outcome, row.words, *row.settings)):
+        raise TypeError("outcome, words and settings are not texts")
     figures = {name: (float(value), str(unit)) for name, (value, unit) in row.figures.items()}
     return row._replace(run=int(row.run), settings=tuple(row.settings), figures=figures)
 
@@ -241,7 +243,7 @@ class Log:
     def _parsed(self, number: int, line: bytes) -> dict[str, Any]:
         try:
             found = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             found = None
         if not isinstance(found, dict):
             raise self._damaged(number)
@@ -250,7 +252,7 @@ class Log:
     def _add(self, number: int, line: Mapping[str, Any], offset: int) -> None:
         try:
             row = row_of(line)
-        except (TypeError, ValueError, AttributeError) as error:
+        except (TypeError, ValueError, AttributeError, OverflowError) as error:
             raise self._damaged(number) from error
         if row.outcome in self._open:
             self.rows.discard(row.run)  # the run was repeated

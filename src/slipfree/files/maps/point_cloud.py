@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import struct
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -21,6 +22,7 @@ from slipfree.files.maps.reference_systems import (
     scale_facts,
     system_name,
 )
+from slipfree.processes import bounded_read
 from slipfree.records import Array, Mask
 from slipfree.terrain.grid_ops import MAX_COORDINATE, Axis, Heights, Window, parts
 
@@ -87,6 +89,13 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
         If laspy, lazrs or pyproj is not installed, if the file is damaged or not in metres, if its
         points are too few or too many or lie on a line, or if the window contains too few nodes.
     """
+    _check_packages()
+    # lazrs aborts the process for some damaged files; gridding there keeps the points there
+    return bounded_read(_heights, path, spacing, window, rate=1e5, growth=50.0)
+
+
+def _heights(path: Path, spacing: float | None, window: Window | None) -> Heights:
+    """Return the height map of a point cloud; see `read_point_cloud`."""
     near = None if window is None or spacing is None else _widened(window, spacing)
     cloud = _read(path, near)
     middle = np.mean(cloud.points[:, :2], axis=0) if len(cloud.points) else (math.nan, math.nan)
@@ -147,12 +156,13 @@ def _widened(window: Window, cell: float) -> Window:
 
 def _read(path: Path, near: Window | None) -> _Cloud:
     """Return the points of a file in ``near`` (default all), except noise and withheld points."""
-    laspy = _laspy()
+    import laspy
+
     points, ground = [np.empty((0, 3))], [np.empty(0, bool)]
     try:
         with path.open("rb") as stream:
             _check_header(stream)
-            file = laspy.open(stream, closefd=False)
+            file = laspy.open(stream, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
             count = file.header.point_count
             for chunk in file.chunk_iterator(CHUNK):
                 kind = np.asarray(chunk.classification)
@@ -202,15 +212,11 @@ def _check_header(stream: BinaryIO) -> None:
             raise ValueError(f"{records} records from byte {start}, beyond the end of the file")
 
 
-def _laspy() -> Any:
-    """Return the package ``laspy``; raise DataError if it, lazrs or pyproj is not installed."""
-    try:
-        import laspy
-        import lazrs  # noqa: F401  # of compressed files
-        import pyproj  # noqa: F401  # of reference systems
-    except ImportError as error:
-        raise DataError(missing_package(str(error.name), "points")) from error
-    return laspy
+def _check_packages() -> None:
+    """Raise DataError if laspy, lazrs or pyproj is not installed."""
+    for name in ("laspy", "lazrs", "pyproj"):
+        if find_spec(name) is None:
+            raise DataError(missing_package(name, "points"))
 
 
 def _system(header: Any) -> tuple[Any, str]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Sequence
 from typing import Any
 
 from slipfree.files.toml.errors import ProblemError
-from slipfree.files.toml.source_lines import Place, key_path
+from slipfree.files.toml.source_lines import Place, key_path, load_toml, shortened
 from slipfree.regular_files import escape_name
 
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
@@ -59,8 +58,8 @@ def replace_values(
             faults.append(f"{option} {key.strip()}: {error}")
         except ValueError:
             faults.append(
-                f"{option} {key.strip()}: expected key=value with a value in TOML or a bare word, "
-                f"or key= to remove a key, found {setting!r}"
+                f"{option} {shortened(key.strip())}: expected key=value with a value in TOML or a "
+                f"bare word, or key= to remove a key, found {shortened(setting)!r}"
             )
         else:
             places |= dict.fromkeys(new, setting)
@@ -76,8 +75,8 @@ class _KeyPlaceError(ValueError):
 def _value(text: str) -> Any:
     """Return the value of a text, which is TOML or a bare word; raise ValueError otherwise."""
     try:
-        found = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+        found = load_toml(f"value = {text}")
+    except ValueError:
         if BARE.fullmatch(text.strip()):
             return text.strip()
         raise

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 Place = tuple[str | int, ...]
 
@@ -20,6 +22,12 @@ PIECE = re.compile(
     r"|.",
     re.DOTALL,
 )
+# keys with at least 64 parts: tomllib takes hours for thousands of them
+LONG_KEY = re.compile(
+    r"""(?m)(?:^|[\[{,])[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
+)
+MAX_SHOWN = 200  # characters of a setting in a message
+MAX_DEPTH = 100  # accepted levels of nested arrays and tables
 KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
 
 
@@ -83,16 +91,56 @@ def spelled(place: Place) -> str:
     return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in place).removeprefix(".")
 
 
+def load_toml(text: str) -> dict[str, Any]:
+    """Return the values of a TOML text from a user.
+
+    Raises
+    ------
+    ValueError
+        If the text is not TOML, is nested deeply, or contains an integer of thousands of digits.
+        The message may end with ``(at line L, column C)``.
+    """
+    if (found := LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(f"a key of more than 60 dotted parts (at line {line}, column 1)")
+    try:
+        values = tomllib.loads(text)
+    except RecursionError:
+        values = None
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError as error:  # Python limits the length of integers
+        most = sys.get_int_max_str_digits()
+        raise ValueError(f"an integer of more than {most} digits") from error
+    if values is None or _is_deep(values):
+        raise ValueError(f"arrays or tables of more than {MAX_DEPTH} nested levels")
+    return values
+
+
+def shortened(text: str) -> str:
+    """Return a text, or the first characters of a long text and dots, for a message."""
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+
+
+def _is_deep(values: dict[str, Any]) -> bool:
+    """Return whether arrays and tables have more than `MAX_DEPTH` nested levels."""
+    level: list[Any] = [values]
+    for _ in range(MAX_DEPTH):
+        tables = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [v for each in tables for v in each if isinstance(v, dict | list)]
+    return bool(level)
+
+
 @lru_cache(maxsize=64)
 def key_path(text: str) -> tuple[str, ...]:
     """Return the parts of a dotted key.
 
     Raises
     ------
-    tomllib.TOMLDecodeError
+    ValueError
         If the text is not a key.
     """
-    node, parts = tomllib.loads(f"{text} = 0"), []
+    node, parts = load_toml(f"{text} = 0"), []
     while isinstance(node, dict):
         ((part, node),) = node.items()
         parts.append(part)

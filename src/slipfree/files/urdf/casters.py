@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.files.urdf.frames import fixed_to_wheels, is_last, is_level, lowest, radius_of
-from slipfree.files.urdf.meshes import load_mesh
+from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.tree import Box, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.geometry.frame import unit_vector
@@ -126,9 +126,10 @@ def _depth(box: Box, rotation: Array) -> float:
 
 def _mesh_depth(tree: Tree, joint: UrdfJoint, rotation: Array) -> float:
     """Return the depth of a link's meshes below its origin; zero if they are unreadable [m]."""
-    folder = Path(tree.file).parent
+    meshes = tree.links[joint.child].meshes
+    files = MeshFiles(meshes, Path(tree.file).parent)
     try:
-        points = [load_mesh(mesh, folder).vertices for mesh in tree.links[joint.child].meshes]
+        points = [files.triangles(mesh).vertices for mesh in meshes]
     except DataError:  # the ground of the wheels gives the radius
         return 0.0
     return max((float(-(rotation @ each.T)[2].min()) for each in points), default=0.0)

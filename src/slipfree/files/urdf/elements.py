@@ -187,8 +187,23 @@ def _mesh(element: Element, faults: Faults, link: str) -> Mesh | None:
         return None
     who = f"link {link!r}"
     at, turned = _origin(element, faults, f"{who}: {element.tag}")
-    scale = _vector(found, "scale", UNIT_SCALE, faults, f"{who}: mesh")
+    scale = _scale(found, faults, f"{who}: mesh")
     return Mesh(found.attributes.get("filename", ""), scale, at, turned)
+
+
+def _scale(element: Element, faults: Faults, who: str) -> Vector:
+    """Return the scale of a mesh: three numbers, one for all axes, or a fourth that is ignored."""
+    values = element.attributes.get("scale", "1").replace(",", " ").split()
+    values = values * 3 if len(values) == 1 else values[:3] if len(values) == 4 else values
+    scale = Element("mesh", {"scale": " ".join(values)}, element.line)
+    found = _vector(scale, "scale", UNIT_SCALE, faults, who)
+    if not all(found):
+        text = element.attributes["scale"]
+        faults.add(
+            element.line,
+            f"{who}: expected factors other than zero in 'scale', found {text!r}; correct them",
+        )
+    return found
 
 
 def _box(element: Element, faults: Faults, link: str) -> Box | None:

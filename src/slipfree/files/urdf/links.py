@@ -89,15 +89,22 @@ def joint_values(
     released = {joint.name for joint in vehicle.joints if joint.coordinates}
     signs, joints = _wheel_signs(vehicle, robot), robot.tree.joints
 
-    def value(joint: UrdfJoint, followers: int = 0) -> ca.SX:
+    def value(joint: UrdfJoint) -> ca.SX:
+        factor, offset = 1.0, 0.0
+        for _ in joints:  # mimics may form a loop, or a chain too long for recursion
+            mimic = joint.mimic
+            if joint.name in own or joint.name in signs or mimic is None:
+                break
+            if mimic.joint not in joints:
+                break
+            offset, factor = offset + factor * mimic.offset, factor * mimic.multiplier
+            joint = joints[mimic.joint]
         if joint.name in own:
-            return own[joint.name]
+            return offset + factor * own[joint.name]
         if joint.name in signs:
-            return signs[joint.name] * angles[wheel_name(joint.name)]
-        mimic = joint.mimic
-        if mimic is not None and mimic.joint in joints and followers < len(joints):  # no loop
-            return mimic.offset + mimic.multiplier * value(joints[mimic.joint], followers + 1)
-        return ca.SX(min(max(0.0, joint.lower), joint.upper) if joint.moves else 0.0)
+            return offset + factor * signs[joint.name] * angles[wheel_name(joint.name)]
+        still = min(max(0.0, joint.lower), joint.upper) if joint.moves else 0.0
+        return ca.SX(offset + factor * still)
 
     return {name: value(joint) for name, joint in joints.items() if joint.moves or name in released}
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -15,16 +17,29 @@ from slipfree.files.urdf.packages import package_folders
 from slipfree.files.urdf.tree import Mesh, Shape
 from slipfree.files.vehicle_draft import MAX_LENGTH, rotation_of
 from slipfree.geometry.mesh import Mesh as Triangles
+from slipfree.processes import ProcessDiedError, bounded_call, bounded_read
 from slipfree.records import Array
 from slipfree.regular_files import read_bytes
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb")
+PACKAGES = ("package", "model")  # schemes of names in a package
+UNITS = {  # factors that correct the scale of a mesh, and their reasons
+    1e-3: "is it in millimetres?",
+    1e-2: "is it in centimetres?",
+    0.0254: "is it in inches?",
+    1e2: "is its scale that of centimetres?",
+    1e3: "is its scale that of millimetres?",
+}
+SAME_PLANE = 0.05  # smaller offsets along the axle, in radii, are of wheels in one plane
+OVERLAP = 0.9  # wheels in one plane overlap if closer than this, in sums of their radii
+MIN_RADIUS = 0.002  # smallest plausible radius, in largest distances between wheels
+USUAL_RADII = 0.05, 0.35  # in largest distances between wheels
 ROUND = 0.02  # points of the tread are this close to the largest distance from the axis, in radii
 MAX_GAP = np.radians(50.0)  # largest angle about the axis between points on the tread
 FIT = 0.01  # largest error of a circle fitted to a rounded tread, in radii
 
 
-def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | None:
+def mesh_shape(meshes: Sequence[Mesh], axis: Array, files: MeshFiles) -> Shape | None:
     """Return the body of revolution that encloses the meshes of a link, about an axis.
 
     The axis goes through the link's origin. The radius is the largest distance of a point from the
@@ -39,8 +54,8 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | Non
         Meshes of a link.
     axis : ndarray, shape (3,)
         Unit vector of the axis in the link's frame.
-    folder : Path
-        Folder of the URDF.
+    files : MeshFiles
+        The files of the meshes.
 
     Raises
     ------
@@ -48,7 +63,7 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | Non
         If a mesh cannot be read, if the package ``trimesh`` is not installed, or if the radius is
         zero or too large.
     """
-    points = np.vstack([load_mesh(mesh, folder).vertices for mesh in meshes])
+    points = np.vstack([files.triangles(mesh).vertices for mesh in meshes])
     along = points @ axis
     across = points - along[:, None] * axis
     distance = np.linalg.norm(across, axis=1)
@@ -61,7 +76,8 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | Non
     if not radius <= MAX_LENGTH:
         raise DataError(
             f"expected a mesh in metres, of at most {MAX_LENGTH:g} m, found {meshes[0].name!r} "
-            f"with points {radius:g} m from the axis of its joint; correct its scale"
+            f"with points {radius:g} m from the axis of its joint; "
+            f"{unit_words(meshes[0], 1e-3)}"
         )
     if _largest_gap(across[distance > (1 - ROUND) * radius], axis) > MAX_GAP:
         return None
@@ -71,29 +87,118 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, folder: Path) -> Shape | Non
     return Shape("mesh", radius, (x, y, z), angles_to(axis), tube)
 
 
-def load_mesh(mesh: Mesh, folder: Path) -> Triangles:
-    """Return the triangles of a mesh in the frame of its link.
+class MeshFiles:
+    """Files of meshes, read in one process with limits, since damaged files may hang or crash.
 
     Parameters
     ----------
-    mesh : Mesh
-        Mesh of a link.
+    meshes : iterable of Mesh
+        Meshes of links.
     folder : Path
         Folder of the URDF.
-
-    Raises
-    ------
-    DataError
-        If the mesh cannot be read, or if the package ``trimesh`` is not installed.
     """
-    path = find_mesh(mesh.name, folder)
+
+    def __init__(self, meshes: Iterable[Mesh], folder: Path) -> None:
+        self._read: dict[str, Triangles | DataError] = {}
+        files: dict[str, Path] = {}
+        for name in dict.fromkeys(mesh.name for mesh in meshes):
+            try:
+                files[name] = find_mesh(name, folder)
+            except DataError as error:
+                self._read[name] = error
+        if files:
+            self._read |= zip(files, _read_files([*files.values()]), strict=True)
+
+    def triangles(self, mesh: Mesh) -> Triangles:
+        """Return the triangles of a mesh in the frame of its link.
+
+        Raises
+        ------
+        DataError
+            If the mesh cannot be read, or if the package ``trimesh`` is not installed.
+        """
+        read = self._read[mesh.name]
+        if isinstance(read, DataError):
+            raise read
+        vertices: Array = read.vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
+        is_mirrored = np.prod(mesh.scale) < 0
+        return Triangles(vertices, read.faces[:, ::-1] if is_mirrored else read.faces)
+
+
+def unit_words(mesh: Mesh, factor: float) -> str:
+    """Return a question about the unit of a mesh and the attribute that scales it by a factor."""
+    if factor not in UNITS:
+        return "correct its scale"
+    return f'{UNITS[factor]} write scale="{" ".join(f"{factor * each:g}" for each in mesh.scale)}"'
+
+
+def unit_factor(radii: Array, centers: Array, axle: Array, own: int) -> float | None:
+    """Return the factor that makes the radius of a wheel plausible; None if it is plausible.
+
+    A radius is implausible if it exceeds the largest distance between wheels, if it is less than
+    0.002 of this distance, or if the wheel overlaps another one in its plane, not larger than
+    itself, by more than a tenth. The factor is that of a unit in `UNITS`, or 1 if none suits.
+
+    Parameters
+    ----------
+    radii : ndarray, shape (n,)
+        Radii of all wheels; zero if unknown. [m]
+    centers : ndarray, shape (n, 3)
+        Centres of all wheels. [m]
+    axle : ndarray, shape (3,)
+        Unit vector of the axle of the wheel.
+    own : int
+        Index of the wheel.
+    """
+    radius, offsets = float(radii[own]), centers - centers[own]
+    extent = float(np.linalg.norm(centers[:, None] - centers, axis=2).max())
+    along = np.abs(offsets @ axle)
+    across = np.linalg.norm(np.cross(offsets, axle), axis=1)
+    beside = (along < SAME_PLANE * radius) & (across > SAME_PLANE * extent) & (radii <= radius)
+    overlaps = bool((beside & (across < OVERLAP * (radius + radii))).any())
+    if extent == 0 or (MIN_RADIUS * extent <= radius <= extent and not overlaps):
+        return None
+    low, high = USUAL_RADII
+    return next((unit for unit in UNITS if low <= unit * radius / extent <= high), 1.0)
+
+
+def _read_files(paths: Sequence[Path]) -> list[Triangles | DataError]:
+    """Return the triangles of files, or the errors of those that cannot be read."""
+    if find_spec("trimesh") is None:
+        return [DataError(missing_package("trimesh", "urdf")) for _ in paths]
+    size = sum(path.stat().st_size for path in paths)
     try:
-        import trimesh
-    except ImportError as error:
-        raise DataError(missing_package("trimesh", "urdf")) from error
+        return bounded_call(_read_each, paths, seconds=10 + size / 1e6, memory=3e9 + 20 * size)
+    except ProcessDiedError:
+        return [_read_alone(path) for path in paths]
+
+
+def _read_alone(path: Path) -> Triangles | DataError:
+    """Return the triangles of a file that is read in a process of its own."""
+    try:
+        return bounded_read(_read_file, path)
+    except DataError as error:
+        return error
+
+
+def _read_each(paths: Sequence[Path]) -> list[Triangles | DataError]:
+    """Return the triangles of files, or the errors of those that cannot be read."""
+    found: list[Triangles | DataError] = []
+    for path in paths:
+        try:
+            found.append(_read_file(path))
+        except DataError as error:
+            found.append(error)
+    return found
+
+
+def _read_file(path: Path) -> Triangles:
+    """Return the triangles in a file in metres; raise DataError if it cannot be read."""
+    import trimesh
+
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        raise DataError(f"expected a mesh in {', '.join(FORMATS)}, found {mesh.name!r}; convert it")
+        raise DataError(f"expected a mesh in {', '.join(FORMATS)}, found {path.name!r}; convert it")
     data = io.BytesIO(read_bytes(path, "a mesh"))
     try:
         scene: Any = trimesh.load_scene(data, file_type=suffix[1:], skip_materials=True)
@@ -105,33 +210,45 @@ def load_mesh(mesh: Mesh, folder: Path) -> Triangles:
         raise DataError(missing_package(str(error.name), "urdf")) from error
     except Exception as error:  # trimesh raises errors of many kinds for a damaged file
         raise DataError(
-            f"expected a readable mesh, found {mesh.name!r}: {error}; correct it"
+            f"expected a readable mesh, found {path.name!r}: {error}; export it again"
         ) from error
     if not vertices.size or not np.isfinite(vertices).all():
         raise DataError(
-            f"expected a mesh of points with finite coordinates, found none in {mesh.name!r}; "
-            "correct it"
+            f"expected a mesh of points with finite coordinates, found none in {path.name!r}; "
+            "export it again"
         )
-    placed: Array = vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
-    return Triangles(placed, faces)
+    return Triangles(vertices, faces)
 
 
 def find_mesh(name: str, folder: Path) -> Path:
     """Return the file of a mesh, relative to the folder of its URDF or in a package.
 
-    A package is searched in the folders of `package_folders`.
+    A package, also that of ``model://``, is searched in the folders of `package_folders`.
     """
-    package, _, inside = name.removeprefix("package://").partition("/")
-    if name.startswith("package://"):
-        tried = [root / inside for root in package_folders(package, folder)]
+    scheme, separator, inside = name.partition("://")
+    if separator and scheme not in (*PACKAGES, "file"):
+        raise DataError(
+            f"expected the mesh in a local file, found {name!r}; download it, and name the file"
+        )
+    plain = unquote(inside) if separator else name
+    if "\\" in plain and not _is_file(folder / plain):
+        plain = plain.replace("\\", "/")  # of Windows
+    if scheme in PACKAGES and separator:
+        package, _, rest = plain.partition("/")
+        tried = [root / rest for root in package_folders(package, folder)]
         remedy = f"put its package into {str(folder)!r} or a folder above it"
     else:
-        tried = [folder / name.removeprefix("file://")]
+        tried = [folder / plain.removeprefix("localhost" if separator else "")]
         remedy = f"correct the name, which is relative to {str(folder)!r}"
     for path in tried:
-        if os.path.isfile(path):  # noqa: PTH113 - False for names that are too long, too
+        if _is_file(path):
             return path
     raise DataError(f"expected the mesh {name!r}, found no such file; {remedy}")
+
+
+def _is_file(path: Path) -> bool:
+    """Return whether a path is a file; False for names that are too long, too."""
+    return os.path.isfile(path)  # noqa: PTH113
 
 
 def _largest_gap(across: Array, axis: Array) -> float:

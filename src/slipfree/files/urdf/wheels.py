@@ -33,7 +33,7 @@ from slipfree.files.urdf.guesses import (
     with_fixed_rollers,
 )
 from slipfree.files.urdf.links import wheel_name
-from slipfree.files.urdf.meshes import mesh_shape
+from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
 from slipfree.files.urdf.roles import Roles, WheelRole
 from slipfree.files.urdf.tree import Findings, Mesh, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import Value, angles_of, rotation_of, toml_key, toml_line
@@ -108,6 +108,7 @@ class Wheels:
         self._casters = caster_wheels(
             self.tree, [wheel for wheel in self.joints if wheel.name not in self.balls]
         )
+        self._check_guessed_radii()
 
     def wheel(self, joint: UrdfJoint, part_of: Mapping[str, str]) -> Wheel | None:
         """Return the wheel of a joint, in axes x forward, y left; None with an error if invalid.
@@ -217,14 +218,20 @@ class Wheels:
     def _with_mesh_shapes(self, tree: Tree) -> Tree:
         """Return a URDF with the round shapes of meshes on the links that may be wheels."""
         links = dict(tree.links)
-        for joint in tree.joints.values():
+        joints = [
+            joint
+            for joint in tree.joints.values()
+            if not links[joint.child].shapes and links[joint.child].meshes
+        ]
+        joints = [joint for joint in joints if self._may_be_wheel(tree, joint)]
+        meshes = (mesh for joint in joints for mesh in links[joint.child].meshes)
+        files = MeshFiles(meshes, Path(tree.file).parent)
+        for joint in joints:
             link = links[joint.child]
-            if link.shapes or not link.meshes or not self._may_be_wheel(tree, joint):
-                continue
             rotation, _ = self._frames[joint.child]
             axis = unit_vector(joint.axis) if joint.moves else rotation.T @ RIGHT
             try:
-                shape = mesh_shape(link.meshes, np.asarray(axis), Path(tree.file).parent)
+                shape = mesh_shape(link.meshes, np.asarray(axis), files)
             except DataError as error:
                 self._unread[joint.name] = str(error)
                 continue
@@ -286,6 +293,36 @@ class Wheels:
                     f"{self._in_file}",
                 )
 
+    def _check_guessed_radii(self) -> None:
+        """Add an error for each guessed radius that does not suit the distances of the wheels."""
+        radii = np.array([self._rolling_radius(joint) or 0.0 for joint in self.joints])
+        centers = np.array([self._frames[joint.child][1] for joint in self.joints])
+        for k, joint in enumerate(self.joints):
+            shape, role = self._shape(joint), self._roles.wheels.get(joint.name, WheelRole())
+            is_mesh = shape is not None and shape.kind == "mesh"
+            is_guess = is_mesh or joint.name in self._given
+            if not is_guess or role.radius or self._roles.radius or not radii[k]:
+                continue
+            axle = self._lateral(joint)
+            if joint.moves and is_level(self.tree, joint):
+                axle = self._frames[joint.child][0] @ unit_vector(joint.axis)
+            factor = unit_factor(radii, centers, axle, k)
+            if factor is None:
+                continue
+            mesh = self.tree.links[joint.child].meshes[0] if is_mesh else None
+            unit = f"mesh {mesh.name!r}: {unit_words(mesh, factor)}, or " if mesh else ""
+            self._findings.faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a wheel that suits the distances between the "
+                f"wheels, found a radius of {radii[k]:.3g} m in link {joint.child!r}; {unit}write "
+                f"wheels = {{ {toml_key(joint.name)} = {{ radius = ... }} }}{self._in_file}",
+            )
+
+    def _rolling_radius(self, joint: UrdfJoint) -> float | None:
+        """Return the rolling radius of a wheel; None if unknown [m]."""
+        given = self._given.get(joint.name, WheelRole()).radius
+        return given or self._radius(self._shape(joint))
+
     @property
     def _in_file(self) -> str:
         return f', in a vehicle file with urdf = "{Path(self.tree.file).name}"'
@@ -338,7 +375,7 @@ class Wheels:
         The result is None, with an error added, if they are invalid.
         """
         faults, shape = self._findings.faults, self._shape(joint)
-        radius = role.radius or self._radius(shape)
+        radius = self._rolling_radius(joint)
         if radius is None:
             reason = self._unread.get(joint.name, "expected a cylinder, a sphere or a mesh as its ")
             words = reason if joint.name in self._unread else f"{reason}wheel, found none"

@@ -14,7 +14,7 @@ from slipfree.files.toml.types import NonNegative, Pair, Positive, Record
 from slipfree.problem.law_record import law_record
 from slipfree.problem.schema import TOLERANCE, VERB, Runnable, Solver
 from slipfree.problem.schema_solids import Shapes
-from slipfree.solve.options import MIN_TOLERANCE, Method
+from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, Method
 from slipfree.vehicle import climber as vehicle
 
 
@@ -55,7 +55,7 @@ class ClimberAxle(Record):
     ahead: float | None = Field(
         default=None, description="distance ahead of the joint, along the body [m]"
     )
-    wheels: Annotated[int, Field(ge=1)] | None = Field(
+    wheels: Annotated[int, Field(ge=1, le=100)] | None = Field(
         default=None, description="number of wheels, with one motor each"
     )
     inertia: Positive | None = Field(
@@ -147,7 +147,9 @@ class Legs(Record):
     cost: Literal["time", "friction", "slip"] = Field(
         default="time", description="objective: duration, required friction, or slip"
     )
-    nodes: Annotated[int, Field(ge=20)] = Field(default=60, description="number of nodes per leg")
+    nodes: Annotated[int, Field(ge=20, le=5000)] = Field(
+        default=60, description="number of nodes per leg"
+    )
     friction: Positive | None = Field(
         default=None, description="coefficient of friction; default: the static one [1]"
     )
@@ -159,7 +161,7 @@ class Legs(Record):
 class Stiff(Solver):
     """Options of the integrator for climbs, whose equations are stiff."""
 
-    tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, lt=1)] = Field(
+    tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, le=MAX_TOLERANCE)] = Field(
         default=1e-6, description=TOLERANCE
     )
     method: Method | None = Field(default=None, description="the integrator")

@@ -15,7 +15,7 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.errors import DataError
 from slipfree.files.map_coordinates import MAP_TRANSFORM, encode_map_coordinates
-from slipfree.files.urdf.meshes import FORMATS, find_mesh, load_mesh
+from slipfree.files.urdf.meshes import FORMATS, MeshFiles, find_mesh
 from slipfree.frames import STORED, WANTED, to_problem_frame
 from slipfree.geometry.mesh import Mesh
 from slipfree.laws.soil import Soil
@@ -244,11 +244,15 @@ def _visuals(file: VehicleFile | None) -> dict[str, Mesh]:
     found: dict[str, Mesh] = {}
     if file is None or file.robot is None:
         return found
-    folder = Path(file.robot.tree.file).parent
+    folder, known = Path(file.robot.tree.file).parent, []
     for link in file.robot.tree.links.values():
         with suppress(DataError):  # the vehicle is then drawn with simple bodies
             if link.visuals and all(_is_known(mesh.name, folder, file) for mesh in link.visuals):
-                found[link.name] = joined(*(load_mesh(mesh, folder) for mesh in link.visuals))
+                known.append(link)
+    files = MeshFiles((mesh for link in known for mesh in link.visuals), folder)
+    for link in known:
+        with suppress(DataError):
+            found[link.name] = joined(*map(files.triangles, link.visuals))
     return found
 
 

@@ -21,6 +21,8 @@ from slipfree.problem.region_table import RegionTable
 from slipfree.problem.schema import INPUTS, VERB, Driver, Modelled, Task
 from slipfree.problem.schema_ground import HeightErrors
 
+MAX_INTERVALS = 2000  # a plan with more needs gigabytes and hours; windows divide it
+
 
 class Guide(Driver):
     """Initial guess of a plan: a driving law along paths or along routes over the ground."""
@@ -40,7 +42,7 @@ class Guide(Driver):
         default=None,
         description="several paths of way-points; the plan of least cost is returned [m]",
     )
-    count: Annotated[int, Field(ge=1)] = Field(
+    count: Annotated[int, Field(ge=1, le=100)] = Field(
         default=1,
         description="number of routes, which pass obstacles on different sides; the plan of least "
         "cost is returned",
@@ -60,10 +62,10 @@ class Robust(Record):
     share: Annotated[float, Field(gt=0, lt=1)] = Field(
         default=0.95, description="share of draws for which the plan must satisfy its limits [1]"
     )
-    draws: Annotated[int, Field(ge=1)] = Field(
+    draws: Annotated[int, Field(ge=1, le=100_000)] = Field(
         default=50, description="number of draws that determine the tightening of a round"
     )
-    final_draws: Annotated[int, Field(ge=1)] = Field(
+    final_draws: Annotated[int, Field(ge=1, le=100_000)] = Field(
         default=200, description="number of further draws, which determine the final share"
     )
     seed: Annotated[int, Field(ge=0)] = Field(default=0, description="seed of all draws")
@@ -100,7 +102,7 @@ class Search(Record):
         default=True,
         description="whether inputs are continuous and linear on intervals; otherwise constant",
     )
-    starts: Annotated[int, Field(ge=1)] = Field(
+    starts: Annotated[int, Field(ge=1, le=1000)] = Field(
         default=1,
         description="number of starts, in parallel processes: routes, the guess, reversed gears, "
         "perturbed inputs; the verified plan of least cost is returned",
@@ -126,7 +128,7 @@ class Search(Record):
         description="with model = 'dynamics': whether wheels may slide, as in a turn of a "
         "skid-steered vehicle; otherwise they roll within the limits of friction",
     )
-    accuracy: Positive = Field(
+    accuracy: Annotated[float, Field(gt=0, le=1)] = Field(
         default=1e-3,
         description="largest deviation of the simulation from the plan and its limits [m, rad]",
     )
@@ -179,6 +181,9 @@ class Plan(Modelled):
         """Yield the errors of common keys, and of options that do not suit the model."""
         yield from super().faults()
         search = self.plan
+        if search.intervals > MAX_INTERVALS:
+            found = f"{search.intervals}; reduce it, or divide a long plan with 'window'"
+            yield Fault(("plan", "intervals"), f"at most {MAX_INTERVALS} intervals", found)
         if self.model != "dynamics":
             if search.sliding:
                 found = f"model = {self.model!r}; set model = 'dynamics', or remove the key"
