@@ -464,7 +464,7 @@ def test_a_wheel_over_a_narrow_pit_cannot_stand(tmp_path: Path) -> None:
     pit = -0.5 * np.exp(-((x[:, None] - 1.0) ** 2 + (y + 0.5) ** 2) / 0.01)
     np.savez(tmp_path / "g.npz", x=x, y=y, z=pit)
     problem = _read(tmp_path, FILE, "start.x=0", "start.heading=0")
-    with pytest.raises(ProblemError, match=r"p\.toml:\d+: start: .*wheel right.*rolled\(radius\)"):
+    with pytest.raises(ProblemError, match=r"p\.toml:\d+: start: .*wheel right.*terrain\.rolled"):
         build(problem)
 
 

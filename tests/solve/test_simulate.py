@@ -269,7 +269,7 @@ def test_progress_that_returns_false_ends_the_motion(kind):
     assert run.stop == (
         "interrupted",
         seen[-1],
-        "the progress callable ended the motion by returning False",
+        "Ctrl-C or the progress callable ended the integration",
         Outcome.INTERRUPTED,
     )
     assert 1.23 <= run.t[-1] == seen[-1] < 1.5
