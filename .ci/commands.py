@@ -26,6 +26,16 @@ STOPS_EARLY = (
     "traction_ice",
     "dynamics_tip_over",
 )  # exit code 1 (docs/problems.md)
+# Problems whose kinds of figures another one draws.
+UNDRAWN = (
+    "real_dem_rough paper_direct rover_rocks_direct your_vehicle path_inverse crab_inverse "
+    "dynamics_ledge dynamics_skid_turn dynamics_ice dynamics_step climb_step climb_stairs "
+    "plan_rigid_hills plan_rigid_robot plan_tilt_limits plan_climb_ramp plan_real_dem"
+)
+COARSER = {  # a notebook solves it as it is
+    "plan_climb_ramp": "driver.paths=[[[0,-1.5],[2,4.5],[0,10.5]]] plan.intervals=20"
+    " plan.accuracy=0.05 solver.tolerance=1e-6"
+}
 FEW = ("real_dem_direct", "plan_parking")  # of --few: a map, figures and files; rsplan and IPOPT
 PACKAGES = (
     "slipfree",
@@ -151,7 +161,10 @@ def problem(file: Path) -> list[Callable[[], None]]:
     verb = tomllib.loads(file.read_text("utf-8"))["verb"]
     if verb in ("compare", "fit"):
         return [slipfree(f"{verb} problems/{file.name}")]
-    first = slipfree(f"run problems/{file.name}", int(name in STOPS_EARLY))
+    words = [f"run problems/{file.name}"]
+    words += ["--no-draw"] if name in UNDRAWN.split() else []
+    words += [f"--set {each}" for each in COARSER.get(name, "").split()]
+    first = slipfree(" ".join(words), int(name in STOPS_EARLY))
     return [first, *(slipfree(line) for line in AFTER.get(name, []))]
 
 

@@ -45,12 +45,14 @@ ramp = problems / "plan_climb_ramp.toml"
 # ## The shortest way, and the shortest that friction allows
 #
 # The cost is effort, the squared rates over a fixed time: the shorter the way, the less. A little of
-# it is slip. The search for the second plan starts from three motions, straight on and in a bow to
-# either side; the cheapest of the plans they lead to counts.
+# it is slip. The search for the first plan starts from the straight motion; that for the second one
+# starts from three motions, straight on and in a bow to either side; the cheapest of the plans they
+# lead to counts.
 
 # %%
+straight = "driver.paths=[[[0.0, -1.5], [0.0, 10.5]]]"
 outcomes = {
-    "without a limit": run_problem(load_problem(ramp, ["limits.utilisation="])),
+    "without a limit": run_problem(load_problem(ramp, ["limits.utilisation=", straight])),
     "friction used up to 95 %": run_problem(load_problem(ramp)),
 }
 for words, outcome in outcomes.items():
@@ -124,7 +126,8 @@ figures["plan"]
 # against what: which wheel, when, and by how much it would have to use more friction.
 
 # %%
-refused = run_problem(load_problem(ramp, ["limits.x=[-0.2, 0.2]", "plan.intervals=12"])).trajectory
+walls = ["limits.x=[-0.2, 0.2]", "plan.intervals=12", straight]
+refused = run_problem(load_problem(ramp, walls)).trajectory
 print(refused.stop.words)
 
 # %% [markdown]

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import warnings
 
 # Before numpy is imported: threads of processes side by side wait for each other.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
@@ -20,6 +21,19 @@ os.environ["SLIPFREE_CACHE"] = ""  # nothing that was compiled before
 def _no_progress_lines(monkeypatch):
     """Keep slow runs from printing lines that fast ones do not print."""
     monkeypatch.setattr("slipfree.cli.progress.FIRST_LINE", np.inf)
+
+
+@pytest.fixture
+def direct_reads(request, monkeypatch):
+    """Read files of other programs in this process, except in tests that are marked `bounded`."""
+
+    def call(function, *arguments, **_):
+        with warnings.catch_warnings(action="ignore"):
+            return function(*arguments)
+
+    if request.node.get_closest_marker("bounded") is None:
+        for place in ("processes", "files.urdf.meshes"):
+            monkeypatch.setattr(f"slipfree.{place}.bounded_call", call)
 
 
 @pytest.fixture

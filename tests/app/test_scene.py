@@ -738,6 +738,7 @@ def test_small_slip_has_short_arrows(drive: Driven) -> None:
     assert longest < 0.05 * scene.reach
 
 
+@pytest.mark.usefixtures("direct_reads")
 def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     text = (Path(__file__).parents[1] / "data" / "cart.urdf").read_text(encoding="utf-8")

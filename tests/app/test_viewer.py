@@ -252,6 +252,7 @@ def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
     assert [each for each in complaints(browser) if "WebSocket" not in each] == []
 
 
+@pytest.mark.slow
 def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
     words = ["show", *map(str, files), "--html", str(out)]
@@ -270,6 +271,7 @@ def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path:
     assert complaints(browser) == []
 
 
+@pytest.mark.slow
 def test_a_page_without_vehicles_is_told_from_one_with_them(
     files: list[Path], browser: Any, tmp_path: Path
 ) -> None:

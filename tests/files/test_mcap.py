@@ -38,6 +38,7 @@ from slipfree.problem.result import export_mcap
 from slipfree.problem.solve import run_problem
 from slipfree.trajectory import Trajectory
 
+pytestmark = pytest.mark.usefixtures("direct_reads")
 DRIVE = """\
 verb = "direct"
 frame = "rep103"
@@ -319,6 +320,7 @@ def test_paths_are_read(tmp_path: Path) -> None:
     assert_allclose(read_columns(file, "xy").rows(), np.array(expected)[:, 1:3], rtol=0, atol=1e-15)
 
 
+@pytest.mark.bounded
 def test_a_written_path_is_read_again(drive: tuple[Path, Trajectory]) -> None:
     folder, run = drive
     table = read_mcap(folder / "out.mcap", "x")
@@ -418,6 +420,7 @@ def test_types_with_other_fields_are_refused(
         read.get(kind.partition("/")[2], lambda: read_mcap(file, "x"))()
 
 
+@pytest.mark.bounded
 def test_messages_in_other_encodings_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.mcap"
     with file.open("wb") as stream:

@@ -17,6 +17,7 @@ from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
 
+pytestmark = pytest.mark.usefixtures("direct_reads")
 TURN = 'rpy="1.5707963267948966 0 0"'  # from the z axis of a mesh to an axle to the left
 TYRE = trimesh.creation.torus(0.25, 0.05, major_sections=64, minor_sections=32)
 PLATE = trimesh.creation.cylinder(0.1, 0.04, sections=48)
@@ -218,6 +219,7 @@ def test_an_arm_with_a_mesh_is_no_wheel(tmp_path):
     assert not vehicle.coordinates
 
 
+@pytest.mark.bounded
 def test_the_written_completion_has_radius_and_tube_of_the_meshes(tmp_path):
     (tmp_path / "tyre.stl").write_bytes(exported(TYRE, "tyre.stl"))
     file = written(tmp_path, tricycle(mesh("tyre.stl", f'{TURN} xyz="0 0.03 0"')))

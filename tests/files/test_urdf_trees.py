@@ -66,7 +66,7 @@ def test_poses_of_links_are_those_of_yourdfpy(count, rng):
 
 
 def test_a_long_chain_of_mimics_has_the_value_of_its_first_joint():
-    count = 1500
+    count = 1100  # more than the recursions that Python allows
     chain = "".join(
         f'<link name="part_{k}"/>'
         + urdf.joint(

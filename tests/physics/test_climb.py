@@ -36,6 +36,7 @@ from slipfree.plan.verification import simulate_plan
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 
+pytestmark = pytest.mark.slow
 FILE = FilePath(__file__).parents[2] / "problems" / "plan_climb_ramp.toml"
 SLOPE, MU, MOST, CREEP = np.radians(20), 0.5, 0.95, 1e-4
 AXLE = 0.5  # from the middle of the axle to the platform's centre [m]
@@ -120,7 +121,6 @@ def length(run):
 # The straight way
 
 
-@pytest.mark.slow
 def test_the_straight_way_needs_more_friction_than_there_is():
     places = [settle(model(), x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
     weighted = max(place["utilisation"].max() for place in places)
@@ -129,7 +129,6 @@ def test_the_straight_way_needs_more_friction_than_there_is():
     assert 1.05 < best < weighted < best + 0.01
 
 
-@pytest.mark.slow
 def test_the_straight_way_ends_where_friction_does_not_hold():
     dae = model(quasi_statics)
     start = settle(dae, **START)
@@ -143,7 +142,6 @@ def test_the_straight_way_ends_where_friction_does_not_hold():
         settle(dae, x=0.0, y=4.0)
 
 
-@pytest.mark.slow
 def test_a_plan_that_must_go_straight_is_refused_by_name():
     task = Task({"x": 0.0, "y": 1.0}, {"x": 0.0, "y": 5.0}, 8.0, 8, 2)
     found = planned(task, [bow(0.0, 1.0, 5.0)], x=(-0.2, 0.2))
@@ -160,7 +158,6 @@ def test_a_plan_that_must_go_straight_is_refused_by_name():
 # The plan
 
 
-@pytest.mark.slow
 def test_the_plan_keeps_within_friction_on_a_short_way():
     found = climbed()
     assert found.success
@@ -182,7 +179,6 @@ def test_the_simulation_of_the_plan_keeps_within_friction_and_reaches_the_goal()
     assert np.abs(run["steer"]).max() < STEER + 0.01
 
 
-@pytest.mark.slow
 def test_friction_holds_the_vehicle_at_every_node_of_the_plan():
     """Standing there under Coulomb friction, it creeps by ``eps U / sqrt(1 - U^2)``."""
     run, dae = climbed().run, model(quasi_statics)
@@ -205,7 +201,6 @@ def test_friction_carries_the_vehicle_to_the_goal():
     assert np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]) < 0.2
 
 
-@pytest.mark.slow
 def test_the_file_plans_its_climb():
     way = "driver.paths=[[[0.0, -1.5], [2.0, 4.5], [0.0, 10.5]]]"
     run = run_problem(

@@ -8,6 +8,7 @@ import pytest
 from slipfree import load_problem, run_problem
 from slipfree.problem.verbs.registry import verb_of
 
+pytestmark = pytest.mark.slow
 SLOPE = Path(__file__).parents[2] / "problems" / "plan_sandy_slope.toml"
 SHORT = (
     "law.soil.regions=",

@@ -67,12 +67,14 @@ def test_the_goal_is_reached_in_several_accurate_windows(case, found):
     assert max(found.difference.values()) < 1e-3
 
 
+@pytest.mark.slow
 def test_windows_overlap_and_follow_each_other(found):
     for before, after in zip(found.windows, found.windows[1:], strict=False):
         assert after.begin < before.end
         assert_allclose(after.t, before.t + before.duration, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_one_simulation_of_the_joined_inputs_repeats_the_motion(case, found):
     dae, _, start, _ = case
     again = simulate_plan(
@@ -82,6 +84,7 @@ def test_one_simulation_of_the_joined_inputs_repeats_the_motion(case, found):
         assert_allclose(again[name][-1], found.replay[name][-1], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_inputs_are_continuous_at_the_hand_overs(found):
     for window in found.windows[1:]:
         around = window.t / found.motion.duration + np.array([-1e-9, 1e-9])
@@ -141,6 +144,7 @@ def test_a_window_without_solution_is_named_and_the_others_are_kept(case):
     assert kept.replay["y"].max() < 2.3
 
 
+@pytest.mark.slow
 def test_parts_of_a_motion_join_to_the_motion(found):
     motion = found.motion
     first = first_intervals(motion, 7)

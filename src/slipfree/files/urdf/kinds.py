@@ -87,13 +87,14 @@ class Joints:
 
     def _leaders(self, name: str) -> list[str]:
         """Return the joints that a joint follows through its mimics."""
-        chain = [name]
+        chain = {name: None}  # a set in order, since chains may be long
         while True:
-            joint = self._tree.joints[chain[-1]]
+            joint = self._tree.joints[name]
             mimic = None if joint.name in self._roles.joints else joint.mimic
             if mimic is None or mimic.joint not in self._tree.joints or mimic.joint in chain:
-                return chain[1:]
-            chain.append(mimic.joint)
+                return [*chain][1:]
+            name = mimic.joint
+            chain[name] = None
 
     def _rocks(self, joint: UrdfJoint) -> bool:
         """Return whether a joint that carries wheels lets them follow the ground."""
