@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 from slipfree.errors import DataError
 
 HEAD = 512  # bytes that are compared
-AGAIN = "download the file itself again"
+AGAIN = "download the file itself ('raw') again"
 TO_XYZ = "write its points as text with x y z of one point per line, with the ending .xyz"
 TO_CSV = "write its columns as CSV, with their names in the first line"
 TO_PANDAS = "python -c \"import pandas; pandas.read_{}('{{}}').to_csv('out.csv')\""

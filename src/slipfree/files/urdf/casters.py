@@ -4,23 +4,35 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.files.urdf.frames import fixed_to_wheels, is_last, is_level, lowest, radius_of
+from slipfree.files.urdf.frames import (
+    fixed_to_wheels,
+    is_last,
+    is_level,
+    lowest,
+    radius_of,
+    steered,
+)
 from slipfree.files.urdf.meshes import MeshFiles
-from slipfree.files.urdf.tree import Box, Shape, Tree, UrdfJoint
+from slipfree.files.urdf.tree import Box, Link, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.geometry.frame import unit_vector
 from slipfree.records import Array
+from slipfree.vehicle.wheel import ORIGIN
 
 CASTER = re.compile("cast[eo]r|ball_?wheel|omni_?ball", re.IGNORECASE)
 TRAILER = re.compile("cast[eo]r|trailer|hitch|drawbar|swivel", re.IGNORECASE)
 STEERING = re.compile("steer|ackerman|knuckle", re.IGNORECASE)
 TRAIL, MAX_TRAIL = 0.2, 2.0  # trail of wheels that swivel freely [radii]; longer ones articulate
+SMALL = 0.8  # largest radius of casters without a name or a swivel [radii of the other wheels]
+PARALLEL = 0.9  # least cosine of the angle between parallel axles
 TOUCH = 0.1  # a ball touches the ground of the wheels within this part of its radius
 
 
@@ -144,6 +156,43 @@ def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
     return float(np.hypot(*offset)) > TRAIL * shapes[0].radius
 
 
+def with_separate_balls(tree: Tree) -> Tree:
+    """Return a URDF with links of their own for spheres on the ground in links with other shapes.
+
+    Simple robots have the ball of their caster in the link of the chassis.
+    """
+    frames, links, joints = tree.frames, dict(tree.links), dict(tree.joints)
+    bottoms = [_bottom(link.shapes, frames[name]) for name, link in links.items()]
+    ground = min(bottoms, default=np.inf)
+    for link in tree.links.values():
+        is_alone = link.name != tree.root and not (link.boxes or link.meshes or link.shapes[1:])
+        spheres = [shape for shape in link.shapes if shape.kind == "sphere" and not is_alone]
+        for k, ball in enumerate(spheres):
+            height = _bottom([ball], frames[link.name]) - ground
+            name = f"{link.name}_ball_{k + 1}"
+            turns = any(joint.child == link.name and joint.moves for joint in joints.values())
+            if height > TOUCH * ball.radius or turns or name in joints or name in links:
+                continue
+            rest = tuple(shape for shape in links[link.name].shapes if shape != ball)
+            links[link.name] = links[link.name]._replace(shapes=rest)
+            links[name] = Link(name, None, ORIGIN, (ball._replace(at=ORIGIN, turned=ORIGIN),))
+            joints[name] = UrdfJoint(
+                name,
+                "fixed",
+                link.name,
+                name,
+                ball.at,
+                ORIGIN,
+                ORIGIN,
+                -np.inf,
+                np.inf,
+                np.inf,
+                None,
+                1,
+            )
+    return replace(tree, links=links, joints=joints)
+
+
 def swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
     """Return the names of the joints about steep axes that swivel freely, as those of casters.
 
@@ -175,8 +224,8 @@ def swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
 def caster_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
     """Return the names of the joints of wheels that belong to casters or trailers.
 
-    They are below joints that swivel freely, or have "caster" in a name. If all wheels do, none
-    belongs to a caster.
+    They are below joints that swivel freely, or have "caster" in a name, or are in the middle of a
+    vehicle that turns only if they slide. If all wheels do, none belongs to a caster.
     """
     free = {below.name for name in swivels(tree, wheels) for below in _below(tree, name)}
     above = {joint.child for joint in tree.joints.values() if CASTER.search(joint.name)}
@@ -187,7 +236,40 @@ def caster_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
         or wheel.parent in above
         or CASTER.search(f"{wheel.name} {wheel.child}")
     }
+    found |= _middle_wheels(tree, [wheel for wheel in wheels if wheel.name not in found])
     return frozenset() if len(found) == len(wheels) else frozenset(found)
+
+
+def _middle_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> set[str]:
+    """Return the names of small wheels in the middle, with one pair of wheels and no steering.
+
+    The wheels are those that belong to no other casters.
+    """
+    places = np.array([tree.frames[wheel.child][1] for wheel in wheels]).reshape(-1, 3)
+    axles = [axle_of(tree, wheel) for wheel in wheels]
+    if len(wheels) < 3 or any(abs(axle @ axles[0]) < PARALLEL for axle in axles):
+        return set()
+    along, left = places @ np.cross(axles[0], (0, 0, 1)), places @ axles[0]
+    near = TRAIL * max(float(np.ptp(left)), float(np.ptp(along)))
+    pairs = [
+        sorted((float(left[i]), float(left[j])))
+        for i, j in combinations(range(len(wheels)), 2)
+        if abs(along[i] - along[j]) < near < abs(left[i] - left[j])
+    ]
+    if len(pairs) != 1 or steered(tree) & {wheel.name for wheel in wheels}:
+        return set()
+    ends = pairs[0][0] + near, pairs[0][1] - near
+    radii = np.array([radius_of(tree, wheel) for wheel in wheels])
+    inside = (ends[0] < left) & (left < ends[1]) & (radii > 0) & (radii < SMALL * max(radii))
+    middle = {wheel.name for wheel, is_small in zip(wheels, inside, strict=True) if is_small}
+    return middle if len(middle) == len(wheels) - 2 and not middle & tree.actuated else set()
+
+
+def axle_of(tree: Tree, wheel: UrdfJoint) -> Array:
+    """Return the axle of a wheel in the root's frame; to the left for one that no joint turns."""
+    if not wheel.moves or not is_level(tree, wheel):
+        return np.array([0.0, 1.0, 0.0])
+    return np.asarray(tree.frames[wheel.child][0] @ unit_vector(wheel.axis))
 
 
 def _below(tree: Tree, joint: str) -> list[UrdfJoint]:
@@ -198,9 +280,8 @@ def _trail(tree: Tree, joint: UrdfJoint, wheels: Sequence[UrdfJoint]) -> float:
     """Return the least distance of wheels from an axis, across their axles [radii]."""
     frames, trails = tree.frames, []
     for wheel in wheels:
-        rotation, origin = frames[wheel.child]
-        axle = rotation @ unit_vector(wheel.axis) if wheel.moves else np.array([0.0, 1.0, 0.0])
-        offset = origin - frames[joint.child][1]
+        axle = axle_of(tree, wheel)
+        offset = frames[wheel.child][1] - frames[joint.child][1]
         across = abs(float(offset[0] * axle[1] - offset[1] * axle[0]))
         trails.append(across / (radius_of(tree, wheel) or np.inf))
     return min(trails)

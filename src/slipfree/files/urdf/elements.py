@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import TypeVar
 
 import numpy as np
 
+from slipfree.files.urdf.casters import with_separate_balls
 from slipfree.files.urdf.leftovers import (
     check_macro_calls,
     link_at,
@@ -32,6 +34,7 @@ from slipfree.geometry.frame import Vector
 from slipfree.geometry.tensor import Elements, in_axes, tensor
 from slipfree.vehicle.wheel import ORIGIN
 
+DRIVE = re.compile("drive|steer|ackerman|joint.?controller", re.IGNORECASE)  # plugins of Gazebo
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 DUMMY_MASS = 0.01  # largest mass of links that only place the robot, in masses of the robot
 MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
@@ -70,6 +73,7 @@ def read_tree(
     robot, faults = parse_robot(data, file), Faults(file)
     check_macro_calls(robot, file, macros)
     notes = substitute(robot, arguments)
+    actuated = frozenset(_actuated(robot))
     robot, omitted = without_xacro(robot, file, faults)
     for tag in ("link", "joint"):
         _check_names(robot, tag, faults)
@@ -89,8 +93,9 @@ def read_tree(
     if world:
         moving = ", ".join(joint.name for joint in world)
         notes = (*notes, f"omitted, since they move the robot as a whole: {moving}")
-    actuated, unknown = frozenset(_actuated(robot)), unknown_elements(robot)
-    return Tree(file, name, root, links, ordered, actuated, omitted, notes, unknown)
+    unknown = unknown_elements(robot)
+    tree = Tree(file, name, root, links, ordered, actuated, omitted, notes, unknown)
+    return with_separate_balls(tree)
 
 
 def _world(links: dict[str, Link], joints: dict[str, UrdfJoint], root: str) -> list[UrdfJoint]:
@@ -422,10 +427,15 @@ def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) 
 
 
 def _actuated(robot: Element) -> Iterator[str]:
-    """Yield the names of the joints with a transmission or a command interface."""
+    """Yield the names of the joints with a transmission, a command interface or a Gazebo drive."""
     for each in robot.all("transmission"):
         yield from (joint.attributes.get("name", "") for joint in each.all("joint"))
     for each in robot.all("ros2_control"):
         for joint in each.all("joint"):
             if joint.first("command_interface") is not None:
                 yield joint.attributes.get("name", "")
+    for each in robot.all("gazebo"):
+        for plugin in each.all("plugin"):
+            if DRIVE.search(plugin.attributes.get("filename", "")):
+                parts = (part for part in plugin.everything() if "encoder" not in part.tag.lower())
+                yield from ("".join(part.texts).strip() for part in parts)

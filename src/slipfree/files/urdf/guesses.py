@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.files.urdf.casters import CASTER, caster_wheels, casters
+from slipfree.files.urdf.casters import CASTER, PARALLEL, axle_of, caster_wheels, casters
 from slipfree.files.urdf.frames import (
     WHEEL,
     fixed_to_wheels,
@@ -28,7 +28,6 @@ from slipfree.vehicle.wheel import ORIGIN
 
 FOOTPRINT = re.compile("footprint", re.IGNORECASE)  # link on the ground, by REP 120
 FULL_TURN = 6.2  # least range of joints whose limits are those of a careless export [rad]
-PARALLEL = 0.9  # least cosine of the angle between parallel axles
 MIN_ROLLERS = 3  # wheels with rollers have more of them
 
 
@@ -185,14 +184,14 @@ def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
     rolling = [
         wheel
         for wheel in wheels
-        if wheel.type == "continuous" and is_level(tree, wheel) and wheel.name not in turned
+        if wheel.name not in turned and (not wheel.moves or is_level(tree, wheel))
     ]
     for wheel in rolling:
         if wheel.name in casters:
             reason = "a caster without a swivel slides freely along its axle"
             yield wheel.name, WheelGuess(WheelRole(False, rollers=True), reason)
     rest = [wheel for wheel in rolling if wheel.name not in casters]
-    axles = [tree.frames[wheel.child][0] @ unit_vector(wheel.axis) for wheel in rest]
+    axles = [axle_of(tree, wheel) for wheel in rest]
     if any(abs(axle @ axles[0]) < PARALLEL for axle in axles):
         for wheel in rest:
             reason = "with rollers, since the axles are not parallel"

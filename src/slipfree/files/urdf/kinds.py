@@ -81,6 +81,7 @@ class Joints:
             name: names & {each.name for each in tree.below(joint.child)}
             for name, joint in tree.joints.items()
         }
+        self._own = dict(self._carried)
         for name in tree.joints:  # a joint also moves the wheels of the joints that mimic it
             for leader in self._leaders(name):
                 self._carried[leader] = self._carried[leader] | self._carried[name]
@@ -141,13 +142,14 @@ class Joints:
         """Return the name of a rocker, and the opposite rocker that it follows; None without them.
 
         Two opposite rockers that carry all wheels leave the pitch of the platform free, unless a
-        differential joins them: relative to the platform they turn by opposite angles.
+        differential joins them: relative to the platform they turn by opposite angles. The result
+        is None if they do.
         """
         frames = self._tree.frames
         rockers = [
             joint
             for name, joint in self._free.items()
-            if self._carried[name]
+            if self._own[name]
             and self._rocks(joint)
             and joint.type != "prismatic"
             and self._may_follow(name)
@@ -155,24 +157,29 @@ class Joints:
         everything = {wheel.name for wheel in self._wheels}
         for first in rockers:
             second = mirror_image(self._tree, first, rockers)
-            if second is None or self._carried[first.name] & self._carried[second.name]:
+            if second is None or self._own[first.name] & self._own[second.name]:
                 continue
-            if self._carried[first.name] | self._carried[second.name] != everything:
+            if self._own[first.name] | self._own[second.name] != everything:
                 continue
             ahead, behind = (
                 float((frames[each.child][0] @ unit_vector(each.axis))[1])
                 for each in (first, second)
             )
-            if min(abs(ahead), abs(behind)) > LATERAL:
-                return second.name, Mimic(first.name, -float(np.sign(ahead * behind)), 0.0)
+            multiplier = -float(np.sign(ahead * behind))
+            mimics = [(one.mimic, two.name) for one, two in ((first, second), (second, first))]
+            joined = [
+                m.multiplier * multiplier > 0 for m, other in mimics if m and m.joint == other
+            ]
+            if min(abs(ahead), abs(behind)) > LATERAL and not any(joined):
+                return second.name, Mimic(first.name, multiplier, 0.0)
         return None
 
     def _may_follow(self, name: str) -> bool:
-        """Return whether a joint has no mimic and no role, or only that of a suspension."""
-        role = self._roles.joints.get(name)
-        if role is None:
-            return self._tree.joints[name].mimic is None
-        return role.kind == "suspension" and not role.keywords
+        """Return whether a joint has no role but suspension, and follows only such joints."""
+        role, leaders = self._roles.joints.get(name), self._leaders(name)
+        if not all(self._own[leader] and leader in self._free for leader in leaders):
+            return False
+        return role is None or (role.kind == "suspension" and not role.keywords)
 
 
 def coupled(tree: Tree, couple: Mapping[str, float]) -> Tree:

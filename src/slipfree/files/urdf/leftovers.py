@@ -144,12 +144,12 @@ def check_macro_calls(robot: Element, file: str, macros: frozenset[str] = frozen
 
 
 def unknown_elements(robot: Element) -> tuple[str, ...]:
-    """Return messages on elements that are not known in URDF and look like calls of macros."""
+    """Return messages on elements that are not known in URDF, such as calls of macros."""
     return tuple(
         f"{each.line}: <{each.tag}> is not an element of URDF; a macro of xacro is called with the "
         f"prefix 'xacro:', as in <{PREFIX}{each.tag} ...>, and the file is then expanded"
         for each in robot.children
-        if each.tag not in KNOWN and ":" not in each.tag and each.attributes
+        if each.tag not in KNOWN and ":" not in each.tag
     )
 
 

@@ -68,7 +68,7 @@ def _wheel_words(tree: Tree, draft: Draft) -> str:
     ends = [j.name for j in tree.joints.values() if is_last(tree, j) and j.name not in known]
     names = ", ".join(ends[:MAX_NAMES]) + (", ..." if len(ends) > MAX_NAMES else "")
     if not ends:
-        return ""
+        return ", such as a link with a sphere at a fixed joint, as of a caster"
     return (
         f" in a vehicle file with urdf = {toml_value(Path(tree.file).name)}, such as "
         f"{toml_line('wheels', ends[0], radius=0.1)}; joints without a wheel: {names}"
@@ -142,13 +142,29 @@ def _forward(tree: Tree, roles: Roles, findings: Findings) -> str:
 def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tuple[Tree, Roles]:
     """Return a URDF whose opposite rockers have a differential, and the roles of other joints.
 
-    A declared differential takes precedence.
+    Add an error if they are coupled in another way, or if a wheel is coupled.
     """
     tree, couple = wheels.tree, dict(roles.couple)
-    found = None if couple else Joints(tree, wheels.joints, wheels.balls, roles).differential()
+    for name in {*couple} & {wheel.name for wheel in wheels.joints}:
+        findings.faults.add(
+            tree.joints[name].line,
+            f'joint {name!r}: expected a joint without a wheel in "couple", found one that '
+            "carries a wheel; remove it",
+        )
+    found = Joints(tree, wheels.joints, wheels.balls, roles).differential()
     if found is not None:
         follower, mimic = found
+        old = couple or [n for n in (follower, mimic.joint) if tree.joints[n].mimic]
         couple = {mimic.joint: 1.0, follower: -mimic.multiplier}
+        if old:
+            findings.faults.add(
+                tree.joints[follower].line,
+                f"joint {follower!r}: expected opposite angles of it and {mimic.joint!r}, since "
+                "otherwise nothing determines the pitch, found that other joints are coupled, or "
+                f"these with another sign; write couple = {toml_value(couple)}{wheels.in_file}, "
+                'and remove "mimic" of these joints from the URDF',
+            )
+            return tree, roles
         tree = coupled(tree, couple)
         reason = (
             f"a differential between {mimic.joint} and {follower}, since without one nothing "
@@ -210,7 +226,7 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
         Collection to which the notes are added.
     """
     links, notes = wheels.tree.links, findings.notes
-    notes.extend(file.notes)
+    notes.extend([*file.notes, *(f"not read: line {each}" for each in file.unknown)])
     if file.omitted:
         notes.append(
             "omitted, since they or links above them contain xacro that is not expanded: "

@@ -110,8 +110,8 @@ class Roles:
     Attributes
     ----------
     joints : mapping of str to JointRole
-        Properties of joints by name. Without a role, a joint with a transmission or a command
-        interface is commanded, a mimic follows its joint, and the kind of other joints is guessed.
+        Properties of joints by name. Without a role, a joint with an actuator is commanded, a
+        mimic follows its joint, and the kind of other joints is guessed.
     wheels : mapping of str to WheelRole
         Properties of wheels by name of their joint. These joints carry wheels even if the URDF has
         no suitable shape.

@@ -180,7 +180,7 @@ class Tree:
     joints : dict of str to UrdfJoint
         Joints by name, parents before children.
     actuated : frozenset of str
-        Names of the joints with a transmission or a command interface.
+        Names of the joints with a transmission, a command interface or a drive of Gazebo.
     omitted : tuple of str
         Names of the omitted links: links with unexpanded xacro, and the links below them.
     notes : tuple of str

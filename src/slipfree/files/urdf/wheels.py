@@ -43,6 +43,7 @@ from slipfree.records import Array
 from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
+PASSIVE = re.compile("passive|idle|free.?wheel|undriven|odom|encoder", re.IGNORECASE)
 OMNI = re.compile("omni|mecanum|swedish", re.IGNORECASE)
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
@@ -290,7 +291,7 @@ class Wheels:
                     joint.line,
                     f"joint {name!r}: {words}; or write radius = ... for all wheels that are "
                     f'meshes, or the kind of the joint in "joints" if it carries no wheel'
-                    f"{self._in_file}",
+                    f"{self.in_file}",
                 )
 
     def _check_guessed_radii(self) -> None:
@@ -315,7 +316,7 @@ class Wheels:
                 joint.line,
                 f"joint {joint.name!r}: expected a wheel that suits the distances between the "
                 f"wheels, found a radius of {radii[k]:.3g} m in link {joint.child!r}; {unit}write "
-                f"wheels = {{ {toml_key(joint.name)} = {{ radius = ... }} }}{self._in_file}",
+                f"wheels = {{ {toml_key(joint.name)} = {{ radius = ... }} }}{self.in_file}",
             )
 
     def _rolling_radius(self, joint: UrdfJoint) -> float | None:
@@ -324,7 +325,8 @@ class Wheels:
         return given or self._radius(self._shape(joint))
 
     @property
-    def _in_file(self) -> str:
+    def in_file(self) -> str:
+        """Where to write keys that complete the URDF, for messages."""
         return f', in a vehicle file with urdf = "{Path(self.tree.file).name}"'
 
     def _has_wheel_shape(self, joint: UrdfJoint) -> bool:
@@ -382,7 +384,7 @@ class Wheels:
             faults.add(
                 joint.line,
                 f"joint {joint.name!r}: {words}; write wheels = {{ {toml_key(joint.name)} = {{ "
-                f"radius = ... }} }}{self._in_file}",
+                f"radius = ... }} }}{self.in_file}",
             )
             return None
         ball = shape is not None and shape.kind == "sphere"
@@ -443,7 +445,7 @@ class Wheels:
         """Return whether a wheel is driven, and record a guess if the URDF does not specify it.
 
         If a wheel of the URDF has an actuator, the wheels with actuators are driven; otherwise all
-        wheels but casters.
+        wheels but casters and those with names such as "passive".
         """
         name = joint.name
         if any(map(self._has_actuator, self.joints)):
@@ -455,8 +457,10 @@ class Wheels:
                 )
                 self._findings.guess("wheels", name, {"driven": False}, f"free: {reason}", other)
             return is_driven
-        is_driven = name not in self._casters
-        reason = "driven: no wheel has an actuator" if is_driven else "free: a caster"
+        is_passive = PASSIVE.search(f"{name} {joint.child}")
+        is_driven = name not in self._casters and not is_passive
+        reason = "free: its name" if is_passive else "free: a caster"
+        reason = "driven: no wheel has an actuator" if is_driven else reason
         other = toml_line("wheels", name, driven=not is_driven)
         self._findings.guess("wheels", name, {"driven": is_driven}, reason, other)
         return is_driven

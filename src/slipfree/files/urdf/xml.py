@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import PurePath
 from xml.parsers import expat
 
 from slipfree.errors import DataError
+from slipfree.files.foreign_formats import PACKED
 
-OTHER_CONTENTS = (  # first bytes, name and remedy of files that are not XML
-    (b"version https://git-lfs", "a pointer of Git LFS", "fetch the file: git lfs pull"),
-    (b"\x1f\x8b", "a gzip file", "unpack it with gunzip"),
-    (b"PK\x03\x04", "a zip archive", "unpack it with unzip"),
-    (b"<!doctype html", "a web page", "download the file itself ('raw')"),
-    (b"<html", "a web page", "download the file itself ('raw')"),
-)
 REMEDIES = {
     expat.errors.XML_ERROR_MISPLACED_XML_PI: "move <?xml ... ?> to the beginning of the first "
     "line, before comments, blanks and blank lines, and keep one",
@@ -121,8 +116,12 @@ def is_markup(head: bytes) -> bool:
 def _check_contents(data: bytes, name: str) -> None:
     """Raise DataError for contents that are known not to be XML."""
     start = data[:200].lstrip(b"\xef\xbb\xbf \t\r\n").lower()
-    for head, found, remedy in OTHER_CONTENTS:
-        if start.startswith(head.lower()):
-            raise DataError(f"{name}: expected XML, found {found}; {remedy}")
+    for found, _, head, remedy in PACKED:
+        if head and start.startswith(head.lower()):
+            words = remedy.format(PurePath(name).name)
+            raise DataError(f"{name}: expected XML, found {found}; {words}")
     if not data.strip(b"\xef\xbb\xbf \t\r\n\0"):
         raise DataError(f"{name}: expected XML, found an empty file; copy it again")
+    if not is_markup(data[:200]):
+        words = "found a file that does not begin with '<'"
+        raise DataError(f"{name}: expected XML, {words}; give another file, or convert it")
