@@ -72,6 +72,10 @@ LAYOUTS = {
     .replace("\n0.0", "\n2026-03-01 12:00:00")
     .replace("\n0.5", "\n2026-03-01T12:00:00.5")
     .replace("\n1.0", "\n2026-03-01T12:00:01Z"),
+    "times of day": _text()
+    .replace("\n0.0", "\n12:00:59.5")
+    .replace("\n0.5", "\n12:01:00")
+    .replace("\n1.0", "\n12:01:00.500"),
     "nanoseconds since 1970": _text(head="stamp [ns],x,heading")
     .replace("\n0.0", "\n1700000000000000000")
     .replace("\n0.5", "\n1700000000500000000")
