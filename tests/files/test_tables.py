@@ -115,6 +115,7 @@ def test_rows_as_long_as_the_first_line(tmp_path: Path, row: str) -> None:
     ("text", "words"),
     [
         ("t,x\n0,1\n", "expected the columns t, x, heading, found no column 'heading' among t, x;"),
+        ("stamp.sec,stamp.nanosec,x,yaw\n17,5,0,0\n", "add a column 't' with seconds"),
         ("x,t,x,yaw\n0,1,2,3\n", "found 2 columns 'x' among x, t, x, yaw; name the columns in"),
         ("t x yaw\n1 0 1 2\n2 0 1 2\n", ":1: expected 4 names, one for each column, found 3"),
         ("1.234,5;2,5;3\n1.234,5;2,5;3\n", ":1: expected .* found '1.234,5;2,5;3'"),

@@ -40,6 +40,7 @@ from slipfree.regular_files import read_bytes
 HEAD = 1 << 16  # bytes from which the encoding is inferred
 COUNTS = {2: "two", 3: "three", 4: "four"}
 EPOCH = 1e8  # smallest time that counts from a fixed date, not from the start of a log [s]
+PART_OF_TIME = ("nsec", "nsecs", "nanosec")  # ends of names of columns beside seconds
 LARGE_TIMES = {
     "nanoseconds": (1e17, "ns"),
     "microseconds": (1e14, "us"),
@@ -257,9 +258,12 @@ def _choose(
         if len(found) != 1:
             columns = ", ".join(dict.fromkeys(requested.values()))
             fault = f"no column {name!r}" if not found else f"{len(found)} columns {name!r}"
+            remedy = f"name the columns in {where}"
+            if key in ALIASES[0] and any(each.lower().endswith(PART_OF_TIME) for each in names):
+                remedy = f"add a column {key!r} with seconds + 1e-9 nanoseconds"
             raise DataError(
                 f"{path}: expected the columns {columns}, found {fault} among "
-                f"{', '.join(names)[:LONG]}; name the columns in {where}"
+                f"{', '.join(names)[:LONG]}; {remedy}"
             )
         k = found[0]
         chosen[key] = k, unit or bases[k][1] or (layout.units[k] if layout.units else "")

@@ -56,8 +56,8 @@ NAMES = {  # names of formats by drivers
 BEGINNINGS = {  # remedies for files that no driver recognizes
     ".hgt": "name the file after its position, as in N45E006.hgt; if it has such a name, ",
     ".asc": (
-        "begin the file with the lines ncols, nrows, xllcorner, yllcorner, cellsize and, if heights "
-        "are missing, NODATA_value; if it has these lines, "
+        "begin the file with the lines ncols, nrows, xllcorner, yllcorner, cellsize and, if "
+        "heights are missing, NODATA_value; if it has these lines, "
     ),
 }
 OPTIONS: dict[str, dict[str, str]] = {
