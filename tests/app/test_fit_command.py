@@ -6,6 +6,7 @@ import csv
 import json
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
 from slipfree.cli import app
+from slipfree.errors import DataError
 from slipfree.files.mcap_writer import write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
@@ -22,6 +24,7 @@ from slipfree.files.vehicle_writer import vehicle_text
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.load import load_problem
+from slipfree.problem.unit_checks import check_travel
 from slipfree.problem.verbs.fit import _read_windows
 from slipfree.vehicle.tree import Vehicle
 
@@ -265,6 +268,28 @@ right_rate = "right"
 """
 
 
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ({0: 1e3}, "times in ms, as in 't [ms]'"),
+        ({1: 30 / np.pi, 2: 30 / np.pi}, "rates in rpm, as in 'left [rpm]'"),
+        ({1: 180 / np.pi, 2: 180 / np.pi}, "rates in deg/s, as in 'left [deg/s]'"),
+        ({3: 1e2, 4: 1e2}, "positions in cm, as in 'x [cm]'"),
+        ({3: 1e3, 4: 1e3}, "positions in mm, as in 'x [mm]'"),
+    ],
+)
+def test_units_by_the_travel_of_the_wheels(factors: dict[int, float], words: str) -> None:
+    log = CIRCLE.copy()
+    log[:, 0] /= 100  # so dense that milliseconds pass for seconds
+    log[:, 1:3] *= 100
+    for column, factor in factors.items():
+        log[:, column] *= factor
+    check = partial(check_travel, log[:, 0], log[:, 3], log[:, 4])
+    with pytest.raises(DataError, match=re.escape(words)):
+        check(0.15 * log[:, 1:3].mean(axis=1))
+    check(np.where(TIMES < 10, 1.0, -0.2) * log[:, 1])  # the wheels slip
+
+
 def _write_circle(time: float, heading: float, header: str, columns: str) -> None:
     separator = next(sign for sign in ",; " if sign in header)
     factors = np.array([time, 1, 1, 1, 1, heading])
@@ -278,9 +303,9 @@ def test_units_of_a_log(kind: str) -> None:
     """One log with times and headings in several units has the same windows."""
     names = ("left_rate", "right_rate")
     _write_circle(*UNITS["as it is"])
-    wanted, _ = _read_windows(load_problem("fit.toml", command="fit"), names, [])
+    wanted, _ = _read_windows(load_problem("fit.toml", command="fit"), names, [], {})
     _write_circle(*UNITS[kind])
-    found, notes = _read_windows(load_problem("fit.toml", command="fit"), names, [])
+    found, notes = _read_windows(load_problem("fit.toml", command="fit"), names, [], {})
     for part, other in zip(found, wanted, strict=True):
         assert_allclose(part, other, rtol=1e-6, atol=1e-6)
     assert bool(notes) == (kind != "as it is")

@@ -555,6 +555,9 @@ GRAY = {  # the same levels in other formats
     "map.pgm": lambda path: path.write_bytes(
         b"P5\n# by a camera\n7 5\n# most\n255\n" + LEVELS.astype(np.uint8).tobytes()
     ),
+    "crlf.pgm": lambda path: path.write_bytes(
+        b"P5\r\n7 5\r\n255\r\n" + LEVELS.astype(np.uint8).tobytes()
+    ),
     "16.pgm": lambda path: path.write_bytes(b"P5 7 5 1000\n" + LEVELS.astype(">u2").tobytes()),
     "text.pgm": lambda path: path.write_text(
         "P2 # by hand\n7 5\n250\n" + " ".join(map(str, LEVELS.ravel().tolist()))
@@ -581,6 +584,11 @@ def test_gray_pictures_of_all_formats(tmp_path, name):
     ("name", "content", "words"),
     [
         ("map.pgm", b"P2\n7 5\n255\n1 2 3", "expected 35 levels from 0 to 255.*found 3 levels"),
+        (
+            "map.pgm",
+            b"P5\n7 5\n255\n" + bytes(34),
+            "expected 35 levels .*found 34 levels to 0; copy",
+        ),
         ("map.pgm", b"P5 6 6 255\n" + bytes([205, 0, 254] * 12), "an occupancy map of ROS; use"),
         ("map.yaml", b"image: map.pgm\nresolution: 0.05\n", "settings of an occupancy map of ROS"),
         ("map.tif", b"ply\nformat ascii 1.0\n", "found a mesh or a point cloud; write its points"),

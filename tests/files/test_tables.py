@@ -72,6 +72,10 @@ LAYOUTS = {
     .replace("\n0.0", "\n2026-03-01 12:00:00")
     .replace("\n0.5", "\n2026-03-01T12:00:00.5")
     .replace("\n1.0", "\n2026-03-01T12:00:01Z"),
+    "times of day": _text()
+    .replace("\n0.0", "\n12:00:59.5")
+    .replace("\n0.5", "\n12:01:00")
+    .replace("\n1.0", "\n12:01:00.500"),
     "nanoseconds since 1970": _text(head="stamp [ns],x,heading")
     .replace("\n0.0", "\n1700000000000000000")
     .replace("\n0.5", "\n1700000000500000000")
@@ -111,6 +115,7 @@ def test_rows_as_long_as_the_first_line(tmp_path: Path, row: str) -> None:
     ("text", "words"),
     [
         ("t,x\n0,1\n", "expected the columns t, x, heading, found no column 'heading' among t, x;"),
+        ("stamp.sec,stamp.nanosec,x,yaw\n17,5,0,0\n", "add a column 't' with seconds"),
         ("x,t,x,yaw\n0,1,2,3\n", "found 2 columns 'x' among x, t, x, yaw; name the columns in"),
         ("t x yaw\n1 0 1 2\n2 0 1 2\n", ":1: expected 4 names, one for each column, found 3"),
         ("1.234,5;2,5;3\n1.234,5;2,5;3\n", ":1: expected .* found '1.234,5;2,5;3'"),

@@ -137,7 +137,12 @@ def test_keys_that_a_file_has_no_use_for(tmp_path):
     [
         ("", "map.asc: expected a readable ESRI ASCII grid, found .*copy or download it again"),
         (HEADER.replace("cellsize 10\n", "") + ROWS, "expected a readable ESRI ASCII grid"),
-        (HEADER.replace("xllcorner", "x") + ROWS, "expected xllcenter or xllcorner in the header"),
+        (HEADER.replace("xllcorner", "x") + ROWS, "xllcorner and yllcorner, .*, found yllcorner"),
+        (HEADER.replace("xllcorner", "xllcenter") + ROWS, "found xllcenter, yllcorner; add or"),
+        (
+            "nodata_value 0\n" + HEADER + ROWS,
+            "begin the file with the lines ncols, nrows, xllcorner",
+        ),
         (HEADER.replace("ncols 5", "ncols") + ROWS, "expected a readable ESRI ASCII grid"),
         (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "expected rows that run along x"),
         (HEADER, "Couldn't find data values in ASCII Grid file; copy or download"),

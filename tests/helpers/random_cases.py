@@ -417,7 +417,7 @@ CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"found a violation: joint \w+ \(.*\) reaches its stop: .*, allowed": "at a stop",
     r"model is singular here: no equation determines \S+ \(": "singular",
     r"cannot roll without slip: expected \d+ passive .*, found \d": "cannot roll",
-    r"montana_kinematics: wheel '\w+': expected a tread": "no tread radius",
+    r"Montana's form: wheel '\w+': expected a tread": "no tread radius",
     r"wheel \w+ has drifted from its position on the vehicle": "not assembled",
 }
 

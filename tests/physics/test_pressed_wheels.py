@@ -224,7 +224,7 @@ def test_a_vehicle_that_topples_has_no_start():
         ("rolling without slip", lambda: direct_kinematics(ROBOT, HILLS, slip=Rolling())),
         ("quasi-static model", lambda: quasi_statics(ROBOT, HILLS, law=Coulomb())),
         ("Montana's form", lambda: montana_kinematics(ROBOT, HILLS)),
-        ("best_utilisation", lambda: best_utilisation(ROBOT, HILLS, None)),
+        ("best friction utilisation", lambda: best_utilisation(ROBOT, HILLS, None)),
     ],
 )
 def test_models_of_exact_contact_refuse_rigid_vehicles_by_name(name, build):

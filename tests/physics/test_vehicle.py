@@ -340,7 +340,7 @@ def test_rollers_are_refused_where_they_are_not_modelled():
     flat = Analytic(lambda x, _: 0 * x)
     with pytest.raises(ModelError, match="'omni_cart': expected wheels without rollers"):
         direct_kinematics(omni_cart(rollers=True), flat, slip=Rolling())
-    with pytest.raises(ModelError, match="montana_kinematics: expected wheels without rollers"):
+    with pytest.raises(ModelError, match="Montana's form: expected wheels without rollers"):
         montana_kinematics(omni_cart(rollers=True), flat)
 
 

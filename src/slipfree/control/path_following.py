@@ -140,7 +140,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     if wrong:
         raise ModelError(
             "follow: expected the rates of all driven wheels and commanded coordinates as inputs, "
-            f"found {', '.join(wrong)}; use drives whose input is a rate: Rate() or Motor(...)"
+            f"found {', '.join(wrong)}; use drives of the kind 'rate' or 'motor'"
         )
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
     plan = planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})

@@ -127,6 +127,8 @@ FORMATS = (
         "give the name of the file with the heights",
     ),
     Format("a picture or a document", ".ecw .sid .pdf", (b"%PDF",), TO_TIF),
+    Format("an ESRI ASCII grid", "", (b"ncols", b"NCOLS"), "", "rename it to end in .asc"),
+    Format("a grid of Surfer", "", (b"DSAA", b"DSBB", b"DSRB"), "", "rename it to end in .grd"),
     Format("a picture", "", (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*"), ""),
 )
 

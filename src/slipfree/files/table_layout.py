@@ -51,9 +51,9 @@ ALIASES = (  # names of the same quantity
     {"t", "time", "timestamp", "stamp"},
     {"x", "easting", "east", "e"},
     {"y", "northing", "north", "n"},
-    {"z", "height", "elevation", "altitude"},
+    {"z", "height", "elevation", "elev", "ele", "altitude", "alt", "up", "u"},
     {"heading", "yaw"},
-    {"longitude", "lon"},
+    {"longitude", "long", "lon", "lng"},
     {"latitude", "lat"},
 )
 
@@ -144,7 +144,7 @@ def table_layout(path: Path, file: TextIO) -> Layout:
         if is_split and any(is_number(cell, separator) for row in table for cell in row):
             found.append((count, separator, width))
     if not found:
-        return _layout_of_names(lines)
+        return _layout_of_names(path, lines)
     _, separator, width = max(found, key=lambda item: item[0])
     return _layout_with(path, lines, separator, width)
 
@@ -154,9 +154,16 @@ def _is_row(words: Sequence[str], separator: str | None) -> bool:
     return len(words) > 1 and all(is_number(word, separator) for word in words)
 
 
-def _layout_of_names(lines: Sequence[str]) -> Layout:
-    """Return the layout of a table without numbers."""
-    text = next((text for line in lines if (text := line_body(line, None))), "")
+def _layout_of_names(path: Path, lines: Sequence[str]) -> Layout:
+    """Return the layout of a table without rows; raise DataError for rows that are not numbers."""
+    used = [(k, text) for k, line in enumerate(lines, 1) if (text := line_body(line, None))]
+    number, text = used[-1] if used else (0, "")
+    if len(used) > 1 and re.search(r"\d", text):
+        raise DataError(
+            f"{path}:{number}: expected two or more numbers, found {text[:SHOWN]!r}; write numbers "
+            "as in 1.5 or 1.5e-3, separated by commas, semicolons, tabs or blanks"
+        )
+    text = used[0][1] if used else ""
     separator = next((each for each in SEPARATORS[:-1] if each in text), None)
     return Layout(separator, 0, text, line_cells(text, separator) if text else [], [], [])
 
@@ -181,6 +188,8 @@ def _layout_with(path: Path, lines: Sequence[str], separator: str | None, width:
         elif len(cells) > 1 or not is_number(text, separator):  # a number alone counts the rows
             heads.append((number, text, cells))
     table = [cells for _, cells in rows if len(cells) == width]
+    if separator == "," and not any(len(head[2]) == width for head in heads):
+        _check_commas(path, rows)
     _check_decimals(path, rows, separator)
     while width > 2 and not any(cells[width - 1] for cells in table):  # separators at line ends
         width -= 1
@@ -217,6 +226,17 @@ def _commented_names(comments: Sequence[str], separator: str | None, width: int)
         if len(names) == width and any(split_unit(name)[0].lower() in known for name in names):
             return names
     return []
+
+
+def _check_commas(path: Path, rows: Iterable[tuple[int, Sequence[str]]]) -> None:
+    """Raise DataError if commas that separate columns are probably also decimal signs."""
+    for number, cells in rows:
+        if cell := next((cell for cell in cells if re.fullmatch(r"0\d+", cell)), ""):
+            raise DataError(
+                f"{path}:{number}: expected numbers with decimal points, found {cell!r} between "
+                "commas, probably decimals of a number with a comma; write decimal points, or "
+                "separate the columns by semicolons, and give names in the first line"
+            )
 
 
 def _check_decimals(

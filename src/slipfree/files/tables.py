@@ -40,6 +40,7 @@ from slipfree.regular_files import read_bytes
 HEAD = 1 << 16  # bytes from which the encoding is inferred
 COUNTS = {2: "two", 3: "three", 4: "four"}
 EPOCH = 1e8  # smallest time that counts from a fixed date, not from the start of a log [s]
+PART_OF_TIME = ("nsec", "nsecs", "nanosec")  # ends of names of columns beside seconds
 LARGE_TIMES = {
     "nanoseconds": (1e17, "ns"),
     "microseconds": (1e14, "us"),
@@ -169,6 +170,8 @@ def read_columns(
     if not isinstance(columns, Mapping) and _is_in_order(layout, names, others):
         chosen = {name: (k, "") for k, name in enumerate(names)}
         if width > count and others:
+            if not layout.names:
+                _check_first_column(path, file, layout, wanted, where)
             notes = [f"{', '.join(names)} are the first {count} of {width} columns"]
         elif width != count and layout.row:
             text = (layout.separator or " ").join(layout.row)
@@ -185,6 +188,22 @@ def read_columns(
         values[name], words = _converted(path, title, name, unit, column, where)
         notes += words
     return Columns(values, tuple(notes))
+
+
+def _check_first_column(path: Path, file: TextIO, layout: Layout, wanted: str, where: str) -> None:
+    """Raise DataError if the first column counts or names the rows of a table without names."""
+    file.seek(0)
+    cells = [
+        line_cells(text, layout.separator)[0] for _, text in _lines(path, file, layout, wanted)
+    ]
+    first = cells[0]
+    counts = [str(k) for k in range(int(first), int(first) + len(cells))] if first.isdigit() else []
+    if (len(cells) > 1 and cells == counts) or not is_number(first, layout.separator):
+        raise DataError(
+            f"{path}:{layout.first}: expected {wanted} in the first columns, found that the first "
+            f"column counts or names the rows, from {first!r}; name the columns in {where}, as in "
+            f"number,{wanted.split()[-1]}"
+        )
 
 
 def _is_in_order(layout: Layout, names: Collection[str], others: bool) -> bool:
@@ -239,9 +258,12 @@ def _choose(
         if len(found) != 1:
             columns = ", ".join(dict.fromkeys(requested.values()))
             fault = f"no column {name!r}" if not found else f"{len(found)} columns {name!r}"
+            remedy = f"name the columns in {where}"
+            if key in ALIASES[0] and any(each.lower().endswith(PART_OF_TIME) for each in names):
+                remedy = f"add a column {key!r} with seconds + 1e-9 nanoseconds"
             raise DataError(
                 f"{path}: expected the columns {columns}, found {fault} among "
-                f"{', '.join(names)[:LONG]}; name the columns in {where}"
+                f"{', '.join(names)[:LONG]}; {remedy}"
             )
         k = found[0]
         chosen[key] = k, unit or bases[k][1] or (layout.units[k] if layout.units else "")
@@ -325,8 +347,12 @@ def _line_error(path: Path, number: int, text: str, wanted: str) -> DataError:
 
 
 def _timestamp(text: str) -> float:
-    """Return the seconds since 1970 of a time such as ``2026-03-01T12:00:00.5``, in UTC."""
-    time = datetime.fromisoformat(text.strip(" \"'"))
+    """Return the seconds since 1970 of a time such as ``2026-03-01T12:00:00.5``, in UTC.
+
+    Times of day, such as ``12:00:00.5``, have the same date.
+    """
+    text = text.strip(" \"'")
+    time = datetime.fromisoformat(f"2000-01-01T{text}" if text[2:3] == ":" else text)
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
 
 

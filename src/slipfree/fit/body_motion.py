@@ -133,8 +133,8 @@ def body_motion(dae: Dae) -> BodyMotion:
     """
     if dae.standing is not None:
         raise ModelError(
-            "body_motion: expected a kinematic or quasi-static model, found one with inertia; use "
-            "direct_kinematics or quasi_statics"
+            "expected a kinematic or quasi-static model, found one with inertia; use model = "
+            "'kinematics' or 'quasi-static'"
         )
     x, z, u = dae.columns()
     names = [label.full for label in leaves(dae.labels.x)]

@@ -57,12 +57,12 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     """
     if not vehicle.mass:
         raise ModelError(
-            f"best_utilisation: expected a vehicle with mass, found none in {vehicle.name!r}; give "
-            "its platform or its wheels a mass"
+            f"best friction utilisation: expected a vehicle with mass, found none in "
+            f"{vehicle.name!r}; give its platform or its wheels a mass"
         )
     check_exact_closure(
         vehicle,
-        "best_utilisation",
+        "best friction utilisation",
         "use 'utilisation', which holds for the loads of pressed wheels",
     )
     labels = labels_of(vehicle)

@@ -237,12 +237,13 @@ def montana_kinematics(
 
 
 def _check(vehicle: Vehicle, kappa: float) -> None:
-    check_exact_closure(vehicle, "Montana's form")
+    remedy = "use formulation = 'closure' with least slip, which presses the wheels into the ground"
+    check_exact_closure(vehicle, "Montana's form", remedy)
     rollers = [wheel.name for wheel in vehicle.wheels if wheel.rollers]
     if rollers:
         raise ModelError(
-            "montana_kinematics: expected wheels without rollers, found rollers on "
-            f"{', '.join(map(repr, rollers))}; use the closure model (direct_kinematics)"
+            "Montana's form: expected wheels without rollers, found rollers on "
+            f"{', '.join(map(repr, rollers))}; use formulation = 'closure', the default"
         )
     if not (np.isfinite(kappa) and kappa >= 0):
         raise ModelError(
@@ -252,9 +253,9 @@ def _check(vehicle: Vehicle, kappa: float) -> None:
     for wheel in vehicle.wheels:
         if float(wheel.section.tread_radius(ca.SX(0), ca.SX(1))) == 0:
             raise ModelError(
-                f"montana_kinematics: wheel {wheel.name!r}: expected a tread with a positive "
+                f"Montana's form: wheel {wheel.name!r}: expected a tread with a positive "
                 "radius of curvature, such as a torus with r1 > 0, found the edge of "
-                f"{wheel.section}; use the closure model (direct_kinematics), which allows edges"
+                f"{wheel.section}; use formulation = 'closure', which allows edges"
             )
 
 

@@ -199,12 +199,12 @@ def _check_wheels(vehicle: Vehicle) -> None:
     """Raise ModelError if a vehicle is locked to a plane or has fewer than three wheels."""
     if vehicle.planar:
         raise ModelError(
-            f"rigid_dynamics: {vehicle.name!r}: expected a vehicle that moves in space, found one "
-            "locked to a plane; use dynamics"
+            f"rigid-body dynamics: {vehicle.name!r}: expected a vehicle that moves in space, "
+            "found one locked to a plane; use another model"
         )
     if len(vehicle.wheels) < 3:
         raise ModelError(
-            f"rigid_dynamics: {vehicle.name!r}: expected at least 3 wheels, found "
+            f"rigid-body dynamics: {vehicle.name!r}: expected at least 3 wheels, found "
             f"{len(vehicle.wheels)}; add wheels"
         )
 
@@ -313,8 +313,8 @@ def _check_torques(law: GroundLaw, reaction: Reaction) -> None:
     """Raise ModelError for a law whose torques differ from the moments of its forces."""
     if reaction.torques:
         raise ModelError(
-            "rigid_dynamics: expected a law whose forces act at the contact points, such as "
-            f"LinearCreep(), found {type(law).__name__}; use quasi_statics or dynamics for it"
+            "rigid-body dynamics: expected a law whose forces act at the contact points, such as "
+            f"LinearCreep(), found {type(law).__name__}; use another law, or model = 'quasi-static'"
         )
 
 

@@ -123,7 +123,7 @@ def steady_forces(
     if (borne < load).any():
         k = (borne - load).argmin()
         raise ModelError(
-            "single_wheel: expected a sinkage smaller than the wheel's radius, "
+            "expected a sinkage smaller than the wheel's radius, "
             f"{size.radius:g} m, found that the soil bears only {borne[k]:.4g} N of "
             f"{load[k]:.4g} N at that depth, at slip {slip[k]:g} and slip angle {angle[k]:g} rad; "
             "reduce the load, or use a larger wheel"
@@ -169,7 +169,7 @@ def _check(load: Array, slip: Array, angle: Array) -> None:
     for expected, values, good in checks:
         if not good.all() or not values.size:
             found = f"{values[~good][0]:g}; correct it" if values.size else "none; add one"
-            raise ModelError(f"single_wheel: {expected}, found {found}")
+            raise ModelError(f"{expected}, found {found}")
 
 
 def _forces(soil: Soil, size: WheelSize) -> ca.Function:

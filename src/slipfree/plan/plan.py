@@ -60,7 +60,7 @@ from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, tran
 from slipfree.plan.verification import (
     Verification,
     inputs_along,
-    position_error,
+    largest_error,
     refine_mesh,
     verify_plan,
 )
@@ -682,10 +682,14 @@ def _refine(
 ) -> tuple[_SearchState, Verification]:
     """Return the solution on a refined mesh, and its verification.
 
-    The mesh is refined until no interval has to be refined, at most `MAX_REFINEMENTS` times. If the
-    program on a finer mesh is not solved, the solution on the coarser mesh is returned.
+    The mesh is refined until no interval has to be refined, or until two refinements have not
+    reduced the error: it then has another cause, such as an unstable motion (a caster driven
+    backwards), or a simulation with another model. The mesh is refined at most `MAX_REFINEMENTS`
+    times. If the program on a finer mesh is not solved, the solution on the coarser mesh is
+    returned.
     """
     verification = verify(search)
+    errors = [largest_error(search.program, verification)]
     for _ in range(MAX_REFINEMENTS):
         if not (search.found.success and verification.worse.any()):
             break
@@ -696,19 +700,11 @@ def _refine(
         )
         if not finer.found.success:
             return search._replace(stages=finer.stages), verification
-        before, (search, verification) = verification, (finer, verify(finer))
-        if search.program.task.dae.replay and not _has_improved(before, verification):
+        search, verification = finer, verify(finer)
+        errors.append(largest_error(search.program, verification))
+        if len(errors) > 2 and min(errors[-2:]) > MIN_IMPROVEMENT * errors[-3]:
             break
     return search, verification
-
-
-def _has_improved(before: Verification, after: Verification) -> bool:
-    """Return whether a finer mesh has reduced the error of a plan.
-
-    It is for plans that are simulated with another model: the error of the planned model does not
-    depend on the mesh.
-    """
-    return position_error(after) < MIN_IMPROVEMENT * position_error(before)
 
 
 def _to_plan(search: _SearchState, verification: Verification) -> Plan:

@@ -187,13 +187,19 @@ def _verify_on_replay(
     )
 
 
-def position_error(verification: Verification) -> float:
-    """Return the largest difference of a position or an angle between plan and simulation."""
-    return max(
+def largest_error(program: Program, verification: Verification) -> float:
+    """Return the largest difference from the simulation or violation, each in its unit.
+
+    Speeds are included only if the simulated model is that of the plan.
+    """
+    is_same = program.task.dae.replay is None
+    differences = (
         size
         for name, size in verification.difference.items()
-        if verification.units[name] in POSITION_UNITS
+        if is_same or verification.units[name] in POSITION_UNITS
     )
+    violations = verification.violation.values() if is_same else ()
+    return max((*differences, *violations), default=0.0)
 
 
 def _intervals(program: Program, parts: Array) -> Index:

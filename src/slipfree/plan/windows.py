@@ -326,11 +326,11 @@ def plan_windows(
     """
     if not speed > 0:
         raise ModelError(
-            f"plan_windows: speed: expected a positive speed, found {speed:g} m/s; increase it"
+            f"speed of the windows: expected a positive speed, found {speed:g} m/s; increase it"
         )
     if not 0 < overlap < length:
         raise ModelError(
-            "plan_windows: expected a positive overlap shorter than the window, found an overlap "
+            "expected a positive overlap shorter than the window, found an overlap "
             f"of {overlap:g} m and a window of {length:g} m; adjust one of them"
         )
     own = {"step": step, "options": options, **arguments}

@@ -17,6 +17,14 @@ BARE = ("start", "goal", "limits")  # tables with angles
 MAX_INTERVAL = 10.0  # largest median time between samples of a log [s]
 MAX_INTERVALS = 10.0  # largest median time between rows of a table [duration of the motion]
 CHORDS = 200  # number of parts of a path whose directions are compared with headings
+ALIKE, NEAR = 0.9, 0.25  # least cosine of similar speeds, and tolerance of the ratio of units [1]
+RATIOS = {  # motion relative to the travel of the wheels if units are not named [1]
+    "rates in rpm, as in 'left [rpm]'": np.pi / 30,
+    "rates in deg/s, as in 'left [deg/s]'": np.pi / 180,
+    "times in ms, as in 't [ms]'": 1e-3,
+    "positions in cm, as in 'x [cm]'": 1e2,
+    "positions in mm, as in 'x [mm]'": 1e3,
+}
 TABLES = (*BARE, "inputs", "bounds")
 
 
@@ -63,6 +71,34 @@ def check_time_unit(t: Array, duration: float) -> None:
             "(median); if the times are in other units, name them in the first line, as in "
             "'t [ms]', else increase the duration"
         )
+
+
+def check_travel(t: Array, x: Array, y: Array, speed: Array) -> None:
+    """Raise DataError if the motion in a log is as far from the wheels' as other units are from SI.
+
+    Parameters
+    ----------
+    t, x, y : ndarray, shape (n,)
+        Times and positions. [s, m]
+    speed : ndarray, shape (n,)
+        Mean speed of the driven wheels' treads. [m/s]
+    """
+    rolled = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(t))])
+    step = max(1, t.size // CHORDS)
+    dx, dy, turned = (each[step:] - each[:-step] for each in (x, y, rolled))
+    moved, turned = np.hypot(dx, dy), np.abs(turned)
+    size = float(np.linalg.norm(moved) * np.linalg.norm(turned))
+    if not moved @ turned > ALIKE * size > 0:
+        return
+    ratio = float(moved @ turned / (turned @ turned))
+    for words, expected in RATIOS.items():
+        if abs(ratio / expected - 1) < NEAR:
+            raise DataError(
+                "expected times in s, positions in m and rates in rad/s, found a motion of "
+                f"{ratio:.3g} times the travel of the wheels, probably {words}; name the unit with "
+                "the column in [data.columns] or [data.rates]; if the slip is so large, name "
+                "'[rad/s]' with the rates"
+            )
 
 
 def check_heading_unit(x: Array, y: Array, heading: Array, *, zero: float = 0.0) -> None:

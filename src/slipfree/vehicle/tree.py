@@ -155,8 +155,8 @@ class Coordinate:
             raise ModelError(
                 f"coordinate {self.name!r}: a commanded coordinate cannot have a spring, a damper "
                 "or elastic stops, since its rate is an input; remove "
-                f"{' and '.join(map(repr, keys))}, or use a drive with an effort, Torque() or "
-                "Motor(...)"
+                f"{' and '.join(map(repr, keys))}, or use a drive with an effort, of the "
+                "kind 'torque' or 'motor'"
             )
 
     @property

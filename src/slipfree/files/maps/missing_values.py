@@ -187,7 +187,8 @@ def _interpolated_marker(z: Array, metres: float, steps: tuple[float, float]) ->
     jump = float(every.max())
     if jump < STEEPER * np.median(every):
         return None
-    middle = float(np.nanmedian(z))
+    plausible = (z * metres >= PLAUSIBLE[0]) & (z * metres <= PLAUSIBLE[1])
+    middle = float(np.nanmedian(z[plausible] if plausible.any() else z))  # markers may be most
     near = z[np.abs(z - middle) < jump / 2]
     value = lowest if middle - lowest > highest - middle else highest
     return Marker(value, float(near.min()), float(near.max()), is_exact=False)

@@ -10,6 +10,7 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.raster import Reading
+from slipfree.files.table_layout import ALIASES
 from slipfree.files.tables import read_columns, read_names
 from slipfree.records import Array
 from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, parts
@@ -42,7 +43,8 @@ def read_points(path: Path, ask: Reading) -> Heights:
         have fewer than three different positions.
     """
     names = {name.lower() for name in read_names(path, "points")}
-    geographic = bool(names & {"longitude", "lon"})
+    geographic = any("longitude" in same and names & same for same in ALIASES)
+    unit = "deg" if geographic else "m"
     columns: Sequence[str] | dict[str, str] = NAMES
     if geographic:
         columns = {"x": "longitude", "y": "latitude", "z": "z"}
@@ -64,9 +66,9 @@ def read_points(path: Path, ask: Reading) -> Heights:
     distance = _distance(points[:, :2])
     if spacing is None:
         raise DataError(
-            "expected spacing, the distance between grid nodes in metres, found none; "
+            f"expected spacing, the distance between grid nodes in {unit}, found none; "
             f"the median distance of {len(points)} points from their nearest "
-            f"neighbours is {distance:.3g} m: set spacing = {distance:.2g}"
+            f"neighbours is {distance:.3g} {unit}: set spacing = {distance:.2g}"
         )
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
@@ -74,12 +76,14 @@ def read_points(path: Path, ask: Reading) -> Heights:
     if counts.min() < 4:
         raise DataError(
             f"expected points that span at least 4 by 4 nodes, found {counts[0]} by "
-            f"{counts[1]} at spacing = {spacing:g} m; set a smaller spacing"
+            f"{counts[1]} at spacing = {spacing:g} {unit}; set a smaller spacing, such as "
+            f"{distance:.2g}"
         )
     i, j = parts(x, y, ask.window)
     z = interpolate_points(points, low, spacing, (i, j))
     words = (
-        f"{len(points)}, a median of {distance:.3g} m apart, for {z.size} nodes {spacing:g} m apart"
+        f"{len(points)}, a median of {distance:.3g} {unit} apart, for {z.size} nodes {spacing:g} "
+        f"{unit} apart"
     )
     if repeated:
         words += (

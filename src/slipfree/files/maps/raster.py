@@ -7,6 +7,7 @@ import math
 import re
 import sys
 import warnings
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -52,7 +53,13 @@ NAMES = {  # names of formats by drivers
     "HFA": "ERDAS IMG",
     "SRTMHGT": "SRTM tile",
 }
-NAMED = {".hgt": "name the file after its position, as in N45E006.hgt; if it has such a name, "}
+BEGINNINGS = {  # remedies for files that no driver recognizes
+    ".hgt": "name the file after its position, as in N45E006.hgt; if it has such a name, ",
+    ".asc": (
+        "begin the file with the lines ncols, nrows, xllcorner, yllcorner, cellsize and, if "
+        "heights are missing, NODATA_value; if it has these lines, "
+    ),
+}
 OPTIONS: dict[str, dict[str, str]] = {
     "AAIGrid": {"DATATYPE": "Float64"}
 }  # the default loses digits
@@ -66,6 +73,9 @@ BY_NAME = {  # drivers that open files only by name, by the first bytes of the f
 UNKNOWN = "not recognized as being in a supported file format"  # in errors of GDAL
 CACHE = 64  # GDAL's cache of blocks [MB]
 EDITABLE = "GTiff", "HFA"  # formats whose missing value gdal_edit.py changes in the file
+# P2 or P5, then width, height and maximum, with comments between them; one blank ends the header
+PGM_HEADER = re.compile(rb"P([25])" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d+)" + rb"(?:\r\n|\s)")
+SHOWN = 20  # bytes of a damaged header in messages
 DEGREE = 1.11e5  # approximate length of a degree [m]
 OCCUPANCY = 205, 0, 254  # gray levels of map_server: unknown, occupied, free
 TO_LEVELS = (
@@ -161,7 +171,11 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     ending = path.suffix.lower()
     with path.open("rb") as file:
         head = file.read(4)  # raises I/O errors, which GDAL would hide
-    content = _raw_pgm(path.read_bytes()) if head.startswith(b"P2") else b""
+    content = b""
+    if head.startswith((b"P2", b"P5")):
+        content = _raw_pgm(path.read_bytes())
+    elif head.startswith(BOM_UTF8):  # text of editors of Windows
+        content = path.read_bytes()[len(BOM_UTF8) :]
     # the name of an SRTM tile gives its position; others may have characters that GDAL rejects
     name = path.name if ending == ".hgt" else f"raster{ending if ending.isascii() else ''}"
     try:
@@ -189,9 +203,10 @@ def read_raster(path: Path, ask: Reading) -> Heights:
         raise
     except Exception as error:  # GDAL raises various exceptions for damaged files
         words = re.sub(r"/vsi\w+/", "", str(error.__cause__ or error)).replace(name, path.name)
+        hint = BEGINNINGS.get(ending, "") if UNKNOWN in words else ""
         raise DataError(
             f"expected a readable {FORMATS.get(ending, 'raster')}, found {words.rstrip('.')}; "
-            f"{NAMED.get(ending, '')}copy or download it again: it may be truncated or damaged"
+            f"{hint}copy or download it again: it may be truncated or damaged"
         ) from error
 
 
@@ -254,26 +269,30 @@ def _open_only(
 
 
 def _raw_pgm(content: bytes) -> bytes:
-    """Return a PGM picture with levels in binary form, which GDAL reads, from one with text."""
-    words = re.sub(rb"#[^\r\n]*", b"", content).split()[1:]
-    try:
-        width, height, most, *levels = (int(word) for word in words)
-    except ValueError as error:
-        raise DataError(
-            f"expected width, height, maximum and levels of a PGM picture, found {error}; copy or "
-            "download it again"
-        ) from error
-    if (
-        len(levels) != width * height
-        or not 0 <= min(levels, default=0) <= max(levels, default=0) <= most < 2**16
-    ):
+    """Return a PGM picture with binary levels and a short header, all of which GDAL reads.
+
+    GDAL does not read levels as text, and replaces missing levels by 0.
+    """
+    again = "copy or download it again"
+    header = PGM_HEADER.match(content)
+    if header is None:
+        refuse("width, height and maximum of a PGM picture", repr(content[:SHOWN]), again)
+    width, height, most = (int(word) for word in header.groups()[1:])
+    kind, data = np.dtype(">u2" if most > 255 else "u1"), content[header.end() :]
+    if header[1] == b"5":
+        levels = np.frombuffer(data, kind, len(data) // kind.itemsize)
+    else:
+        words = re.sub(rb"#[^\r\n]*", b"", data).split()
+        if wrong := next((word for word in words if not word.isdigit()), None):
+            refuse("whole numbers as levels of a PGM picture", repr(wrong.decode("latin1")), again)
+        levels = np.array([int(word) for word in words])
+    if levels.size != width * height or not levels.max(initial=0) <= most < 2**16:
         refuse(
             f"{width * height} levels from 0 to {most}, at most 65535",
-            f"{len(levels)} levels",
-            "copy or download it again",
+            f"{levels.size} levels to {levels.max(initial=0)}",
+            again,
         )
-    raw = np.array(levels, ">u2" if most > 255 else "u1").tobytes()
-    return f"P5\n{width} {height}\n{most}\n".encode() + raw
+    return b"P5\n%d %d\n%d\n" % (width, height, most) + levels.astype(kind).tobytes()
 
 
 def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heights:
@@ -361,12 +380,19 @@ def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
             if wrong is None:
                 found += len(words)
             elif not found and len(words) == 2:  # a line of the header: a key and a number
-                keys.add(words[0].lower()[:4])
+                keys.add(words[0].lower().removeprefix(BOM_UTF8))
             else:
-                refuse(f"numbers in line {n}", repr(wrong.decode(errors="replace")), "correct it")
-    if missing := {b"xllc", b"yllc"} - keys:
-        key = min(missing).decode()
-        refuse(f"{key}enter or {key}orner in the header", "none", "add it")
+                refuse(
+                    f"numbers in line {n}",
+                    repr(wrong.decode(errors="replace")[:SHOWN]),
+                    "write numbers with decimal points, separated by blanks",
+                )
+    if not (keys >= {b"xllcorner", b"yllcorner"} or keys >= {b"xllcenter", b"yllcenter"}):
+        refuse(
+            "xllcorner and yllcorner, or xllcenter and yllcenter, in the header",
+            b", ".join(sorted(key for key in keys if key[1:4] == b"llc")).decode() or "none",
+            "add or correct them",
+        )
     if found != math.prod(shape):
         refuse(
             f"{math.prod(shape)} heights, ncols times nrows",

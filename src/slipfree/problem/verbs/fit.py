@@ -14,6 +14,7 @@ from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.files.mcap_reader import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
+from slipfree.files.table_layout import split_unit
 from slipfree.files.tables import Columns, read_columns
 from slipfree.files.toml.angles import Quantity
 from slipfree.files.toml.errors import name_errors, problem_error
@@ -48,7 +49,7 @@ from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, Vehicle
 from slipfree.problem.summary import Facts
-from slipfree.problem.unit_checks import check_heading_unit, check_sampling
+from slipfree.problem.unit_checks import check_heading_unit, check_sampling, check_travel
 from slipfree.problem.verbs.base import Verb
 from slipfree.records import Array
 from slipfree.terrain.analytic import Analytic
@@ -207,7 +208,8 @@ def fit(problem: Problem[Fit]) -> Fitted:
             with_unknowns(vehicle, unknowns[-1:], [value_of(unknowns[-1], vehicle, law)])
     dae = parametric_model(build, vehicle, law, unknowns)
     names = body_motion(dae).names
-    windows, notes = _read_windows(problem, names, [c.name for c in vehicle.of("passive")])
+    radii = {f"{wheel.name}_rate": wheel.radius for wheel in vehicle.wheels if wheel.driven}
+    windows, notes = _read_windows(problem, names, [c.name for c in vehicle.of("passive")], radii)
     found = calibrate(
         build,
         vehicle,
@@ -243,9 +245,11 @@ def _builder(spec: Fit) -> Any:
 
 
 def _read_windows(
-    problem: Problem[Fit], names: tuple[str, ...], passive: list[str]
+    problem: Problem[Fit], names: tuple[str, ...], passive: list[str], radii: Mapping[str, float]
 ) -> tuple[Windows, tuple[str, ...]]:
     """Return the windows of the log, and notes on its units; passive joints are at zero.
+
+    The ``radii`` of the driven wheels, by the names of their rates, are for a check of units [m].
 
     Raises
     ------
@@ -270,6 +274,9 @@ def _read_windows(
         place = (x, y) if frame == "paper" else (-y, x)
         check_sampling(t)
         check_heading_unit(*place, heading)
+        wheels = [name for name in measured if name in radii]
+        if wheels and not any(split_unit(columns[name])[1] for name in wheels):
+            check_travel(t, x, y, np.mean([table[name] * radii[name] for name in wheels], axis=0))
         given = [table[name] if name in table else np.zeros_like(t) for name in names]
         log = Log(t, np.column_stack(given), np.column_stack([*place, heading]), table["window"])
         if isinstance(data.window, float):
