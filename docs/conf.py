@@ -19,11 +19,14 @@ from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 
 import slipfree
+from slipfree.threads import single
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
 from made import fill  # noqa: E402
+
+single()  # notebooks are executed side by side
 
 NOTEBOOKS = DOCS / "notebooks"
 SHIPPED = find_spec("sphinx-mathjax-offline")  # a package of MathJax's files

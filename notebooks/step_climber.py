@@ -252,7 +252,7 @@ def gets_up(mu, *settings):
 
 def bisected(most, *settings):
     """Return the least friction of the simulated vehicle, to 0.02."""
-    low, high = 0.5 * most, 1.1 * most
+    low, high = 0.6 * most, 1.05 * most
     while high - low > 0.02:
         middle = (low + high) / 2
         low, high = (low, middle) if gets_up(middle, *settings) else (middle, high)

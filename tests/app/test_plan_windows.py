@@ -21,7 +21,7 @@ WINDOWS = (
     "driver={name='follow', speed=0.25, path=[[0.0, 0.0], [0.2, 1.5], [0.6, 2.6]]}",
     "plan.window=1.2",
     "plan.overlap=0.4",
-    "plan.intervals=8",
+    "plan.intervals=5",
 )
 
 

@@ -122,7 +122,7 @@ def planned(model, *, steer=STEER, x=GOAL[0], duration=DURATION, rate=0.1):
         duration=duration,
         limits={"steer": (-steer, steer)},
         inputs=rates,
-        intervals=8,
+        intervals=5,
         accuracy=1.0,
     )
 

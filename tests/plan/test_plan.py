@@ -169,16 +169,13 @@ def test_what_is_wrong_is_said(options, words):
 @pytest.mark.slow
 def test_a_limited_cost_is_at_its_limit():
     """A limit on a term without weight; below the least value the explanation names the cost."""
-    _, _, free = asked(three_wheeler(axle="fixed"), costs={"effort": 1.0})
+    vehicle, coarse = three_wheeler(axle="fixed"), {"intervals": 10, "accuracy": 1.0}
+    _, _, free = asked(vehicle, costs={"effort": 1.0}, **coarse)
     least, costs = free.costs["effort"], {"slip": 1e3}
-    _, _, found = asked(
-        three_wheeler(axle="fixed"), costs=costs, cost_limits={"effort": 1.03 * least}
-    )
+    _, _, found = asked(vehicle, costs=costs, cost_limits={"effort": 1.03 * least}, **coarse)
     assert found.success
     assert found.costs["effort"] == pytest.approx(1.03 * least, rel=1e-6)
-    _, _, none = asked(
-        three_wheeler(axle="fixed"), costs=costs, cost_limits={"effort": 0.5 * least}
-    )
+    _, _, none = asked(vehicle, costs=costs, cost_limits={"effort": 0.5 * least}, **coarse)
     assert none.run.outcome is Outcome.INFEASIBLE
     assert "cost effort: " in none.run.stop.words
 
@@ -191,7 +188,7 @@ def test_a_stopped_search_keeps_its_iterate():
         seen.append((words, iterate.number, iterate.violation))
         return len(seen) < 4
 
-    _, _, found = asked(three_wheeler(axle="fixed"), progress=stop)
+    _, _, found = asked(three_wheeler(axle="fixed"), progress=stop, intervals=10)
     assert not found.success
     assert found.run.stop.name == "plan"
     assert found.run.outcome is Outcome.INTERRUPTED

@@ -12,7 +12,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.plan.plan import plan
 
 SLIP, EFFORT, SMOOTH = 1e3, 0.01, 0.002
-COUNT, DURATION, GOAL, STEER = 32, 10.0, (0.15, 1.3), 0.15
+COUNT, DURATION, GOAL, STEER = 20, 10.0, (0.15, 1.3), 0.15
 
 
 def saddle(x, y):

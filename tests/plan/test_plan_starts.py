@@ -71,7 +71,7 @@ def planned(model, guess, **options):
         costs={"effort": 0.01, "slip": 1e3},
         duration=16.0,
         smooth=0.002,
-        intervals=16,
+        intervals=10,
         inputs=dict.fromkeys(("right_rate", "left_rate", "steer_rate"), (-2.0, 2.0)),
         limits=[Limit(Label("top", "m2", "the hill is too near"), top, 0.16, np.inf)],
         accuracy=1e-2,

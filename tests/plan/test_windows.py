@@ -113,12 +113,12 @@ def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
     def progress(words, _iterate):
         return not words.startswith("2 to")
 
-    kept = windows(case, progress=progress)
+    kept = windows(case, progress=progress, intervals=8)
     assert kept.replay.outcome is Outcome.INTERRUPTED
     assert not kept.success
     assert 1 <= len(kept.windows) < len(found.windows)
     assert kept.replay.t[-1] == pytest.approx(kept.motion.duration)
-    resumed = windows(case, resume=kept.saved)
+    resumed = windows(case, resume=kept.saved, intervals=8)
     assert resumed.accurate
     assert_allclose([resumed.replay["x"][-1], resumed.replay["y"][-1]], [0.3, 4.5], atol=1e-3)
     around = kept.motion.duration / resumed.motion.duration + np.array([-1e-9, 1e-9])
@@ -137,7 +137,7 @@ def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
 @pytest.mark.slow
 def test_a_window_without_solution_is_named_and_the_others_are_kept(case):
     limits = {"y": (-1.0, 2.2)}
-    kept = windows(case, limits=limits)
+    kept = windows(case, limits=limits, intervals=8)
     assert not kept.success
     assert kept.windows
     assert "m of the route" in kept.replay.stop.words
