@@ -56,7 +56,7 @@ slip = 100.0
 effort = 0.001
 
 [plan]
-intervals = 5
+intervals = 8
 smooth = 1e-4
 accuracy = 0.01
 """
