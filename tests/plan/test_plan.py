@@ -169,13 +169,16 @@ def test_what_is_wrong_is_said(options, words):
 @pytest.mark.slow
 def test_a_limited_cost_is_at_its_limit():
     """A limit on a term without weight; below the least value the explanation names the cost."""
-    vehicle, coarse = three_wheeler(axle="fixed"), {"intervals": 10, "accuracy": 1.0}
-    _, _, free = asked(vehicle, costs={"effort": 1.0}, **coarse)
+    _, _, free = asked(three_wheeler(axle="fixed"), costs={"effort": 1.0})
     least, costs = free.costs["effort"], {"slip": 1e3}
-    _, _, found = asked(vehicle, costs=costs, cost_limits={"effort": 1.03 * least}, **coarse)
+    _, _, found = asked(
+        three_wheeler(axle="fixed"), costs=costs, cost_limits={"effort": 1.03 * least}
+    )
     assert found.success
     assert found.costs["effort"] == pytest.approx(1.03 * least, rel=1e-6)
-    _, _, none = asked(vehicle, costs=costs, cost_limits={"effort": 0.5 * least}, **coarse)
+    _, _, none = asked(
+        three_wheeler(axle="fixed"), costs=costs, cost_limits={"effort": 0.5 * least}
+    )
     assert none.run.outcome is Outcome.INFEASIBLE
     assert "cost effort: " in none.run.stop.words
 
