@@ -267,7 +267,7 @@ def _middle_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> set[str]:
 
 def axle_of(tree: Tree, wheel: UrdfJoint) -> Array:
     """Return the axle of a wheel in the root's frame; to the left for one that no joint turns."""
-    if not wheel.moves or not is_level(tree, wheel):
+    if wheel.type not in ("continuous", "revolute") or not is_level(tree, wheel):
         return np.array([0.0, 1.0, 0.0])
     return np.asarray(tree.frames[wheel.child][0] @ unit_vector(wheel.axis))
 

@@ -161,8 +161,7 @@ def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tupl
                 tree.joints[follower].line,
                 f"joint {follower!r}: expected opposite angles of it and {mimic.joint!r}, since "
                 "otherwise nothing determines the pitch, found that other joints are coupled, or "
-                f"these with another sign; write couple = {toml_value(couple)}{wheels.in_file}, "
-                'and remove "mimic" of these joints from the URDF',
+                f"these with another sign; write couple = {toml_value(couple)}{wheels.in_file}",
             )
             return tree, roles
         tree = coupled(tree, couple)
