@@ -146,7 +146,14 @@ ROBOTS = {
     "caster without a swivel": (TWO + wheel("caster", "-0.3 0 -0.06", SMALL), 3, 2, 1, {}),
     "small third wheel": (TWO + wheel("support", "-0.3 0 -0.06", SMALL), 3, 2, 1, {}),
     "fixed third wheel": (TWO + fixed("wheel_3", "-0.3 0 -0.06", SMALL), 3, 2, 1, {}),
-    "ball in a body": (TWO + fixed("body", "-0.2 0 -0.07", BOX + sphere(0.03)), 3, 2, 1, {}),
+    "ball in a body": (
+        fixed("body", "-0.2 0 -0.07", BOX + sphere(0.03)) + TWO.replace('"base"', '"body"')
+        .replace("0 0.15 0", "0.2 0.15 0.07").replace("0 -0.15 0", "0.2 -0.15 0.07"),
+        3, 2, 1, {},
+    ),
+    "caster of a mesh and a ball": (
+        TWO + fixed("caster", "-0.2 0 -0.07", sphere(0.03) + MESH), 3, 2, 1, {}
+    ),
     "floating ball": (TWO + wheel("b", "-0.2 0 -0.07", sphere(0.03), kind="floating"), 3, 2, 1, {}),
     "idle wheels": (FOUR.replace("rear", "idle"), 4, 2, 0, {}),
     "drive of Gazebo": (FOUR + GAZEBO, 4, 2, 0, {}),
