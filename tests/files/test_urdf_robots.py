@@ -236,6 +236,12 @@ def test_evidence_that_disagrees_is_a_question_or_a_note(tmp_path):
     for parts, words in (
         (wheels("{end}_{side}_wheel", {"front": -0.3, "rear": 0.3}), "names of front and rear: -x"),
         (
+            FOUR.replace('xyz="0 1 0"', 'xyz="1 0 0"').replace(
+                f'"{pi / 2} 0 0"', f'"0 {pi / 2} 0"'
+            ),
+            "correct the axes of the wheels, or write",
+        ),
+        (
             wheels("w{end}{side}", {"1": 0.3, "2": -0.3}, yaw=pi / 2)
             .replace("left", "3")
             .replace("right", "4")

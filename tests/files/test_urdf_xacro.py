@@ -317,6 +317,8 @@ SDF_LINK = '<link name="base"><inertial><pose>0 0 0 0 0 0</pose><mass>5</mass></
         ("m.urdf.gz", "\x1f\x8b\x08", "found a gzip file"),
         ("m.urdf", "7z\xbc\xaf\x27\x1c", "found a 7z archive; unpack it: 7z x m.urdf"),
         ("m.urdf", "robot:\n  name: m\n", "found a file that does not begin with '<'"),
+        ("m.urdf", '<Robot name="a"/>', "m.urdf:1: expected <robot>, found <Robot>"),
+        ("m.urdf", '<robot>\n<LINK name="a"/></robot>', "m.urdf:2: expected <link>, found <LINK>"),
         ("m.urdf", "", "found an empty file"),
         ("m.urdf", " \n\n", "found an empty file"),
         ("m.urdf", '<!-- a -->\n<?xml version="1.0"?>\n<robot/>', "m.urdf:2: .* move <.xml"),
