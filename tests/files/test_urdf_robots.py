@@ -104,6 +104,12 @@ SPRUNG = "".join(
     + wheel(f"{e}_{s}_wheel", "0 0 0", parent=f"{e}_{s}_spring")
     for e, x, s, y in CORNERS
 )
+GAZEBO = (
+    '<gazebo><plugin filename="libgazebo_ros_diff_drive.so"><left_joint>rear_left_joint'
+    "</left_joint><right_joint> rear_right_joint </right_joint></plugin><plugin "
+    'filename="libgazebo_ros_joint_state_publisher.so"><joint_name>front_left_joint</joint_name>'
+    "</plugin></gazebo>"
+)
 # parts, number of wheels, of driven wheels, and of wheels on rollers; kinds of the coordinates
 ROBOTS = {
     "unlimited": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(-1e16, 1e16)), 4, 4, 0, {}),
@@ -138,6 +144,19 @@ ROBOTS = {
         3, 2, 0, {"a_joint": "passive"},
     ),
     "caster without a swivel": (TWO + wheel("caster", "-0.3 0 -0.06", SMALL), 3, 2, 1, {}),
+    "small third wheel": (TWO + wheel("support", "-0.3 0 -0.06", SMALL), 3, 2, 1, {}),
+    "fixed third wheel": (TWO + fixed("wheel_3", "-0.3 0 -0.06", SMALL), 3, 2, 1, {}),
+    "ball in a body": (
+        fixed("body", "-0.2 0 -0.07", BOX + sphere(0.03)) + TWO.replace('"base"', '"body"')
+        .replace("0 0.15 0", "0.2 0.15 0.07").replace("0 -0.15 0", "0.2 -0.15 0.07"),
+        3, 2, 1, {},
+    ),
+    "caster of a mesh and a ball": (
+        TWO + fixed("caster", "-0.2 0 -0.07", sphere(0.03) + MESH), 3, 2, 1, {}
+    ),
+    "floating ball": (TWO + wheel("b", "-0.2 0 -0.07", sphere(0.03), kind="floating"), 3, 2, 1, {}),
+    "idle wheels": (FOUR.replace("rear", "idle"), 4, 2, 0, {}),
+    "drive of Gazebo": (FOUR + GAZEBO, 4, 2, 0, {}),
     "articulated": (TWO + AHEAD, 4, 4, 0, {"front_joint": "commanded"}),
     "trailer": (FOUR + TRAILER, 6, 4, 0, {"trailer_joint": "passive"}),
     "tricycle": (TWO + steered("front", "0.5 0 0"), 3, 3, 0, {"front_steering_joint": "commanded"}),
@@ -163,6 +182,11 @@ def test_wheels_and_joints_of_robots(name, tmp_path):
     assert sum(each.driven for each in vehicle.wheels) == driven
     assert sum(isinstance(each.section, Omni) for each in vehicle.wheels) == sliding
     assert {c.name: c.kind for c in vehicle.coordinates} == kinds
+
+
+def test_elements_that_are_not_read_are_noted(tmp_path):
+    vehicle = read_vehicle(written(tmp_path, FOUR + '<wheel name="fifth"/>'))
+    assert any("<wheel> is not an element of URDF" in note for note in vehicle.notes)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -211,6 +235,12 @@ REAR_STEERED = TWO.replace("left", "a").replace("right", "b") + steered("c", "-0
 def test_evidence_that_disagrees_is_a_question_or_a_note(tmp_path):
     for parts, words in (
         (wheels("{end}_{side}_wheel", {"front": -0.3, "rear": 0.3}), "names of front and rear: -x"),
+        (
+            FOUR.replace('xyz="0 1 0"', 'xyz="1 0 0"').replace(
+                f'"{pi / 2} 0 0"', f'"0 {pi / 2} 0"'
+            ),
+            "correct the axes of the wheels, or write",
+        ),
         (
             wheels("w{end}{side}", {"1": 0.3, "2": -0.3}, yaw=pi / 2)
             .replace("left", "3")
@@ -274,6 +304,37 @@ def test_opposite_rockers_have_a_differential(axes, mounts, tmp_path):
     assert (declared.coordinates, declared.joints) == (given.coordinates, given.joints)
     assert sum("differential" in note for note in vehicle.notes) == 1
     assert not any("differential" in note for note in declared.notes)
+
+
+@pytest.mark.parametrize(
+    ("follower", "leader", "couple"),
+    [
+        ("right_rocker_joint", "left_rocker_joint", ""),
+        ("left_rocker_joint", "right_rocker_joint", ""),
+        ("", "", "couple = { left_rocker_joint = 1, right_rocker_joint = -1 }"),
+        ("", "", "couple = { left_bogie_joint = 1, right_bogie_joint = 1 }"),
+    ],
+)
+def test_rockers_that_turn_alike_are_refused_with_the_right_coupling(
+    follower, leader, couple, tmp_path
+):
+    parts = rocker_bogie()
+    if follower:
+        head, last = parts.split(f'<joint name="{follower}"')
+        mimic = f'<mimic joint="{leader}"/><limit'
+        parts = f'{head}<joint name="{follower}"{last.replace("<limit", mimic, 1)}'
+    with pytest.raises(VehicleError, match="opposite angles") as caught:
+        read_vehicle(written(tmp_path, parts, couple))
+    line = str(caught.value).split("write ")[1].split(", in a vehicle file")[0]
+    right = read_vehicle(written(tmp_path, rocker_bogie()))
+    names = {c.name for c in read_vehicle(written(tmp_path, parts, line)).coordinates}
+    assert len(names) == len(right.coordinates)
+
+
+def test_a_wheel_is_not_coupled(tmp_path):
+    couple = "couple = { left_rocker_joint = 1, left_front_joint = 1 }"
+    with pytest.raises(VehicleError, match="'left_front_joint': expected a joint without a wheel"):
+        read_vehicle(written(tmp_path, rocker_bogie(), couple))
 
 
 @pytest.mark.parametrize(

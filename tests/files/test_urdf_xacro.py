@@ -285,7 +285,7 @@ def test_macros_without_prefix_are_named(robot):
             VehicleError, match=r"xacro:10: .*<wheel> .*; write <xacro:wheel \.\.\.>"
         ):
             read_vehicle(robot, trust=trust)
-    robot.write_text('<robot><link name="base"/><wheel n="a"/></robot>')
+    robot.write_text('<robot><link name="base"/><wheel/></robot>')
     with pytest.raises(VehicleError, match="<wheel> is not an element of URDF"):
         read_vehicle(robot)
     robot.write_text(own.replace(NAMES, "").replace("<wheel", "<xacro:wheel"))
@@ -315,6 +315,10 @@ SDF_LINK = '<link name="base"><inertial><pose>0 0 0 0 0 0</pose><mass>5</mass></
         ("m.urdf", "<!DOCTYPE html>\n<html/>", "found a web page"),
         ("m.urdf", "version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
         ("m.urdf.gz", "\x1f\x8b\x08", "found a gzip file"),
+        ("m.urdf", "7z\xbc\xaf\x27\x1c", "found a 7z archive; unpack it: 7z x m.urdf"),
+        ("m.urdf", "robot:\n  name: m\n", "found a file that does not begin with '<'"),
+        ("m.urdf", '<Robot name="a"/>', "m.urdf:1: expected <robot>, found <Robot>"),
+        ("m.urdf", '<robot>\n<LINK name="a"/></robot>', "m.urdf:2: expected <link>, found <LINK>"),
         ("m.urdf", "", "found an empty file"),
         ("m.urdf", " \n\n", "found an empty file"),
         ("m.urdf", '<!-- a -->\n<?xml version="1.0"?>\n<robot/>', "m.urdf:2: .* move <.xml"),
@@ -325,7 +329,7 @@ SDF_LINK = '<link name="base"><inertial><pose>0 0 0 0 0 0</pose><mass>5</mass></
 )
 def test_other_formats_are_named_with_a_way(name, text, words, tmp_path):
     file = tmp_path / name
-    file.write_bytes(text.encode("latin-1" if text.startswith("\x1f") else "utf-8"))
+    file.write_bytes(text.encode("latin-1" if text.startswith(("\x1f", "7z")) else "utf-8"))
     assert is_vehicle_file(file)
     (tmp_path / "v.toml").write_text(f'urdf = "{name}"')
     for path in (file, tmp_path / "v.toml"):

@@ -157,38 +157,26 @@ def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
 
 
 def with_separate_balls(tree: Tree) -> Tree:
-    """Return a URDF with links of their own for spheres on the ground in links with other shapes.
+    """Return a URDF with links of their own for spheres of the chassis that touch the ground.
 
-    Simple robots have the ball of their caster in the link of the chassis.
+    Simple robots have the ball of their caster in the link that carries the wheels.
     """
     frames, links, joints = tree.frames, dict(tree.links), dict(tree.joints)
-    bottoms = [_bottom(link.shapes, frames[name]) for name, link in links.items()]
-    ground = min(bottoms, default=np.inf)
-    for link in tree.links.values():
-        is_alone = link.name != tree.root and not (link.boxes or link.meshes or link.shapes[1:])
-        spheres = [shape for shape in link.shapes if shape.kind == "sphere" and not is_alone]
-        for k, ball in enumerate(spheres):
-            height = _bottom([ball], frames[link.name]) - ground
-            name = f"{link.name}_ball_{k + 1}"
-            turns = any(joint.child == link.name and joint.moves for joint in joints.values())
-            if height > TOUCH * ball.radius or turns or name in joints or name in links:
+    bottoms = {name: _bottom(link.shapes, frames[name]) for name, link in links.items()}
+    moving = [joint for joint in tree.joints.values() if joint.moves]
+    for name in sorted({each.parent for each in moving} - {each.child for each in moving}):
+        ground = min((z for other, z in bottoms.items() if other != name), default=np.inf)
+        for k, ball in enumerate(tree.links[name].shapes):
+            height = abs(_bottom([ball], frames[name]) - ground)
+            new, above = f"{name}_ball_{k + 1}", TOUCH * ball.radius < height < np.inf
+            if ball.kind != "sphere" or above or new in joints or new in links:
                 continue
-            rest = tuple(shape for shape in links[link.name].shapes if shape != ball)
-            links[link.name] = links[link.name]._replace(shapes=rest)
-            links[name] = Link(name, None, ORIGIN, (ball._replace(at=ORIGIN, turned=ORIGIN),))
-            joints[name] = UrdfJoint(
-                name,
-                "fixed",
-                link.name,
-                name,
-                ball.at,
-                ORIGIN,
-                ORIGIN,
-                -np.inf,
-                np.inf,
-                np.inf,
-                None,
-                1,
+            rest = tuple(shape for shape in links[name].shapes if shape != ball)
+            links[name] = links[name]._replace(shapes=rest)
+            links[new] = Link(new, None, ORIGIN, (ball._replace(at=ORIGIN, turned=ORIGIN),))
+            limits = (-np.inf, np.inf, np.inf)
+            joints[new] = UrdfJoint(
+                new, "fixed", name, new, ball.at, ORIGIN, ORIGIN, *limits, mimic=None, line=1
             )
     return replace(tree, links=links, joints=joints)
 
@@ -267,7 +255,7 @@ def _middle_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> set[str]:
 
 def axle_of(tree: Tree, wheel: UrdfJoint) -> Array:
     """Return the axle of a wheel in the root's frame; to the left for one that no joint turns."""
-    if not wheel.moves or not is_level(tree, wheel):
+    if wheel.type not in ("continuous", "revolute") or not is_level(tree, wheel):
         return np.array([0.0, 1.0, 0.0])
     return np.asarray(tree.frames[wheel.child][0] @ unit_vector(wheel.axis))
 

@@ -184,7 +184,9 @@ def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
     rolling = [
         wheel
         for wheel in wheels
-        if wheel.name not in turned and (not wheel.moves or is_level(tree, wheel))
+        if wheel.name not in turned
+        and wheel.type in ("continuous", "revolute", "fixed")
+        and (not wheel.moves or is_level(tree, wheel))
     ]
     for wheel in rolling:
         if wheel.name in casters:

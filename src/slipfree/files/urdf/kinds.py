@@ -171,7 +171,8 @@ class Joints:
                 m.multiplier * multiplier > 0 for m, other in mimics if m and m.joint == other
             ]
             if min(abs(ahead), abs(behind)) > LATERAL and not any(joined):
-                return second.name, Mimic(first.name, multiplier, 0.0)
+                leader, follower = (second, first) if first.mimic else (first, second)
+                return follower.name, Mimic(leader.name, multiplier, 0.0)
         return None
 
     def _may_follow(self, name: str) -> bool:

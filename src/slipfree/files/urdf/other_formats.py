@@ -79,6 +79,13 @@ def parse_robot(data: bytes, file: str) -> Element:
     tag = root.tag.rpartition(":")[2] if root.tag not in FORMATS else root.tag
     if tag in FORMATS:
         _refuse(f"{file}:{root.line}", tag)
+    for each in (root, *root.children):
+        lower = each.tag.lower()
+        if lower in ("robot", "link", "joint") and lower != each.tag:
+            raise DataError(
+                f"{file}:{each.line}: expected <{lower}>, found <{each.tag}>; write the names of "
+                "elements in lower case"
+            )
     if root.tag != "robot":
         raise DataError(
             f"{file}:{root.line}: expected URDF with the root element <robot>, found <{root.tag}>; "

@@ -125,12 +125,13 @@ def _forward(tree: Tree, roles: Roles, findings: Findings) -> str:
     """Return the guessed forward axis; add an error if the evidence does not determine it."""
     guess = forward_guess(tree, roles.joints)
     if guess.is_open:
+        axes = "correct the axes of the wheels, or " if "along the axles" in guess.reason else ""
         findings.faults.add(
             1,
             "expected names or axles that determine the forward direction, found that "
-            f'{guess.reason}; write forward = "{guess.direction}" or forward = "{guess.other}", '
-            "the axis of the root link that points forward, in a vehicle file with urdf = "
-            f'"{Path(tree.file).name}"',
+            f'{guess.reason}; {axes}write forward = "{guess.direction}" or forward = '
+            f'"{guess.other}", the axis of the root link that points forward, in a vehicle file '
+            f'with urdf = "{Path(tree.file).name}"',
         )
     elif guess.reason:
         reason = f"forward along {guess.direction}: {guess.reason}"
@@ -161,8 +162,7 @@ def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tupl
                 tree.joints[follower].line,
                 f"joint {follower!r}: expected opposite angles of it and {mimic.joint!r}, since "
                 "otherwise nothing determines the pitch, found that other joints are coupled, or "
-                f"these with another sign; write couple = {toml_value(couple)}{wheels.in_file}, "
-                'and remove "mimic" of these joints from the URDF',
+                f"these with another sign; write couple = {toml_value(couple)}{wheels.in_file}",
             )
             return tree, roles
         tree = coupled(tree, couple)
