@@ -122,8 +122,9 @@ def test_refinement_ends_if_the_error_remains(coarse, monkeypatch, errors, count
     monkeypatch.setattr(planning, "refine_mesh", lambda mesh, _worse: mesh)
     monkeypatch.setattr(planning, "_solve_anew", lambda *_: search)
     monkeypatch.setattr(planning, "_add_limits", lambda found, _progress: found)
-    planning._refine(search, verify, None)
+    _, verification = planning._refine(search, verify, None)
     assert len(verified) == count
+    assert verification.difference["x"] == min(verified)
 
 
 @pytest.mark.slow

@@ -347,8 +347,11 @@ def _inaccurate(spec: plan_schema.Plan, found: Plan | LongPlan) -> Stop:
     worst = missed_words(parts, found.units) or "a narrow limit"
     last = found.stages[-1]
     advice = "raise plan.intervals or plan.accuracy"
+    further = f"its mesh was not refined any further; {advice}"
+    if last.words.endswith("intervals"):
+        further = "refinements of its mesh did not suffice; raise plan.accuracy"
     why = {
-        SOLVED_STATUS: f"its mesh was not refined any further; {advice}",
+        SOLVED_STATUS: further,
         STOPPED_STATUS: "the refinement of its mesh was stopped",
     }.get(last.status, f"with {last.words} {ipopt_words(last.status)}; {advice}")
     words = (
