@@ -685,9 +685,8 @@ def _refine(
     The mesh is refined until no interval has to be refined, or until two refinements have not
     reduced the error: it then has another cause, such as an unstable motion (a caster driven
     backwards), or a simulation with another model, and the most accurate of the last three
-    solutions is returned. The mesh is refined at most `MAX_REFINEMENTS`
-    times. If the program on a finer mesh is not solved, the solution on the coarser mesh is
-    returned.
+    solutions is returned. The mesh is refined at most `MAX_REFINEMENTS` times. If the program on
+    a finer mesh is not solved, the solution on the coarser mesh is returned.
     """
     verification = verify(search)
     solved = [(search, verification)]
