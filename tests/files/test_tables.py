@@ -119,6 +119,7 @@ def test_rows_as_long_as_the_first_line(tmp_path: Path, row: str) -> None:
         ("x,t,x,yaw\n0,1,2,3\n", "found 2 columns 'x' among x, t, x, yaw; name the columns in"),
         ("t x yaw\n1 0 1 2\n2 0 1 2\n", ":1: expected 4 names, one for each column, found 3"),
         ("1.234,5;2,5;3\n1.234,5;2,5;3\n", ":1: expected .* found '1.234,5;2,5;3'"),
+        ("1,0,0,0\n2,1,0,0\n", ":1: expected .* found '1,0,0,0'; name the columns in the first"),
         ("1.5;2,5;3\n", ":1: expected one decimal sign, found 1.5 and 2,5; write all numbers"),
         ("t,x,yaw\n17e17,0,0\n17.1e17,0,0\n", r"up to 1.71e\+18 .*nanoseconds; name it 't \[ns\]'"),
         ("t,x,yaw\n17e11,0,0\n17e11,0,0\n", r"probably milliseconds; name it 't \[ms\]' in"),

@@ -23,7 +23,7 @@ from slipfree.plan.ipopt import MAX_VIOLATION_GROWTH
 from slipfree.plan.plan import plan
 from slipfree.plan.polynomial_motion import motion_of, transfer_motion
 from slipfree.plan.transcription import CollocationMesh
-from slipfree.plan.verification import refine_mesh, simulate_plan
+from slipfree.plan.verification import Verification, refine_mesh, simulate_plan
 from slipfree.records import Label
 
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
@@ -97,6 +97,34 @@ def test_a_mesh_is_refined_until_the_simulation_agrees(model):
     assert max(found.difference.values()) <= wanted
     assert set(coarse.motion.mesh.ends) < set(found.motion.mesh.ends)
     assert found.stages[-1].words.endswith("intervals")
+
+
+@pytest.mark.parametrize(
+    ("errors", "count"),
+    [
+        ([1.0, 1.0, 1.1, 0.0], 3),  # two refinements without success
+        ([1.0, 1.2, 0.5, 0.45, 0.1, 0.0], 6),  # one without success
+        ([1.0, 0.9, 0.85, 0.8], 3),  # slow progress
+    ],
+)
+def test_refinement_ends_if_the_error_remains(coarse, monkeypatch, errors, count):
+    """The angle of a caster driven backwards differs from the plan on every mesh."""
+    program, left = coarse.program, iter(errors)
+    search = planning._SearchState(program, coarse.solution, coarse.solution.unknowns, ())
+    verified = []
+
+    def verify(_search):
+        error = next(left)
+        verified.append(error)
+        worse = np.array([error > 0])
+        return Verification(coarse.replay, {"x": error}, {}, {"x": "m"}, worse, accurate=not error)
+
+    monkeypatch.setattr(planning, "refine_mesh", lambda mesh, _worse: mesh)
+    monkeypatch.setattr(planning, "_solve_anew", lambda *_: search)
+    monkeypatch.setattr(planning, "_add_limits", lambda found, _progress: found)
+    _, verification = planning._refine(search, verify, None)
+    assert len(verified) == count
+    assert verification.difference["x"] == min(verified)
 
 
 @pytest.mark.slow

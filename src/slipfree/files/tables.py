@@ -175,7 +175,13 @@ def read_columns(
             notes = [f"{', '.join(names)} are the first {count} of {width} columns"]
         elif width != count and layout.row:
             text = (layout.separator or " ").join(layout.row)
-            raise _line_error(path, layout.first, text, wanted)
+            raise _line_error(
+                path,
+                layout.first,
+                text,
+                wanted,
+                f"name the columns in {where}, or correct the line",
+            )
     else:
         chosen = _choose(path, layout, names, where)
     if width > count:
@@ -340,10 +346,10 @@ def _lines(path: Path, file: TextIO, layout: Layout, wanted: str) -> Iterator[tu
         yield number, text
 
 
-def _line_error(path: Path, number: int, text: str, wanted: str) -> DataError:
-    return DataError(
-        f"{path}:{number}: expected {wanted}, found {text[:SHOWN]!r}; correct or remove the line"
-    )
+def _line_error(
+    path: Path, number: int, text: str, wanted: str, remedy: str = "correct or remove the line"
+) -> DataError:
+    return DataError(f"{path}:{number}: expected {wanted}, found {text[:SHOWN]!r}; {remedy}")
 
 
 def _timestamp(text: str) -> float:

@@ -684,12 +684,12 @@ def _refine(
 
     The mesh is refined until no interval has to be refined, or until two refinements have not
     reduced the error: it then has another cause, such as an unstable motion (a caster driven
-    backwards), or a simulation with another model. The mesh is refined at most `MAX_REFINEMENTS`
-    times. If the program on a finer mesh is not solved, the solution on the coarser mesh is
-    returned.
+    backwards), or a simulation with another model, and the most accurate of the last three
+    solutions is returned. The mesh is refined at most `MAX_REFINEMENTS` times. If the program on
+    a finer mesh is not solved, the solution on the coarser mesh is returned.
     """
     verification = verify(search)
-    errors = [largest_error(search.program, verification)]
+    solved = [(search, verification)]
     for _ in range(MAX_REFINEMENTS):
         if not (search.found.success and verification.worse.any()):
             break
@@ -701,9 +701,11 @@ def _refine(
         if not finer.found.success:
             return search._replace(stages=finer.stages), verification
         search, verification = finer, verify(finer)
-        errors.append(largest_error(search.program, verification))
-        if len(errors) > 2 and min(errors[-2:]) > MIN_IMPROVEMENT * errors[-3]:
-            break
+        solved.append((search, verification))
+        errors = [largest_error(each.program, found) for each, found in solved[-3:]]
+        if len(errors) > 2 and min(errors[1:]) > MIN_IMPROVEMENT * errors[0]:
+            best, verification = solved[-3:][errors.index(min(errors))]
+            return best._replace(stages=search.stages), verification
     return search, verification
 
 

@@ -287,10 +287,12 @@ def figure_options(setup: Planning) -> dict[str, Any]:
 def _turns(spec: plan_schema.Plan, setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
     """Return the description of angles that differ by whole turns from the goal or the plan."""
     words = []
-    names = [label.full for label in leaves(setup.dae.labels.x)]
     end = found.motion.states(np.ones(1))[:, 0] + setup.dae.shift[0] if found.success else ()
-    for name, value in zip(names, end, strict=False):
-        apart = round((float(found.replay[name][-1]) - value) / TURN)
+    for label, value in zip(leaves(setup.dae.labels.x), end, strict=False):
+        if label.unit != "rad":
+            continue
+        name = label.full
+        apart = round((float(found.replay.of(label)[-1]) - value) / TURN)
         if apart and found.accurate:
             words.append(
                 f"{name} ends {_turn_words(apart)} in the simulation than in the plan: the same "
@@ -347,8 +349,11 @@ def _inaccurate(spec: plan_schema.Plan, found: Plan | LongPlan) -> Stop:
     worst = missed_words(parts, found.units) or "a narrow limit"
     last = found.stages[-1]
     advice = "raise plan.intervals or plan.accuracy"
+    further = f"its mesh was not refined any further; {advice}"
+    if last.words.endswith("intervals"):
+        further = "refinements of its mesh did not suffice; raise plan.accuracy"
     why = {
-        SOLVED_STATUS: f"its mesh was not refined any further; {advice}",
+        SOLVED_STATUS: further,
         STOPPED_STATUS: "the refinement of its mesh was stopped",
     }.get(last.status, f"with {last.words} {ipopt_words(last.status)}; {advice}")
     words = (
