@@ -35,7 +35,7 @@ from slipfree.plan.verification import verify_plan
 from slipfree.records import Label
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
-FEW = ("plan.intervals=10", "plan.starts=2")
+FEW = ("plan.intervals=7", "plan.starts=2")
 FREE = np.array([[-2.0, 2.0]] * 3)
 
 
