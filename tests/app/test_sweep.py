@@ -452,7 +452,7 @@ def test_figures_that_cannot_be_written_are_told(
 
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
     result = sweep_in(file.parent, "--vary", "time.step=0.1,0.15", "--processes", "1")
-    assert result.exit_code == 2
+    assert result.exit_code == 1
     assert "cannot be written (No space left on device)" in result.stderr
 
 

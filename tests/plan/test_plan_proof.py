@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -119,8 +121,18 @@ def test_refinement_ends_if_the_error_remains(coarse, monkeypatch, errors, count
         worse = np.array([error > 0])
         return Verification(coarse.replay, {"x": error}, {}, {"x": "m"}, worse, accurate=not error)
 
-    monkeypatch.setattr(planning, "refine_mesh", lambda mesh, _worse: mesh)
-    monkeypatch.setattr(planning, "_solve_anew", lambda *_: search)
+    def halved(mesh, _worse):
+        return mesh._replace(
+            ends=np.interp(
+                np.arange(2 * mesh.ends.size - 1) / 2, np.arange(mesh.ends.size), mesh.ends
+            )
+        )
+
+    def solved(search, _task, mesh, *_):
+        return search._replace(program=replace(search.program, mesh=mesh))
+
+    monkeypatch.setattr(planning, "refine_mesh", halved)
+    monkeypatch.setattr(planning, "_solve_anew", solved)
     monkeypatch.setattr(planning, "_add_limits", lambda found, _progress: found)
     _, verification = planning._refine(search, verify, None)
     assert len(verified) == count

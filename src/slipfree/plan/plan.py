@@ -73,6 +73,7 @@ SLIP_STAGES = (0.0, 1.0)  # factors of the weight of the slip, one per stage
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
 MAX_LIMIT_ROUNDS = 4  # largest number of times that violated limits are added
 MAX_REFINEMENTS = 6  # largest number of refinements of the mesh
+FUTILE_GROWTH = 4.0  # ratio of intervals after which an unchanged error has another cause
 MIN_IMPROVEMENT = 0.8  # ratio of errors on a finer and a coarser mesh for a further refinement
 LIMIT_CLEARANCE = 1e-5  # distance of plans from limits of the model, in their units
 SAMPLE_STEP = 0.25  # largest time between samples of the simulation [s]
@@ -682,11 +683,12 @@ def _refine(
 ) -> tuple[_SearchState, Verification]:
     """Return the solution on a refined mesh, and its verification.
 
-    The mesh is refined until no interval has to be refined, or until two refinements have not
-    reduced the error: it then has another cause, such as an unstable motion (a caster driven
-    backwards), or a simulation with another model, and the most accurate of the last three
-    solutions is returned. The mesh is refined at most `MAX_REFINEMENTS` times. If the program on
-    a finer mesh is not solved, the solution on the coarser mesh is returned.
+    The mesh is refined until no interval has to be refined, or until a mesh with `FUTILE_GROWTH`
+    times the intervals has not reduced the error: it then has another cause, such as an unstable
+    motion (a caster driven backwards), and the most accurate solution is returned. If another
+    model is simulated, one refinement without success suffices. The mesh is refined at most
+    `MAX_REFINEMENTS` times. If the program on a finer mesh is not solved, the solution on the
+    coarser mesh is returned.
     """
     verification = verify(search)
     solved = [(search, verification)]
@@ -702,9 +704,12 @@ def _refine(
             return search._replace(stages=finer.stages), verification
         search, verification = finer, verify(finer)
         solved.append((search, verification))
-        errors = [largest_error(each.program, found) for each, found in solved[-3:]]
-        if len(errors) > 2 and min(errors[1:]) > MIN_IMPROVEMENT * errors[0]:
-            best, verification = solved[-3:][errors.index(min(errors))]
+        errors = [largest_error(each.program, found) for each, found in solved]
+        counts = [each.program.mesh.ends.size - 1 for each, _ in solved]
+        growth = 1.0 if search.program.task.dae.replay else FUTILE_GROWTH
+        before = [e for e, n in zip(errors[:-1], counts, strict=False) if growth * n <= counts[-1]]
+        if before and errors[-1] > MIN_IMPROVEMENT * before[-1]:
+            best, verification = solved[errors.index(min(errors))]
             return best._replace(stages=search.stages), verification
     return search, verification
 
