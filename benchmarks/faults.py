@@ -302,7 +302,7 @@ def prepare_verbs(folder: Path) -> None:
     plan = (problems / "plan_rigid_hills.toml").read_text()
     plan = re.sub(r"intervals = \d+", "intervals = 12", plan)
     (folder / "plan.toml").write_text(plan)
-    robust = "\n[plan.robust]\nfriction = 0.1\ninputs = 0.01\ndraws = 20\nfinal_draws = 40\n"
+    robust = "\n[plan.robust]\ninputs = 0.01\ndraws = 20\nfinal_draws = 40\n"
     (folder / "robust.toml").write_text(plan + robust)
     (folder / "compare.toml").write_text((problems / "compare_axles.toml").read_text())
     (folder / "fit.toml").write_text((problems / "fit_skid_steer.toml").read_text())
