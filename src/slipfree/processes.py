@@ -323,7 +323,7 @@ def bounded_read(
     rate: float = 1e6,
     growth: float = 20.0,
 ) -> T:
-    """Return what a function reads from a file, in a process whose limits grow with the file.
+    """Return the result of a function that reads a file in a process with limits by its size.
 
     Parameters
     ----------
