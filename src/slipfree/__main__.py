@@ -27,7 +27,7 @@ if __name__ == "__main__":
 
 import signal  # noqa: E402
 
-from slipfree.interrupt import interrupt_at_signals  # noqa: E402
+from slipfree.interrupt import interrupt_at_signals, interrupted  # noqa: E402
 from slipfree.threads import single  # noqa: E402
 
 INTERRUPTED = 130  # exit code; equal to that of `slipfree.outcome`, whose import would be slow
@@ -35,21 +35,29 @@ INTERRUPTED = 130  # exit code; equal to that of `slipfree.outcome`, whose impor
 
 def main() -> None:
     """Run the command line; Ctrl-C, SIGTERM and SIGHUP end it with exit code 130."""
-    interrupt_at_signals()
     try:
-        single()
-        os.environ["MPLBACKEND"] = "agg"  # a notebook's backend may not be installed here
-        _open_streams()
-        from slipfree.cli import main as run
-
-        run()
-    except KeyboardInterrupt:
+        try:
+            _run()
+        finally:
+            for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # no traceback from a signal at exit
+                if hasattr(signal, name):
+                    signal.signal(getattr(signal, name), signal.SIG_IGN)
+    except (KeyboardInterrupt, Exception) as error:
+        # An extension module whose import is interrupted raises another error.
+        if not isinstance(error, KeyboardInterrupt) and not interrupted():
+            raise
         sys.stderr.write("interrupted\n")
         sys.exit(INTERRUPTED)
-    finally:
-        for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # no traceback from a signal at exit
-            if hasattr(signal, name):
-                signal.signal(getattr(signal, name), signal.SIG_IGN)
+
+
+def _run() -> None:
+    interrupt_at_signals()
+    single()
+    os.environ["MPLBACKEND"] = "agg"  # a notebook's backend may not be installed here
+    _open_streams()
+    from slipfree.cli import main as run
+
+    run()
 
 
 def _open_streams() -> None:

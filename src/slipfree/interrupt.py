@@ -151,12 +151,21 @@ def check_interrupt() -> None:
         raise KeyboardInterrupt
 
 
+_received: list[int] = []  # signals that raised KeyboardInterrupt
+
+
+def interrupted() -> bool:
+    """Return whether a handler of `interrupt_at_signals` has raised KeyboardInterrupt."""
+    return bool(_received)
+
+
 def interrupt_at_signals() -> None:
     """Let SIGTERM and SIGHUP interrupt this process as Ctrl-C does, even if it ignores Ctrl-C."""
     is_ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
         if number != signal.SIGINT or not is_ignored:
+            _received.append(number)
             raise KeyboardInterrupt
 
     def forward(number: int, frame: FrameType | None) -> None:

@@ -19,6 +19,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import CliRunner
 
+import slipfree.__main__ as entry
 from helpers.cases import hills
 from helpers.toy_models import model
 from slipfree import Analytic, SolverOptions, codegen_cache, direct_kinematics, settle
@@ -614,6 +615,23 @@ def test_other_signals_interrupt_as_well(name):
         _held(lambda: signal.raise_signal(getattr(signal, name)), check_interrupt)
     with pytest.raises(KeyboardInterrupt):
         with_interrupt_guard(fail)()
+
+
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize("pressed", [True, False])
+def test_an_interrupted_import_prints_no_traceback(pressed, monkeypatch, capsys):
+    def imported():
+        if pressed:
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGTERM)
+        raise ImportError("numpy is not complete")
+
+    monkeypatch.setattr("slipfree.interrupt._received", [])
+    monkeypatch.setattr("slipfree.cli.main", imported)
+    with pytest.raises(SystemExit if pressed else ImportError) as ended:
+        entry.main()
+    if pressed:
+        assert (ended.value.code, capsys.readouterr().err) == (130, "interrupted\n")
 
 
 def test_a_plan_before_its_first_iteration_writes_nothing(folder, monkeypatch):
