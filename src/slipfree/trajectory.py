@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from slipfree.core.facts import Fact, Facts, encode
 from slipfree.errors import ModelError, SlipfreeError, missing_package
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Label, field_overview, overview
@@ -21,7 +22,7 @@ TIME = {"units": "s", "long_name": "time", "standard_name": "time", "axis": "T"}
 WHEELS = {"long_name": "name of the wheel"}
 STATISTICS = "statistics_"  # prefix of the solver's statistics in the metadata
 STOP = ("stop_name", "stop_time", "stop_words")
-OUTCOME = "outcome"
+OUTCOME, FACTS = "outcome", "facts"
 PLAN, PLAN_ACCURACY, PLAN_SHARE = "plan", "plan_accuracy", "plan_share"
 PLAN_UNVERIFIED = "plan_unverified"
 PLAN_STOPS = (PLAN, PLAN_ACCURACY, PLAN_SHARE, PLAN_UNVERIFIED)  # names of stops of plans
@@ -115,6 +116,8 @@ class Trajectory:
         requested time.
     statistics : mapping of str to float
         Statistics of the solver, such as numbers of steps and computing times, by name.
+    facts : mapping of str to Fact
+        Numbers of diagnostics that the samples do not contain, such as prices of limits, by name.
     attributes : mapping of str to str
         Descriptions of the motion, such as its problem file and versions, by name.
     events : mapping of str to ndarray
@@ -138,6 +141,7 @@ class Trajectory:
     stop: Stop | None = None
     statistics: Mapping[str, float] = field(default_factory=dict)
     attributes: Mapping[str, str] = field(default_factory=dict)
+    facts: Mapping[str, Fact] = field(default_factory=dict)
     events: Mapping[str, Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -200,6 +204,10 @@ class Trajectory:
         """Yield the names of the quantities."""
         return iter(self.columns)
 
+    def with_facts(self, facts: Facts) -> Trajectory:
+        """Return the motion with further facts, which replace those of the same names."""
+        return replace(self, facts={**self.facts, **facts})
+
     def part(self, span: slice, stop: Stop | None = None) -> Trajectory:
         """Return a part of the trajectory.
 
@@ -223,10 +231,11 @@ class Trajectory:
 
     @property
     def metadata(self) -> dict[str, str | float]:
-        """Attributes, statistics, outcome and stop reason of the motion in one mapping."""
+        """Attributes, statistics, facts, outcome and stop reason of the motion in one mapping."""
         found: dict[str, str | float] = dict(self.attributes)
         found |= {f"{STATISTICS}{name}": value for name, value in self.statistics.items()}
         found[OUTCOME] = self.outcome.name.lower()
+        found |= {FACTS: encode(self.facts)} if self.facts else {}
         return found | (dict(zip(STOP, self.stop[:3], strict=True)) if self.stop else {})
 
     def to_xarray(self) -> xarray.Dataset:

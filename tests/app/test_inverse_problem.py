@@ -108,9 +108,9 @@ def test_given_rates(folder: Path) -> None:
     assert_allclose(motion["steer"][0], np.arctan2(-0.01255 + 0.0159, 0.12865), atol=1e-9)
     assert_allclose(motion["right_rate"][0] - motion["left_rate"][0], 2 * 0.0159 / 0.3, atol=1e-9)
     assert {"steer_rate", "steering_slip"} < set(motion)
-    trip = max(v for k, v in motion.statistics.items() if k.startswith("round_trip_"))
+    trip = max(v.value for k, v in motion.facts.items() if k.startswith("round_trip_"))
     assert trip < 1.1 * motion["steering_slip"].max() + 1e-12  # no more than the steering slips
-    assert motion.statistics["replay_x"] < 1e-4
+    assert motion.facts["replay_x"].value < 1e-4
     assert motion.attributes["driven_by"].startswith("velocity_x 0.01255 m/s")
     assert "steering_slip" in (folder / "p.csv").read_text().splitlines()[0]
     info = _invoke("info", "p.nc")
@@ -158,7 +158,7 @@ def test_along_a_path(folder: Path, file: str) -> None:
         assert words in result.stdout, words
     motion = netcdf.read(folder / file.replace("toml", "nc"))
     assert_allclose(motion["y"], 0.135 * motion.t, atol=1e-6)
-    assert 0 < motion.statistics["replay_steer"] < 1e-3
+    assert 0 < motion.facts["replay_steer"].value < 1e-3
     assert "replay by the direct model" in _invoke("info", file.replace("toml", "nc")).stdout
 
 
@@ -209,10 +209,10 @@ def test_steering_by_rate_is_stable_where_its_contact_trails() -> None:
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     motion = netcdf.read("p.nc")
     assert motion["steering_growth"].max() < 0
-    trip = [v for k, v in motion.statistics.items() if k.startswith("round_trip_")]
+    trip = [v.value for k, v in motion.facts.items() if k.startswith("round_trip_")]
     assert len(trip) == 3
     assert max(trip) < 1e-12
-    assert motion.statistics["replay_x"] < 1e-6
+    assert motion.facts["replay_x"].value < 1e-6
 
 
 @pytest.mark.slow
@@ -419,7 +419,7 @@ def test_the_shipped_problems_run() -> None:
     assert motion.stop is None
     assert motion.t[-1] == 3.0
     assert motion["steering_growth"].max() > 0  # integrating it would be unstable
-    assert max(v for k, v in motion.statistics.items() if k.startswith("replay_")) < 1e-3
+    assert max(v.value for k, v in motion.facts.items() if k.startswith("replay_")) < 1e-3
 
 
 def test_the_shipped_path_is_passed_whole() -> None:

@@ -15,6 +15,7 @@ from pydantic import Field
 from typer.testing import CliRunner
 
 from slipfree.cli import app
+from slipfree.core.facts import Fact
 from slipfree.files.netcdf import NOTHING
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.problem.build_common import Setup, build_start, build_terrain, build_vehicle
@@ -22,7 +23,6 @@ from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.result import open_result
 from slipfree.problem.schema import VERB, Motion, Time
 from slipfree.problem.verbs import registry
-from slipfree.problem.verbs.base import Quantity
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.records import leaves
 from slipfree.show.plots import Plot
@@ -57,13 +57,13 @@ class StandVerb(DriveVerb):
         """Return the start."""
         return setup.start, NOTHING
 
-    def own_facts(self, run: Any) -> Any:
+    def own_lines(self, run: Any) -> Any:
         """Return the load on each wheel."""
         return [(f"load on wheel {w}", f"{run['force_normal', w][0]:.4g} N") for w in run.wheels]
 
-    def metrics(self, run: Any, spec: Any) -> dict[str, Quantity]:
-        """Return the least load."""
-        return {"load_least": Quantity(run["force_normal"].min(), "N")}
+    def facts(self, run: Any) -> dict[str, Fact]:
+        """Return the least load beside the facts of every motion."""
+        return super().facts(run) | {"load_least": Fact(float(run["force_normal"].min()), "N")}
 
     def figures(self, result: Any) -> tuple[Plot, ...]:
         """Return a bar for each wheel."""

@@ -15,7 +15,7 @@ from slipfree.plan import plan as planning
 from slipfree.plan.convergence import convergence_from
 from slipfree.plan.ipopt import IPOPT_TOLERANCE
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import open_result
+from slipfree.problem.result import motion_facts, open_result
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan import PlanVerb, figure_options
@@ -158,7 +158,7 @@ def test_the_law_of_friction_plans_a_gentle_ground():
     motion = run_problem(load_problem(hills, settings)).trajectory
     assert motion.stop is None
     assert "friction_used_along" in motion.columns
-    assert "by_friction" not in motion.attributes
+    assert not any(name.startswith("friction_") for name in motion.facts)
     assert abs(motion["y"][-1] - 1.3) < 1e-4
 
 
@@ -216,11 +216,11 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
 @pytest.mark.slow
 def test_work_of_the_drives_is_planned_with():
     motion = run_problem(load_problem(HILLS, [*QUICK, "costs.energy=1.0"])).trajectory
-    counts = motion.statistics
+    energy = motion.facts["plan_cost_energy"].value
     powers = np.maximum(motion["drive_torque"] * motion["wheel_rate"], 0.0).sum(axis=1)
     work = np.trapezoid(powers, motion.t)
-    assert abs(counts["plan_cost_energy"] - work) < 0.1 * 2 * 10.0  # blended by 0.1 W a wheel
-    assert counts["plan_cost_energy"] > 0
+    assert abs(energy - work) < 0.1 * 2 * 10.0  # blended by 0.1 W a wheel
+    assert energy > 0
 
 
 @pytest.mark.slow
@@ -241,16 +241,16 @@ def test_convergence_and_initial_guess_are_stored_and_drawn(tmp_path):
     write(tmp_path / "hills.nc", found.trajectory, found.arrays)
     result = open_result(tmp_path / "hills.nc", HILLS.parent)
     run, searches = result.trajectory, convergence_from(result.arrays)
-    names = run.attributes["plan_searches"].splitlines()
+    names = run.facts["plan_searches"].value
     assert names[:2] == ["without slip cost", "with slip cost"]
     assert len(names) == len(searches)
     # the initial guess of each search counts as an iterate
     iterations = sum(each.cost.size - 1 for each in searches.values())
-    assert iterations == run.statistics["plan_iterations"]
+    assert iterations == run.facts["plan_iterations"].value
     for search in searches.values():
         assert max(search.violation[-1], search.dual_infeasibility[-1]) <= IPOPT_TOLERANCE
-    cost = 1e3 * run.statistics["plan_cost_slip"] + 0.01 * run.statistics["plan_cost_effort"]
-    cost += 0.002 * run.statistics["plan_cost_smoothness"]
+    cost = 1e3 * run.facts["plan_cost_slip"].value + 0.01 * run.facts["plan_cost_effort"].value
+    cost += 0.002 * run.facts["plan_cost_smoothness"].value
     assert searches[len(names) - 1].cost[-1] == pytest.approx(cost, rel=1e-6)
     figures = {plot.name: plot for plot in PlanVerb().figures(result)}
     assert [*figures][-1] == "convergence"
@@ -283,7 +283,7 @@ def test_a_goal_a_turn_away_is_reached_the_short_way(tmp_path: Path):
     motion = result.trajectory
     assert motion.stop is None
     assert to_problem_frame(motion)["heading"][-1] == pytest.approx(np.deg2rad(10), abs=1e-3)
-    assert motion.attributes["plan_turns"] == (
+    assert dict(motion_facts(motion))["whole turns"] == (
         "heading is 0.174533 rad at the end, a turn less than 6.457718232: the same position, "
         "reached the short way"
     )
@@ -295,5 +295,6 @@ def test_a_caster_that_ends_a_turn_from_the_plan_is_in_the_same_position(tmp_pat
     motion = result.trajectory
     assert result.outcome is Outcome.COMPLETE
     assert motion.t.size < 400  # no finer mesh
-    assert motion.statistics["plan_difference_caster_angle"] < 1e-3
-    assert "caster_angle ends a turn" in motion.attributes["plan_turns"]
+    assert motion.facts["plan_difference_caster_angle"].value < 1e-3
+    (turned,) = motion.facts["plan_turns"].value
+    assert (turned["angle"], abs(turned["turns"]), turned["than"]) == ("caster_angle", 1, "plan")

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import slipfree as sf
+from slipfree.core.facts import Fact
 from slipfree.geometry.regions import Region
 from slipfree.plan.convergence import Convergence, convergence_arrays, convergence_from
 from slipfree.routing.traversability import blocked_by, traversability
@@ -42,8 +43,9 @@ def run(grid) -> Trajectory:
     start = sf.settle(dae, x=6.0, y=8.0, heading=-0.9)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.45, steer_rate=0.01)
     run = sf.simulate(dae, start, inputs, np.arange(0.0, 6.05, 0.2))
-    statistics = {**run.statistics, "plan_difference_x": 1.2e-4, "plan_difference_heading": 3e-5}
-    return replace(run, statistics=statistics)
+    return run.with_facts(
+        {"plan_difference_x": Fact(1.2e-4, "m"), "plan_difference_heading": Fact(3e-5, "rad")}
+    )
 
 
 @pytest.fixture

@@ -74,7 +74,7 @@ def test_rocks_stop_a_rigid_wheel_and_are_crossed_as_it_feels_them():
 def test_a_rover_with_four_steered_wheels_carries_out_commands():
     trajectory = motion("crab_inverse")
     assert trajectory.stop is None
-    assert trajectory.statistics["replay_x"] < 1e-3
+    assert trajectory.facts["replay_x"].value < 1e-3
     steering = [name for name in trajectory if name.startswith("steer_") and name[-6:] == "_error"]
     assert len(steering) == 4
     settled = np.max([np.abs(trajectory[name]) for name in steering], axis=0) < 0.02

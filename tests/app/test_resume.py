@@ -41,7 +41,7 @@ def solved(tmp_path_factory):
 
 
 def iterations(file):
-    return netcdf.read(file).statistics["plan_iterations"]
+    return netcdf.read(file).facts["plan_iterations"].value
 
 
 @pytest.mark.slow

@@ -385,7 +385,7 @@ def test_commands_in_time_from_a_file(folder: Path) -> None:
     late = run.t > 0.49
     assert_allclose(run["yaw_rate"], np.where(late, 0.3, 0.0), rtol=0, atol=0)
     assert_allclose(run["right"], np.where(late, 0.1, -0.1), rtol=0, atol=0)
-    assert run.statistics["replay_x"] < 1e-4
+    assert run.facts["replay_x"].value < 1e-4
     assert 0.45 < np.abs(run["fr_rate"]).max() <= 0.5 < np.abs(run["fl_rate"]).max()
     problem = load_problem(folder / "p.toml", ["given={file='cmd.csv'}"])
     assert set(input_files(problem)) == {"crab.toml", "cmd.csv"}

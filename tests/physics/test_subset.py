@@ -329,8 +329,8 @@ def test_problem_file() -> None:
     run = netcdf.read("out.nc")
     assert_allclose(planar(run)["yaw_rate"], 0.1 * np.cos(0.5 * run.t), rtol=0, atol=1e-12)
     assert_allclose(planar(run)["forward"], 0.1, rtol=0, atol=1e-12)
-    assert max(run.statistics[f"round_trip_{name}"] for name in MOTION) <= 1e-12
-    assert run.statistics["replay_x"] < 1e-4
+    assert max(run.facts[f"round_trip_{name}"].value for name in MOTION) <= 1e-12
+    assert run.facts["replay_x"].value < 1e-4
     assert np.abs(run["steer_front_left_error"][0]) < 1e-9
     assert {"front_right_rate", "steer_rear_left_rate", "right"} < set(run)
 

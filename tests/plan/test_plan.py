@@ -222,7 +222,7 @@ def test_run_plans_simulates_and_tells():
     assert "duration 20 s: 0.1 s more saves " in told["prices of limits"]
     run = netcdf.read(Path("p.nc"))
     assert run["y"][-1] == pytest.approx(2.6, abs=1e-3)
-    assert run.statistics["plan_iterations"] > 0
+    assert run.facts["plan_iterations"].value > 0
 
 
 @pytest.mark.slow

@@ -42,16 +42,15 @@ def test_a_plan_keeps_its_limit_on_slip(result):
 def test_its_energy_is_the_work_of_the_drives(result):
     run = result.trajectory
     work = run["work"][-1] - run["work"][0]
-    assert run.statistics["plan_cost_energy"] == pytest.approx(work, rel=0.02)
+    assert run.facts["plan_cost_energy"].value == pytest.approx(work, rel=0.02)
 
 
 def test_dynamics_in_the_same_soil_confirms_it(result):
-    words = result.trajectory.attributes["in_soil"]
-    away = float(words.removeprefix("ends ").partition(" m ")[0])
+    away = result.trajectory.facts["soil_end_distance"].value
     assert away < 0.03
-    facts = dict(verb_of(result.problem).facts(result.trajectory))
-    assert facts["simulated with inertia"] == words
-    assert "drawbar-pull reserve" in facts["soil"]
+    lines = dict(verb_of(result.problem).summary(result.trajectory))
+    assert lines["simulated with inertia"].startswith(f"ends {away:.3g} m from the plan")
+    assert "drawbar-pull reserve" in lines["soil"]
 
 
 def test_the_figure_of_the_contact_shows_the_reserve(result):

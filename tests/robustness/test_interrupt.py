@@ -651,7 +651,7 @@ def test_a_plan_behind_its_first_iteration_is_kept(folder, monkeypatch):
     assert "to resume: slipfree run" in found.stderr
     assert "--resume p.nc" in found.stderr
     kept = netcdf.read(folder / "p.nc")
-    assert kept.statistics["plan_iterations"] == 1
+    assert kept.facts["plan_iterations"].value == 1
     assert kept.stop.name == "plan"
 
 
@@ -674,7 +674,7 @@ def test_a_plan_interrupted_after_its_search_is_kept(folder, monkeypatch, where)
     assert seen == ["plan_unverified"]
     assert kept.outcome.name == "INTERRUPTED"
     assert kept.stop.name == ("plan_unverified" if where == "verification" else "interrupted")
-    assert ("plan_difference_x" in kept.statistics) == (where == "by_friction")
+    assert ("plan_difference_x" in kept.facts) == (where == "by_friction")
     assert arrays["plan_unknowns"].size
     assert "--resume p.nc" in found.stderr
 

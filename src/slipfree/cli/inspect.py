@@ -156,7 +156,7 @@ def info(
     """Print outcome, attributes and ranges of the quantities of a result file."""
     with reported(), about(file):
         from slipfree.files.netcdf import read
-        from slipfree.problem.result import motion_facts
+        from slipfree.problem.result import facts_of, motion_facts
         from slipfree.problem.stored_inputs import STORED
         from slipfree.problem.summary import outcome_fact, ranges
 
@@ -181,7 +181,7 @@ def info(
         print_line()
         add_json("outcome", motion.outcome.name.lower)
         add_json("attributes", lambda: attributes)
-        add_json("result", lambda: motion_json(motion))
+        add_json("result", lambda: motion_json(motion, facts_of(motion)))
         show(ranges(motion))
 
 

@@ -5,18 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from slipfree.core.facts import Facts
     from slipfree.problem.verbs.compare import Drive, Row
     from slipfree.trajectory import Stop, Trajectory
 
 
-def motion_json(run: Trajectory) -> dict[str, Any]:
-    """Return the JSON object of a motion: times, stop, wheels, ranges of quantities, statistics."""
+def motion_json(run: Trajectory, facts: Facts) -> dict[str, Any]:
+    """Return the JSON object of a motion: times, stop, wheels, ranges of quantities, facts."""
     return {
         "samples": run.t.size,
         "time": {"unit": "s", "first": run.t[0], "last": run.t[-1]},
         "stop": stop_json(run.stop),
         "wheels": run.wheels,
         "quantities": quantities(run),
+        "facts": {name: fact._asdict() for name, fact in facts.items()},
         "statistics": run.statistics,
     }
 

@@ -295,8 +295,8 @@ def _print_summary(result: Result, verb: MotionVerb) -> None:
     from slipfree.problem.summary import outcome_fact
 
     motion = result.trajectory
-    print_facts([outcome_fact(motion), *result.setup.facts, *verb.facts(motion)])
+    print_facts([outcome_fact(motion), *result.setup.facts, *verb.summary(motion)])
     add_json("outcome", motion.outcome.name.lower)
-    add_json("result", lambda: motion_json(motion))
+    add_json("result", lambda: motion_json(motion, verb.facts(motion)))
     for words in verb.warnings(motion):
         warn(words)

@@ -27,6 +27,7 @@ import numpy.typing as npt
 import scipy
 
 from slipfree.atomic_files import replace_file
+from slipfree.core.facts import Fact, decode
 from slipfree.errors import DataError, ModelError
 from slipfree.files.cf import (
     CRS,
@@ -47,6 +48,7 @@ from slipfree.outcome import Outcome
 from slipfree.records import Array, Label
 from slipfree.regular_files import escape_name, regular_file
 from slipfree.trajectory import (
+    FACTS,
     OUTCOME,
     STATISTICS,
     STOP,
@@ -61,7 +63,7 @@ CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # attribute that identifies a result file
 OLD = "0.1."  # prefix of versions whose results are upgraded
 ORDER = "quantities"  # attribute with the names of the quantities in their order
-RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP, *FEATURE, CRS, TRAJECTORY}
+RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, FACTS, *STOP, *FEATURE, CRS, TRAJECTORY}
 REMEDY = "run the problem again to write a complete file"
 # exceptions of scipy's reader for a damaged file
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
@@ -420,7 +422,16 @@ def _trajectory(file: _File) -> Trajectory:
         stop,
         {k.removeprefix(STATISTICS): file.number(k) for k in found if k.startswith(STATISTICS)},
         attributes,
+        _facts(file),
     )
+
+
+def _facts(file: _File) -> dict[str, Fact]:
+    """Return the facts stored in a result file."""
+    try:
+        return decode(str(file.attributes.get(FACTS, "{}")))
+    except ValueError as error:
+        raise _fault(file.path, f"an unreadable attribute {FACTS!r}") from error
 
 
 def _outcome(file: _File) -> Outcome:

@@ -7,9 +7,9 @@ its price is the sum of the multipliers at these points.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -117,11 +117,27 @@ def limit_prices(program: Program, solution: Solution) -> tuple[Price, ...]:
     return tuple(sorted(found.values(), key=lambda price: -abs(price.share) * price.step))
 
 
-def prices_words(prices: Sequence[Price]) -> str:
-    """Return a text with the largest prices, at most five, and the number of the others.
+def price_rows(prices: Sequence[Price]) -> list[dict[str, Any]]:
+    """Return prices as rows of a table for files."""
+    return [
+        {
+            "quantity": price.label.name,
+            "unit": price.label.unit,
+            **{name: getattr(price, name) for name in Price._fields[1:]},
+        }
+        for price in prices
+    ]
+
+
+def prices_words(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a text with the largest prices in a table, at most five, and the number of the others.
 
     Prices are omitted if a small change of the bound saves less than 0.01 % of the cost.
     """
+    prices = [
+        Price(Label(row["quantity"], row["unit"], ""), *(row[name] for name in Price._fields[1:]))
+        for row in rows
+    ]
     named = [each.words for each in prices if abs(each.share) * each.step >= MIN_SHARE]
     if not named:
         return "no limit increases the cost noticeably"

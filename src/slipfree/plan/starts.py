@@ -141,14 +141,3 @@ def distances(optima: Sequence[LocalOptimum]) -> list[float]:
     """Return the largest distance of each path from the first in m, at equal fractions of time."""
     first = optima[0].path
     return [float(np.linalg.norm(each.path - first, axis=0).max(initial=0.0)) for each in optima]
-
-
-def optima_words(optima: Sequence[LocalOptimum]) -> str:
-    """Return a table of local optima as text, one line each, with cost, duration and distance."""
-    return "\n".join(
-        f"{each.start}: {each.outcome}, cost {each.cost:.6g} ("
-        + ", ".join(f"{name} {value:.4g}" for name, value in each.terms.items())
-        + f"), duration {each.duration:.4g} s, path up to {away:.2g} m from the best one; "
-        f"{each.seconds:.2g} s of search"
-        for each, away in zip(optima, distances(optima), strict=True)
-    )

@@ -16,7 +16,7 @@ from slipfree.problem import schema
 from slipfree.problem.build_ground import Ground, at, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.problem import Problem, S
-from slipfree.problem.summary import Facts
+from slipfree.problem.summary import Lines
 from slipfree.problem.unit_checks import check_units
 from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
@@ -71,7 +71,7 @@ class Setup:
     every: int = field(default=0, kw_only=True)
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> Lines:
         """Facts about ground, vehicle and inputs: pairs of name and description."""
         drive = ("driven by", self.driven)
         return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), drive]
@@ -241,7 +241,7 @@ def _names(labels: Iterable[Any]) -> list[str]:
     return [label.full for label in leaves(labels)]
 
 
-def vehicle_facts(vehicle: Vehicle) -> Facts:
+def vehicle_facts(vehicle: Vehicle) -> Lines:
     """Return facts about a vehicle, pairs of name and text: wheels, mass and notes of its file."""
     wheels = ", ".join(
         f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels

@@ -17,13 +17,12 @@ from slipfree.files.toml.source_lines import Place
 from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S
 from slipfree.problem.sharing import shared
-from slipfree.problem.summary import Facts
+from slipfree.problem.summary import Lines
 from slipfree.terrain.base import Grid
 from slipfree.terrain.friction import check_friction
 from slipfree.terrain.grid_ops import MAX_NODES, cut, disturbed, scaled, smoothed
 from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, place_rocks
-from slipfree.trajectory import Trajectory
 
 OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys of map files only
 LATER = {"smooth", "error", "rolled", "friction", "obstacles"}  # keys that do not affect the map
@@ -56,7 +55,7 @@ class Ground(NamedTuple):
     rolled: Rolled | None
     mu: float | Grid | None
     friction: str
-    facts: Facts
+    facts: Lines
     coordinates: tuple[MapCoordinate, ...]
 
 
@@ -138,7 +137,7 @@ def _scale_words(spec: schema.Terrain) -> str:
     return f" scaled by {horizontal:g} in x and y, by {vertical:g} in height"
 
 
-def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
+def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Lines]:
     """Return the ground after optional smoothing and elevation error, and facts about them."""
     spec, facts = problem.spec.terrain, []
     if spec.smooth is not None:
@@ -175,7 +174,7 @@ def _map_coordinates(found: Map, horizontal: float, vertical: float) -> tuple[Ma
     )
 
 
-def _map_facts(crs: str, coordinates: Iterable[MapCoordinate]) -> Facts:
+def _map_facts(crs: str, coordinates: Iterable[MapCoordinate]) -> Lines:
     """Return facts about a map file: its reference system, and formulas of its coordinates."""
     facts = [("map crs", crs)] if crs else []
     formulas = [
@@ -302,30 +301,7 @@ def _synthetic(spec: schema.Synthetic) -> Grid:
     return place_rocks(grid, map(Rock._make, spec.placed_rocks))
 
 
-def filled_words(grid: Grid, run: Trajectory) -> str:
-    """Return a text on the parts of wheel paths that lie on filled holes of the map.
-
-    The text is empty if the map has no filled holes.
-    """
-    if grid.filled is None:
-        return ""
-    on = grid.touches(grid.filled, run["contact_x"], run["contact_y"])
-    count, size = np.count_nonzero(on.any(axis=1)), run.t.size
-    if not count:
-        return f"no wheel on interpolated heights at any of {size} samples"
-    steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
-    lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
-    parts = [
-        f"{wheel} {part:.4g} of {whole:.4g} m"
-        for wheel, part, whole in zip(run.wheels, lengths, steps.sum(axis=0), strict=True)
-    ]
-    return (
-        f"{count} of {size} samples have a wheel on interpolated heights; along the contact "
-        f"points: {', '.join(parts)}"
-    )
-
-
-def ground_facts(ground: Ground) -> Facts:
+def ground_facts(ground: Ground) -> Lines:
     """Return facts about a ground, pairs of name and text: origin, size, heights and friction."""
     grid = ground.grid
     (n_x, n_y), (h_x, h_y) = grid.z.shape, grid.spacing

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.core.facts import Fact
 from slipfree.errors import DataError, ModelError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.outcome import Outcome
@@ -22,7 +23,7 @@ from slipfree.plan.warm_start import SavedPlan, from_arrays
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
 from slipfree.problem.solve import build, run_problem
-from slipfree.problem.verbs.base import Quantity, Result
+from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan_schema import Plan
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.processes import Processes, finish_tasks
@@ -352,7 +353,7 @@ def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
     run, spec = result.trajectory, problem.spec
     # The set-up and the problem's loader do not fit into a pipe; the set-up is rebuilt on request.
     result = replace(result, setup=None, load=partial(load_again, *task[:3], task.trusted))
-    costs, verb = run.statistics, verb_of(problem)
+    costs, verb = {name: fact.value for name, fact in run.facts.items()}, verb_of(problem)
     duration = float(run.t[-1] - run.t[0])
     if result.outcome is not Outcome.COMPLETE:
         return FrontPoint(task.bound, outcome=result.outcome, words=outcome_words(run))
@@ -363,7 +364,7 @@ def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
     plan = FrontPlan(
         result,
         from_arrays(result.arrays, str(task.path)),
-        verb.metrics(run, spec).get("slip_per_path", Quantity(np.nan, "")).value,
+        verb.facts(run).get("slip_per_path", Fact(np.nan)).value,
         squared,
         duration,
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from slipfree.plan.messages import unit_words
 from slipfree.problem.pareto import PlanFront
-from slipfree.problem.summary import Facts
+from slipfree.problem.summary import Lines
 
 if TYPE_CHECKING:
     from slipfree.show.plots import Plot
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 MISSING = "-"  # number of a point that is not solved
 
 
-def front_facts(front: PlanFront) -> Facts:
+def front_facts(front: PlanFront) -> Lines:
     """Return the facts about the given plan, the least second objective, and the front's points."""
     unit, given = unit_words(front.unit), front.given
     solved = sum(each.is_solved for each in front.points)

@@ -188,22 +188,19 @@ def _plan_of(result: Any, seconds: float) -> FoundPlan:
     """Return path and facts of a result; ``seconds`` is the time of the whole search."""
     import numpy as np
 
+    from slipfree.core.facts import starting_with
     from slipfree.trajectory import outcome_words, path_length
 
     run = result.trajectory
-    numbers = run.statistics
+    costs = starting_with("plan_cost_", run.facts)
     slip = np.hypot(run["slip_along"], run["slip_across"])
     facts = [
         ("outcome", outcome_words(run)),
         ("duration", f"{run.t[-1] - run.t[0]:.4g} s"),
         ("path length", f"{path_length(run):.4g} m"),
-        *(
-            (f"cost {name.removeprefix('plan_cost_').replace('_', ' ')}", f"{value:.4g}")
-            for name, value in numbers.items()
-            if name.startswith("plan_cost_")
-        ),
+        *((f"cost {name.replace('_', ' ')}", f"{cost.value:.4g}") for name, cost in costs.items()),
         ("largest slip", f"{slip.max():.3g} m/s"),
-        ("iterations", f"{numbers.get('plan_iterations', np.nan):.0f}"),
+        ("iterations", f"{run.facts['plan_iterations'].value:.0f}"),
         ("time of the search", f"{seconds:.1f} s"),
     ]
     chosen = np.unique(np.linspace(0, run.t.size - 1, SAMPLES).round().astype(int))

@@ -13,7 +13,7 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.input_files import digest
 from slipfree.problem.result import Result, motion_facts, open_result
 from slipfree.problem.stored_inputs import STORED
-from slipfree.problem.summary import Facts, outcome_fact, ranges
+from slipfree.problem.summary import Lines, outcome_fact, ranges
 from slipfree.problem.verbs.base import MotionVerb
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
 from slipfree.show.html_report import Report
@@ -29,11 +29,7 @@ ELSEWHERE = (  # attributes reported in other sections
     "history",
     "title",
     "climb",
-    "plan_violations",
     "slow_climb",
-    "by_friction",
-    "replay_stopped",
-    "failed_diagnostics",
     "date_created",
     "problem_folder",
     STORED,
@@ -95,7 +91,7 @@ def _lead(run: Trajectory, verb: MotionVerb | None) -> str:
     return f"{words[0].upper()}{words[1:]}."
 
 
-def _set_up(found: Mapping[str, str]) -> Facts:
+def _set_up(found: Mapping[str, str]) -> Lines:
     """Return the facts of a result about ground, vehicle and inputs."""
     return [
         (name.replace("_", " "), words)
@@ -104,7 +100,7 @@ def _set_up(found: Mapping[str, str]) -> Facts:
     ]
 
 
-def _versions(file: Path, found: Mapping[str, str]) -> Facts:
+def _versions(file: Path, found: Mapping[str, str]) -> Lines:
     """Return the facts about versions, date and digest of a result file."""
     parts = [
         (name.removesuffix(VERSION), words)

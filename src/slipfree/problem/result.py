@@ -11,6 +11,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from slipfree.core.facts import Fact
 from slipfree.errors import DataError, SlipfreeError
 from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
@@ -20,7 +21,7 @@ from slipfree.problem.load import load_earlier
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Runnable
 from slipfree.problem.stored_inputs import STORED, read_stored, restored_vehicle
-from slipfree.problem.summary import Facts, plain_facts
+from slipfree.problem.summary import Lines, plain_facts
 from slipfree.problem.verbs.base import VERB_ATTRIBUTE
 from slipfree.problem.verbs.base import Result as Result
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
@@ -58,10 +59,16 @@ def open_result(
     return Result(kind, run, verification, None, read_arrays(file), problem)
 
 
-def motion_facts(run: Trajectory) -> Facts:
-    """Return the facts of the summary of a motion, pairs of name and text."""
+def motion_facts(run: Trajectory) -> Lines:
+    """Return the summary of a motion, pairs of name and text."""
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
-    return plain_facts(run) if verb is None else verb.facts(run)
+    return plain_facts(run) if verb is None else verb.summary(run)
+
+
+def facts_of(run: Trajectory) -> Mapping[str, Fact]:
+    """Return the facts of a motion, by name."""
+    verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
+    return run.facts if verb is None else verb.facts(run)
 
 
 def shown(file: Path, name: str, folder: Path | None = None) -> Any:

@@ -7,10 +7,10 @@ import numpy as np
 from slipfree.frames import to_problem_frame
 from slipfree.trajectory import Trajectory, outcome_words
 
-Facts = list[tuple[str, str]]
+Lines = list[tuple[str, str]]
 
 
-def ranges(run: Trajectory) -> Facts:
+def ranges(run: Trajectory) -> Lines:
     """Return the facts about the range of every quantity over time and wheels.
 
     On a ground without a friction coefficient, ``utilisation`` equals ``friction_needed`` and is
@@ -37,7 +37,7 @@ def has_friction(run: Trajectory) -> bool:
     return given or not np.array_equal(run["utilisation"], run["friction_needed"])
 
 
-def plain_facts(run: Trajectory) -> Facts:
+def plain_facts(run: Trajectory) -> Lines:
     """Return the facts about duration and cost of a motion."""
     return [duration_fact(run), integrator_fact(run)]
 

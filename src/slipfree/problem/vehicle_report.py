@@ -20,7 +20,7 @@ from slipfree.models.records import is_determinate
 from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
-from slipfree.problem.summary import Facts
+from slipfree.problem.summary import Lines
 from slipfree.records import Array, leaves, unpack
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
@@ -47,7 +47,7 @@ class Description(NamedTuple):
     """
 
     tree: list[str]
-    facts: Facts
+    facts: Lines
     faults: tuple[str, ...]
 
 
@@ -104,7 +104,7 @@ def _drawn(vehicle: Vehicle | Draft) -> list[str]:
     return [f"{vehicle.name}, in axes x right, y forward, z up", *tree(vehicle)]
 
 
-def _notes(vehicle: Vehicle | Draft) -> Facts:
+def _notes(vehicle: Vehicle | Draft) -> Lines:
     return [("vehicle file", note) for note in vehicle.notes]
 
 
@@ -198,7 +198,7 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
     yield "contact forces", f"{count}: {how}"
 
 
-def counts(vehicle: Vehicle, dae: Dae) -> Facts:
+def counts(vehicle: Vehicle, dae: Dae) -> Lines:
     """Return the facts about the numbers of unknowns and equations of a vehicle's motion."""
     wheels = len(vehicle.wheels)
     position, rates, _ = dae.labels.z
@@ -258,7 +258,7 @@ def _equations(dae: Dae) -> str:
     return dae.labels.alg[1][0].name.replace("_", " ")
 
 
-def _shares(draft: Draft) -> Facts:
+def _shares(draft: Draft) -> Lines:
     """Return the facts about wheels and joints of the draft of an invalid vehicle."""
 
     def listed(names: list[str]) -> str:
@@ -276,7 +276,7 @@ def _shares(draft: Draft) -> Facts:
     ]
 
 
-def conditioning(dae: Dae, start: Trajectory) -> Facts:
+def conditioning(dae: Dae, start: Trajectory) -> Lines:
     """Return the condition numbers of the equations at a start, with the least determined unknowns.
 
     The condition numbers are those of the Jacobians in metres and radians, separately for the

@@ -22,7 +22,7 @@ from slipfree.laws.soil import Soil, WheelSize
 from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
 from slipfree.problem.law_record import given_values
 from slipfree.problem.soil_table import named_soil, soil_of
-from slipfree.problem.summary import Facts
+from slipfree.problem.summary import Lines
 from slipfree.records import Array
 
 COLUMNS = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
@@ -204,7 +204,7 @@ def _error(soil: Soil, size: WheelSize, name: str, points: Measured) -> tuple[fl
     return float(np.sqrt(np.mean(misses**2))), float(np.mean(misses))
 
 
-def wheel_facts(test: WheelTest) -> Facts:
+def wheel_facts(test: WheelTest) -> Lines:
     """Return the facts about a wheel test: wheel, soil, curves, and difference from measurement."""
     curves, soil = test.curves, test.soil
     facts = [

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 
+from slipfree.core.facts import starting_with
 from slipfree.geometry.regions import Region
 from slipfree.plan.convergence import Convergence
 from slipfree.records import Array, Mask
@@ -387,12 +388,10 @@ def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
 
 def _deviation_note(run: Trajectory) -> str:
     """Return a note on the deviation of the simulation from the plan; empty if it is unknown."""
-    start = "plan_difference_"
     missed = [
-        f"{style.words(name.removeprefix(start))} {value:.1e} {unit}"
-        for name, value in run.statistics.items()
-        if name.startswith(start)
-        and (unit := style.unit(run.columns[name.removeprefix(start)].label.unit))
+        f"{style.words(name)} {gap.value:.1e} {unit}"
+        for name, gap in starting_with("plan_difference_", run.facts).items()
+        if (unit := style.unit(gap.unit))
     ]
     return (
         f"Simulated with the planned inputs; deviates from the plan by {', '.join(missed)}."

@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any
 
+from slipfree.core.facts import Fact, numbers
 from slipfree.frames import to_problem_frame
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.base import Quantity
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.task import COMPLETE
 from slipfree.trajectory import Trajectory
@@ -37,10 +37,11 @@ def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
         violates no limit by more than ``plan.accuracy``.
     """
     verb, run = verb_of(problem), to_problem_frame(run)
-    found = {COMPLETE: Quantity(float(run.stop is None), "1")}
-    found |= verb.metrics(run, problem.spec)
-    found |= {
-        name: Quantity(value, "") for name, value in run.statistics.items() if CLOCK not in name
+    found = {COMPLETE: Fact(float(run.stop is None), "1")}
+    found |= numbers(verb.facts(run))
+    found |= {name: Fact(value) for name, value in run.statistics.items()}
+    return {
+        name: (float(fact.value), fact.unit)
+        for name, fact in found.items()
+        if CLOCK not in name and isfinite(fact.value)
     }
-    found |= verb.verification(run)
-    return {name: (float(q.value), q.unit) for name, q in found.items() if isfinite(q.value)}

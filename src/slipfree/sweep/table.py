@@ -19,7 +19,7 @@ from slipfree.sweep.log import FAILED, LOST, Row, Rows
 from slipfree.sweep.task import COMPLETE
 
 if TYPE_CHECKING:
-    from slipfree.problem.summary import Facts
+    from slipfree.problem.summary import Lines
 
 NAME = "table.csv"
 MAX_FAILURES = 3  # number of printed failures
@@ -106,7 +106,7 @@ def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
 
 def sweep_facts(
     sweep: Sweep, rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]
-) -> Facts:
+) -> Lines:
     """Return the facts of the summary of a sweep, pairs of name and text."""
     spreads = (fact for name in figures for fact in _spreads(found[name]))
     return [*_outcomes(sweep, rows), *_within_limits(len(rows), found.get(KEPT)), *spreads]
@@ -176,7 +176,7 @@ def drawn_grids(rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]) 
     return [each for each in swept if np.isfinite(each.values).any()]
 
 
-def plan_facts(sweep: Sweep) -> Facts:
+def plan_facts(sweep: Sweep) -> Lines:
     """Return the facts of a sweep before it runs: number of runs, values and seeds."""
     sizes = [len(axis.values) for axis in sweep.axes] + [sweep.repeat] * bool(sweep.seeds)
     times = f" = {' x '.join(map(str, sizes))}" if len(sizes) > 1 else ""

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, 
 import numpy as np
 from typing_extensions import TypeVar  # with a default
 
+from slipfree.core.facts import Fact
 from slipfree.files.netcdf import NOTHING
 from slipfree.interrupt import check_interrupt
 from slipfree.outcome import Outcome
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
-from slipfree.problem.summary import Facts
+from slipfree.problem.summary import Lines
 from slipfree.records import Array
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
@@ -34,15 +35,8 @@ if TYPE_CHECKING:
     from slipfree.show.scene import Scene
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
-FAILED_DIAGNOSTICS = "failed_diagnostics"  # attribute with names and errors of diagnostics
+FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagnostics
 CROSS_CHECK, RESUME, ANIMATION = "cross-check", "resume", "animation"  # options of slipfree run
-
-
-class Quantity(NamedTuple):
-    """A metric: its value and its unit."""
-
-    value: float
-    unit: str
 
 
 class Setup(Protocol):
@@ -57,7 +51,7 @@ class Setup(Protocol):
         """Times of the samples [s]."""
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> Lines:
         """Facts about ground, vehicle and inputs: pairs of name and text."""
 
 
@@ -140,7 +134,7 @@ def with_diagnostics(
     diagnostics: Mapping[str, Callable[[Trajectory], Trajectory]],
     keep: Callable[[Trajectory], None],
 ) -> Trajectory:
-    """Return a motion with diagnostics; an attribute names those that fail, with the error.
+    """Return a motion with diagnostics; a fact names those that fail, with the error.
 
     Parameters
     ----------
@@ -167,10 +161,9 @@ def with_diagnostics(
             keep(replace(run, stop=stop))
             raise
         except Exception as error:  # a failed diagnostic must not lose the motion
-            failures = [run.attributes.get(FAILED_DIAGNOSTICS, "")]
-            failures.append(f"{name}: {type(error).__name__}: {error}")
-            words = "; ".join(filter(None, failures))
-            run = replace(run, attributes={**run.attributes, FAILED_DIAGNOSTICS: words})
+            earlier = run.facts[FAILED_DIAGNOSTICS].value if FAILED_DIAGNOSTICS in run.facts else []
+            failures = [*earlier, f"{name}: {type(error).__name__}: {error}"]
+            run = run.with_facts({FAILED_DIAGNOSTICS: Fact(failures)})
     return run
 
 
@@ -199,7 +192,7 @@ class Result(Generic[P, D]):
         Name of the verb; empty if the result file does not name a known verb.
     trajectory : Trajectory
         The motion, complete or up to its stop.
-    verification : mapping of str to Quantity
+    verification : mapping of str to Fact
         Largest differences of the motion from an independent computation, and violations of
         limits, by name; empty for verbs without verification.
     setup : Setup or None
@@ -212,7 +205,7 @@ class Result(Generic[P, D]):
 
     kind: str
     trajectory: Trajectory
-    verification: Mapping[str, Quantity]
+    verification: Mapping[str, Fact]
     setup: D
     arrays: Mapping[str, Array]
     load: Callable[[], Problem[P]]
@@ -289,12 +282,15 @@ class MotionVerb(Verb):
         Names of the facts about accuracy and validity, which reports list separately.
     metrics_shown : tuple of str
         Names of the metrics that a sweep shows by default.
+    verified : tuple of str
+        Beginnings of the names of facts that verify a motion; see `verification`.
     """
 
     options: ClassVar[tuple[str, ...]] = ()
     is_timed: ClassVar[bool] = True
     checks: ClassVar[tuple[str, ...]] = ()
     metrics_shown: ClassVar[tuple[str, ...]] = ()
+    verified: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def build(self, problem: Problem[Any]) -> Setup:
@@ -331,16 +327,16 @@ class MotionVerb(Verb):
         """
 
     @abstractmethod
-    def describe_start(self, problem: Problem[Any], setup: Any) -> tuple[Trajectory, Facts]:
+    def describe_start(self, problem: Problem[Any], setup: Any) -> tuple[Trajectory, Lines]:
         """Return the start, with headings in the frame of the problem, and facts about it."""
 
     @abstractmethod
-    def facts(self, run: Trajectory) -> Facts:
-        """Return the facts of the summary of a motion, pairs of name and text."""
+    def facts(self, run: Trajectory) -> dict[str, Fact]:
+        """Return the facts of a motion, those stored in it included, by name."""
 
     @abstractmethod
-    def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
-        """Return the metrics of a motion for sweeps, by name; its statistics are not included."""
+    def summary(self, run: Trajectory) -> Lines:
+        """Return the summary of a motion, pairs of name and text, which show its facts."""
 
     def describe_end(self, run: Trajectory) -> str:
         """Return a description of the end of a complete motion; empty by default."""
@@ -372,12 +368,9 @@ class MotionVerb(Verb):
         """Return warnings about a motion; none by default."""
         return ()
 
-    def verification(self, run: Trajectory) -> dict[str, Quantity]:
-        """Return differences from an independent computation and violations of limits, by name.
-
-        The result is empty by default.
-        """
-        return {}
+    def verification(self, run: Trajectory) -> dict[str, Fact]:
+        """Return differences from an independent computation and violations of limits, by name."""
+        return {name: fact for name, fact in run.facts.items() if name.startswith(self.verified)}
 
     def cross_check(self, result: Result) -> CrossCheck:
         """Return the differences from the other formulation of contact.
@@ -404,63 +397,39 @@ class MotionVerb(Verb):
 
 
 class Extremes(NamedTuple):
-    """Names of the quantities whose last values, extremes or changes are metrics.
+    """Names of the quantities whose last values, extremes or changes are facts.
 
     Attributes
     ----------
     end : tuple of str
-        Quantities whose last value is a metric, such as ``end_x``.
+        Quantities whose last value is a fact, such as ``end_x``.
     largest : tuple of str
-        Quantities whose largest absolute value is a metric, such as ``pitch_largest``.
-    least : tuple of str
-        Quantities whose smallest value is a metric, such as ``clearance_least``.
+        Quantities whose largest absolute value is a fact, such as ``pitch_largest``.
+    least, greatest : tuple of str
+        Quantities whose smallest or greatest value is a fact, such as ``clearance_least`` or
+        ``z_greatest``.
     gained : tuple of str
-        Quantities whose change from start to end is a metric, such as ``work``.
+        Quantities whose change from start to end is a fact, such as ``work``.
     """
 
     end: tuple[str, ...] = ()
     largest: tuple[str, ...] = ()
     least: tuple[str, ...] = ()
+    greatest: tuple[str, ...] = ()
     gained: tuple[str, ...] = ()
 
-    def of(self, run: Trajectory) -> dict[str, Quantity]:
-        """Return the metrics of a motion by name; quantities that it does not have are omitted."""
-        found = {f"end_{name}": (name, run[name][-1]) for name in _shared(self.end, run)}
-        for name in _shared(self.largest, run):
-            found[f"{name}_largest"] = name, np.abs(run[name]).max()
-        for name in _shared(self.least, run):
-            found[f"{name}_least"] = name, run[name].min()
-        for name in _shared(self.gained, run):
-            found[name] = name, run[name][-1] - run[name][0]
+    def of(self, run: Trajectory) -> dict[str, Fact]:
+        """Return the facts of a motion; those of quantities that it does not have are omitted."""
+        rules: tuple[tuple[tuple[str, ...], str, Callable[[Array], Any]], ...] = (
+            (self.end, "end_{}", lambda values: values[-1]),
+            (self.largest, "{}_largest", lambda values: np.abs(values).max()),
+            (self.least, "{}_least", np.fmin.reduce),
+            (self.greatest, "{}_greatest", np.fmax.reduce),
+            (self.gained, "{}", lambda values: values[-1] - values[0]),
+        )
         return {
-            key: Quantity(value, run.columns[name].label.unit)
-            for key, (name, value) in found.items()
+            form.format(name): Fact(float(rule(run[name].ravel())), run.columns[name].label.unit)
+            for names, form, rule in rules
+            for name in names
+            if name in run.columns
         }
-
-
-def _shared(names: Sequence[str], run: Trajectory) -> list[str]:
-    """Return the given names that are quantities of a motion."""
-    return [name for name in names if name in run.columns]
-
-
-def differences(run: Trajectory, *prefixes: str) -> dict[str, Quantity]:
-    """Return the statistics of a motion whose names begin with one of the prefixes, with units.
-
-    The unit is that of the quantity whose name follows the prefix; it is empty if the motion has no
-    such quantity.
-    """
-    found = {}
-    for prefix in prefixes:
-        for name, size in run.statistics.items():
-            if name.startswith(prefix):
-                column = run.columns.get(name.removeprefix(prefix))
-                found[name] = Quantity(size, column.label.unit if column else "")
-    return found
-
-
-def largest_tilt(run: Trajectory) -> dict[str, Quantity]:
-    """Return the largest tilt of all tilting parts as a metric; empty without such parts."""
-    rates = ("_rate", "_stop", "_torque")
-    names = [name for name in run if name.startswith("tilt_") and not name.endswith(rates)]
-    sizes = [float(np.abs(run[name]).max()) for name in names]
-    return {"tilt_largest": Quantity(max(sizes), "rad")} if sizes else {}

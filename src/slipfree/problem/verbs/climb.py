@@ -17,6 +17,7 @@ from slipfree.climb.metrics import climb_window, metrics
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
 from slipfree.control.sensor_noise import Noise
 from slipfree.control.step_climbing import Control, check_period
+from slipfree.core.facts import Fact
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.files.netcdf import NOTHING
@@ -29,19 +30,17 @@ from slipfree.problem.build_common import SampledTimes, sampled_times, samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_solids import OBSTACLES
 from slipfree.problem.problem import Problem
-from slipfree.problem.summary import Facts
+from slipfree.problem.summary import Lines
 from slipfree.problem.verbs import climb_schema
 from slipfree.problem.verbs.base import (
     ANIMATION,
     Extremes,
     MotionVerb,
-    Quantity,
     Result,
     Solution,
     Viewer,
     Watch,
     integrate,
-    largest_tilt,
     with_diagnostics,
 )
 from slipfree.problem.verbs.climb_plan import (
@@ -96,7 +95,7 @@ class Climbing:
         Times of the samples. [s]
     every : int
         Number of controller steps per sample of the result; zero for continuous control.
-    facts : Facts
+    facts : Lines
         Facts about ground, vehicle and control: pairs of name and text.
     plan : Trajectory or None
         Plan to track; None without a plan.
@@ -110,7 +109,7 @@ class Climbing:
     inputs: Any
     t: Array
     every: int
-    facts: Facts
+    facts: Lines
     plan: Trajectory | None = None
 
 
@@ -197,25 +196,25 @@ class ClimbVerb(MotionVerb):
 
     def describe_start(
         self, problem: Problem[climb_schema.Climb], setup: Climbing
-    ) -> tuple[Trajectory, Facts]:
+    ) -> tuple[Trajectory, Lines]:
         """Return the start, and facts about the start and the samples."""
         start = setup.start
         place = ", ".join(f"{name} {start[name][0]:.6g}" for name in ("y", "z", "velocity_y"))
         samples = f"{setup.t.size} to {setup.t[-1]:g} s"
         return start, [("start", f"{place} (m, m/s)"), ("samples", samples)]
 
-    def facts(self, run: Trajectory) -> Facts:
+    def summary(self, run: Trajectory) -> Lines:
         """Return the facts of the summary of a climb, pairs of name and text."""
         return [*climb_facts(run)]
 
-    def metrics(self, run: Trajectory, spec: climb_schema.Climb) -> dict[str, Quantity]:
+    def facts(self, run: Trajectory) -> dict[str, Fact]:
         """Return last values, extremes, and means over the axles of a climb, by name."""
-        found = EXTREMES.of(run) | largest_tilt(run)
+        found = EXTREMES.of(run)
         for mean in MEANS:
             names = [f"{mean}_{axle}" for axle in run.wheels]
             parts = [run.statistics[name] for name in names if name in run.statistics]
             if parts:
-                found[mean] = Quantity(float(np.mean(parts)), "1")
+                found[mean] = Fact(float(np.mean(parts)), "1")
         return found
 
     def describe_end(self, run: Trajectory) -> str:
@@ -604,7 +603,7 @@ def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
     return {"slow_climb_friction": need.mu}, words
 
 
-def _facts(spec: climb_schema.Climb, climber: Climber, control: Control) -> Facts:
+def _facts(spec: climb_schema.Climb, climber: Climber, control: Control) -> Lines:
     """Return the facts about ground, vehicle and laws of a climb."""
     axles = ", ".join(
         f"{name} {axle.wheels} x {climber.radius:g} m at {axle.ahead + 0:g} m"

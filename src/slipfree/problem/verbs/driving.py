@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
+from slipfree.core.facts import Fact
 from slipfree.errors import DataError
 from slipfree.files.map_coordinates import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.files.urdf.meshes import FORMATS, MeshFiles, find_mesh
@@ -26,44 +27,43 @@ from slipfree.models.poses import wheel_poses
 from slipfree.models.records import is_determinate
 from slipfree.models.rocking import has_pressed_wheels
 from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
-from slipfree.problem.build_ground import Ground, at, build_ground, filled_words
+from slipfree.problem.build_ground import Ground, at, build_ground
 from slipfree.problem.build_model import law_name, model_law
 from slipfree.problem.build_solids import build_solids
 from slipfree.problem.build_vehicle import VehicleFile, vehicle_file
 from slipfree.problem.input_files import digest
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, Motion
-from slipfree.problem.summary import Facts, integrator_fact
+from slipfree.problem.summary import Lines, integrator_fact
 from slipfree.problem.verbs.base import (
-    Extremes,
     MotionVerb,
-    Quantity,
     Result,
     Solution,
     Viewer,
     Watch,
-    largest_tilt,
     with_diagnostics,
 )
 from slipfree.problem.verbs.drive_facts import (
     CHECKS,
+    FILLED,
     OBSTACLES,
-    angle_facts,
+    angle_lines,
     certificate,
-    contact_facts,
-    force_facts,
-    path_facts,
-    slip_facts,
-    soil_facts,
-    start_facts,
-    trust_facts,
+    contact_lines,
+    drive_facts,
+    force_lines,
+    path_lines,
+    slip_lines,
+    soil_lines,
+    start_lines,
+    trust_lines,
 )
 from slipfree.records import Array, leaves
 from slipfree.solve.settle import stable_poses
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism
-from slipfree.trajectory import Trajectory, path_length
+from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
@@ -71,19 +71,6 @@ if TYPE_CHECKING:
     from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
 
-EXTREMES = Extremes(
-    end=("x", "y", "z", "heading", "pitch", "roll", "yaw"),
-    largest=(
-        *("pitch", "roll", "utilisation", "utilisation_best", "friction_needed", "drive_torque"),
-        *("power", "drift_position", "closure_residual", "newton_step"),
-        *("sinkage", "slip_ratio"),
-    ),
-    least=(
-        *("tip_over_margin", "force_normal", "clearance", "relative_curvature", "singular_value"),
-        "drawbar_reserve",
-    ),
-    gained=("work", "potential_energy"),
-)
 Diagnostic = Callable[[Trajectory], Trajectory]
 STEEPEST = 3.0  # ratio of vertical to normal distance from the ground, at a slope of 70 degrees
 SAME = 1e-3  # largest distance of wheels from stored positions and from the ground, in radii
@@ -122,7 +109,7 @@ class DriveVerb(MotionVerb):
         run = with_diagnostics(run, _diagnostics(setup, law, run), keep)
         return Solution(run, setup, arrays)
 
-    def describe_start(self, problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, Facts]:
+    def describe_start(self, problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, Lines]:
         """Return the start in the frame of the problem, and facts about start and samples."""
         spec = problem.spec
         start = to_problem_frame(replace(setup.start, attributes={WANTED: spec.frame}))
@@ -131,7 +118,7 @@ class DriveVerb(MotionVerb):
         pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
         return start, [
             ("start", f"{pose} (m, rad)"),
-            *start_facts(_stable_poses(problem, setup)),
+            *start_lines(_stable_poses(problem, setup)),
             ("contact certificate", certificate(start)),
             ("samples", self.describe_samples(problem, setup)),
         ]
@@ -140,47 +127,36 @@ class DriveVerb(MotionVerb):
         """Return the description of the sampling of the result."""
         return f"{setup.t[:: setup.every or 1].size} to {setup.t[-1]:g} s"
 
-    def facts(self, run: Trajectory) -> Facts:
-        """Return the facts of the summary of a motion, pairs of name and text."""
-        run = to_problem_frame(run)
+    def facts(self, run: Trajectory) -> dict[str, Fact]:
+        """Return last values, extremes, path length, slip and stored facts of a motion."""
+        return {**drive_facts(to_problem_frame(run)), **run.facts}
+
+    def summary(self, run: Trajectory) -> Lines:
+        """Return the summary of a motion, pairs of name and text."""
+        run, facts = to_problem_frame(run), self.facts(run)
         return [
-            *path_facts(run),
-            *self.own_facts(run),
-            *contact_facts(run),
-            *soil_facts(run),
-            *slip_facts(run),
-            *angle_facts(run),
-            *force_facts(run),
-            *self.trust_facts(run),
-            *self.cost_facts(run),
+            *path_lines(run, facts),
+            *self.own_lines(run),
+            *contact_lines(run, facts),
+            *soil_lines(run, facts),
+            *slip_lines(run, facts),
+            *angle_lines(run, facts),
+            *force_lines(run, facts),
+            *trust_lines(run, facts, self.tolerance(run)),
+            *self.cost_lines(run),
         ]
 
-    def own_facts(self, run: Trajectory) -> Facts:
-        """Return the facts of the summary that are specific to this verb; none by default."""
+    def own_lines(self, run: Trajectory) -> Lines:
+        """Return the lines of the summary that are specific to this verb; none by default."""
         return []
 
-    def trust_facts(self, run: Trajectory) -> Facts:
-        """Return the facts about residuals, conditioning and the contact certificate."""
-        return [*trust_facts(run, run.statistics.get("tolerance"))]
+    def tolerance(self, run: Trajectory) -> float | None:
+        """Return the tolerance of the integrator; None if a motion was not integrated."""
+        return run.statistics.get("tolerance")
 
-    def cost_facts(self, run: Trajectory) -> Facts:
-        """Return the facts about the computational cost."""
+    def cost_lines(self, run: Trajectory) -> Lines:
+        """Return the lines about the computational cost."""
         return [integrator_fact(run)]
-
-    def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
-        """Return last values, extremes, path length and slip of a motion by name."""
-        slip = np.hypot(run["slip_along"], run["slip_across"])
-        duration, length = run.t[-1] - run.t[0], path_length(run)
-        found = EXTREMES.of(run) | largest_tilt(run)
-        found["path_length"] = Quantity(length, "m")
-        found["slip_largest"] = Quantity(slip.max(), "m s-1")
-        if duration > 0:
-            squares = np.trapezoid(slip**2, run.t, axis=0).mean()
-            found["slip_rms"] = Quantity(np.sqrt(squares / duration), "m s-1")
-        if length > 0:
-            mean = np.trapezoid(slip, run.t, axis=0).mean() / length
-            found["slip_per_path"] = Quantity(mean, "m m-1")
-        return found
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
         """Return the figures of a motion, the most important first."""
@@ -318,17 +294,28 @@ def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagno
 
 
 def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
-    """Return a motion with an attribute about wheel paths over filled holes, if there are holes."""
-    words = filled_words(grid, run)
-    return replace(run, attributes={**run.attributes, "filled_ground": words}) if words else run
+    """Return a motion with facts about wheel paths over filled holes, if the map has holes."""
+    if grid.filled is None:
+        return run
+    on = grid.touches(grid.filled, run["contact_x"], run["contact_y"])
+    steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
+    lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
+    rows = [
+        {"wheel": wheel, "length": length, "path_length": whole}
+        for wheel, length, whole in zip(
+            run.wheels, lengths.tolist(), steps.sum(axis=0).tolist(), strict=True
+        )
+    ]
+    samples = int(np.count_nonzero(on.any(axis=1)))
+    return run.with_facts({FILLED: Fact(samples, "1"), "filled_paths": Fact(rows)})
 
 
 def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:
-    """Return a motion with an attribute about its ending on solids, if there are solids."""
+    """Return a motion with a fact about its ending on solids, if there are solids."""
     ending = obstacle_ending(run, setup.vehicle, setup.prisms)
     if ending is None:
         return run
-    return replace(run, attributes={**run.attributes, OBSTACLES: str(ending)})
+    return run.with_facts({OBSTACLES: Fact(ending.name, words=ending.words)})
 
 
 def _check_vehicle(run: Trajectory, vehicle: Vehicle) -> None:

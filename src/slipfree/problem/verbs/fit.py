@@ -48,7 +48,7 @@ from slipfree.problem.build_model import model_law
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, Vehicle
-from slipfree.problem.summary import Facts
+from slipfree.problem.summary import Lines
 from slipfree.problem.unit_checks import check_heading_unit, check_sampling, check_travel
 from slipfree.problem.verbs.base import Verb
 from slipfree.records import Array
@@ -363,7 +363,7 @@ def _divided(log: Log, duration: float) -> Log:
     return Log(log.t[at_rows], log.given[at_rows], log.pose[at_rows], window)
 
 
-def facts(fitted: Fitted) -> Facts:
+def facts(fitted: Fitted) -> Lines:
     """Return the facts of a fit: estimates, identifiable directions, and errors of predictions."""
     found = fitted.calibration
     outcome = Outcome.INTERRUPTED if found.estimate.is_interrupted else Outcome.COMPLETE

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipfree.control.path_tracking import path_inputs, track_path
+from slipfree.core.facts import Fact
 from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.files.mcap_reader import is_mcap
@@ -42,29 +43,28 @@ from slipfree.problem.build_common import (
 )
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem, S
-from slipfree.problem.summary import Facts, integrator_fact
+from slipfree.problem.summary import Lines, integrator_fact
 from slipfree.problem.unit_checks import check_heading_unit, check_time_unit
 from slipfree.problem.verbs.base import (
     Extremes,
-    Quantity,
     Result,
     Solution,
     Watch,
-    differences,
     integrate,
     with_diagnostics,
 )
-from slipfree.problem.verbs.drive_facts import trust_facts
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.problem.verbs.inverse_commands import ROBOT, are_commands, read_commands
 from slipfree.problem.verbs.inverse_facts import (
     CHECKS,
     COLLOCATION,
     METHOD,
-    collocation_fact,
-    inverse_facts,
+    REPLAY,
+    ROUND_TRIP,
+    collocation_line,
+    inverse_lines,
     is_collocated,
-    replay_facts,
+    replay_lines,
     steering_warning,
 )
 from slipfree.problem.verbs.inverse_schema import Inverse
@@ -94,6 +94,7 @@ class InverseVerb(DriveVerb):
     schema = Inverse
     checks = (*DriveVerb.checks, *CHECKS)
     metrics_shown = ("inverse_margin_least", "slip_rms", "utilisation_largest")
+    verified = (ROUND_TRIP, REPLAY)
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
         """Return the figures of a motion; map and rates of wheels and joints come first."""
@@ -166,34 +167,28 @@ class InverseVerb(DriveVerb):
         method = COLLOCATION if is_collocated else "integration"
         return super().attributes(problem, setup) | {METHOD: method}
 
-    def own_facts(self, run: Trajectory) -> Facts:
-        """Return the facts about rates, steering, margins and errors."""
-        return [*inverse_facts(run)]
+    def facts(self, run: Trajectory) -> dict[str, Fact]:
+        """Return the facts of a motion, including least margin and largest steering slip."""
+        own = Extremes(largest=("steering_slip",), least=("inverse_margin",))
+        return super().facts(run) | own.of(run)
 
-    def trust_facts(self, run: Trajectory) -> Facts:
-        """Return the facts about residuals, conditioning and contacts."""
-        if is_collocated(run):
-            return [*trust_facts(run, None)]  # the stored tolerance is not of an integrator
-        return super().trust_facts(run)
+    def own_lines(self, run: Trajectory) -> Lines:
+        """Return the lines about rates, steering, margins and errors."""
+        return [*inverse_lines(run)]
 
-    def cost_facts(self, run: Trajectory) -> Facts:
-        """Return facts about the computational cost, and differences from a replay of the rates."""
-        fact = collocation_fact(run) if is_collocated(run) else integrator_fact(run)
-        return [fact, *replay_facts(run)]
+    def tolerance(self, run: Trajectory) -> float | None:
+        """Return the tolerance of the integrator; None under collocation."""
+        return None if is_collocated(run) else super().tolerance(run)
+
+    def cost_lines(self, run: Trajectory) -> Lines:
+        """Return lines about the computational cost, and differences from a replay of the rates."""
+        line = collocation_line(run) if is_collocated(run) else integrator_fact(run)
+        return [line, *replay_lines(run)]
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
         """Return a warning if the steering is unstable, unless the message of the stop has it."""
         warning = steering_warning(run)
         return [warning] if warning and not (run.stop and warning in run.stop.words) else []
-
-    def verification(self, run: Trajectory) -> dict[str, Quantity]:
-        """Return the differences from the direct model, in rates and in a replay, by name."""
-        return differences(run, "round_trip_", "replay_")
-
-    def metrics(self, run: Trajectory, spec: Inverse) -> dict[str, Quantity]:
-        """Return the metrics of a motion, including least margin and largest steering slip."""
-        own = Extremes(largest=("steering_slip",), least=("inverse_margin",))
-        return super().metrics(run, spec) | own.of(run)
 
 
 def _given_rates(
@@ -424,29 +419,32 @@ def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
 
 
 def _with_replay(setup: Setup, inputs: Any, options: SolverOptions, run: Trajectory) -> Trajectory:
-    """Return a motion with statistics of its differences from the direct model.
+    """Return a motion with facts about its differences from the direct model.
 
     The direct model is integrated with ``inputs``, functions of time. If it is None, the inputs are
     splines through the samples of the motion.
     """
-    direct, gaps, words = setup.model, dict[str, float](), ""
+    direct, facts = setup.model, dict[str, Fact]()
+
+    def unit_of(name: str) -> str:
+        column = run.columns.get(name)
+        return column.label.unit if column else ""
+
     try:
         trip = round_trip(direct, run, PLANAR, options=options)
-        gaps = {f"round_trip_{name}": gap for name, gap in trip.items()}
+        facts |= {f"{ROUND_TRIP}{name}": Fact(gap, unit_of(name)) for name, gap in trip.items()}
         if run.t.size > 1:
             jumps = _jumps(setup, run)
             _check_samples(run.t, jumps)
             again = replay(direct, run, inputs, jumps=jumps, options=options)
-            gaps |= {f"replay_{name}": gap for name, gap in again.difference.items()}
+            gaps = again.difference.items()
+            facts |= {f"{REPLAY}{name}": Fact(gap, unit_of(name)) for name, gap in gaps}
             if (stop := again.motion.stop) is not None and run.stop is None:
-                words = f"at {stop.t:.6g} s: {stop.words}"
+                facts["stopped_replay"] = Fact(f"at {stop.t:.6g} s: {stop.words}")
     except (SlipfreeError, np.linalg.LinAlgError) as error:
-        words = str(error)
+        facts["stopped_replay"] = Fact(str(error))
     at_stop = [c.name for c in setup.vehicle.of("commanded") if _reaches_stop(c, run)]
-    attributes = {"replay_stopped": words, "held_at_stop": " ".join(at_stop)}
-    attributes = {name: words for name, words in attributes.items() if words}
-    statistics = {**run.statistics, **gaps}
-    return replace(run, statistics=statistics, attributes={**run.attributes, **attributes})
+    return run.with_facts({**facts, "held_at_stop": Fact(at_stop)})
 
 
 def _reaches_stop(c: Coordinate, run: Trajectory) -> bool:

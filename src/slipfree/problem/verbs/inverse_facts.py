@@ -1,4 +1,4 @@
-"""Facts of the summary of inverse kinematics."""
+"""Lines of the summary of inverse kinematics."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from slipfree.core.facts import starting_with
 from slipfree.models.given_rates import COMMANDS
 from slipfree.models.inverse import steering_note
 from slipfree.records import Mask
 from slipfree.trajectory import Trajectory
 
+ROUND_TRIP, REPLAY = "round_trip_", "replay_"  # beginnings of the names of differences
 METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and one of its values
 STEERED = 0.02  # largest error of a steering coordinate at its target [rad, m]
 CHECKS = (
@@ -34,8 +36,8 @@ def steering_warning(run: Trajectory) -> str:
     return steering_note(run)
 
 
-def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the facts of an inverse motion: rates, steering, margin and errors."""
+def inverse_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the lines of an inverse motion: rates, steering, margin and errors."""
     commanded = [name for name in COMMANDS if f"{name}_error" in run.columns]
     for wheel in run.wheels:
         if (name := f"{wheel}_rate") in run.columns:
@@ -52,13 +54,12 @@ def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         words = run.columns["inverse_margin"].label.words
         yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
     known = {*COMMANDS, "path", "heading"}
+    held = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
     steered = [name for name in run if f"{name}_error" in run.columns and name not in known]
     for name in steered:
         low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
         unit = run.columns[name].label.unit
-        at_stop = (
-            "; reaches its stop" if name in run.attributes.get("held_at_stop", "").split() else ""
-        )
+        at_stop = "; reaches its stop" if name in held else ""
         words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{at_stop}"
         yield f"steering {name}", words
     errors = [np.abs(run[f"{name}_error"]) for name in steered]
@@ -75,7 +76,7 @@ def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         )
     if warning := steering_warning(run):
         yield "warning", warning
-    trip = [size for name, size in run.statistics.items() if name.startswith("round_trip_")]
+    trip = [gap.value for gap in starting_with(ROUND_TRIP, run.facts).values()]
     if trip:
         yield (
             "round trip",
@@ -112,8 +113,8 @@ def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -
     return words
 
 
-def collocation_fact(run: Trajectory) -> tuple[str, str]:
-    """Return the fact about the cost of the collocation along a path."""
+def collocation_line(run: Trajectory) -> tuple[str, str]:
+    """Return the line about the cost of the collocation along a path."""
     counts = run.statistics
     return (
         "collocation",
@@ -122,17 +123,11 @@ def collocation_fact(run: Trajectory) -> tuple[str, str]:
     )
 
 
-def replay_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the facts about the differences of the replay by the direct model, if computed."""
-    gaps = {
-        name.removeprefix("replay_"): size
-        for name, size in run.statistics.items()
-        if name.startswith("replay_")
-    }
-    listed = ", ".join(
-        f"{name} {size:.1e} {run.columns[name].label.unit}" for name, size in gaps.items()
-    )
+def replay_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the lines about the differences of the replay by the direct model, if computed."""
+    gaps = starting_with(REPLAY, run.facts)
+    listed = ", ".join(f"{name} {gap.value:.1e} {gap.unit}" for name, gap in gaps.items())
     if gaps:
         yield "replay by the direct model", f"differs by at most {listed}"
-    if "replay_stopped" in run.attributes:
-        yield "replay stopped early", run.attributes["replay_stopped"]
+    if "stopped_replay" in run.facts:
+        yield "replay stopped early", run.facts["stopped_replay"].value

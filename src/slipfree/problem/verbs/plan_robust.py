@@ -6,7 +6,7 @@ holds in this world if its simulation satisfies all limits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.core.facts import Fact, Facts
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.outcome import Outcome
@@ -59,7 +60,6 @@ UNTESTED = Stop(
     "the plan is solved and accurate, but not all drawn worlds are simulated",
     Outcome.INTERRUPTED,
 )
-MAX_LISTED = 4  # largest number of bounds in a line of the summary
 
 
 class Tested(NamedTuple):
@@ -71,17 +71,14 @@ class Tested(NamedTuple):
         The plan, with tightened limits if too few simulations of the first one satisfied them.
     stop : Stop or None
         Reason why too few simulations satisfy the limits, or interruption by Ctrl-C.
-    words : str
-        Description of the results, one fact per line; empty without simulations, and after Ctrl-C.
-    statistics : dict of str to float
-        Shares of the simulations that satisfy all limits, with the plan and with the first plan,
-        and numbers of simulations and of rounds of tightening; empty if ``words`` is.
+    facts : mapping of str to Fact
+        Shares of the simulations that satisfy all limits, and what tightening changed; empty
+        without simulations, and after Ctrl-C.
     """
 
     plan: FoundPlan
     stop: Stop | None = None
-    words: str = ""
-    statistics: Mapping[str, float] = MappingProxyType({})
+    facts: Facts = MappingProxyType({})
 
 
 class ReplayTask(NamedTuple):
@@ -187,14 +184,7 @@ def make_robust(
             )
     except KeyboardInterrupt:
         return Tested(latest, UNTESTED)
-    statistics = {
-        "plan_share": found.after.share,
-        "plan_share_first": found.before.share,
-        "plan_share_draws": float(found.after.draws),
-        "plan_share_rounds": float(found.rounds),
-    }
-    words = robust_words(found, first)
-    return Tested(found.plan, _stop(found, robust), words, statistics)
+    return Tested(found.plan, _stop(found, robust), robust_facts(found, first))
 
 
 def replay_draw(task: ReplayTask) -> tuple[Draw, tuple[Replay, ...]]:
@@ -285,50 +275,40 @@ def _seed(draw: Draw, part: int) -> int:
     return int(np.random.SeedSequence((*draw, part)).generate_state(1)[0])
 
 
-def robust_words(found: RobustPlan[FoundPlan], first: FoundPlan) -> str:
-    """Return shares, tightening, violations and costs of a robust plan, one per line."""
-    return "\n".join(f"{name}: {words}" for name, words in _lines(found, first))
-
-
-def _lines(found: RobustPlan[FoundPlan], first: FoundPlan) -> Iterator[tuple[str, str]]:
-    after, before, (low, high) = found.after, found.before, found.after.interval
-    earlier = f"; without tightening in {before.held}" if found.rounds else "; no limit tightened"
-    yield (
-        "robust plan",
-        f"holds in {after.held} of {after.draws} drawn worlds ({100 * after.share:.3g} %, "
-        f"{CONFIDENCE:.0%} confidence interval {100 * low:.3g} to {100 * high:.3g} %){earlier}",
-    )
-    if found.tightening:
-        sizes = sorted(found.tightening.items(), key=lambda item: -item[1])
-        yield "tightened", _listed([f"{k} by {v:.3g}{_unit(first, k)}" for k, v in sizes])
-        yield "cost of this", _cost_words(first, found.plan)
-    if after.violated:
-        yield "violated", _listed([f"{k} in {n}" for k, n in after.violated.items()])
-    if found.failure:
-        yield "tighter limits", f"not solved: {found.failure}"
+def robust_facts(found: RobustPlan[FoundPlan], first: FoundPlan) -> dict[str, Fact]:
+    """Return shares, tightening, violations and costs of a robust plan."""
+    after, (low, high) = found.after, found.after.interval
+    interval = f"{CONFIDENCE:.0%} confidence interval"
     half, most = after.distances(0.5, 0.95)
-    yield "end", f"{half:.3g} m from that of the plan at the median, {most:.3g} m at 95 %"
-
-
-def _listed(parts: Sequence[str]) -> str:
-    """Return the first four texts of a list, and the number of the others."""
-    rest = len(parts) - MAX_LISTED
-    return ", ".join(parts[:MAX_LISTED]) + (f" and {rest} more" if rest > 0 else "")
+    facts = {
+        "": Fact(after.share, "1"),
+        "_first": Fact(found.before.share, "1"),
+        "_draws": Fact(after.draws, "1"),
+        "_rounds": Fact(found.rounds, "1"),
+        "_low": Fact(low, "1", interval),
+        "_high": Fact(high, "1", interval),
+        "_distance": Fact(half, "m"),
+        "_distance_95": Fact(most, "m"),
+    }
+    sizes = sorted(found.tightening.items(), key=lambda item: -item[1])
+    tightened = [
+        {"bound": str(bound), "size": size, "unit": _unit(first, bound)} for bound, size in sizes
+    ]
+    violated = [{"bound": str(bound), "draws": count} for bound, count in after.violated.items()]
+    return {
+        **{f"plan_share{name}": fact for name, fact in facts.items()},
+        "plan_tightened": Fact(tightened),
+        "plan_violated": Fact(violated),
+        "plan_total_cost": Fact(found.plan.solution.cost),
+        "plan_untightened_total": Fact(first.solution.cost),
+        **{f"plan_untightened_{name}": Fact(cost) for name, cost in first.costs.items()},
+        **({"plan_tightening_failure": Fact(found.failure)} if found.failure else {}),
+    }
 
 
 def _unit(found: FoundPlan, bound: Bound) -> str:
     unit = found.units.get(bound.name, "1")
     return "" if unit == "1" else f" {unit}"
-
-
-def _cost_words(first: FoundPlan, robust: FoundPlan) -> str:
-    """Return the change of the total cost, and of each of its terms."""
-
-    def change(before: float, after: float) -> str:
-        return f"{100 * (after / before - 1):+.3g} %" if before else f"{after:.3g}"
-
-    terms = [f"{name} {change(first.costs[name], size)}" for name, size in robust.costs.items()]
-    return f"{change(first.solution.cost, robust.solution.cost)}: {', '.join(terms)}"
 
 
 def _stop(found: RobustPlan[FoundPlan], robust: Robust) -> Stop | None:

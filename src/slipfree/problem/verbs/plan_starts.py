@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
+from slipfree.core.facts import Fact
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import Plan as FoundPlan
@@ -14,8 +15,8 @@ from slipfree.plan.starts import (
     NOT_SOLVED,
     LocalOptimum,
     count_distinct,
+    distances,
     further_guesses,
-    optima_words,
 )
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
@@ -55,8 +56,8 @@ class StartResult(NamedTuple):
 
 def best_start(
     problem: Problem[Plan], setup: Planning, report: Callable[[str, str], None] | None
-) -> tuple[SavedPlan | None, str, bool]:
-    """Return the best plan of several starts, their table, and whether Ctrl-C ended the search.
+) -> tuple[SavedPlan | None, dict[str, Fact], bool]:
+    """Return the best plan of several starts, their facts, and whether Ctrl-C ended the search.
 
     The plan is None if no start is solved.
 
@@ -79,7 +80,7 @@ def best_start(
     with at(problem, ("plan",)):
         found, is_interrupted = _solve_starts(source_of(problem), count, report)
     saved = found[0].saved if is_solved(found[0]) else None
-    return saved, starts_words(found), is_interrupted
+    return saved, starts_facts(found), is_interrupted
 
 
 def _solve_starts(
@@ -161,13 +162,22 @@ def _start_result(number: int, name: str, found: FoundPlan) -> StartResult:
     return StartResult(number, found.optima[0]._replace(start=name), found.saved)
 
 
-def starts_words(results: Sequence[StartResult]) -> str:
-    """Return a text: a line with the number of local optima, then a line for each start."""
+def starts_facts(results: Sequence[StartResult]) -> dict[str, Fact]:
+    """Return the table of the starts, the best first, and the number of local optima."""
     optima = [each.optimum for each in results if each.optimum is not None]
-    found = count_distinct(optima)
-    noun = "optimum" if found == 1 else "optima"
-    head = f"{found} local {noun} from {len(optima)} start{'s' * (len(optima) != 1)}"
-    return f"{head}\n{optima_words(optima)}"
+    rows = [
+        {
+            "start": optimum.start,
+            "outcome": optimum.outcome,
+            "cost": optimum.cost,
+            "terms": optimum.terms,
+            "duration": optimum.duration,
+            "distance": distance,
+            "seconds": optimum.seconds,
+        }
+        for optimum, distance in zip(optima, distances(optima), strict=True)
+    ]
+    return {"plan_starts": Fact(rows), "plan_optima": Fact(count_distinct(optima), "1")}
 
 
 def is_solved(result: StartResult) -> bool:

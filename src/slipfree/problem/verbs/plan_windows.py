@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from slipfree.contact.closure import has_exact_closure
 from slipfree.control.path_following import follow
 from slipfree.errors import ModelError
@@ -161,18 +159,3 @@ def long_plan(
             **search_arguments(spec),
             **options,
         )
-
-
-def windows_words(found: LongPlan) -> str:
-    """Return a text with number, iterations and computing time of the windows of a plan."""
-    windows, metres = found.windows, found.windows[-1].end
-    counts = [window.iterations for window in windows]
-    seconds = sum(window.seconds for window in windows)
-    inaccurate = [f"{window.t:.6g} s" for window in windows if not window.accurate]
-    number = "one window" if len(windows) == 1 else f"{len(windows)} windows"
-    return (
-        f"{number} up to {metres:.6g} m of the route, {min(counts)} to {max(counts)} iterations "
-        f"each (median {np.median(counts):.0f}), {1e3 * seconds / metres:.3g} s of search per "
-        "kilometre"
-        + (f"; not accurate: those that begin at {', '.join(inaccurate)}" if inaccurate else "")
-    )
