@@ -194,7 +194,7 @@ def test_of_a_range_what_lies_on_the_map_counts():
 def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
     outcome = run_problem(load_problem(HILLS, [*QUICK, f"bounds={bounds}"]))
     motion, setup = outcome.trajectory, outcome.setup
-    drawn = draw(plan_plots(motion, setup.ground.grid, setup.layers, **figure_options(setup)))
+    drawn = draw(plan_plots(motion, setup.ground.grid, setup.layers, **figure_options(outcome)))
     panel = drawn["plan"].axes[0]
     names = ["right rate", "left rate", "steer rate"]
     assert panel.get_legend_handles_labels()[1] == names + (["bound"] * 2 if bounds else [])

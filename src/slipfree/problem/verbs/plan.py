@@ -27,9 +27,10 @@ from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
 from slipfree.plan.windows import LongPlan
 from slipfree.problem.build_common import (
     Setup,
+    build_terrain,
     wheel_angles_at,
 )
-from slipfree.problem.build_ground import at
+from slipfree.problem.build_ground import Ground, at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.summary import Lines
@@ -41,7 +42,13 @@ from slipfree.problem.verbs.base import (
     Watch,
     with_diagnostics,
 )
-from slipfree.problem.verbs.driving import Diagnostic, DriveVerb, model_attributes
+from slipfree.problem.verbs.driving import (
+    Diagnostic,
+    DriveVerb,
+    ground_of,
+    model_attributes,
+    vehicle_of,
+)
 from slipfree.problem.verbs.plan_facts import (
     CHECKS,
     DIFFERENCE,
@@ -50,7 +57,7 @@ from slipfree.problem.verbs.plan_facts import (
     optimality_facts,
     plan_lines,
 )
-from slipfree.problem.verbs.plan_goals import regions
+from slipfree.problem.verbs.plan_goals import places_of, regions, way_points_of
 from slipfree.problem.verbs.plan_robust import UNTESTED, Tested, make_robust
 from slipfree.problem.verbs.plan_search import find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
@@ -64,6 +71,7 @@ from slipfree.problem.verbs.plan_windows import (
     long_plan,
 )
 from slipfree.records import Array, leaves
+from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
@@ -91,7 +99,6 @@ OFFER = (
     'no slow motion was found within these limits; set model = "dynamics" to plan with momentum: '
     "inertia then carries the vehicle where its drives alone do not"
 )
-GUESS_ARRAYS = ("guess_x", "guess_y")  # names of the arrays in a file
 FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail to settle below it
 
 
@@ -130,7 +137,9 @@ class PlanVerb(DriveVerb):
 
         def described(found: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
             run, arrays = _described(setup, found, run, facts)
-            return run, {**arrays, **_guess_arrays(guesses)}
+            lines = [np.stack([guess["x"], guess["y"]], axis=1) for guess in guesses]
+            drawn = _lines_as_arrays("guess", lines) | _lines_as_arrays("route", setup.paths)
+            return run, {**arrays, **drawn}
 
         def keep(found: Plan) -> None:
             run, arrays = described(found, found.replay)
@@ -214,13 +223,11 @@ class PlanVerb(DriveVerb):
         """Return the figures of a plan and of its motion, the most important first."""
         from slipfree.show.plan_figures import convergence_plots, plan_plots
 
-        setup, run = result.setup or self.build(result.problem), result.trajectory
-        guess = [result.arrays[name] for name in GUESS_ARRAYS if name in result.arrays]
-        options = figure_options(setup) | ({"guess": np.stack(guess, axis=1)} if guess else {})
-        plots = plan_plots(run, setup.ground.grid, setup.layers, **options)
+        run, ground = result.trajectory, ground_of(result)
+        plots = plan_plots(run, ground.grid, layers_of(result, ground), **figure_options(result))
         names = run.facts["plan_searches"].value
         searches = convergence_plots(run, convergence_from(result.arrays), names)
-        motion = super().figures(replace(result, setup=setup))
+        motion = super().figures(result)
         if run.stop is not None:  # the search explains why there is no plan
             return *plots, *searches, *motion
         return *plots, *motion, *searches
@@ -246,24 +253,41 @@ def _described(
     return run, found.saved.arrays | arrays
 
 
-def _guess_arrays(guesses: Sequence[Trajectory]) -> dict[str, Array]:
-    """Return the paths of the initial guesses in map coordinates [m], with NaN between them."""
-    gap = np.array([np.nan])
-    return {
-        name: np.concatenate([part for run in guesses for part in (run[axis], gap)])
-        for name, axis in zip(GUESS_ARRAYS, "xy", strict=True)
-        if guesses
-    }
+def _lines_as_arrays(name: str, lines: Sequence[Array]) -> dict[str, Array]:
+    """Return lines in map coordinates [m] as arrays for a file, with NaN between them."""
+    gap = np.full((1, 2), np.nan)
+    points = np.concatenate([part for line in lines for part in (line, gap)]) if lines else gap[:0]
+    return {f"{name}_{axis}": points[:, k] for k, axis in enumerate("xy") if lines}
 
 
-def figure_options(setup: Planning) -> dict[str, Any]:
-    """Return the keyword arguments of `plan_plots` for a plan."""
-    unbounded = {label.name: (-np.inf, np.inf) for label in leaves(setup.dae.labels.u)}
+def _line_points(name: str, arrays: Mapping[str, Array]) -> Array:
+    """Return the points of lines stored with a result, shape (n, 2), with NaN between them [m]."""
+    empty = np.zeros(0)
+    return np.stack([arrays.get(f"{name}_{axis}", empty) for axis in "xy"], axis=1)
+
+
+def layers_of(result: Result, ground: Ground) -> Traversability:
+    """Return the traversability of the ground for the vehicle of a result."""
+    if result.setup is not None:
+        layers: Traversability = result.setup.layers
+        return layers
+    problem, terrain = result.problem, build_terrain(result.problem, ground)
+    return traversability(terrain, vehicle_of(result), keep_out=regions(problem, problem.spec))
+
+
+def figure_options(result: Result) -> dict[str, Any]:
+    """Return the keyword arguments of `plan_plots` for a result, from what it stores."""
+    problem, arrays = result.problem, result.arrays
+    spec, run = problem.spec, result.trajectory
+    unbounded = dict.fromkeys(run.attributes["inputs"].split(), (-np.inf, np.inf))
+    routes, grid = _line_points("route", arrays), ground_of(result).grid
+    ends = np.flatnonzero(np.isnan(routes[:, 0]))
     return {
-        "places": setup.places,
-        "found": setup.paths,
-        "bounds": unbounded | setup.spec.bounds,
-        "limits": setup.spec.limits,
+        "places": places_of(problem, spec, way_points_of(problem, spec), grid.domain)[0],
+        "found": [line[~np.isnan(line[:, 0])] for line in np.split(routes, ends)[:-1]],
+        "guess": _line_points("guess", arrays),
+        "bounds": unbounded | spec.bounds,
+        "limits": spec.limits,
     }
 
 
