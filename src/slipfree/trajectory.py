@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,10 @@ WHEELS = {"long_name": "name of the wheel"}
 STATISTICS = "statistics_"  # prefix of the solver's statistics in the metadata
 STOP = ("stop_name", "stop_time", "stop_words")
 OUTCOME, FACTS = "outcome", "facts"
+Frame = Literal["paper", "rep103"]  # headings count from the y axis, or from the x axis (ROS)
+FRAME = "frame"  # attribute: frame of the headings of a motion; "paper" without it
+OFFSET: dict[str, float] = {"paper": 0.0, "rep103": np.pi / 2}  # heading minus that from y [rad]
+HEADING = "counter-clockwise angle of the forward axis from the {} axis"
 PLAN, PLAN_ACCURACY, PLAN_SHARE = "plan", "plan_accuracy", "plan_share"
 PLAN_UNVERIFIED = "plan_unverified"
 PLAN_STOPS = (PLAN, PLAN_ACCURACY, PLAN_SHARE, PLAN_UNVERIFIED)  # names of stops of plans
@@ -193,11 +197,15 @@ class Trajectory:
     def of(self, label: Label) -> Array:
         """Return the samples of the quantity of a label, of one wheel if the label has a wheel.
 
+        Headings are those of models, which count from the y axis in every motion.
+
         Raises
         ------
         ModelError
             As for ``run[name]``.
         """
+        if label.name == "heading":
+            return self.in_frame("paper")["heading"]
         return self[label.name] if label.wheel is None else self[label.name, label.wheel]
 
     def __iter__(self) -> Iterator[str]:
@@ -207,6 +215,22 @@ class Trajectory:
     def with_facts(self, facts: Facts) -> Trajectory:
         """Return the motion with further facts, which replace those of the same names."""
         return replace(self, facts={**self.facts, **facts})
+
+    def in_frame(self, frame: str) -> Trajectory:
+        """Return the motion with headings that count from the axis of a frame.
+
+        Parameters
+        ----------
+        frame : {"paper", "rep103"}
+            Headings count from the y axis, or from the x axis as in ROS.
+        """
+        own = self.attributes.get(FRAME, "paper")
+        if frame == own or "heading" not in self.columns:
+            return self
+        label = Label("heading", "rad", HEADING.format("y" if frame == "paper" else "x"))
+        heading = Column(label, self["heading"] + (OFFSET[frame] - OFFSET[own]))
+        columns = {**self.columns, "heading": heading}
+        return replace(self, columns=columns, attributes={**self.attributes, FRAME: frame})
 
     def part(self, span: slice, stop: Stop | None = None) -> Trajectory:
         """Return a part of the trajectory.

@@ -18,7 +18,6 @@ from typer.testing import CliRunner
 
 from slipfree.cli import app
 from slipfree.files import netcdf
-from slipfree.frames import to_problem_frame
 from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
@@ -79,14 +78,13 @@ def test_a_heading_comes_back_as_it_was_given(problem: Path) -> None:
     assert_allclose(table["heading"], 0.3, atol=1e-9)
 
 
-def test_results_hold_headings_from_the_y_axis_and_say_so(problem: Path) -> None:
+def test_results_hold_headings_in_the_frame_of_the_problem_and_say_so(problem: Path) -> None:
     _invoke("run", str(problem), "--no-draw")
     run = netcdf.read("p.nc")
-    assert (run.attributes["frame"], run.attributes["problem_frame"]) == ("paper", "rep103")
-    assert_allclose(run["heading"], 0.3 - pi / 2, atol=1e-9)
-    shown = to_problem_frame(run)
-    assert_allclose(shown["heading"], 0.3, atol=1e-9)
-    assert to_problem_frame(shown) is shown
+    assert run.attributes["frame"] == "rep103"
+    assert_allclose(run["heading"], 0.3, atol=1e-9)
+    assert_allclose(run.in_frame("paper")["heading"], 0.3 - pi / 2, atol=1e-9)
+    assert run.in_frame("rep103") is run
     assert figures_of(run, load_problem(problem))["end_heading"][0] == pytest.approx(0.3, abs=1e-9)
     axes = motion_figures.history(run, "heading", Figure().subplots())
     assert_allclose(np.asarray(axes.lines[0].get_ydata()), 0.3, atol=1e-9)

@@ -9,7 +9,6 @@ import pytest
 
 from slipfree.files.netcdf import write
 from slipfree.files.toml.errors import ProblemError
-from slipfree.frames import to_problem_frame
 from slipfree.outcome import Outcome
 from slipfree.plan import plan as planning
 from slipfree.plan.convergence import convergence_from
@@ -282,7 +281,7 @@ def test_a_goal_a_turn_away_is_reached_the_short_way(tmp_path: Path):
     result = _driven(tmp_path, '{ x = 1.5, heading = "370 deg" }', 6.0)
     motion = result.trajectory
     assert motion.stop is None
-    assert to_problem_frame(motion)["heading"][-1] == pytest.approx(np.deg2rad(10), abs=1e-3)
+    assert motion["heading"][-1] == pytest.approx(np.deg2rad(10), abs=1e-3)
     assert dict(motion_facts(motion))["whole turns"] == (
         "heading is 0.174533 rad at the end, a turn less than 6.457718232: the same position, "
         "reached the short way"

@@ -34,8 +34,6 @@ def quantities(run: Trajectory) -> dict[str, Any]:
     For quantities of wheels, first and last values are arrays of shape (n_wheels,), and smallest
     and largest values are taken over all wheels. Headings refer to the frame of the problem file.
     """
-    from slipfree.frames import to_problem_frame
-
     return {
         name: {
             "words": label.words,
@@ -45,7 +43,7 @@ def quantities(run: Trajectory) -> dict[str, Any]:
             "min": values.min(),
             "max": values.max(),
         }
-        for name, (label, values) in to_problem_frame(run).columns.items()
+        for name, (label, values) in run.columns.items()
     }
 
 

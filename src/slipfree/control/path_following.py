@@ -80,7 +80,7 @@ def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> 
     The law, its parameters and its errors are those of `follow`. The path is the line ahead of the
     last sample of ``start``, or behind it if the speed is negative.
     """
-    x, y, heading = (start[name][-1] for name in ("x", "y", "heading"))
+    x, y, heading = (start.in_frame("paper")[name][-1] for name in ("x", "y", "heading"))
     sign = -1.0 if speed < 0 else 1.0
     ahead = (x - sign * np.sin(heading), y + sign * np.cos(heading))
     return follow(dae, vehicle, Path(np.array([(x, y), ahead])), speed=speed)

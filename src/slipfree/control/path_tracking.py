@@ -74,7 +74,7 @@ def path_inputs(
     else:
         t, points = _checked_points(t, x, y, heading)
         first, velocity = points[:, 0], _splines(t, points.T, dae.t)[1]
-    there = np.array([start[name][-1] for name in ("x", "y", "heading")])
+    there = np.array([start.in_frame("paper")[name][-1] for name in ("x", "y", "heading")])
     gaps = (first - there) / [dae.size, dae.size, 1.0]
     gaps[2] = (gaps[2] + np.pi) % (2 * np.pi) - np.pi
     wrong = [

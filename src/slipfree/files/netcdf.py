@@ -43,7 +43,6 @@ from slipfree.files.cf import (
 from slipfree.files.map_coordinates import MAP_CRS
 from slipfree.files.tables import write_rows
 from slipfree.files.upgrade import sums_0_1, upgrade_0_1, upgrade_column_0_1
-from slipfree.frames import to_problem_frame
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Label
 from slipfree.regular_files import escape_name, regular_file
@@ -129,7 +128,6 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
         If the file cannot be written.
     """
     _check(run)
-    run = to_problem_frame(run)
     names, columns = ["time"], [run.t]
     for name, column in run.columns.items():
         wheels = [""] if column.values.ndim == 1 else [f"[{wheel}]" for wheel in run.wheels]

@@ -85,6 +85,7 @@ def _frame_poses(
     q = ca.SX.sym("q", len(names))
     place, values = ca.vertsplit(q)[:6], dict(zip(names[6:], ca.vertsplit(q)[6:], strict=True))
     found = frames(platform(*place), values)
+    run = run.in_frame("paper")
     columns = np.column_stack([run[name] for name in names]).T
     out = [
         ca.horzcat(*(pose.origin for pose in found)),

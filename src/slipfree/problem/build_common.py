@@ -11,7 +11,6 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.files.toml.errors import Fault, ProblemError, name_errors, problem_error
 from slipfree.files.toml.source_lines import Place as KeyPath
-from slipfree.frames import OFFSET
 from slipfree.problem import schema
 from slipfree.problem.build_ground import Ground, at, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
@@ -23,7 +22,7 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism
-from slipfree.trajectory import Column, Trajectory
+from slipfree.trajectory import OFFSET, Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth

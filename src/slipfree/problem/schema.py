@@ -19,13 +19,13 @@ from slipfree.files.toml.types import Piecewise as Piecewise
 from slipfree.files.toml.types import Place as Place
 from slipfree.files.toml.types import Positive as Positive
 from slipfree.files.toml.types import Record as Record
-from slipfree.frames import Frame
 from slipfree.problem.catalog_table import CATALOG, OWN, read_table
 from slipfree.problem.schema_ground import Synthetic as Synthetic
 from slipfree.problem.schema_ground import Terrain as Terrain
 from slipfree.problem.schema_law import Law as Law
 from slipfree.problem.schema_law import known_slip
 from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
+from slipfree.trajectory import Frame
 
 SlipName = Annotated[str, AfterValidator(known_slip)]
 

@@ -11,7 +11,7 @@ from slipfree.outcome import Outcome
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import Runnable
+from slipfree.problem.schema import Motion, Runnable
 from slipfree.problem.stored_inputs import STORED, stored_inputs
 from slipfree.problem.verbs.base import (
     CROSS_CHECK,
@@ -116,6 +116,8 @@ def _result(problem: Problem[Runnable], verb: MotionVerb, found: Solution, store
         STORED: stored,
     }
     run = replace(found.trajectory, attributes=attributes)
+    if isinstance(problem.spec, Motion):
+        run = run.in_frame(problem.spec.frame)
     return Result(
         verb.name, run, verb.verification(run), found.setup, found.arrays, lambda: problem
     )

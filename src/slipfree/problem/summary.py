@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from slipfree.frames import to_problem_frame
 from slipfree.trajectory import Trajectory, outcome_words
 
 Lines = list[tuple[str, str]]
@@ -17,7 +16,7 @@ def ranges(run: Trajectory) -> Lines:
     omitted.
     """
     facts = []
-    for name, column in to_problem_frame(run).columns.items():
+    for name, column in run.columns.items():
         if name == "utilisation" and not has_friction(run):
             continue
         low, high = (float(end.reduce(column.values, axis=None)) for end in (np.fmin, np.fmax))

@@ -223,7 +223,7 @@ def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
     x, y : ndarray, shape (n,)
         Map coordinates. [m]
     heading : ndarray, shape (n,)
-        Directions from the y axis, counter-clockwise. [rad]
+        Directions from the x axis, counter-clockwise. [rad]
 
     Returns
     -------
@@ -236,5 +236,5 @@ def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
     gradient = lookup_function(lookups.lookups, "gradient", at, expressions)
     x_0, y_0, _ = ground.origin
     rise = gradient(ca.DM(x - x_0).T, ca.DM(y - y_0).T)
-    along = np.stack([-np.sin(heading), np.cos(heading)])
+    along = np.stack([np.cos(heading), np.sin(heading)])
     return np.asarray(np.arctan(np.sum(along * np.array(rise), axis=0)))

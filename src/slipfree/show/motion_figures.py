@@ -20,7 +20,6 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import Bbox
 
-from slipfree.frames import to_problem_frame
 from slipfree.records import Array
 from slipfree.show import ground_drawing, style
 from slipfree.show.force_figures import (
@@ -170,7 +169,6 @@ def terrain(run: Trajectory, grid: Grid, ax: Any, prisms: Sequence[Prism] = ()) 
 
 def history(run: Trajectory, name: str, ax: Axes) -> Axes:
     """Draw a quantity over time, with one line per wheel for quantities of wheels."""
-    run = to_problem_frame(run)
     values = run[name]
     unit = style.unit(run.columns[name].label.unit)
     if values.ndim == 2:
@@ -242,7 +240,8 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     ax : Axes
         The axes.
     """
-    s, rise = _distance(run), ground_drawing.slope_along(ground, run["x"], run["y"], run["heading"])
+    heading = run.in_frame("rep103")["heading"]
+    s, rise = _distance(run), ground_drawing.slope_along(ground, run["x"], run["y"], heading)
     ax.plot(s, rise, **BELOW, label="ground along the heading")
     ax.plot(s, run["pitch"], color=PLATFORM, label="pitch of the platform")
     ax.set(xlabel="distance driven [m]", ylabel="slope [rad]")

@@ -6,7 +6,6 @@ from math import isfinite
 from typing import Any
 
 from slipfree.core.facts import Fact, numbers
-from slipfree.frames import to_problem_frame
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.task import COMPLETE
@@ -36,7 +35,7 @@ def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
         motion reached its end. ``within_limits`` of a plan is 1 if its simulation is complete and
         violates no limit by more than ``plan.accuracy``.
     """
-    verb, run = verb_of(problem), to_problem_frame(run)
+    verb = verb_of(problem)
     found = {COMPLETE: Fact(float(run.stop is None), "1")}
     found |= numbers(verb.facts(run))
     found |= {name: Fact(value) for name, value in run.statistics.items()}

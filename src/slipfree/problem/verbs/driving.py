@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -17,7 +16,6 @@ from slipfree.core.facts import Fact
 from slipfree.errors import DataError
 from slipfree.files.map_coordinates import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.files.urdf.meshes import FORMATS, MeshFiles, find_mesh
-from slipfree.frames import STORED, WANTED, to_problem_frame
 from slipfree.geometry.mesh import Mesh
 from slipfree.laws.soil import Soil
 from slipfree.models.drawbar import RESERVE, drawbar_reserve
@@ -112,7 +110,7 @@ class DriveVerb(MotionVerb):
     def describe_start(self, problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, Lines]:
         """Return the start in the frame of the problem, and facts about start and samples."""
         spec = problem.spec
-        start = to_problem_frame(replace(setup.start, attributes={WANTED: spec.frame}))
+        start = setup.start.in_frame(spec.frame)
         given = [name for name in spec.start if name in start.columns]
         names = dict.fromkeys([*given, "z", "pitch", "roll"])
         pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
@@ -129,11 +127,11 @@ class DriveVerb(MotionVerb):
 
     def facts(self, run: Trajectory) -> dict[str, Fact]:
         """Return last values, extremes, path length, slip and stored facts of a motion."""
-        return {**drive_facts(to_problem_frame(run)), **run.facts}
+        return {**drive_facts(run), **run.facts}
 
     def summary(self, run: Trajectory) -> Lines:
         """Return the summary of a motion, pairs of name and text."""
-        run, facts = to_problem_frame(run), self.facts(run)
+        facts = self.facts(run)
         return [
             *path_lines(run, facts),
             *self.own_lines(run),
@@ -200,12 +198,10 @@ class DriveVerb(MotionVerb):
         )
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
-        """Return attributes of the result: input names, frames, coordinates of the map file."""
+        """Return attributes of the result: input names, coordinates of the map file."""
         coordinates = setup.ground.coordinates
         return {
             "inputs": " ".join(label.full for label in leaves(setup.model.labels.u)),
-            STORED: "paper",
-            WANTED: problem.spec.frame,
             **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
         }
 
@@ -253,10 +249,7 @@ def _stable_poses(problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, .
         states = [label.full for label in leaves(model.labels.x)][:-relaxed]
         held: dict[str, Any] = {name: float(setup.start[name][0]) for name in states}
         poses = stable_poses(model, options=spec.solver.options, **held)
-    return tuple(
-        to_problem_frame(replace(pose, attributes={WANTED: spec.frame}))
-        for pose in poses or (setup.start,)
-    )
+    return tuple(pose.in_frame(spec.frame) for pose in poses or (setup.start,))
 
 
 def model_attributes(spec: Modelled) -> dict[str, str]:

@@ -39,7 +39,6 @@ from slipfree.fit.unknowns import (
     with_unknowns,
 )
 from slipfree.fit.windows import Log, Windows, cut
-from slipfree.frames import Frame
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.outcome import Outcome
@@ -53,6 +52,7 @@ from slipfree.problem.unit_checks import check_heading_unit, check_sampling, che
 from slipfree.problem.verbs.base import Verb
 from slipfree.records import Array
 from slipfree.terrain.analytic import Analytic
+from slipfree.trajectory import Frame
 from slipfree.vehicle.tree import Vehicle as VehicleModel
 
 TIME_SLACK = 1e-6  # of window ends [window]
@@ -295,7 +295,7 @@ def _read_table(path: Path, data: Data, columns: Mapping[str, str]) -> Columns:
 
 def _read_result(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
     """Return the columns of a result of slipfree, with rates and values by name."""
-    run = read_result(path)
+    run = read_result(path).in_frame("paper")
     found = {"t": run.t, **{key: run[key] for key in ("x", "y", "heading")}}
     found["window"] = np.zeros(run.t.size)
     for name, column in columns.items():
