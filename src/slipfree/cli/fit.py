@@ -58,6 +58,7 @@ def fit(
         from slipfree.files.vehicle_writer import vehicle_text
         from slipfree.problem.input_files import files_read
         from slipfree.problem.verbs.fit import (
+            error_rows,
             estimate_rows,
             facts,
             vehicle_comments,
@@ -83,6 +84,7 @@ def fit(
                 written.append(write)
             is_interrupted = interrupt_requested() or fitted.calibration.estimate.is_interrupted
         print_facts(facts(fitted))
+        add_json("errors", lambda: error_rows(fitted))
         add_json("estimates", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
         if picture is not None and not is_interrupted:
             from slipfree.show.fit_figures import fit_plot

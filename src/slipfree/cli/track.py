@@ -14,7 +14,7 @@ from slipfree.cli.common import (
     print_facts,
     reported,
 )
-from slipfree.cli.messages import INTERRUPTED, detail, print_error, print_line, written
+from slipfree.cli.messages import INTERRUPTED, add_json, detail, print_error, print_line, written
 from slipfree.cli.outputs import check_outputs, save
 from slipfree.interrupt import held_interrupt, interrupt_requested
 from slipfree.regular_files import regular_file
@@ -55,7 +55,11 @@ def track(
     with reported(), about(file):
         from slipfree.files.netcdf import write
         from slipfree.problem.result import result_files
-        from slipfree.problem.verbs.plan_tracking import follow_plan, tracking_rows
+        from slipfree.problem.verbs.plan_tracking import (
+            follow_plan,
+            tracking_lines,
+            tracking_rows,
+        )
 
         with regular_file(file, "a result file of slipfree"):
             check_outputs([out], result_files(file, folder))
@@ -72,7 +76,9 @@ def track(
             if out is not None and run is not None:
                 out = save(out, lambda path: write(path, run))
             is_interrupted = interrupt_requested()
-        print_facts(list(tracking_rows(test)))
+        rows = tracking_rows(test)
+        print_facts(list(tracking_lines(rows)))
+        add_json("motions", lambda: rows)
         if out is not None and run is not None:
             print_line(f"wrote {out}")
         if is_interrupted:

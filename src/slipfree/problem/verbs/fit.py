@@ -22,7 +22,6 @@ from slipfree.files.toml.types import Positive, Record
 from slipfree.fit.body_motion import body_motion
 from slipfree.fit.calibration import (
     Calibration,
-    EndErrors,
     bootstrap,
     calibrate,
     heading_rms,
@@ -373,8 +372,7 @@ def facts(fitted: Fitted) -> Lines:
         ("windows", f"{len(found.train.measured)} for training, {len(found.test.measured)} others"),
         *_estimates(found.estimate),
         *_directions(found.estimate),
-        *_errors("training windows", found.train),
-        *_errors("other windows", found.test),
+        *map(_error_line, error_rows(fitted)),
     ]
 
 
@@ -421,16 +419,15 @@ def _combination(direction: Direction, names: list[str]) -> str:
     return names[int(np.abs(direction.weights).argmax())] if len(parts) == 1 else " ".join(parts)
 
 
-def _errors(words: str, errors: EndErrors) -> Iterator[tuple[str, str]]:
-    """Yield the errors of end poses before and after the fit, with bootstrap intervals."""
-    for name, values in (("before", errors.nominal), ("after", errors.fitted)):
-        position, heading = bootstrap(values, position_rms), bootstrap(values, heading_rms)
-        yield (
-            f"{words}, {name}",
-            f"rms {position.value:.4g} m ({position.lower:.4g} to {position.upper:.4g}), "
-            f"{np.rad2deg(heading.value):.3g} deg ({np.rad2deg(heading.lower):.3g} to "
-            f"{np.rad2deg(heading.upper):.3g})",
-        )
+def _error_line(row: Mapping[str, Any]) -> tuple[str, str]:
+    position, heading = row["position_rms"], row["heading_rms"]
+    value, low, high = (np.rad2deg(heading[key]) for key in ("value", "lower", "upper"))
+    words = {"train": "training windows", "test": "other windows"}[row["set"]]
+    return (
+        f"{words}, {row['when']}",
+        f"rms {position['value']:.4g} m ({position['lower']:.4g} to {position['upper']:.4g}), "
+        f"{value:.3g} deg ({low:.3g} to {high:.3g})",
+    )
 
 
 def estimate_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
@@ -447,6 +444,21 @@ def estimate_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
             int(found.at_bound[k]),
         ]
         for k, label in enumerate(found.labels)
+    ]
+
+
+def error_rows(fitted: Fitted) -> list[dict[str, Any]]:
+    """Return errors of end poses with bootstrap intervals, before and after the fit [m, rad]."""
+    sets = (("train", fitted.calibration.train), ("test", fitted.calibration.test))
+    return [
+        {
+            "set": name,
+            "when": when,
+            "position_rms": bootstrap(values, position_rms)._asdict(),
+            "heading_rms": bootstrap(values, heading_rms)._asdict(),
+        }
+        for name, errors in sets
+        for when, values in (("before", errors.nominal), ("after", errors.fitted))
     ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -249,19 +249,35 @@ def _followed(
         return Followed(name, None, str(error))
 
 
-def tracking_rows(test: TrackingTest) -> Iterator[tuple[str, str]]:
-    """Yield the name of each motion with its end error, slip, path length and outcome."""
+def tracking_rows(test: TrackingTest) -> list[dict[str, Any]]:
+    """Return for each motion its name, end error [m], slip [m/s], path length [m] and outcome."""
+    rows = list[dict[str, Any]]()
     for name, run, words in (Followed("plan", test.plan, "on its own ground"), *test.motions):
+        rows.append({"name": name, "words": words})
         if run is None:
-            yield name, words
             continue
         slip = np.hypot(run["slip_along"], run["slip_across"])
         squares = np.trapezoid(slip**2, run.t, axis=0).mean() / (run.t[-1] - run.t[0])
         end = np.hypot(*(run[axis][-1] - test.plan[axis][-1] for axis in "xy"))
-        rms = 1e3 * np.sqrt(squares)
-        outcome = "" if run.stop is None else f"; stopped at {run.t[-1]:.4g} s: {run.stop.words}"
-        yield (
-            name,
-            f"ends {end:.3g} m from the plan, rms slip {rms:.3g} mm/s per wheel, "
-            f"path {path_length(run):.4g} m; {words}{outcome}",
-        )
+        rows[-1] |= {
+            "end_distance": float(end),
+            "slip_rms": float(np.sqrt(squares)),
+            "path_length": path_length(run),
+            "outcome": run.outcome.name.lower(),
+            "stop": "" if run.stop is None else f"{run.t[-1]:.4g} s: {run.stop.words}",
+        }
+    return rows
+
+
+def tracking_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """Yield the lines that show the rows of `tracking_rows`."""
+    for row in rows:
+        words = row["words"]
+        if "outcome" in row:
+            stopped = f"; stopped at {row['stop']}" if row["stop"] else ""
+            words = (
+                f"ends {row['end_distance']:.3g} m from the plan, rms slip "
+                f"{1e3 * row['slip_rms']:.3g} mm/s per wheel, path {row['path_length']:.4g} m; "
+                f"{words}{stopped}"
+            )
+        yield row["name"], words
