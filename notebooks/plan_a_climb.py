@@ -59,7 +59,7 @@ for words, outcome in outcomes.items():
     found = outcome.trajectory
     print(
         f"{words}: {path_length(found):.2f} m, needs up to {found['utilisation'].max():.2f} times "
-        f"the friction there is; {found.statistics['plan_iterations']:.0f} iterations"
+        f"the friction there is; {found.facts['plan_iterations'].value:.0f} iterations"
     )
 
 # %% [markdown]

@@ -75,7 +75,8 @@ def parts(found):
 
 def ending(found):
     """Return the ending of a result."""
-    return found.trajectory.attributes["obstacles"]
+    fact = found.trajectory.facts["obstacles"]
+    return f"{fact.value}: {fact.words}"
 
 
 def averages(found, measure):
@@ -314,10 +315,10 @@ print(f"slow, highest step at a coefficient of 0.4: {1e3 * height:.0f} mm")
 
 # %%
 planned = climb("plan_step")
-counts, plan = planned.trajectory.statistics, planned.setup.plan
+facts, plan = planned.trajectory.facts, planned.setup.plan
 print("planned:", ending(planned))
 print(f"  true slip {averages(planned, 'true_slip')[-1]:.1f} %")
-print(f"  {counts['plan_cost_time']:.2f} s planned, {counts['plan_driven']:.2f} s driven")
+print(f"  {facts['plan_cost_time'].value:.2f} s planned, {facts['plan_driven'].value:.2f} s driven")
 least = ", ".join(f"{mu:.3f}" for mu in plan.least)
 print(f"  least friction on which front, middle and rear wheels climb: {least}")
 for law, settings in LAWS.items():

@@ -51,7 +51,7 @@ def test_the_ramp_is_the_climb_of_the_library():
             getattr(averages, measure), getattr(same.metrics, measure), rtol=1e-3
         )
     np.testing.assert_allclose(run["y"], same.run["y"], atol=1e-6)
-    assert run.attributes["obstacles"].startswith("climbs: by t = 2.63")
+    assert run.facts["obstacles"].words.startswith("by t = 2.63")
 
 
 @pytest.mark.slow
@@ -72,7 +72,7 @@ def test_outcomes_of_climbs():
 
 def test_a_step_that_is_not_met_is_unfinished():
     run = run_problem(load_problem(STEP_FILE, ["time.duration=0.1"])).trajectory
-    assert run.attributes["obstacles"].startswith("unfinished: no wheel touched an obstacle")
+    assert run.facts["obstacles"].words.startswith("no wheel touched an obstacle")
 
 
 def test_the_start_is_at_rest_on_the_floor_and_rolls():
@@ -95,7 +95,7 @@ def test_a_sampled_controller_climbs_as_the_continuous_one():
 @pytest.mark.slow
 def test_stairs_are_climbed():
     run = run_problem(load_problem(STAIRS_FILE, ["driver.period=", *COARSE])).trajectory
-    assert run.attributes["obstacles"].startswith("climbs")
+    assert run.facts["obstacles"].value == "climbs"
     np.testing.assert_allclose(run["center_z"][-1], 3 * 0.06 + 0.066, atol=1e-3)
 
 
@@ -140,8 +140,9 @@ def test_the_side_view_shows_vehicle_and_solids():
 @pytest.mark.slow
 def test_a_plan_climbs_where_references_do_not():
     found = run_problem(load_problem(PLAN_FILE, COARSE))
-    run, counts, plan = found.trajectory, found.trajectory.statistics, found.setup.plan
-    assert run.attributes["obstacles"].startswith("climbs")
+    run, plan = found.trajectory, found.setup.plan
+    counts = {name: fact.value for name, fact in run.facts.items()}
+    assert run.facts["obstacles"].value == "climbs"
     # least friction of every leg, of a study with its own code
     np.testing.assert_allclose(plan.least, [0.579, 0.630, 0.677], atol=0.01)
     assert counts["plan_cost_friction"] == pytest.approx(0.7)
@@ -155,7 +156,7 @@ def test_a_plan_climbs_where_references_do_not():
     for law in ("projective", "fixed"):
         settings = ["terrain.friction=0.75", f"driver.control.law={law}", *COARSE]
         stuck = run_problem(load_problem(STEP_FILE, settings)).trajectory
-        assert stuck.attributes["obstacles"].startswith("stalls"), law
+        assert stuck.facts["obstacles"].value == "stalls", law
 
 
 @pytest.mark.usefixtures("folder")
