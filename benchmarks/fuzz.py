@@ -1,12 +1,12 @@
-"""Read random files as the commands do, and count those read, refused or mishandled.
+"""Random and damaged files, read as the commands do: read, refused or mishandled.
 
-``python benchmarks/fuzz.py --cases 10000 [--seed N]`` prints, for every kind of file, how many
+``python benchmarks fuzz --cases 10000 [--seed N]`` prints, for every kind of file, how many
 cases were read, refused with a clear error that names the file, or ended in a traceback, a warning,
 an unclear error, a hang, or the death of the process; also the slowest case and the largest memory.
 Every kind runs in a separate process with limited address space, which is killed if a case takes
 too long. The exit code is 1 if a case was mishandled.
 
-``python benchmarks/fuzz.py --only direct:17 [--seed N]`` repeats one case and keeps its files.
+``python benchmarks fuzz --only direct:17 [--seed N]`` repeats one case and keeps its files.
 ``--kinds mutated_urdf,mutated_raster`` reads URDFs and rasters with a few changes; what these print
 on standard error is an error too.
 """
@@ -27,7 +27,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from common import HERE
+
 from helpers.fuzz_checks import READ, REFUSED, Verdict, judged
 from helpers.fuzz_files import KINDS, drawn
 from helpers.fuzz_libraries import LIBRARY_KINDS
@@ -100,16 +101,8 @@ def kind_of_cases(kind: str, count: int, seed: int) -> Tally:
     """Return the outcomes of cases of a kind; another process continues after a hang or crash."""
     tally, first = Tally(), 0
     while first < count:
-        words = [
-            sys.executable,
-            __file__,
-            "--child",
-            kind,
-            str(first),
-            str(count),
-            "--seed",
-            str(seed),
-        ]
+        call = f"import fuzz; fuzz.child({kind!r}, {first}, {count}, {seed})"
+        words = [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(HERE)!r}); {call}"]
         with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
             first = _followed(process, first, tally)
     return tally
@@ -157,11 +150,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kinds", default=",".join(ALL_KINDS), help="which, with commas between")
     parser.add_argument("--only", metavar="KIND:NUMBER")
-    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
     asked = parser.parse_args()
-    if asked.child:
-        child(asked.child[0], int(asked.child[1]), int(asked.child[2]), asked.seed)
-        return 0
     if asked.only:
         kind, number = asked.only.split(":")
         folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
@@ -191,7 +180,3 @@ def table(cases: int, seed: int, kinds: list[str]) -> int:
     )
     print("\n".join(bad))
     return 1 if wrong else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
