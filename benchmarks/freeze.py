@@ -1,12 +1,12 @@
 """Freeze the results of all commands and shipped problems, and compare two frozen states.
 
-``python benchmarks/freeze.py run OUT [--only PATTERN] [--source SRC]`` runs the commands of
+``python benchmarks freeze run OUT [--only PATTERN] [--source SRC]`` runs the commands of
 ``.ci/commands.py`` and a list of faulty commands, two at a time, and stores for each its exit code,
 JSON object, messages and the arrays of the files it writes. PATTERN is a regular expression of
 command lines; SRC is the source folder of another checkout. The problems are those that its
 ``slipfree examples`` copies.
 
-``python benchmarks/freeze.py compare OLD NEW`` prints a line for each command: the largest
+``python benchmarks freeze compare OLD NEW`` prints a line for each command: the largest
 difference of its arrays in units of the solver tolerance, ``max |a - b| / (tolerance * max(1, max
 |a|))``. Below it are the variables that differ by more than one tolerance or exist in one state
 only, the values of the JSON object that differ (numbers by more than 1e-6 and 1e-9, relative and
@@ -45,8 +45,8 @@ SHOWN = 12  # largest number of differences printed for a command
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # CPU and wall times: in sentences, as keys and as columns
 TIMES = re.compile(
-    rf"{NUMBER} (?:m?s CPU|s, of which {NUMBER} s|(?:m?s|min) per (?:run|cycle|solve))"
-    rf"|(?<=took ){NUMBER} m?s|(?<=after ){NUMBER} s of computing"
+    rf"{NUMBER} (?:x real time|m?s CPU|s, of which {NUMBER} s|s of search)"
+    rf"|(?<=iterations, ){NUMBER} s"
 )
 TIME_KEY = re.compile(r"seconds|cpu|wall|date|history", re.IGNORECASE)
 FAULTY = """

@@ -40,20 +40,8 @@ SHARED = (
 
 def command(folder: Path, processes: int, runs: int) -> list[str]:
     """Return the command of the sweep."""
-    return [
-        sys.executable,
-        "-m",
-        "slipfree",
-        "sweep",
-        str(PROBLEM),
-        "--repeat",
-        str(runs),
-        "--processes",
-        str(processes),
-        "--no-draw",
-        "-o",
-        str(folder),
-    ]
+    words = f"--repeat {runs} --processes {processes} --no-draw -o {folder}".split()
+    return [sys.executable, "-m", "slipfree", "sweep", str(PROBLEM), *words]
 
 
 def rows(folder: Path) -> list[dict[str, object]]:
