@@ -15,10 +15,10 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 SLIPFREE = Path(sys.executable).with_name("slipfree")
 STOPS_EARLY = (
@@ -131,18 +131,27 @@ MAP = "--set terrain.synthetic= --set terrain.file=site.tif"
 SWEEP = "sweep problems/paper_direct.toml --repeat 2 --set time.duration=2 -o clustered"
 
 
-def slipfree(line: str, code: int = 0) -> Callable[[], None]:
-    """Return the run of a command line of slipfree."""
-    return lambda: run(line, [str(SLIPFREE), *shlex.split(line)], code)
+class Command(NamedTuple):
+    """Name, command line and expected exit code of a process."""
+
+    name: str
+    words: tuple[str, ...]
+    code: int = 0
 
 
-def python(name: str, code: str, *words: str) -> Callable[[], None]:
-    """Return the run of a piece of Python."""
-    return lambda: run(name, [sys.executable, "-c", code, *words], 0)
+def slipfree(line: str, code: int = 0) -> Command:
+    """Return the command of a command line of slipfree."""
+    return Command(line, (str(SLIPFREE), *shlex.split(line)), code)
 
 
-def run(name: str, words: list[str], code: int) -> None:
-    """Run one command; raise what it printed, if it ends otherwise than with the code expected."""
+def python(name: str, code: str, *words: str) -> Command:
+    """Return the command that runs a piece of Python."""
+    return Command(name, (sys.executable, "-c", code, *words))
+
+
+def run(command: Command) -> None:
+    """Run a command; end with its output if it has another exit code than expected."""
+    name, words, code = command
     begun = time.perf_counter()
     done = subprocess.run(words, text=True, capture_output=True)
     print(f"{time.perf_counter() - begun:6.1f} s  {name}", flush=True)
@@ -154,7 +163,7 @@ def run(name: str, words: list[str], code: int) -> None:
             print(f"          {line}", flush=True)
 
 
-def problem(file: Path) -> list[Callable[[], None]]:
+def problem(file: Path) -> list[Command]:
     """Return the commands of a shipped problem."""
     name = file.stem
     verb = tomllib.loads(file.read_text("utf-8"))["verb"]
@@ -167,11 +176,10 @@ def problem(file: Path) -> list[Callable[[], None]]:
     return [first, *(slipfree(line) for line in AFTER.get(name, []))]
 
 
-def all_commands() -> list[list[Callable[[], None]]]:
+def all_commands(problems: Path, *, few: bool = False) -> list[list[Command]]:
     """Return the commands, in groups of some that follow one another; slow groups first."""
-    few = "--few" in sys.argv
     shipped = sorted(
-        (file for file in Path("problems").glob("*.toml") if not few or file.stem in FEW),
+        (file for file in problems.glob("*.toml") if not few or file.stem in FEW),
         key=lambda file: (file.stem[:4] != "plan", file),
     )
     return [
@@ -186,10 +194,10 @@ def all_commands() -> list[list[Callable[[], None]]]:
     ]
 
 
-def in_turn(group: list[Callable[[], None]]) -> None:
+def in_turn(group: list[Command]) -> None:
     """Run commands one after another."""
     for command in group:
-        command()
+        run(command)
 
 
 def versions() -> str:
@@ -206,8 +214,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
         os.chdir(folder)
         os.environ["SLIPFREE_CACHE"] = str(Path(folder, "cache"))  # nothing compiled before
-        slipfree("examples --to problems")()
-        groups = all_commands()
+        run(slipfree("examples --to problems"))
+        groups = all_commands(Path("problems"), few="--few" in sys.argv)
         try:
             for group in as_completed([pool.submit(in_turn, group) for group in groups]):
                 group.result()

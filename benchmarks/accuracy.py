@@ -1,25 +1,51 @@
-"""Measure the accuracy of direct kinematics, for ``docs/accuracy.md``.
+"""Accuracy of direct kinematics: references, closed forms, scales, path following.
 
-``python benchmarks/accuracy.py``
+``python benchmarks accuracy [PART ...]``:
+
+reference  another program's motion, good to 2e-10, at several tolerances
+flat       planar kinematics in closed form
+terrain    values and derivatives of a map against SciPy's spline
+starts     poor initial guesses that settle to the correct solution
+scales     all lengths of kinematic problems times 1e-6 to 1e6: largest difference of the scaled
+           motion from that at scale 1, over all quantities and samples, in tolerances of 1e-8
+follow     path following over 100 m of hills, with and without the tilt term of the law
 """
 
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from reference import heading
+from common import TESTS, run_parts
 from scipy.interpolate import NdBSpline, RectBivariateSpline
 
-from slipfree import Analytic, Bicubic, Grid, SolverOptions, direct_kinematics, settle, simulate
+from helpers.scale_cases import CASES, difference
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    Path,
+    SlipfreeError,
+    SolverOptions,
+    Trajectory,
+    direct_kinematics,
+    follow,
+    settle,
+    simulate,
+)
 from slipfree.catalog import three_wheeler
+from slipfree.control import path_following as laws
 from slipfree.lookups import LookupTable, lookup_function
+from slipfree.terrain.synthetic import blank, power_law
 
-DATA = Path(__file__).parent.parent / "tests" / "data"
+DATA = TESTS / "data"
 NAMES = ("x", "y", "heading", "tilt_right", "tilt_left", "z")
 RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
+SCALES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e4, 1e6)
+WIDTH = 9  # of a column
+WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (100, 0)], dtype=float)
+SPEED = 0.5  # [m/s]
 
 
 def reference_motion() -> None:
@@ -123,9 +149,58 @@ def poor_starts() -> None:
     print(f"poor starts (0.2 m, 0.4 rad) that settle to the right root: {right} of 60")
 
 
-if __name__ == "__main__":
-    heading()
-    reference_motion()
-    flat_ground()
-    terrain()
-    poor_starts()
+def cell(first: Trajectory, name: str, scale: float) -> str:
+    """Return the difference of a case at a scale as text of one column."""
+    try:
+        run = CASES[name](scale)
+    except SlipfreeError:
+        return "fails"
+    if (run.stop and run.stop.name) != (first.stop and first.stop.name):
+        return "stops"
+    return f"{difference(first, run, scale)[1]:.1e}"
+
+
+def scales() -> None:
+    """Print a row for each case and a column for each scale."""
+    print(f"{'largest difference [tolerances]':32}" + "".join(f"{s:>{WIDTH}g}" for s in SCALES))
+    for name, motion in CASES.items():
+        first = motion(1.0)
+        cells = (cell(first, name, scale) for scale in SCALES)
+        print(f"{name:32}" + "".join(f"{each:>{WIDTH}}" for each in cells), flush=True)
+
+
+def cross_track(run: Trajectory, path: Path) -> float:
+    """Return the largest distance of a sample from the path. [m]."""
+    places = path.at(np.linspace(0, path.length, 20001))
+    squares = (run["x"][:, None] - places.x) ** 2 + (run["y"][:, None] - places.y) ** 2
+    return float(np.sqrt(squares.min(axis=1)).max())
+
+
+def followed() -> None:
+    """Print path following with and without the tilt term of the law."""
+    ground = blank((-10.0, 110.0), (-30.0, 30.0), 0.25)
+    ground = power_law(ground, rms=0.15, hurst=0.9, longest=20.0, shortest=6.0, seed=4)
+    vehicle, path = three_wheeler(), Path(WAY)
+    dae = direct_kinematics(vehicle, Bicubic(ground))
+    place = path.at(np.zeros(1))
+    start = settle(dae, heading=float(place.heading[0] - np.arctan(0.5 * place.curvature[0])))
+    t, gain = np.linspace(0, path.length / SPEED, 401), laws.TILT_GAIN
+    print(f"{path.length:.0f} m of hills, relief {np.ptp(ground.z):.2f} m, at {SPEED} m/s")
+    for words, laws.TILT_GAIN in (("the law", gain), ("without the tilt term", 0.0)):
+        run = simulate(dae, start, follow(dae, vehicle, path, speed=SPEED), t)
+        tilt = max(np.abs(run[f"tilt_{side}"]).max() for side in ("right", "left"))
+        print(f"{words:22} largest tilt {tilt:.4f} rad, cross-track {cross_track(run, path):.4f} m")
+
+
+def main() -> None:
+    """Print the parts."""
+    run_parts(
+        {
+            "reference": reference_motion,
+            "flat": flat_ground,
+            "terrain": terrain,
+            "starts": poor_starts,
+            "scales": scales,
+            "follow": followed,
+        }
+    )

@@ -1,41 +1,62 @@
-"""Measure the cost of dynamic motions on formulas and maps, interpreted and compiled.
+"""Motions with inertia: cost, agreement with slow models and with MuJoCo.
 
-``python benchmarks/dynamics.py`` prints
+``python benchmarks dynamics [PART ...]``:
 
-1. CPU time in microseconds of a search for the ground point nearest to a wheel: on a formula, on a
-   map with the compiled search, and on a map without it;
-2. for three vehicles at four speeds, on a formula and on its bicubic map: steps, evaluations of the
-   equations and of their Jacobian, and CPU time of the integration per metre, interpreted and
-   compiled. The tolerance is the loosest of 1e-7 to 1e-4 for which, as for all tighter ones, the
-   error against 1e-10 is below 0.1 mm;
-3. for Rocky 7 in MuJoCo, on a height field with the nodes of our map, both from the pose in which
-   MuJoCo comes to rest: the distance of the motions; CPU time per metre of MuJoCo for several step
-   sizes, with errors against the smallest one; and ours as above. The ends depend on contacts and
-   facets, so further lines show MuJoCo with stiffer contacts and finer nodes, and ours stiffer.
+search     CPU time of a search for the ground point nearest to a wheel: on a formula, on a map with
+           the compiled search, and on a map without it
+three_wheeler, car, rocky7
+           a vehicle at four speeds, on a formula and on its bicubic map: steps, evaluations of the
+           equations and of their Jacobian, and CPU time of the integration per metre, interpreted
+           and compiled. The tolerance is the loosest of 1e-7 to 1e-4 for which, as for all tighter
+           ones, the error against 1e-10 is below 0.1 mm.
+mujoco     Rocky 7 in MuJoCo (extra ``bench``), on a height field with the nodes of our map, both
+           from the pose in which MuJoCo comes to rest: the distance of the motions; CPU time per
+           metre of MuJoCo by step size, with errors against the smallest one; and ours. The ends
+           depend on contacts and facets, so further lines show stiffer contacts and finer nodes.
+turns      four vehicles that turn over about 1 m of hills from rest: the distance between the ends
+           of dynamics and of quasi-statics by speed, with a creep of 1 % of the speed in both laws,
+           so that quasi-statics has the same path at every speed; its change divided by that of the
+           squared speed; the distance between kinematics with least slip and quasi-statics. Ends of
+           dynamics are taken 1 ms later, the time constant of its rates.
+rough      a rigid four-wheeler, straight on over rough ground at 0.1 m/s: the distance of dynamics
+           from kinematics with wheels pressed into the ground, and the wheels in the air in both
 
 The time of the integration is that of `simulate` with two samples, the least of a few runs, minus
-that of a run with a thousandth of the duration. ``python benchmarks/dynamics.py search`` prints
-only the first part, ``... rocky7`` (or ``car``, ``three_wheeler``) one vehicle, ``... mujoco``
-(extra ``bench``) the last part.
+that of a run with a thousandth of the duration.
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from common import run_parts
 from mjcf import SOFTNESS, Motion, driven, mujoco_model, settled
-from reference import heading
 
-from slipfree import Analytic, Bicubic, Grid, SolverOptions, catalog, dynamics, settle, simulate
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    SolverOptions,
+    catalog,
+    direct_kinematics,
+    dynamics,
+    quasi_statics,
+    settle,
+    simulate,
+)
 from slipfree.contact import touch
+from slipfree.dae import Dae
 from slipfree.laws.compliant import Compliant
+from slipfree.laws.coulomb import Coulomb
+from slipfree.models.dynamics import LAG
 from slipfree.terrain.base import Terrain
+from slipfree.terrain.synthetic import power_law
 from slipfree.trajectory import Trajectory, path_length
 from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Vehicle
@@ -283,13 +304,103 @@ def beside_mujoco() -> None:
         )
 
 
-if __name__ == "__main__":
-    heading()
-    chosen = sys.argv[1:] or ["search", *VEHICLES, "mujoco"]
-    if "search" in chosen:
-        search_times()
-    for each in VEHICLES:
-        if each in chosen:
-            vehicle_costs(each)
-    if "mujoco" in chosen:
-        beside_mujoco()
+SLOW_SPEEDS = (0.8, 0.4, 0.2, 0.1, 0.05)  # [m/s]
+FINE = SolverOptions(1e-8)
+SLOW_HILLS = Analytic(lambda x, y: hills(x, y, ca), mu=MU)
+TURNING = {
+    "skid_steer": catalog.skid_steer(),
+    "ackermann": catalog.ackermann(),
+    "rocky7": catalog.rocky7(),
+    "open_source_rover": catalog.open_source_rover(),
+}
+ROUGH = (0.01, 0.02)  # rms of the heights below a rigid four-wheeler [m]
+
+
+def turns() -> None:
+    """Print the distance between the ends of turns in three models."""
+    print("dynamics from quasi-statics, ends apart [m], by speed [m/s]; kinematics, the same")
+    print(
+        f"{'vehicle':18}"
+        + "".join(f"{speed:>10g}" for speed in SLOW_SPEEDS)
+        + f"{'kinematics':>12}"
+    )
+    for name, vehicle in TURNING.items():
+        gaps = []
+        for speed in SLOW_SPEEDS:
+            still = _turn(
+                quasi_statics(vehicle, SLOW_HILLS, law=Coulomb(0.01 * speed)), vehicle, speed
+            )
+            law = Compliant(creep=0.01 * speed)
+            moved = _turn(dynamics(vehicle, SLOW_HILLS, law=law), vehicle, speed, LAG)
+            gaps.append(moved - still)
+        least = _turn(direct_kinematics(vehicle, SLOW_HILLS), vehicle, SLOW_SPEEDS[-1]) - still
+        ends = "".join(f"{np.linalg.norm(gap):10.1e}" for gap in gaps)
+        print(f"{name:18}{ends}{np.linalg.norm(least):12.1e}")
+        steps = np.linalg.norm(np.diff(gaps, axis=0), axis=1) / -np.diff(np.square(SLOW_SPEEDS))
+        rates = "".join(f"{rate:10.1e}" for rate in steps)
+        print(f"{'  / v^2 [s^2/m]':18}{'':10}{rates}", flush=True)
+
+
+def rough_ground() -> None:
+    """Print the agreement of dynamics and kinematics of a rigid four-wheeler."""
+    print("rigid four-wheeler, straight on, 2.3 m at 0.1 m/s")
+    for rms in ROUGH:
+        _rock(rms)
+
+
+def _turn(model: Dae, vehicle: Vehicle, speed: float, delay: float = 0.0) -> np.ndarray:
+    """Return the end of a turn from rest, x and y, after a delay [m]."""
+    ramp = ca.tanh(model.t * speed / 0.3) ** 2
+    given = {label.full: 0.0 for part in model.labels.u for label in part}
+    for wheel in vehicle.wheels:
+        side = 1.2 if wheel.at[0] > 0 else 0.8
+        if wheel.driven:
+            given[f"{wheel.name}_rate"] = side * speed / wheel.radius * ramp
+    t = np.linspace(0, 1.3 / speed + delay, 3)
+    run = simulate(model, settle(model), model.inputs(**given), t, options=FINE)
+    if run.stop is not None:
+        raise SystemExit(f"{vehicle.name}: {run.stop.words}")
+    return np.array([run["x"][-1], run["y"][-1]])
+
+
+def _rock(rms: float) -> None:
+    """Print the agreement of dynamics and kinematics of a rigid four-wheeler on rough ground."""
+    vehicle = catalog.rigid_skid_steer()
+    axis = np.arange(-3, 5.05, 0.1)
+    flat = Grid(axis, axis, np.zeros((axis.size, axis.size)))
+    rough = power_law(flat, rms=rms, hurst=0.8, longest=3.0, shortest=0.6, seed=7)
+    ground = Bicubic(rough, mu=0.8)
+    wheels = tuple(replace(wheel, static_depth=wheel.radius / 250) for wheel in vehicle.wheels)
+    vehicle = replace(vehicle, wheels=wheels)
+    moving, still = (
+        straight_on(model, vehicle)
+        for model in (dynamics(vehicle, ground), direct_kinematics(vehicle, ground))
+    )
+    apart = np.hypot(*(moving[key] - still[key] for key in "xy"))
+    high = np.abs(moving["z"] - still["z"])
+    air, raised = moving["depth"] <= 0, still["depth"] <= 0
+    agree = (air == raised).all(1).mean()
+    names = [
+        ", ".join(w.name for k, w in enumerate(vehicle.wheels) if each[:, k].any())
+        for each in (air, raised)
+    ]
+    print(
+        f"  heights of {1e3 * rms:g} mm rms: end {1e3 * apart[-1]:.2f} mm apart, at most "
+        f"{1e3 * apart.max():.2f} mm, heights {1e3 * high.max():.2f} mm; in the air with inertia: "
+        f"{names[0] or 'none'}; without: {names[1] or 'none'}; the same wheels at "
+        f"{100 * agree:.0f} % of the samples"
+    )
+
+
+def straight_on(model: Dae, vehicle: Vehicle) -> Trajectory:
+    """Return the motion straight on over 2.3 m at 0.1 m/s."""
+    rates = {f"{wheel.name}_rate": 0.1 / wheel.radius for wheel in vehicle.wheels}
+    t = np.linspace(0, 23, 231)
+    return simulate(model, settle(model), model.inputs(**rates), t, options=FINE)
+
+
+def main() -> None:
+    """Print the parts."""
+    vehicles = {name: partial(vehicle_costs, name) for name in VEHICLES}
+    last = {"mujoco": beside_mujoco, "turns": turns, "rough": rough_ground}
+    run_parts({"search": search_times, **vehicles, **last})

@@ -1,13 +1,12 @@
-"""Inject faults into commands that write files, and check old and new files.
+"""Faults injected into commands that write files: old and new files afterwards.
 
-``python benchmarks/faults.py [--tries N] [--seed N] [--only NAME]`` prints a line for every fault
+``python benchmarks faults [--tries N] [--seed N] [--only NAME]`` prints a line for every fault
 and command: the numbers of tries, of lost files (neither the old file nor a complete new one), of
 tracebacks on stderr, of complete new files, of leftover unfinished files, of later successes of the
 same command without the fault, and the exit codes. ``--only interrupted`` sends SIGINT and SIGTERM
 to each verb at random times and prints what it leaves on disk: nothing before its first step or
 iterate, samples or iterates, solved plans, whole results; ``lost`` counts commands that leave
-nothing afterwards. ``--only compiler`` installs the package into a
-fresh environment without a compiler, which takes a minute and needs the package's dependencies.
+nothing afterwards.
 """
 
 from __future__ import annotations
@@ -30,15 +29,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from random import Random
 
+from common import PROBLEMS
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from helpers.fuzz_files import bases, document
 from slipfree.codegen_cache import FOLDER
 from slipfree.errors import SlipfreeError
 from slipfree.files import netcdf
 
-ROOT = Path(__file__).parent.parent
 LONGEST = 120.0  # that a command may take [s]
 BEGIN = "from slipfree.__main__ import main; print('begun', flush=True); main()"
 COMMANDS = {
@@ -288,7 +286,6 @@ def left(file: Path | None, told: str, sign: str, code: int) -> str:
 def prepare_verbs(folder: Path) -> None:
     """Write a short problem of each verb, and the results that commands read."""
     prepared(folder)
-    problems = ROOT / "problems"
     data = dict(bases("direct")[0])
     long = {**data, "time": {"duration": 7.0, "step": 0.02}}
     (folder / "p.toml").write_text(document(long))
@@ -298,15 +295,15 @@ def prepare_verbs(folder: Path) -> None:
     )
     sampled["control"] = {**sampled["control"], "period": 0.002}
     (folder / "sampled.toml").write_text(document(sampled))
-    (folder / "inverse.toml").write_text((problems / "paper_inverse.toml").read_text())
-    plan = (problems / "plan_rigid_hills.toml").read_text()
+    (folder / "inverse.toml").write_text((PROBLEMS / "paper_inverse.toml").read_text())
+    plan = (PROBLEMS / "plan_rigid_hills.toml").read_text()
     plan = re.sub(r"intervals = \d+", "intervals = 12", plan)
     (folder / "plan.toml").write_text(plan)
     robust = "\n[plan.robust]\ninputs = 0.01\ndraws = 20\nfinal_draws = 40\n"
     (folder / "robust.toml").write_text(plan + robust)
-    (folder / "compare.toml").write_text((problems / "compare_axles.toml").read_text())
-    (folder / "fit.toml").write_text((problems / "fit_skid_steer.toml").read_text())
-    shutil.copy(problems / "skid_steer_log.csv", folder)
+    (folder / "compare.toml").write_text((PROBLEMS / "compare_axles.toml").read_text())
+    (folder / "fit.toml").write_text((PROBLEMS / "fit_skid_steer.toml").read_text())
+    shutil.copy(PROBLEMS / "skid_steer_log.csv", folder)
     for words in (["plan.toml", "-o", "plan.nc"], ["p.toml", "-o", "old.nc"]):
         code, told = plain(["run", *words, "--no-draw"], folder)
         if code:
@@ -410,48 +407,13 @@ def _told(fault: str, name: str, counts: Counter[str]) -> Counter[str]:
     return counts
 
 
-def without_compiler() -> int:
-    """Install the package into a fresh environment without a compiler, and run a problem."""
-    with tempfile.TemporaryDirectory() as above:
-        clone, place = Path(above) / "clone", Path(above) / "environment"
-        ignore = shutil.ignore_patterns(
-            "*.so", ".git", "build", "*.egg-info", "__pycache__", ".*_cache"
-        )
-        shutil.copytree(ROOT, clone, ignore=ignore, symlinks=True)
-        subprocess.run([sys.executable, "-m", "venv", place], check=True)
-        there = {**os.environ, "CC": "/bin/false", "CXX": "/bin/false", "SLIPFREE_CACHE": ""}
-        installed = subprocess.run(
-            [place / "bin" / "pip", "install", "-q", clone], env=there, check=False
-        )
-        data = Path(above) / "work"
-        data.mkdir()
-        (data / "p.toml").write_text(document(bases("direct")[0]))
-        words = [place / "bin" / "slipfree", "run", "p.toml"]
-        run = subprocess.run(
-            words, cwd=data, env=there, check=False, capture_output=True, text=True
-        )
-        built = [*place.rglob("_kernel*.so")]
-        print(
-            f"pip install with CC=/bin/false: exit code {installed.returncode}; compiled parts: "
-            f"{len(built)}; slipfree run: exit code {run.returncode}, "
-            f"{len([*data.rglob('*.png')])} figures{run.stderr[-400:]}"
-        )
-        return int(bool(installed.returncode or run.returncode))
-
-
 def main() -> int:
     """Read the command line."""
     parser = argparse.ArgumentParser(description="Inject faults.")
     parser.add_argument("--tries", type=int, default=6)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", help="a fault or a command, compiler, or interrupted")
+    parser.add_argument("--only", help="a fault or a command, or interrupted")
     asked = parser.parse_args()
-    if asked.only == "compiler":
-        return without_compiler()
     if asked.only == "interrupted":
         return interruptions(asked.tries, asked.seed)
     return table(asked.tries, asked.seed, asked.only)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
-"""Check forces: closed forms, energy, creep, limits of friction, and axles at rest on slopes.
+"""Forces: closed forms, energy, creep, limits of friction, and axles at rest on slopes.
 
-``python benchmarks/forces.py`` prints the values of ``docs/accuracy.md`` and ``docs/papers.md``:
+``python benchmarks forces [PART ...]`` prints the values of docs/accuracy.md and docs/papers.md:
 errors against closed forms; the work of the drives against the energy gained; creep across a slope;
 the convergence towards three limits of friction; random starts; steps by creep speed; the least
 coefficient of friction with which four axles can stand, from the best distribution of forces and
@@ -9,31 +9,13 @@ from the existence of an equilibrium; and the friction that the paper's direct r
 
 from __future__ import annotations
 
-import sys
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from reference import heading
+from common import PROBLEMS, run_parts
 
-from slipfree import (
-    Analytic,
-    Coulomb,
-    ModelError,
-    SolverOptions,
-    direct_kinematics,
-    quasi_statics,
-    settle,
-    simulate,
-)
-from slipfree.catalog import three_wheeler
-from slipfree.models.friction_feasibility import best_utilisation
-from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from helpers.cases import hills
 from helpers.friction_cases import (
     FIXED,
@@ -49,6 +31,20 @@ from helpers.friction_cases import (
     random_starts,
     slope,
 )
+from slipfree import (
+    Analytic,
+    Coulomb,
+    ModelError,
+    SolverOptions,
+    direct_kinematics,
+    quasi_statics,
+    settle,
+    simulate,
+)
+from slipfree.catalog import three_wheeler
+from slipfree.models.friction_feasibility import best_utilisation
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 
 SEED = 20261121
 RISE, LENGTH = 0.3, 1.5  # height of the centre of mass, wheelbase [m]
@@ -66,19 +62,6 @@ AXLES: dict[str, dict[str, Any]] = {
     "one prismatic": {"axle": "prismatic", **DISC},
     "fixed": {"axle": "fixed"},
 }
-
-
-def main() -> None:
-    """Print all figures."""
-    heading()
-    closed_forms()
-    energy()
-    creep()
-    limits()
-    starts()
-    steps()
-    standing()
-    paper()
 
 
 def closed_forms() -> None:
@@ -224,7 +207,7 @@ def least_mu(vehicle: Any, angle: float, start: dict[str, float]) -> float:
 
 def paper() -> None:
     """Print the friction that the paper's direct run needs over time."""
-    problem = load_problem(Path(__file__).parent.parent / "problems" / "paper_direct.toml")
+    problem = load_problem(PROBLEMS / "paper_direct.toml")
     run = run_problem(problem).trajectory
     print("friction needed by problems/paper_direct.toml (right, left, front), tilt right [rad]")
     for t in range(7):
@@ -233,5 +216,7 @@ def paper() -> None:
         print(f"  {run.t[k]:g} s: {needed}; {run['tilt_right'][k]:.3f}")
 
 
-if __name__ == "__main__":
-    main()
+def main() -> None:
+    """Print the parts."""
+    parts = (closed_forms, energy, creep, limits, starts, steps, standing, paper)
+    run_parts({part.__name__: part for part in parts})

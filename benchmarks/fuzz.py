@@ -1,12 +1,12 @@
-"""Read random files as the commands do, and count those read, refused or mishandled.
+"""Random and damaged files, read as the commands do: read, refused or mishandled.
 
-``python benchmarks/fuzz.py --cases 10000 [--seed N]`` prints, for every kind of file, how many
+``python benchmarks fuzz --cases 10000 [--seed N]`` prints, for every kind of file, how many
 cases were read, refused with a clear error that names the file, or ended in a traceback, a warning,
 an unclear error, a hang, or the death of the process; also the slowest case and the largest memory.
-Every kind runs in a separate process with limited address space, which is killed if a case takes
-too long. The exit code is 1 if a case was mishandled.
+Cases run in separate processes with limited address space, which are killed if they take too long.
+The exit code is 1 if a case was mishandled.
 
-``python benchmarks/fuzz.py --only direct:17 [--seed N]`` repeats one case and keeps its files.
+``python benchmarks fuzz --only direct:17 [--seed N]`` repeats one case and keeps its files.
 ``--kinds mutated_urdf,mutated_raster`` reads URDFs and rasters with a few changes; what these print
 on standard error is an error too.
 """
@@ -14,12 +14,9 @@ on standard error is an error too.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import resource
-import select
 import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -27,7 +24,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from common import apart
+
 from helpers.fuzz_checks import READ, REFUSED, Verdict, judged
 from helpers.fuzz_files import KINDS, drawn
 from helpers.fuzz_libraries import LIBRARY_KINDS
@@ -37,7 +35,8 @@ SHARES = {"direct": 4, "inverse": 2, "plan": 2, "climb": 2, "vehicle": 3, "resul
 ALL_KINDS = KINDS | LIBRARY_KINDS
 MEMORY = 6 * 2**30  # of addresses that a process may have [B]
 LONGEST = 60.0  # that a case may take, on a busy machine [s]
-BEGIN = 120.0  # that a process may take to start [s]
+BEGIN = 60.0  # that a process may take to start [s]
+BATCH = 100  # cases of a process
 DEEP = 0.04  # part of the cases that are solved as well, for a short time
 FAULTS = ("traceback", "warning", "unclear", "hang", "death", "print")
 HEAD = f"{'kind':15}{'cases':>7}{'read':>7}{'refused':>9}" + "".join(
@@ -80,66 +79,50 @@ def one(kind: str, number: int, seed: int, folder: Path) -> Verdict:
     return judged(drawn(kind, rng), folder, deep=rng.random() < DEEP)
 
 
-def child(kind: str, first: int, last: int, seed: int) -> None:
-    """Run cases of a kind, and report the beginning and end of each."""
+def run_cases(kind: str, first: int, last: int, seed: int) -> list[list[object]]:
+    """Return number, outcome, message, time [s] and peak memory [B] of cases of a kind."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    with os.fdopen(os.dup(1), "w") as out, Path(os.devnull).open("w") as nothing:
-        for stream in (1, 2):  # what libraries print
+    found, printed = list[list[object]](), [os.dup(stream) for stream in (1, 2)]
+    with Path(os.devnull).open("w") as nothing:
+        for stream in (1, 2):  # libraries print there
             os.dup2(nothing.fileno(), stream)
         for number in range(first, last):
-            print(json.dumps(number), file=out, flush=True)
             begin = time.perf_counter()
             with tempfile.TemporaryDirectory() as folder:
-                found = one(kind, number, seed, Path(folder))
+                verdict = one(kind, number, seed, Path(folder))
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-            print(json.dumps([*found, time.perf_counter() - begin, peak]), file=out, flush=True)
+            found.append([number, *verdict, time.perf_counter() - begin, peak])
+        for stream, kept in zip((1, 2), printed, strict=True):
+            os.dup2(kept, stream)
+    return found
+
+
+def run_batch(kind: str, first: int, last: int, seed: int, tally: Tally) -> None:
+    """Count cases that run in a separate process; halve the batch after a hang or a death."""
+    wait = BEGIN + LONGEST + 2.0 * (last - first)
+    try:
+        found = apart(run_cases, kind, first, last, seed, timeout=wait)
+    except subprocess.SubprocessError as error:
+        if last - first > 1:
+            middle = (first + last) // 2
+            run_batch(kind, first, middle, seed, tally)
+            run_batch(kind, middle, last, seed, tally)
+            return
+        name = "hang" if isinstance(error, subprocess.TimeoutExpired) else "death"
+        tally.add(first, name, str(error).rpartition("]")[2], 0.0)
+        return
+    for number, name, message, seconds, peak in found:
+        tally.add(number, name, message, seconds)
+        tally.memory = max(tally.memory, peak)
 
 
 def kind_of_cases(kind: str, count: int, seed: int) -> Tally:
-    """Return the outcomes of cases of a kind; another process continues after a hang or crash."""
-    tally, first = Tally(), 0
-    while first < count:
-        words = [
-            sys.executable,
-            __file__,
-            "--child",
-            kind,
-            str(first),
-            str(count),
-            "--seed",
-            str(seed),
-        ]
-        with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
-            first = _followed(process, first, tally)
+    """Return the outcomes of cases of a kind."""
+    tally = Tally()
+    for first in range(0, count, BATCH):
+        run_batch(kind, first, min(first + BATCH, count), seed, tally)
     return tally
-
-
-def _followed(process: subprocess.Popen[bytes], number: int, tally: Tally) -> int:
-    """Count the reported cases of a process until it ends, and return the next case."""
-    if process.stdout is None:
-        raise RuntimeError("a process without a pipe")
-    wait, data = BEGIN, b""
-    while True:
-        ready, _, _ = select.select([process.stdout], [], [], wait)
-        if not ready:
-            process.kill()
-            tally.add(number, "hang", f"more than {wait:g} s", wait)
-            return number + 1
-        part = os.read(process.stdout.fileno(), 1 << 16)
-        if not part:
-            if code := process.wait():
-                tally.add(number, "death", f"exit code {code}", 0.0)
-                return number + 1
-            return number
-        *lines, data = (data + part).split(b"\n")
-        for found in map(json.loads, lines):
-            if isinstance(found, int):
-                number, wait = found, LONGEST
-                continue
-            name, told, seconds, peak = found
-            tally.add(number, name, told, seconds)
-            tally.memory, number = max(tally.memory, peak), number + 1
 
 
 def shared(cases: int, kinds: list[str]) -> dict[str, int]:
@@ -157,11 +140,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kinds", default=",".join(ALL_KINDS), help="which, with commas between")
     parser.add_argument("--only", metavar="KIND:NUMBER")
-    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
     asked = parser.parse_args()
-    if asked.child:
-        child(asked.child[0], int(asked.child[1]), int(asked.child[2]), asked.seed)
-        return 0
     if asked.only:
         kind, number = asked.only.split(":")
         folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
@@ -172,9 +151,7 @@ def main() -> int:
 
 def table(cases: int, seed: int, kinds: list[str]) -> int:
     """Print the outcomes of cases; return 1 if any is an error."""
-    print(
-        f"seed {seed}; a case may take {LONGEST:g} s, a process {MEMORY / 2**30:g} GiB of addresses"
-    )
+    print(f"seed {seed}; a process may have {MEMORY / 2**30:g} GiB of addresses")
     print(f"{HEAD}  slowest              memory")
     total, begin, bad = Tally(), time.perf_counter(), []
     for kind, count in shared(cases, kinds).items():
@@ -191,7 +168,3 @@ def table(cases: int, seed: int, kinds: list[str]) -> int:
     )
     print("\n".join(bad))
     return 1 if wrong else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,8 +1,8 @@
-"""Measure how CPU times grow with samples, wheels, map nodes, plan intervals and sweep points.
+"""How CPU times grow: samples, wheels, map nodes, plan intervals, sweep points; start-up.
 
-``python benchmarks/growth.py`` prints five tables; ``... wheels plan`` prints those named. The last
-lines of a table are exponents: the slope of a line through the logarithms of all rows, and that of
-the last two rows, to which fixed costs contribute least.
+``python benchmarks growth [PART ...]``; the last lines of a table are exponents: the slope of a
+line through the logarithms of all rows, and that of the last two rows, to which fixed costs
+contribute least. Each part runs in a process with one thread.
 
 samples  `simulate` of one motion, compiled: integration, the whole call
 wheels   vehicles of 3 to 12 wheels, three of them rigid and the others on springs, over hills,
@@ -11,6 +11,11 @@ map      nodes of a map: its ground, the model with its start, integration over 
 plan     intervals: an iteration of IPOPT with compiled and cached functions
 sweep    points, with runs that cost nothing and without waiting for the disk: checking the values,
          the runs with their log and table, reading this log and writing the table again, a figure
+calls    Rocky 7 over 5 m and the three-wheeler on hills, the least of a few calls: integration
+         alone, the rest of a call with two samples, each further sample, the call with 101 samples;
+         `rollouts` of Rocky 7 over 2 m with 21 samples: runs a minute in one process, with inputs
+         that are constant or jump; memory after 40 and 200 runs
+start    imports and help in new processes, wall time
 """
 
 from __future__ import annotations
@@ -22,24 +27,30 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from reference import heading
-from samples import Case, Clock, least, rocky, three
+from common import apart, run_parts
+from common import least as least_wall
 from sweep import PROBLEM
+from test_rovers import rocky_case, rover_ground
 
-from plan import EASY, SIZES, hills, planned
+from helpers.cases import hills
+from plan import planned
 from slipfree import (
     Analytic,
     Bicubic,
+    Dae,
     Grid,
     SolverOptions,
+    Trajectory,
     direct_kinematics,
     dynamics,
     quasi_statics,
+    rollouts,
     settle,
     simulate,
     straight,
@@ -47,6 +58,7 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.plan.ipopt import Iterate
 from slipfree.show.sweep_figures import save_sweep_figures
+from slipfree.solve import simulate as module
 from slipfree.sweep.grid import sweep_of
 from slipfree.sweep.log import Row
 from slipfree.sweep.run import run_sweep
@@ -63,6 +75,50 @@ SIDES, POINTS = (200, 500, 1000, 2000, 4000), (100, 1000, 10000, 100000)
 MODELS = {"kinematics": direct_kinematics, "quasi-statics": quasi_statics, "dynamics": dynamics}
 SPACING, SPEED, FEW, MANY = 0.1, 0.5, 2, 101  # [m], [m/s], samples
 Costs = dict[str, float]
+SIZES = (25, 50, 100, 200, 400)  # intervals of a plan
+EASY = {"slip": 1e3, "effort": 0.01}  # costs of a plan with few iterations
+TURNS = 5
+CALLS = (2, 101, 1001)  # samples
+Case = tuple[Dae, Trajectory, Any, float]
+
+
+def rocky() -> Case:
+    """Return model, start, inputs and duration [s]."""
+    return *rocky_case(rover_ground(), 0.0, 0.1), 10.0
+
+
+def three() -> Case:
+    """Return the same of the paper's vehicle with its masses, so that forces are computed."""
+    axis = np.linspace(-10, 10, 201)
+    ground = Bicubic(Grid(axis, axis, 0.05 * np.add.outer(np.sin(axis), np.cos(1.3 * axis))))
+    model = direct_kinematics(three_wheeler(), ground)
+    inputs = model.inputs(right_rate=0.5, left_rate=0.45, steer_rate=0.0)
+    return model, settle(model), inputs, 10.0
+
+
+class Clock:
+    """Sum of the CPU of all calls of the integrator. [s]."""
+
+    def __init__(self) -> None:
+        self.seconds, self.run = 0.0, module._run
+        module._run = self
+
+    def __call__(self, *given: Any) -> Any:
+        """Call the integrator."""
+        begin = time.process_time()
+        found = self.run(*given)
+        self.seconds += time.process_time() - begin
+        return found
+
+
+def least(task: Callable[[], object], clock: Clock, turns: int = TURNS) -> tuple[float, float]:
+    """Return the least CPU of a task, and that of the integrator in this call. [ms]."""
+    found = []
+    for _ in range(turns + 1):
+        clock.seconds, begin = 0.0, time.process_time()
+        task()
+        found.append((1e3 * (time.process_time() - begin), 1e3 * clock.seconds))
+    return min(found[1:])
 
 
 def table(words: str, sizes: Sequence[int], costs: Callable[[int], Costs]) -> None:
@@ -86,7 +142,7 @@ def timed(task: Callable[[], Any]) -> tuple[Any, float]:
 
 def of_samples(case: Case, clock: Clock) -> Callable[[int], Costs]:
     """Return the function of the costs of a motion by number of samples."""
-    model, start, inputs, duration, _ = case
+    model, start, inputs, duration = case
     options = SolverOptions(tolerance=1e-4, compiled=True)
 
     def costs(count: int) -> Costs:
@@ -228,6 +284,72 @@ def of_sweep(points: int) -> Costs:
     return {"checking": checking, "log": running, "resumed": reading, "figure": drawing}
 
 
+def call(case: Case, options: SolverOptions, clock: Clock) -> None:
+    """Print the costs of one call."""
+    model, start, inputs, duration = case
+
+    def drive(count: int) -> tuple[float, float]:
+        t = np.linspace(0, duration, count)
+        return least(lambda: simulate(model, start, inputs, t, options=options), clock)
+
+    (two, way), (few, _), (some, _) = map(drive, CALLS)
+    words = "compiled   " if options.compiled else "interpreted"
+    print(
+        f"  {options.tolerance:.0e} {words}: integration {way:5.1f} ms, rest of a call "
+        f"{two - way:4.1f} ms, a sample {(some - few) / (CALLS[2] - CALLS[1]):.3f} ms; "
+        f"{CALLS[1]} samples {few:5.1f} ms"
+    )
+
+
+def calls() -> None:
+    """Print the costs of single calls and of rollouts."""
+    clock = Clock()
+    for name, case in (("Rocky 7, 5 m", rocky()), ("three-wheeler, 1.4 m, with forces", three())):
+        print(name)
+        for compiled in (True, False):
+            for tolerance in (1e-3, 1e-4):
+                call(case, SolverOptions(tolerance=tolerance, compiled=compiled), clock)
+    print("rollouts of Rocky 7, 2 m, 21 samples, tolerance 1e-3, compiled")
+    many(rocky(), SolverOptions(tolerance=1e-3, compiled=True))
+
+
+def resident() -> float:
+    """Return the memory of this process. [MB]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+
+
+def many(case: Case, options: SolverOptions) -> None:
+    """Print what rollouts cost."""
+    model, start, _, _ = case
+    t, rng = np.linspace(0, 4, 21), np.random.default_rng(0)
+    names = [label.full for label in model.labels.u.wheels]
+    rest = {label.full: 0.0 for label in model.labels.u.joints}
+    for words, steps in (("constant inputs", 1), ("inputs that jump 9 times", 10)):
+        memory = list[float]()
+        for count in (40, 160):
+            rates = 0.5 / 0.065 * rng.uniform(0.8, 1.2, (count, steps))
+            values = np.repeat(rates, 20 // steps, axis=1)
+            begin = time.process_time()
+            found = rollouts(model, start, dict.fromkeys(names, values) | rest, t, options=options)
+            cpu = time.process_time() - begin
+            memory.append(resident())
+        complete = float((found["outcome"] == "complete").mean())
+        print(
+            f"  {words}: {60 * count / cpu:.0f} runs a minute, {100 * complete:.0f} % complete; "
+            f"memory {memory[0]:.0f}, {memory[1]:.0f} MB, results {found.nbytes / 1e6:.0f} MB"
+        )
+
+
+def start_up() -> None:
+    """Print the wall time of imports and help in new processes."""
+    for words in (["-c", "import casadi"], ["-c", "import slipfree"], ["-m", "slipfree", "--help"]):
+        command = [sys.executable, *words]
+        seconds = least_wall(
+            lambda c=command: subprocess.run(c, check=True, capture_output=True), 5
+        )
+        print(f"python {' '.join(words):24} {seconds:.2f} s")
+
+
 def print_table(subject: str) -> None:
     """Print the tables of a subject."""
     clock = Clock()
@@ -242,21 +364,17 @@ def print_table(subject: str) -> None:
     elif subject == "plan":
         of_plan(SIZES[0])  # compiles the functions
         table("intervals of a plan [ms]", SIZES, of_plan)
-    else:
+    elif subject == "sweep":
         os.fsync = lambda _file: None  # 100 000 times a few milliseconds
         table("points of a sweep [ms]", POINTS, of_sweep)
-
-
-def main(subjects: Sequence[str]) -> None:
-    """Print the tables of subjects, each in a process with one thread."""
-    heading()
-    for subject in subjects:
-        command = [sys.executable, __file__, "--here", subject]
-        subprocess.run(command, env=os.environ | dict.fromkeys(NAMES, "1"), check=True)
-
-
-if __name__ == "__main__":
-    if sys.argv[1:2] == ["--here"]:
-        print_table(sys.argv[2])
+    elif subject == "calls":
+        calls()
     else:
-        main(sys.argv[1:] or ["samples", "wheels", "map", "plan", "sweep"])
+        start_up()
+
+
+def main() -> None:
+    """Print the parts."""
+    threads = dict.fromkeys(NAMES, "1")
+    names = ("samples", "wheels", "map", "plan", "sweep", "calls", "start")
+    run_parts({name: partial(apart, print_table, name, variables=threads) for name in names})

@@ -1,6 +1,6 @@
-"""Measure inverse kinematics: condition numbers, duration of motions, and round trips.
+"""Inverse kinematics: condition numbers, duration of motions, and round trips.
 
-``python benchmarks/inverse.py`` prints the condition numbers of all choices of three platform
+``python benchmarks inverse`` prints the condition numbers of all choices of three platform
 velocities, with the steering rate or the steering angle unknown, on flat ground and over a seeded
 set of poses on hills; the time after which the paper's inverse input tilts a rear wheel by
 0.35 rad, on four grounds; and the errors of the rates of direct runs, recovered from their motion.
@@ -16,7 +16,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from reference import heading
 
 from slipfree import (
     Analytic,
@@ -229,7 +228,6 @@ def in_time() -> None:
 def main() -> None:
     """Print everything."""
     warnings.simplefilter("error")
-    heading()
     clock = time.perf_counter()
     condition_table()
     tilt_table()
@@ -237,7 +235,3 @@ def main() -> None:
     pointwise()
     in_time()
     print(f"\n{time.perf_counter() - clock:.0f} s")
-
-
-if __name__ == "__main__":
-    main()

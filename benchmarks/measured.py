@@ -1,6 +1,6 @@
-"""Predictions against measurements: a robot's log, wheels in soil, and fits of known truth.
+"""Measurements: a robot's log, wheels in soil, and fits of known truth.
 
-``python benchmarks/measured.py FOLDER [--figures DIR]`` reads public data that are not part of the
+``python benchmarks measured FOLDER [--figures DIR]`` reads public data that are not part of the
 project (sources: docs/measured.md):
 
 - ``drive/husky_long.csv.gz``: windows of 2 s of a Husky, wheel rates and poses of a lidar;
@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from reference import heading
 from scipy.optimize import least_squares
 
 from slipfree import (
@@ -559,7 +558,6 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--figures", type=Path)
     given = parser.parse_args()
-    heading()
     parts: list[Iterator[str]] = [synthetic()]
     if given.folder:
         parts = [
@@ -571,7 +569,3 @@ def main() -> None:
         for line in part:
             print(line, flush=True)
         print()
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
-"""Compare error and CPU time per metre of several ways to compute a three-wheeler's motion.
+"""Other programs: error and CPU time per metre of a three-wheeler.
 
-``python benchmarks/peers.py --plot peers.png`` (extra ``bench``)
+``python benchmarks peers [MODEL ...]`` (extra ``bench``)
 
 The paper's three-wheeler with a rigid axle drives 5 m over a map of 200 x 200 nodes, smooth and
 with 2 mm of noise, in three models: kinematics, quasi-statics and dynamics. The rates of its wheels
@@ -25,27 +25,21 @@ MuJoCo      dynamics with soft contacts of ellipsoids with the radii of the toru
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import casadi as ca
-import matplotlib as mpl
 import numpy as np
-from direct import Stock, surface, written_out
+from common import apart, run_parts
+from growth import Clock
 from mjcf import Motion, driven, mujoco_model, settled
-from reference import heading
-from samples import Clock
 from scipy.integrate import solve_ivp
-from work_precision import cvodes
+from stock import Stock, surface
 
 from slipfree import (
     Bicubic,
@@ -61,10 +55,11 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.codegen_cache import FOLDER
 from slipfree.models.montana import montana_kinematics
+from slipfree.records import leaves
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.simulate import NEWTON_SHARE, motion_scales
-from slipfree.solve.system import System, with_inputs
+from slipfree.solve.system import System, _solve_symbolically, with_inputs
 from slipfree.trajectory import Trajectory
 
 NODES, SPEED, DURATION, SAMPLES, RISE = 200, 0.5, 10.0, 101, 0.5
@@ -145,7 +140,7 @@ def points(run: Run, exact: np.ndarray) -> Line:
         try:
             cpu, way = run(tolerance)
         except (RuntimeError, SlipfreeError) as error:
-            print(f"    {tolerance:.0e}: {str(error).strip().splitlines()[-1]}", file=sys.stderr)
+            print(f"    {tolerance:.0e}: {str(error).strip().splitlines()[-1]}")
             continue
         line.append((1e3 * cpu / LENGTH, float(np.abs(way - way[:, :1] - exact).max())))
         if cpu > SLOW:
@@ -222,11 +217,26 @@ def buffered(f: ca.Function, size: int) -> Callable[[float, np.ndarray], list[np
     return call
 
 
+def written_out(system: System, law: Any) -> dict[str, Any]:
+    """Return the DAE as one SX graph, which CasADi differentiates."""
+    dae = system.dae
+    x, z, u = dae.columns()
+    rows = [dae.ode, ca.vertcat(*dae.alg)[: system.motion_size]]
+    ode, alg = ca.substitute(rows, [u], [ca.vertcat(*leaves(law))])
+    given = ca.SX.sym("given", u.numel())
+    return {"t": dae.t, "x": x, "z": z[: system.motion_size], "u": given, "ode": ode, "alg": alg}
+
+
 def explicit(system: System, at: dict[str, Any]) -> ca.Function:
     """Return ``(t, x) -> x'`` with the algebraic unknowns eliminated."""
-    equations = cvodes(system)
-    t, x, u = (equations[name] for name in "txu")
-    function = ca.Function("rates", [t, x, u], [equations["ode"]])
+    t, x, u = (
+        ca.MX.sym(name, system.core.size1_in(k)) for name, k in (("t", 0), ("x", 1), ("u", 3))
+    )
+    z = system.dae.function("guess", [system.dae.columns()[0]], [system.dae.guess])(x)
+    for block in system.blocks:
+        z = _solve_symbolically(block, [t, x, z, u])
+    ode = system.core(t, x, z[: system.motion_size], u)[0]
+    function = ca.Function("rates", [t, x, u], [ode])
     given = [ca.MX.sym("t"), ca.MX.sym("x", x.numel())]
     return ca.Function("rates", given, [ca.densify(function(*given, at["u"]))])
 
@@ -382,64 +392,26 @@ def beside(times: float) -> str:
     return f"{times:.1f} times" if np.isfinite(times) else "not known"
 
 
-def plot(found: dict[tuple[float, str], dict[str, Line]], file: Path) -> None:
-    """Draw all curves, a row per ground and a panel per model."""
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    names = list(dict.fromkeys([*OURS, *(name for lines in found.values() for name in lines)]))
-    figure, panels = plt.subplots(
-        len(NOISES), len(MODELS), figsize=(11, 8), sharex=True, sharey=True, layout="constrained"
-    )
-    drawn = dict[str, Any]()
-    for axes, ((rough, model), lines) in zip(panels.flat, found.items(), strict=True):
-        for name, line in lines.items():
-            k = names.index(name)
-            style = {"marker": "os^v<Dx+P*X"[k], "color": f"C{k}", "ms": 5, "lw": 1.2}
-            (drawn[name],) = axes.loglog(*np.array(line).T, **style)
-        axes.set_title(f"{model}, {words(rough)}", fontsize=10)
-        axes.grid(visible=True, alpha=0.3)
-    for axes in panels[-1]:
-        axes.set_xlabel("CPU time per metre [ms/m]")
-    for axes in panels[:, 0]:
-        axes.set_ylabel("largest error of the position [m]")
-    labels = [name for name in names if name in drawn]
-    figure.legend([drawn[name] for name in labels], labels, loc="outside lower center", ncols=5)
-    figure.savefig(file, dpi=150)
-
-
 def words(rough: float) -> str:
     """Return the name of a ground."""
     return f"with {1e3 * rough:g} mm of noise" if rough else "smooth"
 
 
-PARTS: dict[str, Callable[[float], dict[str, Any]]] = {
-    **{model: partial(ours, model) for model in MODELS},
-    "naive": naive,
-    "mujoco": mujoco,
-}
-PARTS_OF = {"kinematics": ("kinematics", "naive"), "dynamics": ("dynamics", "mujoco")}
+PEERS = {"kinematics": naive, "dynamics": mujoco}
 
 
-def measured(rough: float, model: str) -> dict[str, Line]:
-    """Return the curves of a model and print them; each part runs in a process: it may crash."""
+def measured(rough: float, model: str) -> None:
+    """Print the curves of a model; each part runs in a process: it may crash."""
     lines, gap = dict[str, Line](), np.nan
-    for part in PARTS_OF.get(model, (model,)):
-        command = [sys.executable, __file__, "--part", part, "--noise", str(rough)]
+    tasks = [(ours, model, rough), *([(PEERS[model], rough)] if model in PEERS else [])]
+    for function, *given in tasks:
         try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, timeout=PATIENCE, check=False
-            )
-        except subprocess.TimeoutExpired:
-            print(f"{part}: no result in {PATIENCE} s")
+            found = apart(function, *given, timeout=PATIENCE)
+        except subprocess.SubprocessError as error:
+            print(f"{function.__name__}: {error}")
+            if function is ours:
+                return
             continue
-        notes = [note for note in done.stderr.splitlines() if note.startswith("    1e-")]
-        if notes:
-            print("\n".join([f"{part}, no point at", *notes]))
-        if done.returncode:
-            print(f"{part}: ended with code {done.returncode}\n{done.stderr}")
-            continue
-        found = json.loads(done.stdout.splitlines()[-1])
         gap = found.pop("gap", gap)
         lines |= found
     print(f"\n{model}, {words(rough)}: ms of CPU per metre (largest error of the position [m])")
@@ -457,24 +429,14 @@ def measured(rough: float, model: str) -> dict[str, Line]:
         print(f"at an error of {level:.0e} m: {own} {least:.2f} ms/m; {others}")
     if np.isfinite(gap):
         print(f"MuJoCo, at its smallest step, ends {gap:.3f} m from ours")
-    return lines
 
 
 def main() -> None:
-    """Print the tables and draw the plot."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="where to draw the lines")
-    parser.add_argument("--part", choices=PARTS, help="print one part as JSON")
-    parser.add_argument("--noise", type=float, default=0.0, help="of the part's ground [m]")
-    given = parser.parse_args()
-    if given.part:
-        print(json.dumps(PARTS[given.part](given.noise)))
-        return
-    heading()
-    found = {(rough, model): measured(rough, model) for rough in NOISES for model in MODELS}
-    if given.plot:
-        plot(found, given.plot)
+    """Print the tables of the models that are named, or of all."""
+    run_parts({model: partial(table, model) for model in MODELS})
 
 
-if __name__ == "__main__":
-    main()
+def table(model: str) -> None:
+    """Print the curves of a model on both grounds."""
+    for rough in NOISES:
+        measured(rough, model)

@@ -1,88 +1,85 @@
-"""Measure plans of least slip: simulated slip, computing time, growth, and a plain Opti program.
+"""Plans: slip by driving method, moving horizon, starts, windows, momentum, robust plans.
 
-``python benchmarks/plan.py`` prints, for a rigid-axle three-wheeler on the hills of the tests,
-from (0, 0, 0) to (0.6, 2.6) in 20 s:
+``python benchmarks plan [PART ...]``:
 
-1. Slip of several driving methods. Plans are simulated, interval by interval, with ten samples
-   each; slip is the root mean square over time and wheels, or its path divided by that of the
-   platform. In the quasi-static model the same inputs, or the same law, drive the vehicle.
-2. Time beside that of the prototype in the same run, on its problem with its weights.
-3. A plan by the public function, on the hills and on a map of them: functions interpreted, compiled
-   and cached (hills and map do not share the cache); each in a separate process.
-4. Time and memory of an iteration by number of intervals, compiled; each in a separate process.
-5. Iterations from an existing plan: the same plan, another mesh, and a goal moved by 5 %.
-6. The ramp of the tests, too steep to climb straight with its friction, from several starts.
-7. The same task by ``casadi.Opti`` with ``casadi.interpolant`` for the ground, on a map of the
-   hills, and ours on that map; each in a separate process, since the stock node may crash.
+slip       a rigid-axle three-wheeler on the hills of the tests, from (0, 0, 0) to (0.6, 2.6) in
+           20 s, by several driving methods. Plans are simulated, interval by interval, with ten
+           samples each; slip is the root mean square over time and wheels, or its path divided by
+           that of the platform. In the quasi-static model the same inputs, or the same law, drive
+           the vehicle.
+horizon    the same task with a moving horizon of 20 intervals, from the start of a plan of 50
+           intervals and from beside it; between cycles the model is simulated. The first row is the
+           simulation of the plan. A second table shows the time of a cycle by intervals.
+hills      best of four starts against one, ten seeds: the ground of plan_rigid_hills, twice as
+           rough and with a farther goal
+obstacles  the same over 20 m of hills with eight keep-out discs, where the additional starts are
+           routes of other homotopy classes
+windows    plan_long_dem with goals 0.4, 1.3 and 3.5 km away, each in a separate process, and the
+           driving law along the same routes
+momentum   over a bump on a slope with `rigid_dynamics`, simulated by `dynamics` on compliant
+           contacts: a car with four torque drives over a ridge; a skid-steered cart over a bump
+           beside its path, with wheels that roll, then slide (decreasing creep speeds)
+robust     plan_crater_field, with a limit of the utilisation, and plan_climb_ramp, in worlds with
+           errors of heights, friction and inputs: 50 draws a round tighten the limits, and 200
+           other draws give the shares on which a plan holds
+
+Slip of the parts from ``hills`` to ``windows`` is the slip path in the simulation, per wheel and
+metre driven.
 """
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
-import re
 import resource
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path as File
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from direct import Stock
-from reference import heading
+from common import PROBLEMS, apart, run_parts
 
+from helpers.cases import hills
 from slipfree import (
     Analytic,
-    Bicubic,
     Coulomb,
-    Grid,
+    LinearCreep,
     Path,
     SlipfreeError,
     SolverOptions,
+    Torque,
+    Vehicle,
+    catalog,
     direct_kinematics,
     follow,
+    load_problem,
     quasi_statics,
+    rigid_dynamics,
+    run_problem,
     settle,
     simulate,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.codegen_cache import FOLDER
-from slipfree.models.friction_feasibility import best_utilisation
+from slipfree.laws.protocols import GroundLaw
+from slipfree.models.dynamic_guess import dynamic_guess
+from slipfree.outcome import Outcome
+from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import Plan, plan
-from slipfree.plan.transcription import transcribe
 from slipfree.plan.verification import simulate_plan
-from slipfree.trajectory import Trajectory, path_length
+from slipfree.problem.verbs.base import Watch, integrate
+from slipfree.trajectory import Trajectory, joined, path_length
 
-sys.path.insert(0, str(File(__file__).parent.parent / "tests" / "physics"))
-sys.path.insert(0, str(File(__file__).parent.parent / "tests"))
-import test_climb
-
-from helpers.cases import hills
-
-PROTOTYPE = File(__file__).parents[2] / "shared" / "lab" / "planning" / "rigid.py"
-LINE = re.compile(r"it=(\d+) ([\d.]+)s .*rms slip per wheel=(\S+) m/s\s+\S+=([\d.]+)\s+nvar=(\d+)")
 GOAL, DURATION = (0.6, 2.6), 20.0  # [m], [s]
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}  # [rad/s]
 STEER = {"steer": (-1.0, 1.0)}  # [rad]
 WEIGHTS, SMOOTH = {"slip": 7e4, "effort": 0.01}, 0.002
-LAB_WEIGHTS, LAB_SMOOTH = {"slip": 1e5, "effort": 0.01}, 0.005  # those of the prototype
-EASY = {"slip": 1e3, "effort": 0.01}  # few iterations
 STARTS = ((0.45, 0.45), (0.3, 0.3), (0.47, 0.43))  # rates of the guess, right and left [rad/s]
 INTERVALS, DEGREE, SAMPLES = 40, 3, 10
-SIZES = (25, 50, 100, 200, 400)
 MU, CREEP = 0.6, 1e-4  # [1], [m/s]
-CREEPS = (1e-3, 1e-4, 1e-5, 1e-6)  # [m/s]
 TOLERANCE = 1e-8  # [m, rad]
 FRICTION_TOLERANCE = 1e-6  # at less, the integrator finds no start after some jumps of the inputs
-SPACING, EXTENT = 0.25, (-3.0, 4.0, -3.0, 6.0)  # of the map [m]
-MOST, PATIENCE = 100, 120  # iterations of the plain way, seconds for a process
 
 
 Drive = Callable[[Any, Trajectory, float], Trajectory]  # model, start, tolerance
@@ -200,7 +197,7 @@ def by_friction(drive: Drive, creep: float) -> tuple[float, str]:
     return rms_slip(run), ""
 
 
-def table() -> None:
+def slip_table() -> None:
     """Print the slip of all driving methods."""
     dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
     start, ways = settle(dae), rows()
@@ -221,7 +218,6 @@ def table() -> None:
         f"follow slips {ratios[0]:.1f} times as much as the plan where slip is least, "
         f"{ratios[1]:.1f} times by traction"
     )
-    floors(ways[0].drive, dae)
 
 
 def cost(way: Row) -> str:
@@ -229,401 +225,376 @@ def cost(way: Row) -> str:
     if way.found is None:
         return f"{'-':>6}  {'-':>9}"
     count = sum(stage.iterations for stage in way.found.stages)
+    search = sum(stage.seconds["total"] for stage in way.found.stages)
     mark = "" if way.found.success else f" {way.found.stages[-1].status}"
-    return f"{count:6}  {way.seconds:4.1f}/{search(way.found):4.1f}{mark}"
+    return f"{count:6}  {way.seconds:4.1f}/{search:4.1f}{mark}"
 
 
-def search(found: Plan) -> float:
-    """Return the wall time of all stages of the search. [s]."""
-    return sum(stage.seconds["total"] for stage in found.stages)
+# Moving horizon
+
+SPAN, WINDOW = 8.0, 20  # of the window [s]
+CYCLES, PARTS = 50, 3
+ASIDE = ({}, {"x": 0.03, "y": -0.03, "heading": 0.02}, {"x": -0.03, "heading": -0.03})
+WINDOWS = (20, 40, 80)
 
 
-def floors(drive: Drive, dae: Any) -> None:
-    """Print the slip of a quasi-static plan by creep speed, and that due to gravity alone."""
+class Driven(NamedTuple):
+    """Drivenn motion: rms slip [m/s], distance from the goal [m], times of the cycles [s]."""
+
+    slip: float
+    away: float
+    seconds: np.ndarray
+    violation: float
+
+
+def drive(found: Plan, window: Horizon, start: dict[str, float]) -> Driven:
+    """Return the motion driven with a moving horizon."""
+    dae, cycle = found.program.task.dae, first_cycle(window)
+    here, seconds, runs, violations = settle(dae, **start), [], [], []
+    for t, end in pairwise(np.linspace(0, DURATION, CYCLES + 1)):
+        x, clock = dae.rows("x", here, -1), time.perf_counter()
+        cycle = replan(window, cycle, t, x)
+        seconds.append(time.perf_counter() - clock)
+        violations.append(cycle.violation)
+        here = between(dae, here, window, cycle, (t, end))
+        runs.append(here)
+    slip = np.sqrt(np.mean([rms_slip(run) ** 2 for run in runs]))
+    away = np.hypot(here["x"][-1] - GOAL[0], here["y"][-1] - GOAL[1])
+    return Driven(slip, away, np.array(seconds), max(violations))
+
+
+def between(dae: Any, here: Any, window: Horizon, cycle: Cycle, span: tuple[float, float]) -> Any:
+    """Return the motion from one cycle to the next, as samples of its slip."""
+    parts = []
+    for first, last in pairwise(np.linspace(*span, PARTS + 1)):
+        here = simulate(dae, here, *cycle_inputs(window, cycle, first, last))
+        parts.append(here)
+    return joined(*(part.part(slice(-1)) for part in parts[:-1]), parts[-1])
+
+
+def horizon_table(found: Plan) -> None:
+    """Print slip and times of driven motions."""
     print(
-        "the plan of the first row by traction: rms slip [m/s], and that at rest in its poses, "
-        "by gravity alone"
+        f"{WINDOW} intervals of degree 3 over {SPAN:g} s, {CYCLES} cycles of "
+        f"{DURATION / CYCLES:g} s"
     )
-    run = drive(dae, settle(dae), TOLERANCE)
-    for creep in CREEPS:
-        slip, why = by_friction(drive, creep)
-        model, squares = frictional(creep), []
-        for k in range(0, run.t.size, 2 * SAMPLES):
-            pose = {name: run[name][k] for name in ("x", "y", "heading", "steer")}
-            rest = settle(model, **pose)
-            squares.append((rest["slip_along"] ** 2 + rest["slip_across"] ** 2).mean())
-        print(
-            f"  creep {creep:g} m/s: {why or format(slip, '.2e')}, at rest "
-            f"{np.sqrt(np.mean(squares)):.2e}"
-        )
-
-
-def prototype() -> None:
-    """Print the time of the prototype beside ours, on its problem."""
-    if not PROTOTYPE.exists():
-        print("prototype: it is not beside the project")
-        return
-    done = subprocess.run(
-        [sys.executable, str(PROTOTYPE), str(INTERVALS)],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=PROTOTYPE.parent,
-        timeout=PATIENCE,
-    )
-    stages = [[float(word) for word in words] for words in LINE.findall(done.stdout)]
-    *staged, cold = stages
-    total = sum(stage[1] for stage in staged)
-    best, _ = planned(Analytic(hills), costs=LAB_WEIGHTS, smooth=LAB_SMOOTH)
-    ours, slip = search(best), np.sqrt(best.costs["slip"] / DURATION / 3)
-    print(f"{'':22}iterations         seconds  ms each  rms slip [m/s]  int u2")
-    for words, part in (("prototype, in stages", staged), ("prototype, at once", [cold])):
-        lab_counts, seconds = [int(stage[0]) for stage in part], sum(stage[1] for stage in part)
-        measured(words, lab_counts, seconds, part[-1][2:4])
-    counts = [stage.iterations for stage in best.stages]
-    measured("ours, its weights", counts, ours, [slip, best.costs["effort"]])
     print(
-        f"the prototype takes {total / ours:.2f} times as long as ours, all stages of both, and "
-        f"{(total + cold[1]) / ours:.2f} times\nif it plans in both ways, as its file does; "
-        f"{to_equal(staged, cold, slip) / ours:.2f} times to our slip within 2 %"
+        f"{'':49}rms slip   from goal  largest    ms a cycle\n"
+        f"{'':49}[m/s]      [mm]       violation  median, 95 %"
     )
-
-
-def measured(words: str, counts: list[int], seconds: float, reached: list[float]) -> None:
-    """Print the cost and the result of a search."""
-    print(
-        f"{words:22}{'+'.join(map(str, counts)):18} {seconds:7.2f}  "
-        f"{1e3 * seconds / sum(counts):7.1f}  {reached[0]:.2e}        "
-        f"{reached[1]:.2f}"
-    )
-
-
-def to_equal(staged: list[list[float]], cold: list[float], slip: float) -> float:
-    """Return the least time in which the prototype reaches a slip; infinite if it does not. [s]."""
-    times = np.cumsum([stage[1] for stage in staged]).tolist()
-    ways = [*zip(times, (stage[2] for stage in staged), strict=True), (cold[1], cold[2])]
-    return min((seconds for seconds, reached in ways if reached <= 1.02 * slip), default=np.inf)
-
-
-def grown(intervals: int) -> dict[str, float]:
-    """Return the cost of a plan on a number of intervals."""
-    found, seconds = planned(Analytic(hills), costs=EASY, intervals=intervals, compiled=True)
-    count = sum(stage.iterations for stage in found.stages)
-    parts = {
-        part: 1e3 * sum(stage.seconds[part] for stage in found.stages) / count
-        for part in ("functions", "rest")
-    }
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {
-        "unknowns": found.program.scale.size,
-        "rows": found.program.g_lower.size,
-        "iterations": count,
-        "outside": seconds - search(found),
-        "peak": peak,
-        "success": found.success,
-        **parts,
-    }
-
-
-def called(ground: str, intervals: int, *, compiled: bool) -> dict[str, Any]:
-    """Return the cost of a plan with continuous inputs by the public function."""
-    terrain = Analytic(hills) if ground == "hills" else Bicubic(surface())
-    found, seconds = planned(terrain, intervals=intervals, continuous=True, compiled=compiled)
-    parts = {
-        part: sum(stage.seconds[part] for stage in found.stages) for part in ("functions", "total")
-    }
-    begin = time.perf_counter()
-    transcribe(found.program.task, found.program.mesh, found.program.options)
-    return {
-        "iterations": "+".join(str(stage.iterations) for stage in found.stages),
-        **parts,
-        "seconds": seconds,
-        "build": time.perf_counter() - begin,
-        "compiled": found.program.compiled,
-    }
-
-
-def calls() -> None:
-    """Print the costs of plans by the public function."""
-    print(
-        "                                     iterations  all    IPOPT  functions  building  rest\n"
-        "                                                 [s]    [s]    of IPOPT   again [s] [s]"
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        for ground, intervals in (("hills", 50), ("hills", 200), ("map", 50), ("map", 200)):
-            os.environ[FOLDER] = folder
-            for words, asked in (("interpreted", ""), ("compiled", "yes"), ("cached", "yes")):
-                found = apart("called", ground, str(intervals), asked)
-                if isinstance(found, str):
-                    print(f"{ground:5} {intervals:4} {words:25} {found}")
-                    continue
-                rest = found["seconds"] - found["total"] - found["build"]
-                print(
-                    f"{ground:5} {intervals:4} {words:25} {found['iterations']:10}  "
-                    f"{found['seconds']:5.2f}  {found['total']:5.2f}  "
-                    f"{100 * found['functions'] / found['total']:7.0f} %  "
-                    f"{found['build']:8.2f}  {rest:5.2f}",
-                    flush=True,
-                )
-            shutil.rmtree(folder)
-    os.environ.pop(FOLDER)
-
-
-def growth() -> None:
-    """Print time and memory of an iteration over the number of intervals."""
-    print(
-        "intervals  unknowns  rows    iterations  functions  linear solver and rest  all   "
-        "outside  peak\n"
-        "                                         [ms an iteration]                       "
-        "[s]      [MB]"
-    )
-    sizes, times = [], []
-    for size in SIZES:
-        found = apart("growth", str(size))
-        if isinstance(found, str):
-            print(f"{size:9}  {found}")
-            continue
-        each = found["functions"] + found["rest"]
-        sizes.append(size)
-        times.append(each)
-        mark = "" if found["success"] else "  not solved"
-        print(
-            f"{size:9}  {found['unknowns']:8}  {found['rows']:6}  {found['iterations']:10}  "
-            f"{found['functions']:9.1f}  {found['rest']:22.1f}  {each:5.1f}  "
-            f"{found['outside']:6.1f}  {found['peak']:6.0f}{mark}"
-        )
-    slope = np.polyfit(np.log(sizes), np.log(times), 1)[0]
-    print(f"time of an iteration grows with the intervals to the power {slope:.2f}")
-
-
-def warm() -> None:
-    """Print the iterations from an existing plan, beside those from a simple motion."""
-    first, _ = planned(Analytic(hills))
-    print("from the plan of the first row                 iterations, cold  from the plan")
-    for words, goal, intervals in (
-        ("the same", GOAL, INTERVALS),
-        ("goal 5 % farther", (1.05 * GOAL[0], 1.05 * GOAL[1]), INTERVALS),
-        ("goal 5 % nearer", (0.95 * GOAL[0], 0.95 * GOAL[1]), INTERVALS),
-        ("60 intervals", GOAL, 60),
-    ):
-        cold, resumed = (
-            sum(
-                stage.iterations
-                for stage in planned(
-                    Analytic(hills), goal=goal, intervals=intervals, resume=former
-                )[0].stages
+    away = np.hypot(found.replay["x"][-1] - GOAL[0], found.replay["y"][-1] - GOAL[1])
+    print(f"{'the plan':49}{rms_slip(found.replay):.3e}  {1e3 * away:9.4f}")
+    for start in ASIDE:
+        where = ", ".join(f"{name} {value:+g}" for name, value in start.items()) or "on the plan"
+        for words, iterations in (("one step", 1), ("to convergence", 100)):
+            window = horizon(found, span=SPAN, intervals=WINDOW, iterations=iterations)
+            made = drive(found, window, start)
+            median, most = 1e3 * np.quantile(made.seconds, (0.5, 0.95))
+            print(
+                f"{where + ': ' + words:49}{made.slip:.3e}  {1e3 * made.away:9.4f}  "
+                f"{made.violation:.1e}    {median:6.1f} {most:6.1f}"
             )
-            for former in (None, first.saved)
-        )
-        print(f"{words:46} {cold:16}  {resumed:13}")
 
 
-def ramp() -> None:
-    """Print the climb of a ramp of 20 degrees with a coefficient of friction of 0.5."""
-    flat, law = test_climb.model(), test_climb.model(quasi_statics)
-    places = [settle(flat, x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
-    best = [
-        best_utilisation(test_climb.VEHICLE, test_climb.GROUND, place)["utilisation_best"][0]
-        for place in places
-    ]
-    print(
-        f"straight up: friction needed over that of the ground, load-weighted "
-        f"{max(place['utilisation'].max() for place in places):.3f}, at best {max(best):.3f}"
-    )
-    task = test_climb.Task(test_climb.START, test_climb.GOAL, test_climb.DURATION, 24, 3)
-    for words, ways in (
-        ("straight", (0.0,)),
-        ("bow to the right", (2.0,)),
-        ("bow to the left", (-2.0,)),
-        ("all three", (0.0, 2.0, -2.0)),
-    ):
-        begin = time.perf_counter()
-        found = test_climb.planned(task, [test_climb.bow(way) for way in ways])
-        seconds, run = time.perf_counter() - begin, found.run
-        names = ("x", "y", "heading", "steer")
-        held = [settle(law, **{name: run[name][k] for name in names}) for k in range(run.t.size)]
-        used = max(place["utilisation"].max() for place in held)
-        slip = max(np.hypot(place["slip_along"], place["slip_across"]).max() for place in held)
-        count = sum(stage.iterations for stage in found.stages)
-        print(
-            f"  from {words}: {'solved' if found.success else 'not solved'}, "
-            f"{test_climb.length(found.replay):.2f} m, load-weighted "
-            f"{run['utilisation'].max():.3f}; by friction at rest at all {run.t.size} nodes "
-            f"{used:.3f}, creep {slip / test_climb.CREEP:.2f} eps; {count} iterations, "
-            f"{seconds:.1f} s"
-        )
+def horizon_growth(found: Plan) -> None:
+    """Print the time of a cycle over the number of intervals."""
+    print("intervals  ms a cycle, median of 20")
+    for size in WINDOWS:
+        window = horizon(found, span=DURATION, intervals=size)
+        cycle, seconds = first_cycle(window), []
+        x = found.program.task.start
+        for number in range(20):
+            moved = x + 0.01 * (-1) ** number  # [m, rad]: else there would be nothing to do
+            clock = time.perf_counter()
+            cycle = replan(window, cycle, 0.0, moved)
+            seconds.append(time.perf_counter() - clock)
+        print(f"{size:9}  {1e3 * np.median(seconds):6.1f}")
 
 
-def apart(*words: str) -> Any:
-    """Return a result of this file from a separate process, or the error as text."""
-    command = [sys.executable, __file__, *words]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
-    except subprocess.TimeoutExpired:
-        return f"no result in {PATIENCE} s"
-    if done.returncode < 0:
-        return f"crashed: {signal.Signals(-done.returncode).name}"
-    if done.returncode:
-        return f"failed: {(done.stderr.strip().splitlines() or ['without words'])[-1]}"
-    return json.loads(done.stdout.strip().splitlines()[-1])
+def moving_horizon() -> None:
+    """Print the tables of a moving horizon."""
+    found, _ = planned(Analytic(hills), intervals=50, continuous=True, compiled=True)
+    horizon_table(found)
+    print()
+    horizon_growth(found)
 
 
-def surface() -> Grid:
-    """Return the hills as a map."""
-    x = np.arange(EXTENT[0], EXTENT[1] + SPACING / 2, SPACING)
-    y = np.arange(EXTENT[2], EXTENT[3] + SPACING / 2, SPACING)
-    return Grid(x, y, Analytic(hills).elevation(*np.meshgrid(x, y, indexing="ij")))
+# Several starts
+
+SEVERAL, TERRAINS, DISCS = 4, 10, 8
+ROUGHER = (
+    "terrain.synthetic.power_law.rms=0.2",
+    "terrain.synthetic.power_law.shortest=1.5",
+    "goal={x=1.5, y=4.0}",
+    "inputs=",
+    "driver={name='route', speed=0.2, turning_radius=1.0}",
+    "time.duration=40.0",
+    "plan.intervals=25",
+)
+FIELD = (
+    "terrain.synthetic.craters=",
+    "terrain.synthetic.power_law.rms=0.2",
+    "goal={x=20.0, y=25.0}",
+    "driver.turning_radius=2.0",
+    "plan.intervals=30",
+    "plan.accuracy=5e-3",
+)
 
 
-class StockMap(Stock):
-    """Terrain of any extent with CasADi's own spline."""
+class Optimum(NamedTuple):
+    """Outcome, cost, slip [mm per wheel and m], wall time [s], and the table of starts."""
 
-    def __init__(self, grid: Grid) -> None:
-        super().__init__(grid)
-        self.domain = grid.domain
+    outcome: Outcome
+    cost: float
+    slip: float
+    seconds: float
+    table: str
 
 
-def plain(hessian: str) -> dict[str, Any]:
-    """Return the cost of the plain Opti program for the task, on the map."""
-    dae = direct_kinematics(
-        three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0), StockMap(surface())
-    )
-    opti, slips = written(dae, ca.collocation_points(DEGREE, "radau"))
-    opti.solver(
-        "ipopt",
-        {"print_time": False},
-        {
-            "print_level": 0,
-            "sb": "yes",
-            "max_iter": MOST,
-            "max_wall_time": 0.75 * PATIENCE,
-            "hessian_approximation": hessian,
-        },
-    )
+def problem_of(kind: str, seed: int, starts: int):
+    """Return the problem of a kind and a seed."""
+    more = (f"terrain.synthetic.power_law.seed={seed}", f"plan.starts={starts}")
+    if kind == "hills":
+        return load_problem(PROBLEMS / "plan_rigid_hills.toml", (*ROUGHER, *more))
+    rng = np.random.default_rng(seed)
+    places = rng.uniform([12, 11, 0.3], [28, 21, 1.2], (DISCS, 3)).round(3)
+    discs = ", ".join(f"{{x={x}, y={y}, radius={radius}}}" for x, y, radius in places)
+    return load_problem(PROBLEMS / "plan_crater_field.toml", (*FIELD, *more, f"keep_out=[{discs}]"))
+
+
+def solved(kind: str, seed: int, starts: int) -> Optimum:
+    """Return the plan on a terrain."""
+    problem = problem_of(kind, seed, starts)
     begin = time.perf_counter()
-    with contextlib.suppress(RuntimeError):  # what was reached is looked at below
-        opti.solve_limited()
-    seconds, stats = time.perf_counter() - begin, opti.stats()
-    integral = float(opti.debug.value(slips))
-    return report(stats["return_status"], stats["iter_count"], seconds, integral)
+    run = run_problem(problem).trajectory
+    seconds = time.perf_counter() - begin
+    weights = {**problem.spec.costs, "smoothness": problem.spec.plan.smooth}
+    cost = sum(weights[name] * run.statistics[f"plan_cost_{name}"] for name in weights)
+    table = run.attributes.get("plan_starts", "")
+    return Optimum(run.outcome, cost, slip_path(run), seconds, table)
 
 
-def report(status: str, iterations: int, seconds: float, integral: float) -> dict[str, Any]:
-    """Return the printed values of a method; the slip is that at the collocation points."""
-    return {
-        "status": status,
-        "iterations": iterations,
-        "seconds": seconds,
-        "slip": float(np.sqrt(integral / DURATION / 3)),
-    }
-
-
-def written(dae: Any, points: list[float]) -> tuple[ca.Opti, ca.MX]:
-    """Return the task as a hand-written Opti program, and the integral of its squared slip."""
-    x, z, u = dae.columns()
-    slip = ca.vertcat(*dae.named("slip_along"), *dae.named("slip_across"))
-    core = ca.Function("core", [x, z, u], [dae.ode, ca.vertcat(*dae.alg), ca.sumsqr(slip)])
-    lagrange, _, weights = ca.collocation_coeff(points)
-    lagrange, weights = ca.DM(np.array(lagrange)), weights.nonzeros()
-    opti, h, count = ca.Opti(), DURATION / INTERVALS, INTERVALS * DEGREE
-    states, unknowns = opti.variable(x.numel(), 1 + count), opti.variable(z.numel(), count)
-    inputs, slips = opti.variable(u.numel(), INTERVALS), ca.MX(0)
-    for k in range(INTERVALS):
-        nodes = states[:, DEGREE * k : DEGREE * (k + 1) + 1]
-        for j in range(DEGREE):
-            at = DEGREE * k + j
-            ode, alg, square = core(states[:, at + 1], unknowns[:, at], inputs[:, k])
-            opti.subject_to(nodes @ lagrange[:, j] == h * ode)
-            opti.subject_to(alg == 0)
-            slips += h * weights[j] * square
-    change = ca.sumsqr(inputs[:, 1:] - inputs[:, :-1]) / h
-    opti.minimize(
-        WEIGHTS["slip"] * slips + WEIGHTS["effort"] * h * ca.sumsqr(inputs) + SMOOTH * change
+def optimum_words(row: Optimum) -> str:
+    """Return a plan as text."""
+    return (
+        f"{row.outcome.name.lower()}, cost {row.cost:.4f}, slip {row.slip:.3f} mm/m, "
+        f"{row.seconds:.0f} s"
     )
-    opti.subject_to(opti.bounded(-2, inputs, 2))
-    opti.subject_to(opti.bounded(-1, states[3, 1:], 1))
-    opti.subject_to(states[:2, -1] == ca.DM(GOAL))
-    guessed(dae, opti, (states, unknowns, inputs), points)
-    return opti, slips
 
 
-def guessed(dae: Any, opti: ca.Opti, unknowns: tuple[ca.MX, ca.MX, ca.MX], points: Any) -> None:
-    """Set the start and the initial guess of our plans."""
-    nodes = (np.arange(INTERVALS)[:, None] + np.array(points)).ravel() / INTERVALS
-    start, right_left = settle(dae), STARTS[0]
-    given = (*right_left, 0.0)
-    run = simulate(
-        dae,
-        start,
-        dae.inputs(**dict(zip(RATES, given, strict=True))),
-        np.concatenate([[0.0], DURATION * nodes]),
-    )
-    states, algebraic, inputs = unknowns
-    opti.subject_to(states[:, 0] == dae.rows("x", run, 0))
-    count = range(run.t.size)
-    opti.set_initial(states, np.column_stack([dae.rows("x", run, k) for k in count]))
-    opti.set_initial(algebraic, np.column_stack([dae.rows("z", run, k) for k in count[1:]]))
-    opti.set_initial(inputs, np.tile(np.array(given)[:, None], INTERVALS))
-
-
-def ours() -> dict[str, Any]:
-    """Return the cost of our method for the task, on the map."""
-    found, _ = planned(
-        Bicubic(surface()), vehicle=three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0)
-    )
-    count = sum(stage.iterations for stage in found.stages)
-    return report(found.stages[-1].status, count, search(found), found.costs["slip"])
-
-
-def beside() -> None:
-    """Print the plain Opti program beside our method."""
-    print(f"on a map of {SPACING} m, at most {MOST} iterations of the plain way")
+def compare(kind: str) -> None:
+    """Print the table of a kind of terrain."""
+    found = []
+    for seed in range(1, TERRAINS + 1):
+        one, several = solved(kind, seed, 1), solved(kind, seed, SEVERAL)
+        optima, *rows = several.table.splitlines()
+        print(f"{kind}, seed {seed}: one start {optimum_words(one)}", flush=True)
+        print(f"  best of {SEVERAL} {optimum_words(several)}", flush=True)
+        names = ", ".join(row.partition(", cost")[0] for row in rows)
+        print(f"  {optima}, the best first: {names}", flush=True)
+        found.append([several[k] / one[k] for k in (1, 2, 3)])
+    cost, slip, seconds = np.array(found).T
     print(
-        "                                     status                       iterations  "
-        "ms each  seconds  rms slip at the points [m/s]"
+        f"{kind}, best of {SEVERAL} over one start: cheaper on {int((cost < 0.999).sum())} of "
+        f"{len(found)}; cost {cost.min():.3f} to {cost.max():.3f}, median {np.median(cost):.3f}; "
+        f"slip {slip.min():.3f} to {slip.max():.3f}, median {np.median(slip):.3f}; "
+        f"time median {np.median(seconds):.1f}"
     )
-    each, totals = [], []
-    for words, arguments in (
-        ("ours, bicubic, in stages", ("ours",)),
-        ("Opti, stock spline, limited memory", ("plain", "limited-memory")),
-        ("Opti, stock spline, exact Hessian", ("plain", "exact")),
-    ):
-        found = apart(*arguments)
-        if isinstance(found, str):
-            print(f"{words:36} {found}")
-            continue
-        each.append(1e3 * found["seconds"] / max(found["iterations"], 1))
-        totals.append(found["seconds"])
-        print(
-            f"{words:36} {found['status']:28} {found['iterations']:10}  {each[-1]:7.1f}  "
-            f"{found['seconds']:7.1f}  {found['slip']:.2e}"
+
+
+def slip_path(run: Trajectory) -> float:
+    """Return the slip path of a motion, per wheel and metre driven [mm/m]."""
+    slip = np.trapezoid(np.hypot(run["slip_along"], run["slip_across"]), run.t, axis=0).mean()
+    return 1e3 * float(slip) / path_length(run)
+
+
+# Windows
+
+DISTANT_GOALS = {"0.4 km": (900.0, 2900.0), "1.3 km": (1400.0, 2000.0), "3.5 km": (2600.0, 600.0)}
+
+
+def windows_words(run: Trajectory) -> str:
+    """Return slip and utilisation of a motion as text."""
+    return (
+        f"{run.outcome.name.lower()}, {path_length(run):.0f} m, slip {slip_path(run):.4f} mm/m, "
+        f"utilisation at most {run['utilisation'].max():.3f}"
+    )
+
+
+def planned_in_windows(name: str) -> None:
+    """Plan to a goal and print a row."""
+    x, y = DISTANT_GOALS[name]
+    problem = load_problem(PROBLEMS / "plan_long_dem.toml", (f"goal.x={x}", f"goal.y={y}"))
+    begin = time.perf_counter()
+    result = run_problem(problem)
+    seconds, run = time.perf_counter() - begin, result.trajectory
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"{name}: plan {windows_words(run)}", flush=True)
+    print(f"  {run.attributes['plan_windows']}", flush=True)
+    violation = result.verification
+    worst = max((v.value for k, v in violation.items() if "violation" in k), default=0.0)
+    print(
+        f"  {seconds:.0f} s in all, {1e3 * seconds / path_length(run):.0f} s/km; peak memory "
+        f"{memory:.0f} MB; largest violation {worst:.1e}",
+        flush=True,
+    )
+    law, times = result.setup.starts[0]
+    setup = replace(result.setup, inputs=law, t=np.arange(0.0, times[-1], 1.0))
+    print(
+        f"  follow {windows_words(integrate(setup, problem.spec.solver.options, Watch()))}",
+        flush=True,
+    )
+
+
+def windows() -> None:
+    """Print plans in windows, each from a separate process."""
+    for name in DISTANT_GOALS:
+        apart(planned_in_windows, name)
+
+
+# Momentum
+
+GRIP, SLOPE = 0.8, np.tan(np.radians(20))
+ROLLING = 1.15  # of the kinematic motion of the initial guess [m/s]
+ROUGH = SolverOptions(tolerance=1e-5)
+
+
+def slope(y: ca.SX) -> ca.SX:
+    """Return heights of a slope of 20 degrees that begins at y = 1.2 m."""
+    return SLOPE * 0.15 * ca.log(1 + ca.exp((y - 1.2) / 0.15))
+
+
+RIDGE = Analytic(lambda x, y: 0 * x + slope(y) + 0.13 * ca.exp(-(((y - 3.2) / 0.35) ** 2)), mu=GRIP)
+BUMP = Analytic(
+    lambda x, y: slope(y) + 0.12 * ca.exp(-(((y - 3.0) / 0.35) ** 2) - ((x - 0.2) / 0.8) ** 2),
+    mu=GRIP,
+)
+
+
+def with_torques(vehicle: Vehicle) -> Vehicle:
+    """Return a vehicle with a torque as the input of every wheel."""
+    wheels = tuple(replace(wheel, drive=Torque()) for wheel in vehicle.wheels)
+    return replace(vehicle, wheels=wheels)
+
+
+CAR = with_torques(catalog.skid_steer(wheelbase=0.7, mass=40.0, center_of_mass=(0.0, 0.0, 0.07)))
+CART = with_torques(catalog.skid_steer())
+
+
+def slow(vehicle: Vehicle, ground: Analytic) -> Trajectory:
+    """Return the quasi-static motion straight on at equal wheel rates."""
+    model = quasi_statics(vehicle, ground)
+    rates = {label.full: ROLLING / 0.15 for label in model.labels.u.wheels}
+    times = np.linspace(0, 4, 201)
+    return simulate(model, settle(model), model.inputs(**rates), times, options=ROUGH)
+
+
+def planned_with_inertia(
+    vehicle: Vehicle,
+    ground: Analytic,
+    law: GroundLaw,
+    bounds: tuple[float, float, int],
+    before: Plan | None = None,
+    *,
+    last: bool = True,
+) -> Plan:
+    """Return a plan; ``bounds`` are the torque of a wheel [N m], the goal's y [m] and intervals.
+
+    Only the last of several plans has to agree with its simulation.
+    """
+    torque, goal, intervals = bounds
+    model = rigid_dynamics(vehicle, ground, law=law)
+    start = settle(model)
+    still = direct_kinematics(vehicle, ground)
+    rates = {label.full: ROLLING / 0.15 for label in still.labels.u.wheels}
+    times = np.linspace(0, 4, 41)
+    run = simulate(still, settle(still), still.inputs(**rates), times, options=ROUGH)
+    run = run.part(slice(0, int(np.abs(run["y"] - goal).argmin()) + 1))
+    return plan(
+        model,
+        start,
+        dynamic_guess(model, vehicle, start, run),
+        goal={"y": (goal, goal + 1)},
+        costs={"time": 1.0, "effort": 1e-3},
+        duration=(0.5, 20.0),
+        smooth=2e-5,
+        continuous=False,
+        inputs={label.full: (-torque, torque) for label in model.labels.u.wheels},
+        intervals=intervals,
+        accuracy=0.01 if last else np.inf,
+        resume=None if before is None else before.saved,
+    )
+
+
+def momentum_row(name: str, found: Plan, seconds: float) -> None:
+    """Print a row about a plan and its simulation."""
+    iterations = " + ".join(str(stage.iterations) for stage in found.stages)
+    search = sum(stage.seconds["total"] for stage in found.stages)
+    away = max(found.difference[axis] for axis in "xyz")
+    used = np.hypot(found.run["friction_used_along"], found.run["friction_used_across"])
+    least = [run["force_normal"].min() for run in (found.run, found.replay)]
+    print(
+        f"{name}: {found.stages[-1].status}, {iterations} iterations, {search:.1f} s of "
+        f"search, {seconds:.1f} s CPU in all; {found.motion.duration:.4f} s, least N {least[0]:.1f}"
+        f" N, simulated {least[1]:.1f} N, friction used {used.max():.3f}; simulation "
+        f"{1e3 * away:.2f} mm apart, end y {found.replay['y'][-1]:.4f} m",
+        flush=True,
+    )
+
+
+def momentum() -> None:
+    """Print plans over bumps on a slope."""
+    run = slow(CAR, RIDGE)
+    needed = run["drive_torque"].sum(axis=1)
+    k = int(needed.argmax())
+    print(f"car, driven slowly: {needed[k]:.1f} N m at y = {run['y'][k]:.2f} m; drives give 26 N m")
+    clock = time.process_time()
+    found = planned_with_inertia(CAR, RIDGE, LinearCreep(), (6.5, 4.6, 50))
+    momentum_row("car, rolling", found, time.process_time() - clock)
+    fast = np.hypot(found.replay["velocity_y"], found.replay["velocity_z"])
+    print(
+        f"  {np.interp(2.8, found.replay['y'], fast):.2f} m/s at the foot of the ridge, y = 2.8 m"
+    )
+    clock = time.process_time()
+    momentum_row(
+        "cart, rolling",
+        planned_with_inertia(CART, BUMP, LinearCreep(), (5.3, 4.4, 40)),
+        time.process_time() - clock,
+    )
+    before = None
+    for creep in (0.3, 0.1, 0.03):
+        clock = time.process_time()
+        before = planned_with_inertia(
+            CART, BUMP, Coulomb(creep), (5.3, 4.4, 40), before, last=creep == 0.03
         )
-    if len(each) == 3:
-        print(
-            f"with the exact Hessian the plain way takes {each[2] / each[0]:.1f} times as long "
-            f"an iteration, {totals[2] / totals[0]:.1f} times in all"
-        )
+        momentum_row(f"cart, sliding, creep {creep} m/s", before, time.process_time() - clock)
+
+
+# Robust plans
+
+DRAWN = "friction={friction}, inputs={inputs}, map={{rms={rms}, correlation=1.0}}"
+WIDE = ("terrain.synthetic.x=[-8.0, 8.0]",)  # room for the detours of the ramp
+WORLDS = (
+    ("plan_crater_field", 0.05, 0.01, 0.02, ("limits.utilisation=[0.0, 0.5]",)),
+    ("plan_climb_ramp", 0.02, 0.002, 0.002, WIDE),
+    ("plan_climb_ramp", 0.05, 0.01, 0.005, WIDE),
+)
+
+
+def robust() -> None:
+    """Print robust plans."""
+    for name, friction, inputs, rms, settings in WORLDS:
+        drawn = DRAWN.format(friction=friction, inputs=inputs, rms=rms)
+        problem = load_problem(PROBLEMS / f"{name}.toml", (*settings, f"plan.robust={{{drawn}}}"))
+        begin = time.perf_counter()
+        run = run_problem(problem).trajectory
+        print(f"{name}, {drawn}: {run.outcome.title}, {time.perf_counter() - begin:.0f} s")
+        for line in run.attributes["plan_robust"].splitlines():
+            print(f"  {line}", flush=True)
 
 
 def main() -> None:
-    """Print all tables."""
-    heading()
-    for part in (table, prototype, calls, growth, warm, ramp, beside):
-        print()
-        part()
-
-
-if __name__ == "__main__":
-    if sys.argv[1:2] == ["growth"]:
-        print(json.dumps(grown(int(sys.argv[2]))))
-    elif sys.argv[1:2] == ["called"]:
-        print(json.dumps(called(sys.argv[2], int(sys.argv[3]), compiled=bool(sys.argv[4]))))
-    elif sys.argv[1:2] == ["calls"]:
-        heading()
-        calls()
-    elif sys.argv[1:2] == ["plain"]:
-        print(json.dumps(plain(sys.argv[2])))
-    elif sys.argv[1:2] == ["ours"]:
-        print(json.dumps(ours()))
-    else:
-        main()
+    """Print the parts."""
+    starts = {kind: partial(compare, kind) for kind in ("hills", "obstacles")}
+    parts = {"windows": windows, "momentum": momentum, "robust": robust}
+    run_parts({"slip": slip_table, "horizon": moving_horizon, **starts, **parts})

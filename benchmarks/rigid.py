@@ -1,17 +1,16 @@
-"""Measure vehicles with pressed wheels: settling, limits, steps per metre, and plans.
+"""Vehicles with pressed wheels: settling, limits, steps per metre, and plans.
 
-``python benchmarks/rigid.py [settle|limit|drive|plan]`` prints all tables or those named.
+``python benchmarks rigid [settle|limit|drive|plan ...]``
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from reference import heading
+from common import run_parts
 
 from slipfree import (
     Analytic,
@@ -222,9 +221,6 @@ def _slip(run) -> str:
     return f"rms slip {1e3 * np.sqrt(squares):.2f} mm/s"
 
 
-TABLES = {"settle": settled, "limit": limits, "drive": drives, "plan": plans}
-
-if __name__ == "__main__":
-    heading()
-    for name in sys.argv[1:] or TABLES:
-        TABLES[name]()
+def main() -> None:
+    """Print the parts."""
+    run_parts({"settle": settled, "limit": limits, "drive": drives, "plan": plans})

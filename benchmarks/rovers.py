@@ -1,14 +1,10 @@
-"""Measure the catalogue's rovers: conditioning, accuracy, time, and a plan for one of them.
+"""Rocky 7 on the rover-scale grid of wmrde: accuracy, time, and a plan.
 
-``python benchmarks/rovers.py`` prints
+``python benchmarks rovers [PART ...]``:
 
-1. condition numbers of the equations of position and of rates, on level ground and on hills;
-2. Rocky 7 on the rover-scale grid of wmrde, 10 s and 5 m: error of the end and CPU over the
-   tolerance, against the end at 1e-10, interpreted and compiled;
-3. seven cases on the hills of the tests, 20 s each, at a tolerance of 1e-6: error against 1e-10,
-   CPU and real-time factor;
-4. the effect of grounds with noise and steps, raw and rolled;
-5. a plan over that grid, 2.3 m in 8 s: iterations, slip, and its simulation.
+drive  10 s and 5 m: error of the end and CPU over the tolerance, against the end at 1e-10,
+       interpreted and compiled
+plan   2.3 m in 8 s: iterations, slip, and its simulation
 
 CPU time is that of `simulate`, the least of a few runs. Part of it prepares model and samples,
 independent of the duration; the time of the integration is the difference from a run a tenth as
@@ -17,51 +13,25 @@ long, made in alternation.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
 from itertools import product
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from reference import heading
+from common import run_parts
+from test_rovers import LIGHT, rocky_case, rocky_run, rover_ground
 
-from slipfree import (
-    Bicubic,
-    Grid,
-    SlipfreeError,
-    SolverOptions,
-    direct_kinematics,
-    settle,
-    simulate,
-)
+from slipfree import Bicubic, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import rocky7
 from slipfree.plan.plan import plan
 from slipfree.plan.stage import Cost
-from slipfree.problem.vehicle_report import conditioning
-from slipfree.terrain.rolled import rolled
 from slipfree.trajectory import Trajectory
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "physics"))
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from test_rovers import (
-    CATALOG,
-    FLAT,
-    HILL_CASES,
-    HILLS,
-    LIGHT,
-    hill_run,
-    rocky_case,
-    rocky_run,
-    rover_ground,
-)
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
 TURNS = 8
 TOLD = 3e-3  # difference of CPU below which it is noise [s]
-NOISES = (0.002, 0.005, 0.010)  # standard deviation of the noise on the grid's nodes [m]
 GOAL, DURATION, INTERVALS = {"x": 3.4, "y": 0.6}, 8.0, 40
 WEIGHTS = {"slip": 100.0, "effort": 0.01}
 
@@ -91,15 +61,6 @@ def gap(run: Trajectory, exact: Trajectory) -> float:
     return float(np.linalg.norm([run[name][-1] - exact[name][-1] for name in "xyz"]))
 
 
-def conditions() -> None:
-    """Print condition numbers."""
-    for name, vehicle in CATALOG.items():
-        for words, ground in (("level", FLAT), ("hills", HILLS)):
-            dae = direct_kinematics(vehicle, ground)
-            facts = conditioning(dae, settle(dae, x=0.7, heading=0.4))
-            print(f"  {name:18} {words}: " + "; ".join(f"{key} {value}" for key, value in facts))
-
-
 def rocky() -> None:
     """Print errors and times of Rocky 7 over the tolerance."""
     for steer in (0.0, 0.1):
@@ -115,33 +76,6 @@ def rocky() -> None:
             )
             words = "compiled" if compiled else f"{tolerance:.0e}"
             print(f"    {words:8}: error {gap(run, exact):.1e} m, {cost(run, short)}")
-
-
-def hills() -> None:
-    """Print errors and times of the cases on hills."""
-    for case in HILL_CASES:
-        run, short = quickest(*(partial(hill_run, case, 1e-6, each) for each in (20.0, 2.0)))
-        print(f"  {case:18}: error {gap(run, hill_run(case, 1e-10)):.1e} m, {cost(run, short)}")
-
-
-def noise() -> None:
-    """Print the effect of noise on the grid."""
-    grid = rover_ground()
-    for size in NOISES:
-        z = grid.z + np.random.default_rng(5).normal(0, size, grid.z.shape)
-        rough = Grid(grid.x, grid.y, z)
-        felt = rolled(rough, 0.065)
-        for words, ground in (("raw", rough), ("rolled", felt.grid)):
-            try:
-                run = rocky_run(ground, tolerance=1e-4)
-                told = "10 s" if run.stop is None else f"{run.stop.t:.2f} s: {run.stop.words}"
-            except SlipfreeError as error:
-                told = f"no start: {error}"
-            print(f"  {1e3 * size:g} mm, {words:6}: {told}")
-        print(
-            f"    rolling changes heights by {1e3 * felt.largest:.1f} mm at most, rms "
-            f"{1e3 * felt.rms:.2f} mm"
-        )
 
 
 def planned(continuous: bool) -> None:
@@ -201,14 +135,12 @@ def planned(continuous: bool) -> None:
     )
 
 
-if __name__ == "__main__":
-    heading()
-    for words, part in (
-        ("conditions", conditions),
-        ("Rocky 7 on the grid of wmrde", rocky),
-        ("hills", hills),
-        ("noise", noise),
-        ("a plan", lambda: [planned(way) for way in (False, True)]),
-    ):
-        print(words)
-        part()
+def plans() -> None:
+    """Print plans with inputs that jump and with continuous inputs."""
+    for continuous in (False, True):
+        planned(continuous)
+
+
+def main() -> None:
+    """Print the parts."""
+    run_parts({"drive": rocky, "plan": plans})

@@ -1,7 +1,7 @@
-"""Compute the least friction with which vehicles climb a step, in 3D and with inertia.
+"""Steps: least friction with which vehicles climb them, in 3D and with inertia.
 
-``python benchmarks/steps.py [VEHICLE ...]`` prints, for vehicles, heights and headings, the least
-coefficient of friction with which all wheels reach the top of a step. ``python benchmarks/steps.py
+``python benchmarks steps [VEHICLE ...]`` prints, for vehicles, heights and headings, the least
+coefficient of friction with which all wheels reach the top of a step. ``python benchmarks steps
 check`` repeats two rows at a finer tolerance, at lower speeds and with harder wheels.
 
 The wheels turn at the rate of 0.2 m/s, the vehicle starts 50 mm before the step, and the friction
@@ -26,7 +26,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from reference import heading as print_heading
 
 from slipfree import Analytic, ModelError, SolverError, SolverOptions, catalog, dynamics, settle
 from slipfree.catalog.step_climber import step_climber as climber
@@ -259,8 +258,8 @@ def check() -> None:
             print(f"{name:18} {1e3 * height:4.0f} mm, {label:28} {found}", flush=True)
 
 
-if __name__ == "__main__":
-    print_heading()
+def main() -> None:
+    """Print the tables of the vehicles that are named, or of all."""
     if sys.argv[1:] == ["check"]:
         check()
     else:

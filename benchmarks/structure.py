@@ -1,45 +1,43 @@
-"""Measure the size of the sources, and list the cycles of their imports.
+"""Size and structure of a checkout: lines, names, imports, largest functions, import cycles.
 
-``python benchmarks/structure.py [FOLDER] [--against OTHER]`` counts modules, lines, AST nodes,
-``# fmt: skip`` comments and import cycles below a source folder, ``src`` by default. An import
-cycle is a group of two or more modules each of which imports all others of the group, directly or
-through others. Cycles are counted of the imports at module level alone, and together with those in
-functions and under ``TYPE_CHECKING``; the import of a module's own packages is not counted. The
-cycles of all imports are listed, and the ten largest functions, methods included, by AST nodes.
-With ``--against`` the numbers of another source folder are printed beside these.
+``python benchmarks structure [TREE] [--against OTHER]`` counts below ``src``, ``tests`` and
+``benchmarks`` of a checkout, by default this one; with ``--against``, also of one before:
 
-Of the packages ``problem``, ``cli``, ``sweep`` and ``show`` it also counts and lists
+code lines      lines with a statement or a part of one: no blank lines, comments, docstrings
+import lines    lines of import statements, also of those in functions
+private functions with one reference
+                functions and methods whose name begins with one underscore, and which are named
+                once outside of themselves: in their module, or by an import into another
+class names that occur twice
+                names of classes at module level that several modules define
+comments        comments on a line of their own
+test functions  functions whose name begins with ``test_``
+scripts         modules with a function ``main`` or a test of ``__name__``, in ``benchmarks``
 
-dispatches
-    Tests of the kind of a problem or result: ``isinstance`` on schemas of verbs, their set-ups or
-    shown motions, comparisons of ``.verb``, calls of predicates of a kind.
-guesses
-    Tests whether a name is in the columns, statistics, attributes or arrays of a result, as if to
-    infer its kind. Names in `OPTIONAL` do not depend on the kind; tests in the modules of verbs are
-    counted apart: there a verb reads optional quantities of its own results.
-
-and of all modules the docstrings with the word "what" in the first line, and the lines of README.md
-beside the folder.
+An import cycle is a group of two or more modules each of which imports all others of the group,
+directly or through others. Cycles are counted of the imports at module level alone, and together
+with those in functions and under ``TYPE_CHECKING``; the import of a module's own packages is not
+counted. The cycles of all imports are listed.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import platform
+import io
 import re
 import sys
+import tokenize
+from collections import Counter
 from collections.abc import Iterator
 from importlib.util import resolve_name
-from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-LISTED = 10  # functions
-SKIP = "# fmt: skip"
+PARTS = ("src", "tests", "benchmarks")
 MODULE_LEVEL, IN_FUNCTIONS, TYPING = "at module level", "in functions", "under TYPE_CHECKING"
 COUNTED = {
     MODULE_LEVEL: {MODULE_LEVEL},
@@ -47,19 +45,13 @@ COUNTED = {
     f"and {TYPING}": {MODULE_LEVEL, TYPING},
     "all": {MODULE_LEVEL, IN_FUNCTIONS, TYPING},
 }
-PACKAGES = {"problem", "cli", "sweep", "show"}  # below the verbs nothing knows their kinds
-VERBS = "slipfree.problem.verbs."
-KINDS = {  # schemas of verbs, their set-ups, shown motions
-    *("Direct", "Inverse", "Plan", "Climb", "Compare", "Motion", "Modelled"),
-    *("Setup", "Planning", "Climbing", "Driven"),
-}
-PREDICATES = {"climbs", "is_climb"}
-RECORDS = {"columns", "statistics", "attributes", "counts", "arrays"}  # of results
-OPTIONAL = {  # of grounds with friction, files, integrated motions, climbs that reach an obstacle
-    *("ground_friction", "problem", "steps", "tolerance", "climb_from"),
-}
-WHAT = re.compile(r"\bwhat\b", re.IGNORECASE)
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
+PRIVATE = re.compile("_(?!_)")
+DOCUMENTED = (ast.Module, ast.ClassDef, *FUNCTIONS)
+LAYOUT = {
+    *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
+    *(tokenize.ENCODING, tokenize.ENDMARKER),
+}
 
 
 class Module(NamedTuple):
@@ -137,131 +129,155 @@ def find_cycles(imports: set[Import], places: set[str]) -> list[list[str]]:
     return [each for each in groups if len(each) > 1]
 
 
-def list_functions(modules: dict[str, Module]) -> list[tuple[int, int, str]]:
-    """Return AST nodes, lines and name of every function, the largest first."""
-    found = []
-
-    def visit(node: ast.AST, name: str) -> None:
-        for child in ast.iter_child_nodes(node):
-            if isinstance(child, FUNCTIONS):
-                lines = (child.end_lineno or child.lineno) - child.lineno + 1
-                found.append((count_nodes(child), lines, f"{name}.{child.name}"))
-            elif isinstance(child, ast.ClassDef):
-                visit(child, f"{name}.{child.name}")
-
-    for name, module in modules.items():
-        visit(module.tree, name)
-    return sorted(found, reverse=True)
-
-
-def count_nodes(tree: ast.AST) -> int:
-    """Return the number of nodes of a syntax tree."""
-    return sum(1 for _ in ast.walk(tree))
-
-
-def find_kind_tests(modules: dict[str, Module]) -> dict[str, list[str]]:
-    """Return places of dispatches on kinds, and of guesses outside and inside of verbs' modules."""
-    found: dict[str, list[str]] = {"dispatches": [], "guesses": [], "guesses in verbs": []}
-    for name, module in modules.items():
-        if name.split(".")[1:2] and name.split(".")[1] in PACKAGES:
-            for node in ast.walk(module.tree):
-                place = f"{name}:{getattr(node, 'lineno', 0)}: "
-                if is_dispatch(node):
-                    found["dispatches"].append(place + ast.unparse(node))
-                if is_guess(node):
-                    kind = "guesses in verbs" if name.startswith(VERBS) else "guesses"
-                    found[kind].append(place + ast.unparse(node))
-    return found
-
-
-def is_dispatch(node: ast.AST) -> bool:
-    """Return whether an expression tests the kind of a problem or result."""
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        is_kind = node.func.id == "isinstance" and bool(KINDS & names_in(node.args[1]))
-        return is_kind or node.func.id in PREDICATES
-    if isinstance(node, ast.Compare):
-        operands = [node.left, *node.comparators]
-        return any(isinstance(each, ast.Attribute) and each.attr == "verb" for each in operands)
-    return False
-
-
-def is_guess(node: ast.AST) -> bool:
-    """Return whether an expression tests for a name in a result that not all kinds have."""
-    if not (isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.In | ast.NotIn)):
-        return False
-    is_optional = isinstance(node.left, ast.Constant) and node.left.value in OPTIONAL
-    record = node.comparators[0]
-    name = getattr(record, "attr", getattr(record, "id", ""))
-    return name in RECORDS and not is_optional
-
-
-def names_in(node: ast.AST) -> set[str]:
-    """Return the names and attributes in an expression."""
-    return {getattr(each, "attr", getattr(each, "id", "")) for each in ast.walk(node)}
-
-
-def count_what_clauses(modules: dict[str, Module]) -> int:
-    """Return the number of docstrings with "what" in their first line."""
-    documented = (ast.Module, ast.ClassDef, *FUNCTIONS)
-    nodes = (n for m in modules.values() for n in ast.walk(m.tree) if isinstance(n, documented))
-    texts = (ast.get_docstring(node) or "" for node in nodes)
-    return sum(bool(WHAT.search(text.partition("\n")[0])) for text in texts)
-
-
-def count_lines(file: Path) -> int:
-    """Return the number of lines of a text; 0 if there is none."""
-    return len(file.read_text(encoding="utf-8").splitlines()) if file.is_file() else 0
-
-
-def report(folder: Path) -> tuple[dict[str, int], list[str], list[str], dict[str, list[str]]]:
-    """Return numbers by name, import cycles, largest functions and kind tests of a folder."""
-    modules = read_modules(folder)
-    if not modules:
-        sys.exit(f"{folder}: expected a folder with Python modules, found none")
-    imports = find_imports(modules)
-    cycles = {words: find_cycles(imports, places) for words, places in COUNTED.items()}
-    tests = find_kind_tests(modules)
-    numbers = {
-        "modules": len(modules),
-        "lines": sum(len(module.text.splitlines()) for module in modules.values()),
-        "AST nodes": sum(count_nodes(module.tree) for module in modules.values()),
-        **{f"import cycles, {words}": len(found) for words, found in cycles.items()},
-        SKIP: sum(module.text.count(SKIP) for module in modules.values()),
-        **{name: len(places) for name, places in tests.items()},
-        'docstrings with "what" in line 1': count_what_clauses(modules),
-        "lines of README.md": count_lines(folder.absolute().parent / "README.md"),
+def count_lines(module: Module) -> Counter[str]:
+    """Return the numbers of lines, code lines, import lines and own-line comments of a module."""
+    tokens = list(tokenize.generate_tokens(io.StringIO(module.text).readline))
+    code = {
+        line
+        for token in tokens
+        if token.type not in LAYOUT
+        for line in range(token.start[0], token.end[0] + 1)
     }
-    functions = list_functions(modules)[:LISTED]
-    return (
-        numbers,
-        [", ".join(group) for group in cycles["all"]],
-        [f"{nodes:6} {lines:5}  {name}" for nodes, lines, name in functions],
-        tests,
+    imports = set[int]()
+    for node in ast.walk(module.tree):
+        if isinstance(node, DOCUMENTED) and ast.get_docstring(node) is not None:
+            code -= lines_of(node.body[0])
+        elif isinstance(node, (ast.Import, ast.ImportFrom)):
+            imports |= lines_of(node)
+    comments = (
+        t for t in tokens if t.type == tokenize.COMMENT and not t.line[: t.start[1]].strip()
+    )
+    return Counter(
+        {
+            "files": 1,
+            "lines": len(module.text.splitlines()),
+            "code lines": len(code),
+            "AST nodes": sum(1 for _ in ast.walk(module.tree)),
+            "import lines": len(imports),
+            "comments": sum(1 for _ in comments),
+        }
     )
 
 
+def lines_of(node: ast.stmt) -> set[int]:
+    """Return the numbers of the lines of a statement."""
+    return set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+
+
+def list_functions(modules: dict[str, Module]) -> list[tuple[int, str]]:
+    """Return the lines and names of all functions and methods, the longest first."""
+    found = []
+    for name, module in modules.items():
+        for node in ast.walk(module.tree):
+            if isinstance(node, FUNCTIONS):
+                found.append((len(lines_of(node)), f"{name}.{node.name}"))
+    return sorted(found, reverse=True)
+
+
+def count_single_use(modules: dict[str, Module], imports: Counter[tuple[str, str]]) -> int:
+    """Return the number of private functions that are named once outside of themselves.
+
+    ``imports`` counts the imports of a name from a module by another module.
+    """
+    count = 0
+    for name, module in modules.items():
+        named = Counter(names_in(module.tree))
+        for node in ast.walk(module.tree):
+            if isinstance(node, FUNCTIONS) and PRIVATE.match(node.name):
+                inside = Counter(names_in(node))[node.name]
+                count += named[node.name] - inside + imports[name, node.name] == 1
+    return count
+
+
+def names_in(tree: ast.AST) -> Iterator[str]:
+    """Yield the names and attributes in a syntax tree."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name):
+            yield node.id
+        elif isinstance(node, ast.Attribute):
+            yield node.attr
+
+
+def imported_from(modules: dict[str, Module]) -> Counter[tuple[str, str]]:
+    """Return the number of imports of each name from each module."""
+    found = Counter[tuple[str, str]]()
+    for importer, module in modules.items():
+        package = importer if module.is_package else importer.rpartition(".")[0]
+        for node, _ in walk_imports(module.tree, MODULE_LEVEL):
+            if isinstance(node, ast.ImportFrom):
+                parts = (name.rpartition(".") for name in imported_names(node, package))
+                found.update((base, name) for base, _, name in parts)
+    return found
+
+
+def is_script(name: str, module: Module) -> bool:
+    """Return whether a module has a function ``main`` or a test of ``__name__``."""
+    starts = (
+        (isinstance(node, FUNCTIONS) and node.name == "main")
+        or (isinstance(node, ast.If) and "__name__" in ast.unparse(node.test))
+        for node in module.tree.body
+    )
+    return name != "__main__" and any(starts)
+
+
+def report(folder: Path) -> dict[str, int | str]:
+    """Return the numbers of the modules below a folder by name; none without modules."""
+    modules = read_modules(folder)
+    if not modules:
+        return {}
+    lines = {name: count_lines(module) for name, module in modules.items()}
+    classes = Counter(
+        node.name
+        for m in modules.values()
+        for node in m.tree.body
+        if isinstance(node, ast.ClassDef)
+    )
+    functions = list_functions(modules)
+    largest = max(lines, key=lambda name: lines[name]["code lines"])
+    imports = find_imports(modules)
+    numbers: dict[str, int | str] = dict(sum(lines.values(), Counter[str]()))
+    numbers |= {
+        "functions": len(functions),
+        "private functions with one reference": count_single_use(modules, imported_from(modules)),
+        "class names that occur twice": sum(count > 1 for count in classes.values()),
+        "test functions": sum(name.rpartition(".")[2].startswith("test_") for _, name in functions),
+        "scripts": sum(is_script(name, module) for name, module in modules.items()),
+        **{
+            f"import cycles, {words}": len(find_cycles(imports, places))
+            for words, places in COUNTED.items()
+        },
+        "largest file": f"{largest}, {lines[largest]['code lines']} code lines",
+        "largest function": "{1}, {0} lines".format(*functions[0]) if functions else "none",
+    }
+    return numbers
+
+
+ONLY_IN = {"test functions": "tests", "scripts": "benchmarks"}
+
+
 def main() -> None:
-    """Print the numbers of one source folder, or of two beside each other."""
+    """Print the numbers of one checkout, or of two beside each other."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", nargs="?", type=Path, default=Path("src"))
-    parser.add_argument("--against", type=Path)
-    arguments = parser.parse_args()
-    folders = [each for each in (arguments.against, arguments.folder) if each is not None]
-    numbers, cycles, functions, tests = zip(*(report(folder) for folder in folders), strict=True)
-    print(f"python {platform.python_version()}")
-    print(f"{'':40}" + "".join(f"{each:>12}" for each in ("other", "this")[-len(folders) :]))
-    for name in numbers[0]:
-        print(f"{name:40}" + "".join(f"{each[name]:12}" for each in numbers))
-    for folder, groups in zip(folders, cycles, strict=True):
-        print(f"\nimport cycles of {folder}: {len(groups)}", *groups, sep="\n  ")
-    for folder, places in zip(folders, tests, strict=True):
-        for name, listed in places.items():
-            print(f"\n{name} of {folder}: {len(listed)}", *listed, sep="\n  ")
-    print("\nlargest functions: AST nodes, lines, name")
-    width = max(len(line) for line in functions[0]) + 2 if len(folders) > 1 else 0
-    for row in zip_longest(*functions, fillvalue=""):
-        print("  ".join(line.ljust(width) for line in row).rstrip())
-
-
-if __name__ == "__main__":
-    main()
+    parser.add_argument("tree", nargs="?", type=Path, default=Path(__file__).parents[1])
+    parser.add_argument("--against", type=Path, metavar="OTHER", help="checkout before")
+    options = parser.parse_args()
+    trees = [tree for tree in (options.against, options.tree) if tree is not None]
+    for tree in trees:
+        if not (tree / "src").is_dir():
+            sys.exit(f"{tree}: expected a checkout with the folder 'src', found none")
+    titles = ("before", "after") if len(trees) > 1 else ("this",)
+    for part in PARTS:
+        numbers = [report(tree / part) for tree in trees]
+        print(f"\n{part:40}" + "".join(f"{title:>12}" for title in titles))
+        for name in dict.fromkeys(key for each in numbers for key in each):
+            values = [each.get(name, 0) for each in numbers]
+            if ONLY_IN.get(name, part) != part or ("cycles" in name and part != "src"):
+                continue
+            if name.startswith("largest"):
+                print(*(f"  {name}: {value}" for value in dict.fromkeys(values)), sep="\n")
+            else:
+                print(f"  {name:38}" + "".join(f"{value:12}" for value in values))
+    for tree in trees:
+        groups = find_cycles(find_imports(read_modules(tree / "src")), COUNTED["all"])
+        lines = (f"\n  {', '.join(group)}" for group in groups)
+        print(f"\nimport cycles of {tree / 'src'}: {len(groups)}", *lines, sep="")

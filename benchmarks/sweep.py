@@ -1,6 +1,6 @@
-"""Measure the gain of sweeps by processes, and check that a killed sweep loses no run.
+"""Sweeps: gain by processes, and check that a killed sweep loses no run.
 
-``python benchmarks/sweep.py [RUNS]`` (200 by default) prints
+``python benchmarks sweep [RUNS]`` (200 by default) prints
 
 1. the wall time of a sweep over seeded random grounds by one process and by two, each with one
    thread, and their ratio; also the time that the workers spend on the runs themselves, and the
@@ -22,12 +22,12 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from reference import heading
+from common import HERE, PROBLEMS
 
 from slipfree.sweep.task import Task
 from slipfree.sweep.worker import KEPT, work
 
-PROBLEM = Path(__file__).parent.parent / "problems" / "paper_direct.toml"
+PROBLEM = PROBLEMS / "paper_direct.toml"
 RUNS = 200
 ALONE = 300  # solutions of the reference NLP
 TICK = 0.02  # between two looks at the log [s]
@@ -40,20 +40,8 @@ SHARED = (
 
 def command(folder: Path, processes: int, runs: int) -> list[str]:
     """Return the command of the sweep."""
-    return [
-        sys.executable,
-        "-m",
-        "slipfree",
-        "sweep",
-        str(PROBLEM),
-        "--repeat",
-        str(runs),
-        "--processes",
-        str(processes),
-        "--no-draw",
-        "-o",
-        str(folder),
-    ]
+    words = f"--repeat {runs} --processes {processes} --no-draw -o {folder}".split()
+    return [sys.executable, "-m", "slipfree", "sweep", str(PROBLEM), *words]
 
 
 def rows(folder: Path) -> list[dict[str, object]]:
@@ -78,14 +66,11 @@ def processor() -> float:
 
 def apart() -> float:
     """Return the throughput of two independent processes relative to one."""
-    code = f"from reference import rosenbrock\nfor _ in range({ALONE}): rosenbrock()"
+    code = f"from common import rosenbrock\nfor _ in range({ALONE}): rosenbrock()"
 
     def wall(count: int) -> float:
         begin = time.perf_counter()
-        running = [
-            subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parent)
-            for _ in range(count)
-        ]
+        running = [subprocess.Popen([sys.executable, "-c", code], cwd=HERE) for _ in range(count)]
         for process in running:
             process.wait()
         return time.perf_counter() - begin
@@ -130,9 +115,9 @@ def shared(name: str, key: str, values: tuple[float, ...]) -> str:
     )
 
 
-def main(runs: int) -> None:
+def main() -> None:
     """Print the times of a sweep, the remaining runs of a killed one, and the gain of sharing."""
-    heading()
+    runs = int(sys.argv[1]) if sys.argv[1:] else RUNS
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         one, _, _ = timed(folder / "start", 1, 1)
@@ -159,7 +144,3 @@ def main(runs: int) -> None:
         )
     for name, key, values in SHARED:
         print(shared(name, key, values))
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else RUNS)

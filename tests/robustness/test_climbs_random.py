@@ -1,6 +1,6 @@
 """Random climbs: each ends by name, at a named limit, or is refused; energy balances hold.
 
-The energy balance errs by less than 100 x tolerance x energy. ``python benchmarks/random_runs.py
+The energy balance errs by less than 100 x tolerance x energy. ``python benchmarks random_runs
 climbs`` runs 200: 93 climb, 36 pass, 25 stall, 21 move along the obstacle and 25 end at another
 limit. The balance holds in all but climb 131, at 1.18 of its bound, and at 0.093 of that of a
 tolerance of 1e-6. The test repeats one of each vehicle, over every kind of obstacle.

@@ -1,7 +1,7 @@
 """Random runs with inertia: each completes, ends at a named limit, or is refused.
 
 Energy balances within 100 x tolerance; mirror images and turned runs agree. ``python
-benchmarks/random_runs.py drives`` does this for 300; here every vehicle, drive and ground is drawn.
+benchmarks random_runs drives`` does this for 300; here every vehicle, drive and ground is drawn.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Tests of mutated URDFs and rasters: each is read or refused without a hang.
 
-``python benchmarks/fuzz.py --cases 2000 --kinds mutated_urdf,mutated_raster`` reads many.
+``python benchmarks fuzz --cases 2000 --kinds mutated_urdf,mutated_raster`` reads many.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Tests that random problems end regularly; ``benchmarks/robustness.py`` runs 500.
+"""Tests that random problems end regularly; ``benchmarks random_runs problems`` runs 500.
 
-``python benchmarks/robustness.py --seed N`` prints a case in full and allows changes to it.
+``python benchmarks random_runs problems --seed N`` prints a case in full and allows changes to it.
 """
 
 import pytest

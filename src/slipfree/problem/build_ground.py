@@ -222,7 +222,9 @@ def _source(problem: Problem[S]) -> tuple[Map, str]:
 
     Consecutive runs of a sweep share it, unless a key changes on which it depends.
     """
-    key = problem.spec.terrain.model_dump_json(exclude=LATER, exclude_unset=True)
+    key = problem.spec.terrain.model_dump_json(
+        exclude=LATER, exclude_unset=True, serialize_as_any=True
+    )
     return shared("map", (problem.folder, key), lambda: _read(problem))
 
 

@@ -56,7 +56,7 @@ def build_world(problem: Problem[S]) -> World:
         If ground, vehicle, law or solids are not valid, or the start lies off the ground.
     """
     spec = problem.spec
-    rest = spec.model_dump_json(exclude=OF_THE_MOTION, exclude_unset=True)
+    rest = spec.model_dump_json(exclude=OF_THE_MOTION, exclude_unset=True, serialize_as_any=True)
     origin = tuple(spec.start.get(name) for name in ORIGIN)
     return shared("world", (problem.folder, rest, origin), lambda: _built(problem))
 
