@@ -20,9 +20,9 @@ def test_a_plan_with_momentum_is_simulated_in_the_same_run():
     run = run_problem(problem).trajectory
     assert run.stop is None
     assert run.attributes["model"] == "dynamics"
-    facts = dict(PlanVerb().facts(run))
-    assert "the platform stays within" in facts["simulated with compliant contacts"]
-    assert "without inertia the same path needs torques" in facts["driven slowly"]
+    lines = dict(PlanVerb().summary(run))
+    assert "the platform stays within" in lines["simulated with compliant contacts"]
+    assert "without inertia the same path needs torques" in lines["driven slowly"]
     assert max(run.facts[f"plan_difference_{axis}"].value for axis in "xyz") < 0.01
     assert abs(run["y"][-1] - 1.5) < 0.01
 

@@ -530,6 +530,7 @@ def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.M
         ("start.x=0.1", "start.x=0.2", False),
         ("terrain.friction=0.5", "terrain.friction=0.6", False),
         ("slip='least'", "slip='rolling'", False),
+        ("vehicle.axle='tilting'", "vehicle.axle='sliding'", False),
     ],
 )
 def test_runs_share_a_model_unless_it_depends_on_the_key(
