@@ -8,7 +8,6 @@ import pytest
 from slipfree import load_problem, run_problem
 from slipfree.problem.verbs.registry import verb_of
 
-pytestmark = pytest.mark.slow
 SLOPE = Path(__file__).parents[2] / "problems" / "plan_sandy_slope.toml"
 SHORT = (
     "law.soil.regions=",
@@ -25,38 +24,22 @@ SHORT = (
 )
 
 
-@pytest.fixture(scope="module")
-def result():
-    """Return the result of a plan over a part of the slope."""
-    return run_problem(load_problem(SLOPE, SHORT))
-
-
-def test_a_plan_keeps_its_limit_on_slip(result):
-    run = result.trajectory
+@pytest.mark.slow
+def test_a_plan_over_sand_keeps_its_limit_on_slip_and_is_confirmed_by_dynamics():
+    result = run_problem(load_problem(SLOPE, SHORT))
+    run, verb = result.trajectory, verb_of(result.problem)
     assert run.stop is None
     assert run["y"][-1] == pytest.approx(1.8, abs=0.02)
     assert run["slip_ratio"].max() == pytest.approx(0.22, abs=5e-3)  # a steeper path is shorter
     assert run["sinkage"].max() < 0.025
-
-
-def test_its_energy_is_the_work_of_the_drives(result):
-    run = result.trajectory
-    work = run["work"][-1] - run["work"][0]
+    work = run["work"][-1] - run["work"][0]  # of the drives
     assert run.statistics["plan_cost_energy"] == pytest.approx(work, rel=0.02)
-
-
-def test_dynamics_in_the_same_soil_confirms_it(result):
-    words = result.trajectory.attributes["in_soil"]
-    away = float(words.removeprefix("ends ").partition(" m ")[0])
-    assert away < 0.03
-    facts = dict(verb_of(result.problem).facts(result.trajectory))
+    words = run.attributes["in_soil"]
+    assert float(words.removeprefix("ends ").partition(" m ")[0]) < 0.03
+    facts = dict(verb.facts(run))
     assert facts["simulated with inertia"] == words
     assert "drawbar-pull reserve" in facts["soil"]
-
-
-def test_the_figure_of_the_contact_shows_the_reserve(result):
-    verb = verb_of(result.problem)
+    assert np.isfinite(run["drawbar_reserve"]).all()
     (plot,) = (each for each in verb.figures(result) if each.name == "contact")
     labels = [ax.get_ylabel() for ax in plot.make().axes]
     assert any("reserve" in each for each in labels), labels
-    assert np.isfinite(result.trajectory["drawbar_reserve"]).all()
