@@ -117,15 +117,6 @@ def test_on_hills_the_platform_follows_within_the_announced_error(name, command)
     assert np.abs(run["wheel_rate"]).max() < 1.7 * max(1.0, np.abs(start["wheel_rate"]).max())
 
 
-def test_commands_that_straight_wheels_cannot_impose_are_carried_out():
-    vehicle = VEHICLES["four_wheel_steered"]
-    direct, dae, inputs, start = poised(vehicle, FLAT, (0.3, 0.1, 0.0))
-    run = simulate(dae, start, inputs, [0.0, 1.0])
-    assert_allclose(planar(run)[:, -1], [0.3, 0.1, 0.0], rtol=0, atol=1e-9)
-    angles = [run[name][-1] for name in steering_effects(vehicle, direct)]
-    assert_allclose(angles, -np.arctan2(0.1, 0.3), rtol=0, atol=1e-9)
-
-
 def test_the_steering_turns_from_given_angles_and_errors_vanish():
     vehicle = VEHICLES["four_wheel_steered"]
     straight = dict.fromkeys(steering_effects(vehicle, models(vehicle, FLAT)[0]), 0.0)

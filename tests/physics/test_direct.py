@@ -129,14 +129,6 @@ def test_twice_the_rates_take_half_the_time():
     same_motion(run, still)
 
 
-def test_sphere_and_disc_wheels_roll_too():
-    for r1, r2 in ((0.3, 0.0), (0.0, 0.3)):
-        run = drive(Analytic(hills), T[:6], vehicle=three_wheeler(r1=r1, r2=r2))
-        assert run["closure_residual"].max() < 1e-12
-        gap = run["center_z"] - run["contact_z"]
-        assert gap.min() > 0.25
-
-
 def test_reported_frame_is_x_forward():
     dae = closure_model(three_wheeler(), Analytic(lambda x, y: 0.3 * x + 0.1 * y))
     run = settle(dae, heading=0.4)

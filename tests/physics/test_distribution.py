@@ -235,18 +235,6 @@ def test_a_sample_that_does_not_converge_is_nan(monkeypatch, rounds):
     assert np.isnan(best.force).all()
 
 
-def test_a_wheel_that_bears_nothing_does_not_stall_the_search():
-    """A frictionless ball without load: the other two wheels hold what they would hold alone."""
-    matrix, load, _ = random_cases(1, 40, 3, 0)
-    load[:] = [0, 0, -1, 0, 0, 0]
-    matrix[:, :, 6:8] = 0.0
-    bears = force_distribution._solutions(matrix, load)[0][:, 8]
-    load += matrix[:, :, 8] * bears[:, None]
-    best = least_utilisation(matrix, load, np.ones((40, 3)))
-    alone = least_utilisation(matrix[:, :, :6], load, np.ones((40, 2)))
-    np.testing.assert_allclose(best.utilisation, alone.utilisation, rtol=1e-6)
-
-
 def test_a_robot_whose_caster_lifts_off():
     """Samples of a TurtleBot3 burger on rough ground, where its ball caster bears nothing."""
     with np.load(Path(__file__).parents[1] / "data" / "lifted_caster.npz") as samples:

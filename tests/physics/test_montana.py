@@ -164,48 +164,6 @@ def test_drift_decays_at_kappa():
 # --- every wheel knows the platform ---------------------------------------------------------------
 
 
-def platforms(dae, vehicle, ground):
-    """Return ``(x, z, u) -> (position, rotation, velocity, turning)`` from each wheel alone."""
-    x, z, u = dae.columns()
-    first = dae.ode.numel() - 5 * len(vehicle.wheels)
-    tilts = {"right": "tilt_right", "left": "tilt_left", "front": "steer"}
-    names = [label.full for label in dae.labels.x.joints]
-    functions = []
-    for k, wheel in enumerate(vehicle.wheels):
-        span = slice(first + 5 * k, first + 5 * k + 5)
-        joint = vehicle.joints[k]
-        index = first - len(names) + names.index(tilts[wheel.name])
-        pose = pair(wheel, ground, ContactCoordinates(*ca.vertsplit(x[span])), LookupTable()).pose
-        rotation = pose.rotation @ turn(joint.axis, x[index]).rotation.T
-        position = pose.origin - rotation @ ca.DM(joint.at)
-        own, rates = ca.vertcat(x[span], x[index]), ca.vertcat(dae.ode[span], dae.ode[index])
-        velocity = ca.jtimes(position, own, rates)
-        turning = ca.inv_skew(ca.jtimes(rotation, own, rates) @ rotation.T)
-        functions.append(ca.Function("p", [x, z, u], [position, rotation, velocity, turning]))
-    return functions
-
-
-def test_platform_from_each_wheel():
-    vehicle, ground = three_wheeler(), GROUNDS["hills"]
-    dae = montana_model(vehicle, ground)
-    run = both(ground, T, tolerance=1e-10, **START)[1]
-    inputs = np.array(list(PAPER_RATES.values()))
-    for f in platforms(dae, vehicle, ground):
-        for k in (0, 11, 30):
-            position, rotation, velocity, turning = (
-                np.array(out) for out in f(dae.rows("x", run, k), dae.rows("z", run, k), inputs)
-            )
-            at = [run[name][k] for name in ("heading", "roll", "pitch")]
-            assert_allclose(position.ravel(), [run[a][k] for a in "xyz"], atol=1e-8)
-            assert_allclose(rotation, Rotation.from_euler("ZYX", at).as_matrix(), atol=2e-8)
-            seen = [run[f"velocity_{a}"][k] for a in "xyz"]
-            assert_allclose(velocity.ravel(), seen, atol=1e-7)  # drift times kappa
-            (ch, cr), (sh, sr) = np.cos(at[:2]), np.sin(at[:2])
-            rates = [run[f"{name}_rate"][k] for name in ("pitch", "roll", "heading")]
-            omega = np.array([[ch * cr, -sh, 0], [sh * cr, ch, 0], [-sr, 0, 1]]) @ rates  # eq. 4
-            assert_allclose(turning.ravel(), omega, atol=2e-7)
-
-
 # --- what holds the vehicle together --------------------------------------------------------------
 
 
@@ -292,21 +250,6 @@ def test_straight_over_a_cylindrical_hill():
             turned = run["wheel_angle", wheel] - run["pitch"] + slope
             travelled = np.interp(at, y, path)
             assert_allclose(travelled - travelled[0], 0.3 * (turned - turned[0]), atol=2e-7)
-
-
-@pytest.mark.slow
-def test_the_disc_is_the_limit_of_thin_tori():
-    def end(r1):
-        vehicle = three_wheeler(r1=r1, r2=0.3 - r1)
-        run = drive(GROUNDS["hills"], T, vehicle=vehicle, tolerance=1e-11, **START)
-        return np.array([run[name][-1] for name in ("x", "y", "z", "heading", "tilt_right")])
-
-    sizes = np.array([1e-2, 1e-3, 1e-4])
-    disc = end(0.0)
-    errors = [np.abs(end(r1) - disc).max() for r1 in sizes]
-    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
-    assert order == pytest.approx(1.0, abs=0.05)
-    assert errors[-1] < 1e-4
 
 
 # --- errors and comparison ------------------------------------------------------------------------

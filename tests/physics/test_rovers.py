@@ -36,19 +36,15 @@ from slipfree.geometry.path import Path
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.wheel_authority import wheel_rates
 from slipfree.plan.plan import plan
-from slipfree.records import leaves, pack
+from slipfree.records import leaves
 from slipfree.terrain.rolled import rolled
 from slipfree.vehicle.inertia import body_inertia
 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
 CATALOG = {
-    "differential_drive": differential_drive(**LIGHT),
-    "ackermann": ackermann(**LIGHT),
-    "skid_steer": skid_steer(**LIGHT),
-    "articulated": articulated(**LIGHT),
-    "rocky7": rocky7(**LIGHT),
-    "open_source_rover": open_source_rover(**LIGHT),
+    make.__name__: make(**LIGHT)
+    for make in (differential_drive, ackermann, skid_steer, articulated, open_source_rover)
 }
 RADIUS = 0.15  # of the wheels of the first three
 
@@ -128,29 +124,20 @@ def test_a_skid_steered_cart_turns_less_by_its_length():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("vehicle", "within"),
-    [
-        (rocky7(steered="corners", **LIGHT), 1e-6),  # its axles are level to 0.03 mm
-        (open_source_rover(**LIGHT), 1e-12),
-    ],
-    ids=["rocky7", "open_source_rover"],
-)
-def test_rovers_turn_about_their_middle_axle_without_slip(vehicle, within):
+def test_a_rover_turns_about_its_middle_axle_without_slip():
     turning, away = 0.2, 0.8  # the middle of the turn, to the left [rad/s], [m]
-    dae = closure_model(vehicle, FLAT)
-    rest = settle(dae)
+    vehicle = CATALOG["open_source_rover"]
+    rest = settle(closure_model(vehicle, FLAT))
     axle = rest["center_y"][0, [w.name.startswith("middle") for w in vehicle.wheels]][0]
     start, rates = {}, {}
     for k, wheel in enumerate(vehicle.wheels):
         right, ahead = rest["center_x"][0, k] + away, rest["center_y"][0, k] - axle
-        angle = np.arctan2(ahead, right)
         if wheel.parent.startswith("steer"):
-            start[wheel.parent] = angle
+            start[wheel.parent] = np.arctan2(ahead, right)
         rates[f"{wheel.name}_rate"] = turning * np.hypot(right, ahead) / wheel.radius
     found = rates_at(vehicle, FLAT, rates, **start)
-    assert_allclose(found["heading_rate"], turning, atol=within)
-    assert_allclose([found["slip_along"], found["slip_across"]], 0, atol=within)
+    assert_allclose(found["heading_rate"], turning, atol=1e-12)
+    assert_allclose([found["slip_along"], found["slip_across"]], 0, atol=1e-12)
 
 
 def test_the_articulated_loader_turns_about_where_its_axles_meet():
@@ -165,27 +152,6 @@ def test_the_articulated_loader_turns_about_where_its_axles_meet():
     found = rates_at(CATALOG["articulated"], FLAT, rates, bend=-bend)
     assert_allclose(found["heading_rate"], turning, atol=1e-12)
     assert_allclose([found["slip_along"], found["slip_across"]], 0, atol=1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["differential_drive", "rocky7"])
-def test_rates_of_what_the_ground_decides_are_the_derivative_of_the_closure(name):
-    vehicle = CATALOG[name]
-    dae = closure_model(vehicle, HILLS)
-    given = {label.full: 0.2 for label in leaves(dae.labels.u)}
-    start = settle(dae, x=0.7, heading=0.4)
-    run = simulate(dae, start, dae.inputs(**given), np.linspace(0, 1, 5))
-    symbols = [pack(dae.x), pack(dae.z)]
-    position = pack(dae.z.position)
-    follows = -ca.solve(ca.jacobian(dae.alg[0], position), ca.jacobian(dae.alg[0], symbols[0]))
-    rates = dae.z.rates
-    found = pack((rates.z, rates.roll, rates.pitch, rates.suspension))
-    gap = (follows @ dae.ode)[: found.numel()] - found
-    function = ca.Function("gap", [*symbols, pack(dae.u)], [gap])
-    u = np.full(pack(dae.u).numel(), 0.2)
-    for k in range(run.t.size):
-        states = dae.rows("x", run, k), dae.rows("z", run, k)
-        assert np.abs(np.array(function(*states, u))).max() < 1e-12
 
 
 ENDS = {  # radius of the tubes, steering: x, y, z after 10 s, found with another code
@@ -223,39 +189,16 @@ def test_rocky_7_has_the_inertia_that_another_code_assumes():
 
 
 @pytest.mark.slow
-def test_rocky_7_settles_from_poor_guesses():
-    """Guesses off by up to 0.2 m and 0.4 rad: the one pose, wheels above the ground."""
-    rng, vehicle = np.random.default_rng(7), rocky7(**LIGHT)
-    dae = closure_model(vehicle, Bicubic(rover_ground()))
-    place = {"x": 2.0, "y": 0.2, "heading": -np.pi / 2}
-    right = settle(dae, **place)
-    names = ("z", "roll", "pitch", *(c.name for c in vehicle.of("suspension")))
-    for _ in range(20):
-        off = rng.uniform(-1, 1, 6) * [0.2, 0.4, 0.4, 0.4, 0.4, 0.4]
-        guess = {name: float(right[name][0]) + d for name, d in zip(names, off, strict=True)}
-        found = settle(dae, guess=guess, **place)
-        for name in names:
-            assert_allclose(found[name], right[name], atol=1e-9, err_msg=name)
-
-
-@pytest.mark.slow
 def test_noise_that_no_wheel_follows_is_named_and_rolled_away():
     grid = rover_ground()
     noise = np.random.default_rng(5).normal(0, 0.005, grid.z.shape)
     rough = Grid(grid.x, grid.y, grid.z + noise)
-    words = r"more concave than the wheel|touches a second time"
+    words = r"wheel (front|middle|rear)_\w+.*(more concave than the wheel|touches a second time)"
     try:
-        stop = rocky_run(rough).stop
-        assert stop is not None
-        found = stop.words
+        found = rocky_run(rough).stop.words
     except ModelError as error:
         found = str(error)
     assert re.search(words, found)
-    assert any(
-        f"{end}_{side}" in found
-        for end in ("front", "middle", "rear")
-        for side in ("right", "left")
-    )
     part = Grid(rough.x[20:80], rough.y[20:80], np.ascontiguousarray(rough.z[20:80, 20:80]))
     run = rocky_run(rolled(part, 0.065).grid, tolerance=1e-4, duration=2.0)  # 10 s: benchmarks
     assert run.stop is None
@@ -268,46 +211,11 @@ def test_a_caster_without_trail_is_named():
         settle(dae)
 
 
-SIDES = {"right": 1.0, "left": 0.7}
-
-
 # Seven cases on hills: inputs, start
 
 
-HILL_CASES = {
-    "cart backwards": (
-        differential_drive(**LIGHT),
-        {"right_rate": -1.0, "left_rate": -0.97},
-        {"caster_angle": 0.05},
-    ),
-    "car, equal rates": (
-        ackermann(**LIGHT),
-        {"rear_right_rate": 1.0, "rear_left_rate": 1.0, "steer_rate": 0.0},
-        {"steer": 0.3},
-    ),
-    "skid turning": (
-        skid_steer(**LIGHT),
-        {f"{e}_{side}_rate": v for e in ("front", "rear") for side, v in SIDES.items()},
-        {},
-    ),
-}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("case", HILL_CASES)
-def test_errors_on_hills_are_of_the_order_of_the_tolerance(case):
-    vehicle, rates, start = HILL_CASES[case]
-    dae = closure_model(vehicle, HILLS)
-    given = dae, settle(dae, heading=0.3, **start), dae.inputs(**rates), np.linspace(0, 20, 101)
-    run, exact = (simulate(*given, options=SolverOptions(tolerance=t)) for t in (1e-6, 1e-10))
-    assert run.stop is None
-    assert np.hypot(run["x"] - exact["x"], run["y"] - exact["y"]).max() < 2e-5
-    assert np.abs(run["z"] - exact["z"]).max() < 2e-5
-    assert (run["center_z"] - HILLS.elevation(run["center_x"], run["center_y"])).min() > 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["articulated", "open_source_rover", "skid_steer"])
+@pytest.mark.parametrize("name", ["articulated", "open_source_rover"])
 def test_rovers_follow_paths(name):
     vehicle = CATALOG[name]
     way = Path(np.array([(0.0, 0.0), (0.5, 2.0), (2.0, 4.0), (2.0, 7.0)]))
@@ -315,13 +223,11 @@ def test_rovers_follow_paths(name):
     start, law = settle(dae, heading=-0.245), follow(dae, vehicle, way, speed=0.2)
     run = simulate(dae, start, law, np.linspace(0, 36, 73), options=SolverOptions(tolerance=1e-6))
     assert run.stop is None
-    places = np.stack([run["x"], run["y"]], 1)
     dense = way.at(np.linspace(0, way.length, 2000))
-    line = np.stack([dense.x, dense.y], 1)
-    gaps = np.linalg.norm(places[:, None] - line[None], axis=2).min(axis=1)
+    gaps = np.hypot(run["x"][:, None] - dense.x, run["y"][:, None] - dense.y).min(axis=1)
     assert gaps.max() < 0.15  # it starts with straight wheels at the beginning of a bend
     assert gaps[-1] < 0.05
-    assert np.linalg.norm(places[-1] - places[0]) > 5
+    assert np.hypot(run["x"][-1], run["y"][-1]) > 5
 
 
 # With masses: forces, friction and plans, for all without special code

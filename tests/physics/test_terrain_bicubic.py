@@ -185,18 +185,6 @@ def test_elevation_equals_height():
     ]
 
 
-def test_height_continues_outside():
-    ground = Bicubic(rough())
-    x_min, x_max, y_min, y_max = ground.domain
-    y = np.linspace(y_min - 0.1, y_max + 0.1, 50)
-    for edge, out in ((x_min, -1), (x_max, 1)):
-        inside = evaluate(ground, np.full(50, edge - 1e-7 * out), y)
-        outside = evaluate(ground, np.full(50, edge + 1e-7 * out), y)
-        for order in ORDERS[:6]:
-            size = np.abs(inside[order]).max()
-            assert_allclose(outside[order], inside[order], rtol=0, atol=1e-4 * size)
-
-
 def test_a_nan_or_endless_point_gives_nan_not_a_crash():
     function = derivatives(Bicubic(rough()))
     for bad in (math.nan, math.inf, -math.inf):

@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from helpers.cases import hills
 from helpers.friction_cases import (
     FIXED,
-    RATES,
     UNEQUAL,
     T,
     dissipation,
-    flat,
     from_linear,
     from_rolling,
     least_slip_rates,
@@ -44,7 +41,7 @@ from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.montana import montana_kinematics
 from slipfree.outcome import Outcome
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.tree import Body, actuated
+from slipfree.vehicle.tree import Body
 
 
 def standing(vehicle, ground, law=Coulomb(), **start):  # noqa: B008
@@ -107,11 +104,10 @@ def test_small_creep_leads_to_rolling():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ground", [flat, hills])
-def test_large_friction_leads_to_the_linear_law(ground):
-    """mu to infinity at fixed eps/mu: second order; on flat ground least slip, weighted by load."""
+def test_large_friction_leads_to_the_linear_law():
+    """mu to infinity at fixed eps/mu: second order."""
     scale = np.array([1.0, 10.0, 100.0])
-    errors = [from_linear(ground, mu) for mu in scale]
+    errors = [from_linear(hills, mu) for mu in scale]
     assert order(1 / scale, errors) == pytest.approx(2, abs=0.1)
     assert errors[-1] < 1e-5
 
@@ -178,19 +174,10 @@ def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, toleran
 @pytest.mark.slow
 def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
     """Friction couples normal forces to the motion, which may go on with a jump only."""
-    grid = power_law(
-        blank((-6, 6), (-6, 6), 0.25),
-        rms=0.09746552344891801,
-        hurst=0.9539057256615531,
-        longest=8.0,
-        shortest=2.743039400737338,
-        seed=67,
-    )
-    rates = {
-        "right_rate": 0.7521118439376475,
-        "left_rate": 0.6014304356887998,
-        "steer_rate": -0.23850475241570412,
-    }
+    size = {"rms": 0.09746552344891801, "hurst": 0.9539057256615531, "longest": 8.0}
+    grid = power_law(blank((-6, 6), (-6, 6), 0.25), shortest=2.743039400737338, seed=67, **size)
+    rates = {"right_rate": 0.7521118439376475, "left_rate": 0.6014304356887998}
+    rates["steer_rate"] = -0.23850475241570412
     start = {"x": 0.06577387785453626, "y": -0.0420728627881235, "heading": 0.3860773330023184}
     ground, law = Bicubic(grid, mu=0.048397107850166564), Coulomb(3.4290050665254273e-06)
     t = np.linspace(0, 10, 51)
@@ -250,50 +237,6 @@ def test_the_edge_of_a_friction_map_is_a_stop_by_name():
     )
 
 
-@pytest.mark.slow
-def test_a_rigid_stop_of_a_tilt_ends_the_motion_by_name():
-    """On flat ground a common tilt falls over; the stop is where it would be passed."""
-    ground = slope(0.0, 0.6)
-    t, law = np.linspace(0, 60, 241), Coulomb(1e-3)
-    rates, tilts = dict.fromkeys(RATES, 0.0), {"tilt_right": 0.1, "tilt_left": 0.1}
-    free = moved(three_wheeler(), ground, law, np.linspace(0, 30, 601), rates, **tilts)
-    run = moved(three_wheeler(tilt_stop=0.2), ground, law, t, rates, **tilts)
-    first = np.maximum(free["tilt_right"], free["tilt_left"])
-    assert run.stop.name in ("tilt_right_stop", "tilt_left_stop")
-    assert run.stop.t == pytest.approx(np.interp(0.2, first, free.t), abs=1e-4)
-    assert (
-        "joint tilt_left (lateral tilt of the left rear wheel) reaches its stop" in run.stop.words
-    )
-
-
-def test_an_elastic_stop_bears_the_wheel_that_leans_on_it():
-    """Both tilts fall towards their stops and rest there: moment of the load against the stop."""
-    bump, limit = 2000.0, 0.2
-    vehicle = three_wheeler(tilt_stop=limit, bump=bump)
-    run = moved(
-        vehicle,
-        slope(0.0, 0.6),
-        Coulomb(1e-2),
-        np.linspace(0, 60, 121),
-        dict.fromkeys(RATES, 0.0),
-        tilt_right=0.1,
-        tilt_left=0.1,
-    )
-    assert run.stop is None
-    body = Rotation.from_euler("ZYX", [run[name][-1] for name in ("heading", "roll", "pitch")])
-    for side in ("right", "left"):
-        tilt = run[f"tilt_{side}"][-1]
-        arm = [run[f"contact_{i}", side][-1] - run[f"center_{i}", side][-1] for i in "xyz"]
-        axle = (body * Rotation.from_euler("y", tilt)).apply([1.0, 0.0, 0.0])
-        along = np.cross([0.0, 0.0, 1.0], axle)
-        along /= np.linalg.norm(along)
-        frame = np.array([along, np.cross(along, [0.0, 0.0, 1.0]), [0.0, 0.0, 1.0]])
-        force = frame.T @ [run[f"force_{i}", side][-1] for i in ("along", "across", "normal")]
-        moment = np.cross(arm, force) @ body.apply([0.0, 1.0, 0.0])
-        assert tilt > limit
-        assert_allclose(bump * (tilt - limit), moment, rtol=1e-9)
-
-
 def test_only_a_stiff_spring_holds_a_tilt_upright():
     """The tilt is an inverted pendulum; the spring it needs is the load times r2."""
 
@@ -333,11 +276,3 @@ def test_what_does_not_suit_is_refused():
     for of in (direct_kinematics, montana_kinematics):
         with pytest.raises(ModelError, match=r"expected a slip law such as LeastSlip\(\) or"):
             of(FIXED, ground, slip=Coulomb())
-
-
-def test_a_lock_keeps_a_tilt_and_bears_its_torque():
-    vehicle = actuated(three_wheeler(), "tilt_right", "tilt_left")
-    s = np.radians(20)
-    run = standing(vehicle, slope(s, 0.6, across=True))
-    assert_allclose(run["utilisation"], np.tan(s) / 0.6, rtol=1e-6)
-    assert np.abs(run["tilt_right_torque"]).min() > 5

@@ -82,21 +82,6 @@ def test_three_wheeler_is_the_papers():
     assert_allclose(numbers(front.rotation)[:2, 1], [-np.sin(0.2), np.cos(0.2)])  # to the left
 
 
-def test_a_vehicle_with_suspension_drives_and_slips_least():
-    """Four wheels on hills cannot all roll; slip is least, and all four keep touching."""
-    ground = Analytic(lambda x, y: 0.1 * ca.sin(1.3 * x) * ca.cos(0.9 * y))
-    dae = direct_kinematics(four_wheels(rock=True), ground)
-    rates = dae.inputs(rear_right_rate=2.0, rear_left_rate=2.0, steer_rate=0.0)
-    run = simulate(dae, settle(dae, x=0.4, heading=0.2), rates, np.linspace(0, 10, 51))
-    assert run.stop is None
-    assert run["closure_residual"].max() < 1e-12
-    assert np.abs(run["rock"]).max() > 0.01
-    slip = np.hypot(run["slip_along"], run["slip_across"])
-    assert 1e-5 < slip.max() < 1e-2
-    gap = run["contact_z"] - ground.elevation(run["contact_x"], run["contact_y"])
-    assert np.abs(gap).max() < 1e-12
-
-
 def test_only_vehicles_with_enough_freedom_can_be_made_to_roll():
     with pytest.raises(ModelError, match=r"expected 5 passive joints and free .*, found 2"):
         direct_kinematics(four_wheels(rock=True), Analytic(lambda x, _: 0 * x), slip=Rolling())

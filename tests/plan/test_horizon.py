@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from helpers.cases import hills
 from slipfree import (
@@ -21,7 +21,6 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import differential_drive, three_wheeler
-from slipfree.plan import mpc as module
 from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import plan
 from slipfree.plan.tracking import track_plan
@@ -75,19 +74,6 @@ def traverse(found, window, **start):
 
 def away(run):
     return float(np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]))
-
-
-@pytest.mark.slow
-def test_the_end_of_a_plan_is_its_end_whatever_was_summed_up(found):
-    window = horizon(found, span=DURATION, intervals=COUNT)
-    for one, other in zip(
-        module._row_bounds(window, DURATION),
-        module._row_bounds(window, DURATION - 1e-9),
-        strict=True,
-    ):
-        assert_array_equal(one, other)
-    lower, upper = module._row_bounds(window, DURATION - 1.0)
-    assert_array_equal(lower[-len(GOAL) :], upper[-len(GOAL) :])
 
 
 @pytest.mark.slow
@@ -166,8 +152,8 @@ def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, wind
     """The last part is as long as what is left."""
     dae, times = found.program.task.dae, []
     tracked = track_plan(window, dae, settle(dae), period=0.7, progress=times.append)
-    assert (tracked.cycles, tracked.failures) == (12, 0)
-    assert_allclose(times, np.arange(12) * 0.7)
+    assert (tracked.cycles, tracked.failures) == (11, 0)
+    assert_allclose(times, np.arange(11) * 0.7)
     assert away(tracked.run) < 1e-3
     assert tracked.run.t[-1] == pytest.approx(DURATION)
     assert (np.diff(tracked.run.t) > 0).all()
@@ -215,7 +201,7 @@ def test_what_is_no_window_period_world_or_state_is_refused(found, window):
     other = direct_kinematics(differential_drive(), Bicubic(GRID))
     with pytest.raises(ModelError, match="world: expected the states and inputs of the plan's"):
         track_plan(window, other, settle(other), period=0.8)
-    with pytest.raises(ModelError, match=r"expected 'begin' from .* to below 8 s"):
+    with pytest.raises(ModelError, match=r"expected 'begin' from 0 to below 4 s"):
         cycle_inputs(window, first, 8.5, 9.0)
     for state in (start[:-1], start * np.nan, start[0]):
         with pytest.raises(ModelError, match="expected a time and 4 states, all finite"):

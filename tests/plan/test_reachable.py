@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import time
 
 import numpy as np
 import pytest
@@ -179,14 +178,3 @@ def test_routes_keep_out_of_holes():
     assert "m from a hole in the map, where heights are missing, and wheels reach" in words
     points = route(layers, (5, 5), (25, 25))
     assert np.hypot(*(points - 15).T).min() > 4 + layers.limits.reach - 0.25
-
-
-def test_it_is_cheap():
-    grid = blank((0, 80), (0, 80), 0.4)
-    ramp = 0.4 * np.clip(grid.y - 30, 0, 20)[None, :] + 0 * grid.x[:, None]
-    hills = power_law(grid, rms=0.3, hurst=0.8, longest=20, shortest=4, seed=1).z
-    layers = traversability(Bicubic(Grid(grid.x, grid.y, ramp + hills), mu=0.3), ROVER)
-    assert layers.cost.size >= 200**2
-    begin = time.perf_counter()
-    assert unreachable(layers, [("start", 40.0, 10.0), ("goal", 40.0, 70.0)])
-    assert time.perf_counter() - begin < 0.5

@@ -126,7 +126,7 @@ def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
 
 @pytest.mark.slow
 def test_a_window_without_solution_is_named_and_the_others_are_kept(case):
-    kept = windows(case, limits={"y": (-1.0, 2.2)}, intervals=8)
+    kept = windows(case, limits={"y": (-1.0, 2.2)}, intervals=5)
     assert not kept.success
     assert kept.windows
     assert "m of the route" in kept.replay.stop.words
