@@ -173,20 +173,6 @@ def test_a_braking_car_pitches_as_its_springs_yield():
 
 
 @pytest.mark.slow
-def test_a_car_with_locked_wheels_creeps_or_slides_down_a_slope():
-    law, speeds = Compliant(creep=1e-3), {}
-    for degrees in (20, 35):
-        model = dynamics(four_wheels(static_depth=1e-4), slope(degrees, mu=0.6), law=law)
-        run = moved(model, settle(model), np.array([0, 2.0, 4.0]), 1e-8)
-        speeds[degrees] = np.hypot(run["velocity_y"], run["velocity_z"])
-    tangent = np.tan(np.deg2rad(20))
-    creeping = law.creep * tangent / np.sqrt(0.6**2 - tangent**2)
-    assert speeds[20][-1] == pytest.approx(creeping, rel=1e-3)
-    sliding = GRAVITY * (np.sin(np.deg2rad(35)) - 0.6 * np.cos(np.deg2rad(35)))
-    assert (speeds[35][2] - speeds[35][1]) / 2 == pytest.approx(sliding, rel=1e-4)
-
-
-@pytest.mark.slow
 def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
     loads, yaw_rates = [], []
     for drive in ({}, {"drive": Motor(stall=1e6, no_load=1e6, kp=1e4)}):
@@ -221,17 +207,6 @@ def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over():
 
 
 @pytest.mark.slow
-def test_the_energy_ledger_of_a_rover_on_waves_balances():
-    waves = Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
-    model = dynamics(catalog.rocky7(), waves)
-    rates = {label.full: 1.0 / 0.065 for label in model.labels.u.wheels}
-    run = moved(model, settle(model), np.linspace(0, 1, 11), 1e-8, **rates)
-    assert run["work"][-1] > 1
-    exchanged = run["work"][-1] + run["lost_energy"][-1]
-    assert np.abs(energy_error(run)).max() < 100 * 1e-8 * exchanged
-
-
-@pytest.mark.slow
 def test_a_jacobian_without_inertial_terms_changes_neither_motion_nor_cost():
     waves = Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
     held = dynamics(four_wheels(spring=4e3), waves)
@@ -242,17 +217,6 @@ def test_a_jacobian_without_inertial_terms_changes_neither_motion_nor_cost():
         assert np.abs(runs[0][name] - runs[1][name]).max() < 1e-7
     counts = [[run.statistics[name] for name in ("steps", "residuals")] for run in runs]
     assert_allclose(counts[0], counts[1], rtol=0.15)
-
-
-def test_torque_on_a_wheel_accelerates_a_car():
-    vehicle = four_wheels(drive=Torque(), static_depth=1e-4)
-    model = dynamics(vehicle, FLAT)
-    torques = {label.full: 3.0 for label in model.labels.u.wheels}
-    run = moved(model, settle(model), np.linspace(0, 1, 11), **torques)
-    axial = 4 * 0.5 * 2.0 * 0.15**2
-    expected = 4 * 3.0 / 0.15 / (vehicle.mass + axial / 0.15**2)
-    slope_of_speed = np.polyfit(run.t[5:], run["velocity_y"][5:], 1)[0]
-    assert slope_of_speed == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ from helpers.dynamics import FLAT, center_height, four_wheels, moved
 from slipfree import Analytic, catalog, dynamics, quasi_statics, settle
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.coulomb import Coulomb
-from slipfree.lookups import lookup_function
 from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.tree import GRAVITY
 
@@ -42,29 +41,6 @@ def test_inside_wheels_lift_at_the_speed_of_the_closed_form():
     # contacts yield: 0.990 in the lab, and 0.956 without the gyroscopic moment
     assert lateral * (height + spinning) / needed == pytest.approx(1, abs=0.01)
     assert lateral * height / needed < 0.965
-
-
-def growth(stiffness):
-    """Return the fastest growth of a disturbance of the tilting three-wheeler at rest [1/s]."""
-    vehicle = catalog.three_wheeler(stiffness=stiffness)
-    wheels = tuple(replace(wheel, static_depth=1e-5) for wheel in vehicle.wheels)
-    model = dynamics(replace(vehicle, wheels=wheels), FLAT)
-    x, _, u = model.columns()
-    rates = lookup_function(model.lookups, "rates", [x, u], [model.ode])
-    symbol, still = ca.MX.sym("x", x.numel()), np.zeros(u.numel())
-    jacobian = ca.Function("jacobian", [symbol], [ca.jacobian(rates(symbol, still), symbol)])
-    at = model.rows("x", settle(model), -1)
-    return float(np.linalg.eigvals(np.array(jacobian(at))).real.max())
-
-
-@pytest.mark.slow
-def test_free_tilts_need_the_spring_of_the_closed_form():
-    """A spring of the load times the radius r2 holds them: 29.430 N m/rad."""
-    vehicle = catalog.three_wheeler()
-    needed = vehicle.mass * GRAVITY / 3 * vehicle.wheels[0].section.r2
-    assert needed == pytest.approx(29.430, abs=1e-3)
-    assert growth(0.998 * needed) > 1e-5  # the tilts are slow, since the wheels creep
-    assert growth(1.002 * needed) < 1e-6
 
 
 HILLS = Analytic(

@@ -109,15 +109,6 @@ def test_an_error_at_the_start_decays():
     assert_allclose(run["y"][-1], 24, atol=1e-2)
 
 
-def test_map_coordinates_far_from_the_origin_make_no_difference():
-    vehicle, grid = three_wheeler(), blank((4e5, 4e5 + 40), (5e6, 5e6 + 40), 1.0)
-    dae = closure_model(vehicle, Bicubic(grid))
-    path = Path(np.array([(4e5 + 10, 5e6 + 10), (4e5 + 20, 5e6 + 20), (4e5 + 20, 5e6 + 30)]))
-    start = settle(dae, x=4e5 + 10, y=5e6 + 10, heading=heading_at_start(path))
-    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), np.linspace(0, 40, 81))
-    assert cross_track(run, path).max() < 0.1
-
-
 def test_differential_drive_follows_too():
     vehicle, path = skid_steered(), Path(WAY[:2])
     dae = closure_model(vehicle, FLAT)

@@ -107,17 +107,6 @@ def test_rates_come_back_at_recorded_states():
     assert returned > 9
 
 
-def test_given_omega_is_that_of_the_platform():
-    given = ("velocity_x", "velocity_y", "omega_z")
-    _, begin, run = direct_run(HILLS, np.linspace(0, 1, 3))
-    value = with_omega(run)
-    dae = inverse_kinematics(three_wheeler(), HILLS, given=given, solve_for="rates")
-    inputs = dae.inputs(**{name: value(name, 0) for name in given})
-    back = simulate(dae, begin, inputs, np.array([0.0, 1e-3]))
-    assert_allclose(back["omega_x"][0], value("omega_x", 0), atol=1e-12)
-    assert_allclose(back["steer_rate"][0], run["steer_rate"][0], atol=1e-10)
-
-
 def test_integrated_rates_come_back_where_the_steering_is_stable():
     t = np.linspace(0, 8, 161)
     _, begin, run = direct_run(HILLS, t, tolerance=1e-11, x=0.3, heading=0.2)
@@ -210,24 +199,6 @@ def test_path_passes_where_the_contact_crosses_the_steering_axis():
     again = repeated(direct, found)
     assert again.motion.stop is None
     assert max(again.difference.values()) < 2e-6
-
-
-def test_path_by_expressions_of_time():
-    """A curve of constant speed on hills; the steering at the start is part of the answer."""
-    direct = closure_model(three_wheeler(), HILLS)
-    dae = inverse_kinematics(three_wheeler(), HILLS, **CROSSING)
-    begin = settle(direct, x=-1.0, heading=1.0)
-    heading = 1.0 + 0.02 * dae.t
-    x = -1.0 + 0.135 / 0.02 * (ca.cos(heading) - np.cos(1.0))
-    y = 0.135 / 0.02 * (ca.sin(heading) - np.sin(1.0))
-    path = path_inputs(dae, begin, x, y, heading)
-    found = drive(dae, begin, path, np.linspace(0, 6, 61), free_states=["steer"])
-    turned = found.run["heading"]
-    assert_allclose(turned, 1.0 + 0.02 * found.run.t, atol=1e-10)
-    again = repeated(direct, found)
-    assert_allclose(again.motion["y"], 6.75 * (np.sin(turned) - np.sin(1.0)), atol=2e-6)
-    assert max(again.difference.values()) < 2e-6
-    assert found.run["steering_growth"].min() > 0  # unstable all the way, if integrated
 
 
 def test_collocation_of_a_system_with_a_known_slow_solution():

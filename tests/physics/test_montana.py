@@ -272,14 +272,6 @@ def test_what_is_no_montana_model_is_refused():
         settle(dae)
 
 
-@pytest.mark.slow
-def test_limits_are_watched_as_in_the_closure_model():
-    vehicle = three_wheeler(tilt_stop=0.2)
-    closure, montana = both(GROUNDS["hills"], T, vehicle=vehicle)
-    assert closure.stop.name == montana.stop.name == "tilt_left_stop"
-    assert montana.stop.t == pytest.approx(closure.stop.t, abs=1e-5)
-
-
 def test_cross_check_finds_the_farthest_sample():
     run = drive(GROUNDS["hills"], T[:5])
     change = np.full((5, 3), 2 * np.pi)

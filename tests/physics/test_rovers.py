@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-from functools import cache
 
-import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import DATA, closure_model, hills
+from helpers.cases import closure_model, hills, rover_ground
 from slipfree import (
     Analytic,
     Bicubic,
@@ -47,15 +45,6 @@ CATALOG = {
     for make in (differential_drive, ackermann, skid_steer, articulated, open_source_rover)
 }
 RADIUS = 0.15  # of the wheels of the first three
-
-
-@cache
-def rover_ground():
-    """The rover-scale grid of wmrde (its notice is beside the file)."""
-    values = np.array((DATA / "gridsurfdata.txt").read_text().strip(" \n,").split(","), float)
-    (x0, x1, nx), (y0, y1, ny) = values[:3], values[3:6]
-    z = values[6:].reshape(int(ny), int(nx)).T
-    return Grid(np.linspace(x0, x1, int(nx)), np.linspace(y0, y1, int(ny)), np.array(z, order="C"))
 
 
 def rates_at(vehicle, ground, rates, **start):
@@ -319,19 +308,6 @@ def test_seven_wheels_go_anywhere_on_level_ground():
     law = straight(dae, vehicle, rest, speed=0.2)
     run = simulate(dae, rest, law, np.linspace(0, 5, 6), options=SolverOptions(tolerance=1e-6))
     assert_allclose([run["x"][-1], run["y"][-1]], [0, 1], atol=1e-3)
-
-
-@pytest.mark.slow
-def test_seven_wheels_on_ground_that_varies_ahead_alone_are_as_in_the_plane():
-    """All wheels of an axle find one height: springs between pairs hardly move, nothing rolls."""
-    vehicle = seven_wheels()
-    dae = closure_model(vehicle, Analytic(lambda _, y: 0.02 * ca.sin(3 * y), mu=0.9))
-    start, t, options = settle(dae), np.linspace(0, 5, 26), SolverOptions(tolerance=1e-6)
-    run = simulate(dae, start, ahead(dae, vehicle, start), t, options=options)
-    assert run.stop is None
-    assert np.abs(run["pitch_joint"]).max() > 0.02
-    assert_allclose([run["roll"], run["roll_joint"]], 0, atol=1e-12)
-    assert max(np.abs(run["press_rear"]).max(), np.abs(run["press_front"]).max()) < 1e-4
 
 
 @pytest.mark.parametrize(

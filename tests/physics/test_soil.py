@@ -173,21 +173,6 @@ def test_the_ground_resists_every_motion():
     assert locked[3] < 0 < spinning[3]
 
 
-def test_derivatives_are_those_of_differences():
-    names = "depth", "rim", "forward", "sideways"
-    x = [ca.SX.sym(name) for name in names]
-    forces = ca.vertcat(*forces_at_speeds(SAND, SIZE, *x, 1e-3))
-    f = ca.Function("f", x, [forces])
-    slope = ca.Function("slope", x, [ca.jacobian(forces, ca.vertcat(*x))])
-    for state in STATES:
-        exact, step = np.array(slope(*state)), 1e-7
-        for k in range(4):
-            low, high = ([v + d * (i == k) for i, v in enumerate(state)] for d in (-step, step))
-            differences = (np.array(f(*high)) - np.array(f(*low))).ravel() / (2 * step)
-            size = np.abs(exact[:, k]).max()
-            assert exact[:, k] == pytest.approx(differences, rel=1e-4, abs=1e-5 * size + 1e-9)
-
-
 def test_values_and_derivatives_are_finite_at_standstill_and_in_the_air():
     x = [ca.SX.sym(f"x{k}") for k in range(4)]
     forces = ca.vertcat(*forces_at_speeds(SAND, SIZE, *x, 1e-3))

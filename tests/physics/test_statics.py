@@ -22,8 +22,6 @@ from helpers.cases import PAPER_RATES, closure_model, drive, hills
 from helpers.vehicles import four_wheels
 from slipfree import (
     Analytic,
-    Bicubic,
-    Grid,
     LeastSlip,
     ModelError,
     Rolling,
@@ -434,34 +432,6 @@ def test_sprung_tilts_by_hand(stiffness):
     assert_allclose(run["force_across"][0], expected, rtol=0, atol=1e-11 * WEIGHT)
 
 
-def test_a_sprung_rocker_on_flat_ground_by_hand():
-    """No friction is needed; moments about the rocker's axis and of the whole give the loads."""
-    stiffness, rest = 120.0, 0.15
-    run = stand(loaded(stiffness=stiffness, rest=rest), LEVEL)
-    assert abs(run["rock"][0]) < 1e-13
-    assert_allclose(run["friction_needed"], 0, atol=1e-12)
-    half, ahead = 0.3, 0.7
-    places = [
-        (1.5, half, 0),
-        (1.5, -half, 0),
-        (1.5, half, ahead),
-        (1.5, -half, ahead),
-        (4.0, 0.02, ahead),
-        (0.5, half + 0.01, ahead + 0.02),
-        (0.5, -half + 0.01, ahead + 0.02),
-        (40.0, 0.03, 0.3),
-    ]
-    mass, x, y = np.array(places).T
-    front = mass @ y / ahead
-    rear = mass.sum() - front
-    carried = (mass * x)[2:7].sum()  # about the rocker's axis
-    spring = stiffness * rest / G
-    front_lean = (carried + spring) / half  # right minus left
-    rear_lean = ((mass @ x) - carried - spring) / half
-    expected = [rear + rear_lean, rear - rear_lean, front + front_lean, front - front_lean]
-    assert_allclose(run["force_normal"][0], np.array(expected) / 2 * G, rtol=1e-11)
-
-
 @pytest.mark.slow
 def test_springs_and_dampers_in_suspension_by_hand():
     """On hills, on the way: what the rocker bears balances its spring and its damper."""
@@ -669,17 +639,6 @@ def test_forces_move_with_the_ground_and_scale_with_the_masses(axle, tilts, mirr
         assert_allclose(seen[name], sign * run[name][:, swap], rtol=0, atol=1e-10 * WEIGHT)
     assert_allclose(seen["steer_torque"], -run["steer_torque"], rtol=0, atol=1e-10 * WEIGHT)
     assert_allclose(seen["tip_over_margin"], run["tip_over_margin"], rtol=0, atol=1e-12)
-
-
-def test_forces_on_a_map_do_not_depend_on_where_it_lies():
-    axes = np.arange(-4, 4.01, 0.25)
-    heights = HILLS.elevation(*np.meshgrid(axes, axes, indexing="ij"))
-    vehicle, start = three_wheeler(axle="fixed", **MASS), {"heading": 0.5, "steer": 0.2}
-    here = stand(vehicle, Bicubic(Grid(axes, axes, heights)), x=0.3, y=0.2, **start)
-    there = Bicubic(Grid(axes + 4096, axes - 8192, heights + 512))
-    moved = stand(vehicle, there, x=4096.3, y=-8191.8, **start)
-    compare(here, moved)
-    assert_allclose(moved["potential_energy"], here["potential_energy"], rtol=1e-10)
 
 
 # Locks and actuators

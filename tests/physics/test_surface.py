@@ -11,7 +11,6 @@ from slipfree import Analytic, Bicubic, Grid
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.geometry.surface import Forms, patch
 from slipfree.lookups import LookupTable, lookup_function
-from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.wheel import Wheel
@@ -54,35 +53,6 @@ def numbers(c, uv):
 @pytest.fixture
 def uv():
     return ca.SX.sym("uv", 2)
-
-
-@pytest.mark.parametrize(("r1", "r2"), [(0.3, 0.0), (0.05, 0.25)], ids=["sphere", "torus"])
-def test_torus_and_sphere(uv, r1, r2):
-    u, v = 1.2, 4.1
-    wheel = Wheel("wheel", "platform", ORIGIN, section_of_radii(r1, r2), driven=True)
-    point, frame, *forms = numbers(wheel.section.point(uv[0], uv[1]), uv)(u, v)
-    rho = r2 + r1 * np.sin(u)
-    assert_allclose(frame[:, 2], [np.cos(u), np.cos(v) * np.sin(u), np.sin(v) * np.sin(u)])
-    assert_allclose(point.ravel(), r1 * frame[:, 2] + [0, r2 * np.cos(v), r2 * np.sin(v)])
-    expected = np.diag([r1, rho]), np.diag([1 / r1, np.sin(u) / rho]), [[0, np.cos(u) / rho]]
-    for form, value in zip(forms, expected, strict=True):
-        assert_allclose(form, value, atol=1e-14)
-
-
-def test_height_map_closed_form(uv):
-    """Forms of a height map from its derivatives alone."""
-    c = ca.vertcat(uv, hills(uv[0], uv[1]))
-    second, gradient = ca.hessian(c[2], uv)
-    jet = ca.Function("jet", [uv], [gradient, second])
-    h, hh = (np.array(out) for out in jet([0.4, -0.7]))
-    h_x, h_y = h.ravel()
-    w, g = np.sqrt(1 + h_x**2 + h_y**2), np.sqrt(1 + h_x**2)
-    to_arc = np.linalg.inv([[g, h_x * h_y / g], [0, w / g]])
-    y_z = h_y / (g * w)
-    _, _, metric, curvature, torsion = numbers(c, uv)(0.4, -0.7)
-    assert_allclose(metric, np.linalg.inv(to_arc), atol=1e-15)
-    assert_allclose(curvature, -to_arc.T @ hh @ to_arc / w, atol=1e-15)
-    assert_allclose(torsion, y_z / g * hh[:1] @ to_arc, atol=1e-15)
 
 
 def test_forms_are_the_derivatives_of_the_frame(uv):
@@ -257,19 +227,3 @@ def test_printed_forms_fail(rng, forms_w, forms_g, ground, contact, psi):
 
 
 # --- closed forms -------------------------------------------------------------------------------
-
-HOLLOW = 1.4  # radius of the hollow cylinder [m]
-
-
-@pytest.mark.parametrize("wheel", WHEELS)
-def test_rolling_in_a_hollow(wheel):
-    """At the bottom, contact moves at ``omega / (1/r - 1/R)``, r and R the radii that way."""
-    wheel = WHEELS[wheel]
-    f = rates_function(wheel, Analytic(lambda x, _: -ca.sqrt(HOLLOW**2 - x * x)))
-    upright = [np.pi / 2, 1.5 * np.pi, 0, 0]
-    tube = wheel.half_width  # the radius that meets the ground where the wheel leans over
-    for psi, radius_x, radius_y in ((np.pi, tube, wheel.radius), (np.pi / 2, wheel.radius, tube)):
-        rates = np.array(f([*upright, psi], np.zeros(3), [0.3, 0.5, 0.7])[0]).ravel()
-        assert_allclose(rates[2], 0.5 / (1 / radius_x - 1 / HOLLOW), rtol=1e-12)
-        assert_allclose(rates[3], -0.3 * radius_y, rtol=1e-12)
-        assert_allclose(rates[4], -0.7, rtol=1e-12)  # about the wheel's normal, which is down

@@ -192,17 +192,6 @@ def test_a_nan_or_endless_point_gives_nan_not_a_crash():
     assert np.isfinite(float(function(1e6, 0.1)[0]))
 
 
-def test_fourth_order_convergence():
-    counts, errors = np.array([10, 20, 40, 80]), []
-    p, q = np.random.default_rng(5).uniform(0.5, 2.5, (2, 2000))
-    for n in counts:
-        x = np.linspace(0, 3, n + 1)
-        ground = Bicubic(Grid(x, x, np.sin(2 * x)[:, None] * np.cos(x)))
-        errors.append(np.abs(ground.elevation(p, q) - np.sin(2 * p) * np.cos(q)).max())
-    slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    assert -4.6 < slope < -3.6
-
-
 def test_pickle_gives_the_same_numbers():
     ground = Bicubic(rough())
     data = pickle.dumps(ground)

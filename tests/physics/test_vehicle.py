@@ -25,9 +25,8 @@ from slipfree.geometry.frame import Pose, platform, quaternion, translation, tur
 from slipfree.models.montana import montana_kinematics
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
-from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.tree import Body, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 VEHICLE = three_wheeler()
@@ -151,26 +150,6 @@ def with_joint(k, **parts):
 def test_faults_are_named(build, words):
     with pytest.raises(ModelError, match=re.escape(words)):
         build()
-
-
-def test_a_motion_that_no_contact_feels_is_named():
-    """A sphere that pivots about the vertical through its contact."""
-    origin = (0.0, 0.0, 0.0)
-    vehicle = Vehicle(
-        "with_free_pivot",
-        (Coordinate("pivot", "passive", "pivot of the ball wheel"),),
-        (Joint("fork", "platform", "z", (0.0, 1.0, 0.0), "pivot"),),
-        (
-            Wheel("right", "platform", (0.5, 0.0, 0.0), Disc(0.2), driven=True),
-            Wheel("left", "platform", (-0.5, 0.0, 0.0), Disc(0.2), driven=True),
-            Wheel("ball", "fork", origin, Sphere(0.2), driven=False),
-        ),
-    )
-    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
-    with pytest.raises(
-        ModelError, match=r"no equation determines pivot_rate \(rate of pivot of the"
-    ):
-        settle(dae)
 
 
 def test_an_axle_may_point_anywhere():

@@ -88,27 +88,6 @@ def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
 
 
 @pytest.mark.slow
-def test_a_step_of_the_shifted_window_leads_to_its_solution(found, window):
-    many = horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=50)
-    t, ends, first = found.motion.ends[1], found.motion.mesh.ends, first_cycle(window)
-    x = found.motion.states(ends[1:2])[:, 0]
-    whole, once = (replan(each, first, t, x) for each in (many, window))
-    twice = replan(window, once, t, x)
-    parts = np.linspace(0, 1, 9)
-    before, after = (
-        np.abs(each.motion.states(parts) - whole.motion.states(parts)).max()
-        for each in (once, twice)
-    )
-    assert before < 0.1
-    assert after < before / 3
-    assert once.violation < 1e-3
-    assert once.motion.duration == whole.motion.duration == DURATION / 2
-    at_end = found.motion.states(np.array([(t + DURATION / 2) / DURATION]))
-    for each in (once, whole):
-        assert_allclose(each.motion.states(np.ones(1))[:2], at_end[:2], atol=1e-8)
-
-
-@pytest.mark.slow
 def test_steps_converge(found):
     """From a start beside the plan, without moving: to what many iterations find at once."""
     window, many = (

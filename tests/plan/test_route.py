@@ -287,21 +287,6 @@ def test_around_a_disc():
     assert_allclose(length(points), tangent_arc(15, 15, 6 + REACH), rtol=0.02)
 
 
-def test_ice_is_avoided():
-    grid = blank((0, 30), (0, 30), 0.25)
-    uphill = Grid(grid.x, grid.y, 0.25 * grid.y + grid.z)
-    nodes = blank((0, 30), (0, 30), 0.5)
-    icy = np.hypot(nodes.x[:, None] - 15, nodes.y - 15) < 4
-    mu = Grid(nodes.x, nodes.y, np.where(icy, 0.1, 0.7))
-    layers = traversability(Bicubic(uphill, mu=mu), ROVER)
-    dry = traversability(Bicubic(uphill, mu=0.7), ROVER)
-    ends = (15.0, 4.0), (15.0, 26.0)
-    assert_allclose(length(route(dry, *ends)), 22, rtol=1e-3)
-    places, _ = driven(route(layers, *ends))
-    assert np.hypot(*(places - 15).T).min() > 4
-    assert np.isfinite(costs_at(layers, places)).all()
-
-
 @pytest.mark.parametrize(("width", "turning_radius"), [(2.0, 0.0), (2.0, 2.0), (1.2, 8.0)])
 def test_a_corridor_is_kept_and_its_bend_rounded_where_there_is_room(width, turning_radius):
     layers, middle = corridor(width)
