@@ -1,7 +1,7 @@
 """Tests of the errata of the three-wheeler paper, each by numbers.
 
 Chakraborty and Ghosal, "Kinematics of wheeled mobile robots on uneven terrain". Tests of its
-curvature and torsion forms and of the non-orthogonality of height maps are in ``test_montana.py``.
+curvature and torsion forms and of the non-orthogonality of height maps are in ``test_surface.py``.
 """
 
 import casadi as ca

@@ -235,6 +235,17 @@ def massless(vehicle):
 # Closed forms
 
 
+@pytest.mark.parametrize(("heading", "sign"), [(0.0, 1), (np.pi, -1)])
+def test_friction_needed_straight_up_and_down(heading, sign):
+    steep = np.tan(np.radians(20))
+    run = stand(VEHICLE, slope(20), heading=heading)
+    expected = steep / (2 / 3 + sign * H / LS * steep)
+    assert_allclose(run["friction_needed"][0], [expected, expected, 0], rtol=0, atol=1e-12)
+    push = sign * np.sin(np.radians(20)) / 2
+    assert_allclose(run["force_along"][0] / WEIGHT, [push, push, 0], rtol=0, atol=1e-12)
+    assert_allclose(run["drive_torque"][0] / WEIGHT, [push * R, push * R, 0], atol=1e-12)
+
+
 @pytest.mark.parametrize("side", [1, -1], ids=["uphill right", "uphill left"])
 def test_friction_needed_across(side):
     """The front wheel bears all of the side force; the drives hold its moment."""
@@ -430,6 +441,10 @@ def test_sprung_tilts_by_hand(stiffness):
     assert_allclose(run["force_normal"][0], expected, rtol=0, atol=1e-11 * WEIGHT)
     expected = [*push, -sum(push)]
     assert_allclose(run["force_across"][0], expected, rtol=0, atol=1e-11 * WEIGHT)
+    if stiffness == 0:
+        ratio = reach / lift
+        needed = [ratio, ratio, 2 * ratio]
+        assert_allclose(run["friction_needed"][0], needed, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow

@@ -55,6 +55,22 @@ def uv():
     return ca.SX.sym("uv", 2)
 
 
+def test_height_map_closed_form(uv):
+    """Forms of a height map from its derivatives alone."""
+    c = ca.vertcat(uv, hills(uv[0], uv[1]))
+    second, gradient = ca.hessian(c[2], uv)
+    jet = ca.Function("jet", [uv], [gradient, second])
+    h, hh = (np.array(out) for out in jet([0.4, -0.7]))
+    h_x, h_y = h.ravel()
+    w, g = np.sqrt(1 + h_x**2 + h_y**2), np.sqrt(1 + h_x**2)
+    to_arc = np.linalg.inv([[g, h_x * h_y / g], [0, w / g]])
+    y_z = h_y / (g * w)
+    _, _, metric, curvature, torsion = numbers(c, uv)(0.4, -0.7)
+    assert_allclose(metric, np.linalg.inv(to_arc), atol=1e-15)
+    assert_allclose(curvature, -to_arc.T @ hh @ to_arc / w, atol=1e-15)
+    assert_allclose(torsion, y_z / g * hh[:1] @ to_arc, atol=1e-15)
+
+
 def test_forms_are_the_derivatives_of_the_frame(uv):
     """Of a surface whose parameter lines are nowhere orthogonal."""
     (u, v), at = ca.vertsplit(uv), [0.5, -0.8]

@@ -136,6 +136,15 @@ def test_a_map_never_leaves_the_range_of_its_values():
     assert Bicubic(mu).elevation(*inside(mu, 5000)).min() < 0
 
 
+def test_a_jump_is_smoothed_over_three_cells():
+    axis = np.arange(10.0)
+    values = np.repeat(np.where(axis < 4.5, 0.0, 1.0)[:, None] + 0.1, 10, axis=1)
+    ground = Bicubic(HEIGHTS, mu=Grid(axis, axis, values))
+    x = np.array([3, 3.5, 4, 4.5, 5, 5.5, 6])
+    found = evaluate(ground, x, np.full(7, 5.2))[0] - 0.1
+    assert_allclose(found, [0, 1 / 48, 1 / 6, 1 / 2, 5 / 6, 47 / 48, 1], rtol=0, atol=ROUNDING)
+
+
 @pytest.mark.parametrize(
     ("center", "offset", "error"), [((-40.0, 70.0), (0.0, 0.0), 1e-12), (None, OFFSET, 1e-8)]
 )
