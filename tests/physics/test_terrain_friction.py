@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 from helpers.cases import function_of as looked_up
 from helpers.cases import hills
+from helpers.problem_files import VALID
 from slipfree.cli import app
 from slipfree.errors import DataError, ModelError
 from slipfree.files.toml.errors import ProblemError
@@ -228,32 +229,7 @@ def test_a_map_that_is_not_positive_is_refused():
         Bicubic(HEIGHTS, mu=bad)
 
 
-PROBLEM = """\
-verb = "direct"
-
-[terrain]
-friction = 0.6
-
-[terrain.synthetic]
-x = [-3, 3]
-y = [-3.0, 4.0]
-spacing = 0.5
-
-[vehicle]
-catalog = "three_wheeler"
-
-[start]
-x = 0.5
-heading = 0
-
-[driver]
-name = "straight"
-speed = 1.0
-
-[time]
-duration = 0.5
-step = 0.25
-"""
+PROBLEM = VALID.replace("[terrain", "[terrain]\nfriction = 0.6\n\n[terrain", 1)
 
 
 @pytest.fixture
