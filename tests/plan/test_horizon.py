@@ -29,8 +29,6 @@ from slipfree.terrain.grid_ops import disturbed
 
 GOAL, DURATION, COUNT = {"x": 0.2, "y": 0.9}, 8.0, 12
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
-
-
 VEHICLE = three_wheeler(axle="fixed")
 AXIS = np.arange(-3.0, 4.0, 0.25)
 GRID = Grid(AXIS, AXIS, Analytic(hills).elevation(*np.meshgrid(AXIS, AXIS, indexing="ij")))

@@ -26,8 +26,6 @@ PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
 GOAL = {"x": 0.6, "y": 2.6}
 WEIGHTS = {"slip": 7e4, "effort": 0.01}
-
-
 VEHICLE = three_wheeler(axle="fixed")
 STEER = {"steer": (-1.0, 1.0)}
 

@@ -29,8 +29,6 @@ from slipfree.plan.verification import Verification, refine_mesh, simulate_plan
 from slipfree.records import Label
 
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
-
-
 VEHICLE = three_wheeler(axle="fixed")
 
 

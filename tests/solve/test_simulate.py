@@ -47,8 +47,6 @@ def follows_input():
 
 
 T = np.linspace(0, 2, 21)
-
-
 LIGHT = three_wheeler(mass=0.0, wheel_mass=0.0)
 
 
