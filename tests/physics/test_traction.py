@@ -97,7 +97,7 @@ def test_beyond_friction_a_start_is_refused_with_what_it_needs():
 @pytest.mark.slow
 def test_small_creep_leads_to_rolling():
     """First order in the creep where the vehicle can roll; steps do not grow."""
-    creep = np.array([1e-3, 1e-4, 1e-6])
+    creep = np.array([1e-4, 1e-6])
     errors, steps = zip(*from_rolling("tilting", creep), strict=True)
     assert order(creep, errors) == pytest.approx(1, abs=0.02)
     assert max(steps) < 250
@@ -252,7 +252,7 @@ def test_only_a_stiff_spring_holds_a_tilt_upright():
 
 @pytest.mark.slow
 def test_work_is_what_is_gained_and_what_is_lost():
-    t = np.linspace(0, 10, 1001)
+    t = np.linspace(0, 4, 401)
     run = moved(FIXED, Analytic(hills, mu=0.6), Coulomb(1e-3), t, UNEQUAL, tolerance=1e-10)
     lost = CubicSpline(run.t, run["dissipation"]).antiderivative()(run.t)
     gained = run["potential_energy"] - run["potential_energy"][0]
