@@ -84,7 +84,7 @@ def planned(dae, start, count):
 @pytest.mark.slow
 def test_an_optimum_is_that_of_another_transcription():
     """The two differ by less than the mesh does: half of the intervals are another plan."""
-    dae, count = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills)), 20
+    dae, count = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills)), 16
     start = settle(dae)
     coarse, fine = (planned(dae, start, each) for each in (count // 2, count))
     cost, states = by_opti(dae, start, count)

@@ -46,7 +46,7 @@ def case():
 
 
 def windows(case, **options):
-    given = {"speed": SPEED, "length": 1.8, "overlap": 0.6, "goal": GOAL, "intervals": 12}
+    given = {"speed": SPEED, "length": 1.8, "overlap": 0.6, "goal": GOAL, "intervals": 8}
     return plan_windows(*case, **COMMON, **(given | options))
 
 
@@ -107,15 +107,12 @@ def test_windows_cost_little_more_than_one_plan(case, found):
 
 @pytest.mark.slow
 def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
-    def progress(words, _iterate):
-        return not words.startswith("2 to")
-
-    kept = windows(case, progress=progress, intervals=8)
+    kept = windows(case, progress=lambda words, _iterate: not words.startswith("2 to"))
     assert kept.replay.outcome is Outcome.INTERRUPTED
     assert not kept.success
     assert 1 <= len(kept.windows) < len(found.windows)
     assert kept.replay.t[-1] == pytest.approx(kept.motion.duration)
-    resumed = windows(case, resume=kept.saved, intervals=8)
+    resumed = windows(case, resume=kept.saved)
     assert resumed.accurate
     assert_allclose([resumed.replay["x"][-1], resumed.replay["y"][-1]], [0.3, 4.5], atol=1e-3)
     assert_continuous(resumed, kept.motion.duration)
