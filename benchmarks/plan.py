@@ -68,6 +68,7 @@ from slipfree.outcome import Outcome
 from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.verification import simulate_plan
+from slipfree.problem.result import motion_facts
 from slipfree.problem.verbs.base import Watch, integrate
 from slipfree.trajectory import Trajectory, joined, path_length
 
@@ -369,8 +370,10 @@ def solved(kind: str, seed: int, starts: int) -> Optimum:
     run = run_problem(problem).trajectory
     seconds = time.perf_counter() - begin
     weights = {**problem.spec.costs, "smoothness": problem.spec.plan.smooth}
-    cost = sum(weights[name] * run.statistics[f"plan_cost_{name}"] for name in weights)
-    table = run.attributes.get("plan_starts", "")
+    cost = sum(weights[name] * run.facts[f"plan_cost_{name}"].value for name in weights)
+    lines = [": ".join(line) for line in motion_facts(run)]
+    first = next((k for k, line in enumerate(lines) if line.startswith("starts: ")), len(lines))
+    table = "\n".join(lines[first : first + 1 + starts])
     return Optimum(run.outcome, cost, slip_path(run), seconds, table)
 
 
@@ -430,7 +433,7 @@ def planned_in_windows(name: str) -> None:
     seconds, run = time.perf_counter() - begin, result.trajectory
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"{name}: plan {windows_words(run)}", flush=True)
-    print(f"  {run.attributes['plan_windows']}", flush=True)
+    print(f"  {dict(motion_facts(run))['windows']}", flush=True)
     violation = result.verification
     worst = max((v.value for k, v in violation.items() if "violation" in k), default=0.0)
     print(
@@ -589,8 +592,10 @@ def robust() -> None:
         begin = time.perf_counter()
         run = run_problem(problem).trajectory
         print(f"{name}, {drawn}: {run.outcome.title}, {time.perf_counter() - begin:.0f} s")
-        for line in run.attributes["plan_robust"].splitlines():
-            print(f"  {line}", flush=True)
+        lines = dict(motion_facts(run))
+        for name in ("robust plan", "  tightened", "  cost of this", "  violated", "  end"):
+            if name in lines:
+                print(f"  {name.strip()}: {lines[name]}", flush=True)
 
 
 def main() -> None:

@@ -51,3 +51,12 @@ def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
     return simulate(
         dae, settle(dae, **start), inputs, t, options=SolverOptions(tolerance=tolerance)
     )
+
+
+@lru_cache
+def rover_ground():
+    """The rover-scale grid of wmrde (its notice is beside the file)."""
+    values = np.array((DATA / "gridsurfdata.txt").read_text().strip(" \n,").split(","), float)
+    (x0, x1, nx), (y0, y1, ny) = values[:3], values[3:6]
+    z = values[6:].reshape(int(ny), int(nx)).T
+    return Grid(np.linspace(x0, x1, int(nx)), np.linspace(y0, y1, int(ny)), np.array(z, order="C"))

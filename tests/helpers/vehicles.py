@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-from slipfree.catalog.rovers import Station, rocker_bogie
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
@@ -72,27 +71,3 @@ def four_wheel_steered(**steering):
             ),
         )
     return vehicle
-
-
-def six_wheel_steered():
-    """Return a rocker-bogie rover whose six wheels are driven and steered, level at rest."""
-    stations = {
-        end: Station(half_track, ahead, -0.185, on_bogie=end != "rear", steered=True)
-        for end, half_track, ahead in (
-            ("front", 0.18, 0.27),
-            ("middle", 0.25, 0.0),
-            ("rear", 0.18, -0.27),
-        )
-    }
-    return rocker_bogie(
-        "six_wheel_steered",
-        stations,
-        differential=(-0.02, 0.0),
-        bogie=(0.095, -0.09),
-        radius=0.075,
-        r1=0.02,
-        mass=0.0,
-        center_of_mass=(0.0, 0.0, 0.0),
-        wheel_mass=0.0,
-        grip=1.0,
-    )

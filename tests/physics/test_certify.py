@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import RectBivariateSpline
+from scipy.spatial.transform import Rotation
 
-from helpers.cases import hills
 from slipfree import Analytic, Bicubic, Grid, ModelError, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.contact.certify import SecondContact
+from slipfree.contact.closure import contact_frame, relative_curvature
 from slipfree.lookups import LookupTable
 from slipfree.terrain.base import jet_of
 
@@ -23,15 +24,11 @@ def bump(height, width, x_0, y_0):
 def brute_clearance(run, wheel, terrain, r1=0.05, r2=0.25):
     """Least vertical gap over a fine torus, away from the contact, for an untilted vehicle."""
     center = np.array([run[f"center_{axis}", wheel][0] for axis in "xyz"])
-    yaw, roll, pitch = run["heading"][0], run["roll"][0], run["pitch"][0]
-    c, s = np.cos, np.sin
-    r_z = np.array([[c(yaw), -s(yaw), 0], [s(yaw), c(yaw), 0], [0, 0, 1]])
-    r_y = np.array([[c(roll), 0, s(roll)], [0, 1, 0], [-s(roll), 0, c(roll)]])
-    r_x = np.array([[1, 0, 0], [0, c(pitch), -s(pitch)], [0, s(pitch), c(pitch)]])
+    rotation = Rotation.from_euler("ZYX", [run[name][0] for name in ("heading", "roll", "pitch")])
     u, v = np.meshgrid(np.linspace(0, np.pi, 241), np.linspace(0, 2 * np.pi, 2881), indexing="ij")
     rho = r2 + r1 * np.sin(u)
     body = np.stack([r1 * np.cos(u), rho * np.cos(v), rho * np.sin(v)], -1)
-    points = body @ (r_z @ r_y @ r_x).T + center
+    points = body @ rotation.as_matrix().T + center
     gap = points[..., 2] - terrain.elevation(points[..., 0], points[..., 1])
     contact = np.array([run[f"contact_{axis}", wheel][0] for axis in "xyz"])
     return gap[np.linalg.norm(points - contact, axis=-1) > 0.12].min()
@@ -72,7 +69,7 @@ def test_wheels_of_every_section_see_a_step_ahead(r1, r2):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("beside", [0.08, 0.10, 0.12, 0.16, 0.20])
+@pytest.mark.parametrize("beside", [0.08, 0.20])
 def test_posts_beside_a_sphere_are_seen(beside):
     """A thin post next to the contact of a fat wheel reaches into it."""
     post = Analytic(bump(0.12, 0.014, 1.0 + beside, -0.5))
@@ -100,29 +97,20 @@ def test_relative_curvature_equals_montanas_form(rng):
     """The smaller eigenvalue of ``K_w + K~_g`` changes sign with it (Montana 1988)."""
     wheel = three_wheeler().wheels[0]
     r1, r2 = wheel.section.r1, wheel.section.r2
-    a, b, c = ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("c")
-    from slipfree.contact.closure import contact_frame, relative_curvature
-
-    x, y, axle = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("axle", 3)
-    ground = Analytic(hills)
+    a, b, c, x, y = map(ca.SX.sym, "abcxy")
+    axle = ca.SX.sym("axle", 3)
     form = {"jet": lambda _, x, y, _lookups: jet_of(a * x**2 + b * x * y + c * y**2, x, y)}
-    quadric = type("Quadric", (), form)()
-    contact = contact_frame(quadric, x, y, axle, LookupTable())
+    contact = contact_frame(type("Quadric", (), form)(), x, y, axle, LookupTable())
     value = ca.Function("k", [x, y, axle, a, b, c], [relative_curvature(wheel, contact)])
-    assert ground.domain[0] == -np.inf
     signs = []
     for _ in range(400):
-        k = rng.uniform(-15, 15, 3)
-        lean = rng.uniform(-0.6, 0.6)
+        k, lean = rng.uniform(-15, 15, 3), rng.uniform(-0.6, 0.6)
         direction = np.array([np.cos(lean), 0, np.sin(lean)])
-        form = np.array([[2 * k[0], k[1]], [k[1], 2 * k[2]]])  # horizontal tangent plane at 0
-        m = np.cos(lean)
-        wheel_form = np.diag([1 / r1, m / (r2 + r1 * m)])
-        least = np.linalg.eigvalsh(wheel_form - form)[0]
-        got = float(value(0, 0, direction, *k))
-        assert np.sign(got) == np.sign(least)
-        signs.append(np.sign(least))
-    assert {-1.0, 1.0} == set(signs)
+        ground_form = np.array([[2 * k[0], k[1]], [k[1], 2 * k[2]]])  # horizontal tangent plane
+        wheel_form = np.diag([1 / r1, np.cos(lean) / (r2 + r1 * np.cos(lean))])
+        signs.append(np.sign(np.linalg.eigvalsh(wheel_form - ground_form)[0]))
+        assert np.sign(float(value(0, 0, direction, *k))) == signs[-1]
+    assert set(signs) == {-1.0, 1.0}
 
 
 def rough_map(rms, seed=3):
@@ -149,7 +137,7 @@ def test_bounds_of_derivatives_hold_and_are_not_wasteful(rng):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rms", [0.0, 0.0003, 0.002])
+@pytest.mark.parametrize("rms", [0.0003, 0.002])
 def test_certificate_by_curvature_agrees_with_that_by_points(rms, monkeypatch):
     """Without curvature there are at most minima beyond the top of the wheel or at an edge."""
     dae = direct_kinematics(three_wheeler(), rough_map(rms))

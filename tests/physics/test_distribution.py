@@ -94,27 +94,20 @@ def room_in_polygons(matrix, load, friction, utilisation, force):
     return found.x[-1]
 
 
-@pytest.mark.parametrize(
-    ("heading", "expected"),
-    [(0, 0.4922), (30, 0.4688), (45, 0.4366), (60, 0.3922), (90, 0.3640)],
-)
+@pytest.mark.parametrize(("heading", "expected"), [(0, 0.4922), (45, 0.4366), (90, 0.3640)])
 def test_three_wheeler_on_a_slope(heading, expected):
     matrix, load = three_wheeler(np.radians(heading))
     best = least_utilisation(matrix[None], load[None], np.ones((1, 3)))
     assert best.utilisation == pytest.approx(expected, abs=1e-4)
     below = best.utilisation[0] - 1e-4
     assert room_in_polygons(matrix, load, np.ones(3), below, best.force[0]) < 0
+    if heading == 0:
+        sine, cosine = np.sin(np.radians(20)), np.cos(np.radians(20))
+        front = (0.5 * cosine - 0.3 * sine) / 1.5  # moments about the rear axle's contacts
+        np.testing.assert_allclose(best.utilisation, sine / (cosine - front), rtol=1e-7)
 
 
-def test_three_wheeler_up_the_slope_by_hand():
-    matrix, load = three_wheeler(0.0)
-    sine, cosine = np.sin(np.radians(20)), np.cos(np.radians(20))
-    front = (0.5 * cosine - 0.3 * sine) / 1.5  # moments about the rear axle's contacts
-    best = least_utilisation(matrix[None], load[None], np.ones((1, 3)))
-    np.testing.assert_allclose(best.utilisation, sine / (cosine - front), rtol=1e-7)
-
-
-@pytest.mark.parametrize(("m", "n_free"), [(3, 0), (3, 1), (4, 0), (4, 2), (5, 3), (6, 4), (8, 6)])
+@pytest.mark.parametrize(("m", "n_free"), [(3, 1), (4, 2), (8, 6)])
 def test_forces_attain_the_least_utilisation(m, n_free):
     matrix, load, friction = random_cases(m + n_free, 12, m, n_free)
     best = least_utilisation(matrix, load, friction)
@@ -142,29 +135,14 @@ def test_determinate_vehicle_equals_the_direct_solve():
     np.testing.assert_allclose(best.utilisation[held], ratio[held], rtol=1e-6)
 
 
-@pytest.mark.parametrize("heading", [0.0, 0.7, 2.0])
-def test_locked_block_on_a_slope(heading):
-    slope, mu = np.radians(25), 0.6
-    gravity = on_slope(slope, heading)
-    matrix, load = equations(SQUARE, [FLAT] * 4, np.array([0.1, -0.2, 0.4]), gravity)
-    best = least_utilisation(matrix[None], load[None], np.full((1, 4), mu))
-    assert best.utilisation.shape == (1,)
+@pytest.mark.parametrize("slope", [0.0, np.radians(25)])
+def test_locked_block_on_a_slope(slope):
+    matrix, load = equations(SQUARE, [FLAT] * 4, np.array([0.1, -0.2, 0.4]), on_slope(slope, 0.7))
+    best = least_utilisation(matrix[None], load[None], np.full((1, 4), 0.6))
     assert best.force.shape == (1, 12)
-    np.testing.assert_allclose(best.utilisation, np.tan(slope) / mu, rtol=1e-6)
-
-
-def test_level_ground_needs_no_friction():
-    matrix, load = equations(SQUARE, [FLAT] * 4, np.array([0.3, 0.2, 0.4]), on_slope(0.0, 0.0))
-    best = least_utilisation(matrix[None], load[None], np.ones((1, 4)))
-    np.testing.assert_allclose(best.utilisation, 0.0, atol=1e-7)
-
-
-def test_tipping_vehicle_has_none():
-    cg = np.array([1.2, 0.0, 0.3])  # outside the wheels
-    matrix, load = equations(SQUARE, [FLAT] * 4, cg, on_slope(0.0, 0.0))
-    best = least_utilisation(matrix[None], load[None], np.ones((1, 4)))
-    assert np.isinf(best.utilisation).all()
-    assert np.isnan(best.force).all()
+    np.testing.assert_allclose(
+        best.utilisation, np.tan(slope) / 0.6, rtol=1e-6, atol=1e-7 * (slope == 0)
+    )
 
 
 def test_tipping_angle_is_sharp():
@@ -175,9 +153,10 @@ def test_tipping_angle_is_sharp():
         for turn in (-1e-6, 1e-6)
     ]
     matrix, load = (np.array(part) for part in zip(*cases, strict=True))
-    stands, tips = least_utilisation(matrix, load, np.ones((2, 4))).utilisation
-    assert stands == pytest.approx(np.tan(angle), rel=1e-4)
-    assert np.isinf(tips)
+    best = least_utilisation(matrix, load, np.ones((2, 4)))
+    assert best.utilisation[0] == pytest.approx(np.tan(angle), rel=1e-4)
+    assert np.isinf(best.utilisation[1])
+    assert np.isnan(best.force[1]).all()
 
 
 def test_samples_do_not_disturb_each_other():
@@ -199,21 +178,16 @@ def test_samples_do_not_disturb_each_other():
     np.testing.assert_allclose(permuted.utilisation, together.utilisation[order], rtol=1e-7)
 
 
-def test_one_equation_less_is_no_worse():
+def test_one_equation_less_is_no_worse_and_units_do_not_matter():
     matrix, load, friction = random_cases(6, 20, 4, 2)
     bound = least_utilisation(matrix, load, friction).utilisation
+    scale = 10.0 ** np.linspace(-6, 6, 8)
+    again = least_utilisation(matrix * scale[:, None], load * scale, friction)
+    np.testing.assert_allclose(again.utilisation, bound, rtol=1e-7)
     matrix[:, 7], load[:, 7] = matrix[:, 6], load[:, 6]
     freed = least_utilisation(matrix, load, friction).utilisation
     assert (freed <= bound * (1 + 1e-7)).all()
     assert (freed < 0.999 * bound).any()
-
-
-def test_units_of_the_equations_do_not_matter():
-    matrix, load, friction = random_cases(9, 10, 4, 2)
-    best = least_utilisation(matrix, load, friction)
-    scale = 10.0 ** np.linspace(-6, 6, 8)
-    again = least_utilisation(matrix * scale[:, None], load * scale, friction)
-    np.testing.assert_allclose(again.utilisation, best.utilisation, rtol=1e-7)
 
 
 def test_wheel_without_normal_force_holds_nothing():
@@ -241,7 +215,6 @@ def test_jammed_vehicle_has_bounded_forces():
     ("changes", "message"),
     [
         ({"friction": np.ones(3)}, "friction: expected shape"),
-        ({"friction": np.ones((1, 4))}, "matrix: expected shape"),
         ({"matrix": np.ones((7, 9))}, "matrix: expected shape"),
         ({"load": np.ones((1, 6))}, "load: expected shape"),
         ({"friction": np.array([[1.0, 0.0, 1.0]])}, "friction: expected positive"),
@@ -255,27 +228,13 @@ def test_wrong_arrays_are_refused(changes, message):
         least_utilisation(**(given | changes))
 
 
-@pytest.mark.parametrize("rounds", [0, 3, 12])
+@pytest.mark.parametrize("rounds", [0, 3])
 def test_a_sample_that_does_not_converge_is_nan(monkeypatch, rounds):
     monkeypatch.setattr(force_distribution, "MAX_NEWTON_STEPS", rounds)
     matrix, load, friction = random_cases(7, 4, 4, 2)
-    outside = np.array([1.2, 0.0, 0.3])
-    matrix[0], load[0] = equations(SQUARE, [FLAT] * 4, outside, on_slope(0.0, 0.0), free=[0, 1])
     best = least_utilisation(matrix, load, friction)
-    assert np.isnan(best.utilisation[1:]).all()
+    assert np.isnan(best.utilisation).all()
     assert np.isnan(best.force).all()
-
-
-def test_a_wheel_that_bears_nothing_does_not_stall_the_search():
-    """A frictionless ball without load: the other two wheels hold what they would hold alone."""
-    matrix, load, _ = random_cases(1, 40, 3, 0)
-    load[:] = [0, 0, -1, 0, 0, 0]
-    matrix[:, :, 6:8] = 0.0
-    bears = force_distribution._solutions(matrix, load)[0][:, 8]
-    load += matrix[:, :, 8] * bears[:, None]
-    best = least_utilisation(matrix, load, np.ones((40, 3)))
-    alone = least_utilisation(matrix[:, :, :6], load, np.ones((40, 2)))
-    np.testing.assert_allclose(best.utilisation, alone.utilisation, rtol=1e-6)
 
 
 def test_a_robot_whose_caster_lifts_off():

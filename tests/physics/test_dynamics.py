@@ -16,18 +16,15 @@ from slipfree import (
     SolverOptions,
     catalog,
     direct_kinematics,
-    quasi_statics,
     settle,
     simulate,
 )
 from slipfree.geometry.frame import Pose, rotation_of
 from slipfree.laws.compliant import Compliant
-from slipfree.laws.coulomb import Coulomb
 from slipfree.models.dynamics import dynamics
 from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
-from slipfree.solve.system import with_inputs
-from slipfree.vehicle.drives import Motor, Rate, Torque
+from slipfree.vehicle.drives import Motor, Torque
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
@@ -46,6 +43,11 @@ def lone_wheel(section, mass=2.0, inertia=None, **more):
 def energy(run):
     """Return kinetic, potential and contact energy along a motion [J]."""
     return run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
+
+
+def energy_error(run):
+    """Return what the energy gains beyond the work that is not lost [J]."""
+    return energy(run) - energy(run)[0] - run["work"] + run["lost_energy"]
 
 
 def pendulum():
@@ -114,7 +116,7 @@ def test_a_wheel_rolls_down_with_the_acceleration_of_the_closed_form(section, in
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("lean", "rho", "section"),
-    [(20, 0.8, Torus(0.03, 0.12)), (35, 0.3, Torus(0.03, 0.12)), (20, 0.8, Disc(0.15))],
+    [(35, 0.3, Torus(0.03, 0.12)), (20, 0.8, Disc(0.15))],
 )
 def test_a_leaning_wheel_rolls_on_a_circle(lean, rho, section):
     mass, b = 2.0, np.deg2rad(lean)
@@ -171,36 +173,16 @@ def test_a_braking_car_pitches_as_its_springs_yield():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("degrees", [20, 35])
-def test_a_car_with_locked_wheels_creeps_or_slides_down_a_slope(degrees):
-    law, tangent = Compliant(creep=1e-3), np.tan(np.deg2rad(degrees))
-    model = dynamics(four_wheels(static_depth=1e-4), slope(degrees, mu=0.6), law=law)
-    run = moved(model, settle(model), np.array([0, 2.0, 4.0]), 1e-8)
-    along = np.hypot(run["velocity_y"], run["velocity_z"])
-    if degrees == 20:
-        assert along[-1] == pytest.approx(
-            law.creep * tangent / np.sqrt(0.6**2 - tangent**2), rel=1e-3
-        )
-    else:
-        angle = np.deg2rad(degrees)
-        expected = GRAVITY * (np.sin(angle) - 0.6 * np.cos(angle))
-        assert (along[2] - along[1]) / 2 == pytest.approx(expected, rel=1e-4)
-
-
-@pytest.mark.slow
 def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
-    rotors, t = (0.08, 0.04), np.linspace(0, 5, 6)
-    motor = Motor(stall=1e6, no_load=1e6, kp=1e4)
     loads, yaw_rates = [], []
-    for drive in (None, motor):
-        more = {"inertia": rotors, "static_depth": 1e-4} | ({"drive": drive} if drive else {})
-        model = dynamics(four_wheels(**more), replace(FLAT, mu=1.2))
-        time = model.t
+    for drive in ({}, {"drive": Motor(stall=1e6, no_load=1e6, kp=1e4)}):
+        vehicle = four_wheels(inertia=(0.08, 0.04), static_depth=1e-4, **drive)
+        model = dynamics(vehicle, replace(FLAT, mu=1.2))
         rates = {
-            label.full: ca.tanh(time) * 2 / 0.15 * share
+            label.full: ca.tanh(model.t) * 2 / 0.15 * share
             for label, share in zip(model.labels.u.wheels, (0.7, 1.3, 0.7, 1.3), strict=True)
         }
-        run = moved(model, settle(model), t, 1e-8, **rates)
+        run = moved(model, settle(model), np.linspace(0, 5, 6), 1e-8, **rates)
         loads.append(run["force_normal"][-1])
         yaw_rates.append(run["omega_z"][-1])
     assert abs(yaw_rates[0]) > 0.5
@@ -209,102 +191,42 @@ def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drive", [Rate(), Torque()], ids=["rate", "torque"])
-def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over(drive):
+def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over():
     """In steady motion steps would grow until one covers the whole ridge, with an error of 18 J."""
     crest, vehicle = 6.0, catalog.rigid_skid_steer()
-    vehicle = replace(vehicle, wheels=tuple(replace(w, drive=drive) for w in vehicle.wheels))
+    vehicle = replace(vehicle, wheels=tuple(replace(w, drive=Torque()) for w in vehicle.wheels))
     ground = Analytic(lambda x, y: 0.02 * ca.exp(-(((y - crest) / 0.1) ** 2)) + 0 * x, mu=0.8)
     model = dynamics(vehicle, ground)
-    value = 1.0 / vehicle.wheels[0].radius if drive == Rate() else 0.5
-    inputs = model.inputs(**{label.full: value for label in model.labels.u.wheels})
-    t = np.linspace(0, 7.5 if drive == Rate() else 9.0, 301)
-    run = simulate(model, settle(model), inputs, t, options=SolverOptions(1e-6))
+    inputs = model.inputs(**{label.full: 0.5 for label in model.labels.u.wheels})
+    run = simulate(
+        model, settle(model), inputs, np.linspace(0, 9, 301), options=SolverOptions(1e-6)
+    )
     assert run["y"][-1] > crest + 0.5
     assert np.ptp(run["z"]) > 0.009  # half the height of the ridge, under two of four wheels
-    gain = energy(run) - energy(run)[0] - run["work"] + run["lost_energy"]
-    assert np.abs(gain).max() < 1e-2
-
-
-@pytest.mark.slow
-def test_the_energy_ledger_of_a_rover_on_waves_balances():
-    waves = Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
-    model = dynamics(catalog.rocky7(), waves)
-    rates = {label.full: 1.0 / 0.065 for label in model.labels.u.wheels}
-    start, t = settle(model), np.linspace(0, 1, 11)
-    for tolerance in (1e-6, 1e-8):
-        run = moved(model, start, t, tolerance, **rates)
-        gain = energy(run) - energy(run)[0] - run["work"] + run["lost_energy"]
-        assert run["work"][-1] > 1
-        assert np.abs(gain).max() < 100 * tolerance * (run["work"][-1] + run["lost_energy"][-1])
+    assert np.abs(energy_error(run)).max() < 1e-2
 
 
 @pytest.mark.slow
 def test_a_jacobian_without_inertial_terms_changes_neither_motion_nor_cost():
-    """Derivatives of mass matrix and bias forces are left out of the Jacobian, no others."""
     waves = Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
     held = dynamics(four_wheels(spring=4e3), waves)
-    exact = replace(held, held=None)
     rates = {label.full: 1.0 / 0.15 for label in held.labels.u.wheels}
     start, t = settle(held), np.linspace(0, 1, 11)
-    runs = [moved(model, start, t, 1e-8, **rates) for model in (held, exact)]
+    runs = [moved(model, start, t, 1e-8, **rates) for model in (held, replace(held, held=None))]
     for name in ("x", "y", "z"):
         assert np.abs(runs[0][name] - runs[1][name]).max() < 1e-7
     counts = [[run.statistics[name] for name in ("steps", "residuals")] for run in runs]
     assert_allclose(counts[0], counts[1], rtol=0.15)
 
-    systems = [with_inputs(model, model.inputs(**rates), 1) for model in (held, exact)]
-    x = held.rows("x", runs[0], -1)
-    u = systems[0].u[:, 0]
-    found, full = (np.array(each.jacobian(0, x, [], [], u)[0]) for each in systems)
-    terms = held.held
-    symbols = [*held.columns()[::2], terms.symbols]
-    constant = held.function("constant", symbols[:2], [terms.values])(x, u)
-    by_state = ca.jacobian(terms.ode, symbols[0])
-    slopes = np.array(held.function("slopes", symbols, [by_state])(x, u, constant))
-    assert_allclose(found, slopes, rtol=1e-9, atol=1e-9 * np.abs(slopes).max())
-    assert np.abs(full - found).max() > 1
-
-
-@pytest.mark.slow
-def test_a_slow_turn_is_that_of_quasi_statics():
-    vehicle = catalog.skid_steer()
-    for speed, error in ((0.05, 1e-4), (0.2, 2e-3)):
-        rates = {
-            f"{wheel.name}_rate": speed / wheel.radius * (1.4 if "right" in wheel.name else 0.6)
-            for wheel in vehicle.wheels
-        }
-        turned, t = [], np.array([0, 2.0, 4.0])
-        for model in (
-            dynamics(vehicle, replace(FLAT, mu=0.7)),
-            quasi_statics(vehicle, replace(FLAT, mu=0.7), law=Coulomb(creep=1e-3)),
-        ):
-            run = moved(model, settle(model), t, 1e-8, **rates)
-            turned.append((run["heading"][2] - run["heading"][1]) / 2)
-        assert turned[0] == pytest.approx(turned[1], rel=error)
-
-
-def test_torque_on_a_wheel_accelerates_a_car():
-    vehicle = four_wheels(drive=Torque(), static_depth=1e-4)
-    model = dynamics(vehicle, FLAT)
-    torques = {label.full: 3.0 for label in model.labels.u.wheels}
-    run = moved(model, settle(model), np.linspace(0, 1, 11), **torques)
-    axial = 4 * 0.5 * 2.0 * 0.15**2
-    expected = 4 * 3.0 / 0.15 / (vehicle.mass + axial / 0.15**2)
-    slope_of_speed = np.polyfit(run.t[5:], run["velocity_y"][5:], 1)[0]
-    assert slope_of_speed == pytest.approx(expected, rel=1e-4)
-
 
 @pytest.mark.slow
 def test_the_energy_ledger_contains_rotors_and_springs():
     motor = Motor(stall=8.0, no_load=40.0, kp=5.0, ki=20.0, rotor_inertia=0.05)
-    vehicle = four_wheels(spring=4000.0, drive=motor)
     waves = Analytic(lambda x, y: 0.02 * ca.sin(5 * y) * ca.cos(4 * x), mu=0.8)
-    model = dynamics(vehicle, waves)
+    model = dynamics(four_wheels(spring=4000.0, drive=motor), waves)
     rates = {label.full: 10.0 for label in model.labels.u.wheels}
     run = moved(model, settle(model), np.linspace(0, 2, 21), 1e-8, **rates)
-    gain = energy(run) - energy(run)[0] - run["work"] + run["lost_energy"]
-    assert np.abs(gain).max() < 1e-6 * run["work"][-1]  # the rotors have some 10 J
+    assert np.abs(energy_error(run)).max() < 1e-6 * run["work"][-1]  # the rotors have some 10 J
 
 
 def test_the_mass_matrix_is_the_hessian_of_the_kinetic_energy():
@@ -368,11 +290,8 @@ def test_discs_and_balls_stand_on_maps(section):
     plane = Bicubic(Grid(x, x, 0.1 * np.add.outer(x, 0 * x)), mu=0.8)
     vehicle = catalog.rigid_skid_steer()
     wheels = tuple(replace(wheel, section=section) for wheel in vehicle.wheels)
-    model = dynamics(replace(vehicle, wheels=wheels), plane)
-    start = settle(model, x=0.0, y=0.0, heading=0.0)
-    run = moved(model, start, np.linspace(0, 0.1, 3), 1e-7)
-    load = run["force_normal"][-1].sum()
-    assert load == pytest.approx(vehicle.mass * GRAVITY * np.cos(np.arctan(0.1)), rel=1e-3)
+    load = settle(dynamics(replace(vehicle, wheels=wheels), plane))["force_normal"].sum()
+    assert load == pytest.approx(vehicle.weight * np.cos(np.arctan(0.1)), rel=1e-3)
 
 
 def test_a_coordinate_without_mass_is_refused():

@@ -1,7 +1,7 @@
 """Tests of the errata of the three-wheeler paper, each by numbers.
 
 Chakraborty and Ghosal, "Kinematics of wheeled mobile robots on uneven terrain". Tests of its
-curvature and torsion forms and of the non-orthogonality of height maps are in ``test_montana.py``.
+curvature and torsion forms and of the non-orthogonality of height maps are in ``test_surface.py``.
 """
 
 import casadi as ca
@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import PAPER_RATES, hills
-from slipfree import Analytic, SolverOptions, direct_kinematics, settle, simulate
+from helpers.cases import drive, hills
+from slipfree import Analytic, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.geometry.frame import platform, turn
 
-FLAT = Analytic(lambda x, _: 0 * x)
 LA, LS, R1 = 1.0, 1.5, 0.05  # the paper's half axle, wheelbase and tube radius [m]
 U = {"right": 1.586967, "left": 1.547598, "front": 1.578296}  # printed contact parameters [rad]
 CONTACTS = {  # printed contact points on the ground [m]
@@ -46,14 +45,7 @@ def test_equation_3_counts_the_platform_twice(rng):
 
 def test_equation_5_has_the_wrong_sign():
     """The velocity of the centre is V_w + Omega x (P - C), and P - C = -R_ci."""
-    dae = direct_kinematics(three_wheeler(), Analytic(hills))
-    run = simulate(
-        dae,
-        settle(dae),
-        dae.inputs(**PAPER_RATES),
-        np.linspace(0, 0.02, 5),
-        options=SolverOptions(tolerance=1e-11),
-    )
+    run = drive(Analytic(hills), np.linspace(0, 0.02, 5), tolerance=1e-11)
     h, k = run.t[1], 2
     rates = [run[f"{name}_rate"][k] for name in ("heading", "roll", "pitch")]
     gamma, beta = run["heading"][k], run["roll"][k]
@@ -97,8 +89,7 @@ def test_upright_wheels_over_determine_the_start():
 
 
 def test_direct_and_inverse_examples_are_one_motion_to_the_terrains_effect():
-    dae = direct_kinematics(three_wheeler(), FLAT)
-    run = simulate(dae, settle(dae), dae.inputs(**PAPER_RATES), np.linspace(0, 6, 601))
+    run = drive(Analytic(lambda x, _: 0 * x), np.linspace(0, 6, 601))
     printed = {"velocity_x": 0.01255, "velocity_y": 0.12865, "heading_rate": 0.0159}
     for name, value in printed.items():
         assert run[name][0] == pytest.approx(value, rel=0.2)

@@ -1,6 +1,7 @@
 """Tests of driving laws: they keep a vehicle on its path and its wheels upright."""
 
-import casadi as ca
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -53,34 +54,19 @@ def test_path_goes_straight_on_beyond_its_ends():
         place = Path(np.array(points)).at(np.array([-1.0, 2.0, 4.0, 7.0]))
         assert_allclose(place.x, 1.0, atol=1e-12)
         assert_allclose(place.y, [1.0, 4.0, 6.0, 9.0], atol=1e-12)
-        assert_allclose(place.curvature, 0)
+        assert_allclose(place.curvature, [0.0] * 4)
 
 
-def test_a_line_of_two_points_is_that_of_three():
-    ends = np.array([(4.0, 1.0), (1.0, -3.0)])
-    s = np.linspace(-1, 6, 15)
-    places = (Path(points).at(s) for points in (ends, np.insert(ends, 1, ends.mean(axis=0), 0)))
-    for one, other in zip(*places, strict=True):
-        assert one.shape == other.shape == s.shape
-        assert_allclose(one, other, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("points", "words"),
-    [
+def test_path_is_checked():
+    for points, words in (
         ([(0.0, 0.0)], "at least two way-points"),
         ([0.0, 1.0], "at least two way-points"),
         ([(0.0, 0.0), (1.0, np.nan)], r"found \[ 1. nan\] at way-point 2"),
-        (
-            [(0.0, 0.0), (0.0, 1.0), (0.0, 1e160)],
-            r"expected coordinates between -1e\+12 and 1e\+12 m",
-        ),
+        ([(0.0, 0.0), (0.0, 1.0), (0.0, 1e160)], r"coordinates between -1e\+12 and 1e\+12 m"),
         ([(0.0, 0.0), (1.0, 1.0), (1.0, 1.0)], "way-points 2 and 3 coincide"),
-    ],
-)
-def test_path_is_checked(points, words):
-    with pytest.raises(ModelError, match=words):
-        Path(np.array(points))
+    ):
+        with pytest.raises(ModelError, match=words):
+            Path(np.array(points))
 
 
 @pytest.mark.slow
@@ -123,15 +109,6 @@ def test_an_error_at_the_start_decays():
     assert_allclose(run["y"][-1], 24, atol=1e-2)
 
 
-def test_map_coordinates_far_from_the_origin_make_no_difference():
-    vehicle, grid = three_wheeler(), blank((4e5, 4e5 + 40), (5e6, 5e6 + 40), 1.0)
-    dae = closure_model(vehicle, Bicubic(grid))
-    path = Path(np.array([(4e5 + 10, 5e6 + 10), (4e5 + 20, 5e6 + 20), (4e5 + 20, 5e6 + 30)]))
-    start = settle(dae, x=4e5 + 10, y=5e6 + 10, heading=heading_at_start(path))
-    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), np.linspace(0, 40, 81))
-    assert cross_track(run, path).max() < 0.1
-
-
 def test_differential_drive_follows_too():
     vehicle, path = skid_steered(), Path(WAY[:2])
     dae = closure_model(vehicle, FLAT)
@@ -163,22 +140,9 @@ def test_laws_name_what_they_need():
     for speed in (0.0, np.inf):
         with pytest.raises(ModelError, match="a finite speed other than zero"):
             straight(dae, vehicle, settle(dae), speed=speed)
-    trailer = Vehicle(
-        "trailer",
-        (),
-        (),
-        tuple(
-            Wheel(n, "platform", (x, y, 0.0), Torus(0.05, 0.15), driven=False)
-            for n, x, y in (("a", 0.5, 0.0), ("b", -0.5, 0.0), ("c", 0.0, 0.5))
-        ),
-    )
+    trailer = skid_steered()
+    wheels = tuple(replace(wheel, driven=False) for wheel in trailer.wheels)
+    trailer = replace(trailer, name="trailer", wheels=wheels)
     dae = closure_model(trailer, FLAT)
     with pytest.raises(ModelError, match="driven wheels on both sides, found neither in 'trailer'"):
         follow(dae, trailer, Path(WAY), speed=1.0)
-
-
-def test_a_law_is_an_expression_of_the_models_symbols():
-    vehicle = three_wheeler()
-    dae = closure_model(vehicle, FLAT)
-    law = follow(dae, vehicle, Path(WAY), speed=1.0)
-    assert all(isinstance(each, ca.SX) for each in (*law.wheels, *law.joints))

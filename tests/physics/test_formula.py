@@ -22,10 +22,10 @@ MEANT = {
 }
 
 
-@pytest.mark.parametrize("text", MEANT)
-def test_a_formula_means_what_it_says(text):
-    found = evaluate(text, {"a": ca.SX(A), "b": ca.SX(B)})
-    assert float(ca.evalf(found)) == pytest.approx(MEANT[text], rel=1e-15)
+def test_a_formula_means_what_it_says():
+    for text, expected in MEANT.items():
+        found = evaluate(text, {"a": ca.SX(A), "b": ca.SX(B)})
+        assert float(ca.evalf(found)) == pytest.approx(expected, rel=1e-15), text
 
 
 def test_a_formula_tells_what_it_depends_on():
@@ -37,19 +37,12 @@ def test_a_formula_tells_what_it_depends_on():
     ("text", "found"),
     [
         ("", "found ''"),
-        ("a +", "found 'a +'"),
         ("a.real", "found 'a.real'"),
         ("__import__('os')", "found \"__import__('os')\""),
-        ("sin", "found 'sin'"),
         ("sin(a, b)", "found 'sin(a, b)'"),
-        ("sin(x=a)", "found 'sin(x=a)'"),
         ("a if b else 0", "found 'a if b else 0'"),
-        ("a < b", "found 'a < b'"),
         ("'a'", "found \"'a'\""),
-        ("True", "found 'True'"),
         ("1j*a", "found '1j'"),
-        ("a % b", "found 'a % b'"),
-        ("[a]", "found '[a]'"),
         ("(" * 300 + "a" + ")" * 300, "found '(((("),
         ("a\0", "found 'a"),
         ("9" * 400, "found '9999"),
@@ -62,12 +55,9 @@ def test_anything_else_is_refused(text, found):
     assert found in str(caught.value)
 
 
-def test_a_long_formula_is_refused():
+def test_long_and_deep_formulas_are_refused():
     with pytest.raises(ModelError, match="expected at most 1000 characters, found 5001"):
         names_in("-" * 5000 + "a")
-
-
-def test_deep_nesting_is_refused():
     with pytest.raises(ModelError, match="expected at most 50 nested levels, found more"):
         names_in("-" * 900 + "a")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import case1, closure_model, hills
+from helpers.cases import closure_model, hills
 from slipfree import (
     Analytic,
     Bicubic,
@@ -20,7 +20,6 @@ from slipfree import (
     Vehicle,
     settle,
     simulate,
-    straight,
 )
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_tracking import path_inputs
@@ -85,12 +84,12 @@ def with_omega(run):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", [OMEGA, EULER], ids=["omega", "euler"])
-def test_rates_come_back_at_recorded_states(family):
-    """Every choice of three rates, at every state where it determines the others."""
+def test_rates_come_back_at_recorded_states():
+    """Choices of three rates, at every state where they determine the others."""
     _, _, run = direct_run(HILLS, np.linspace(0, 6, 2), x=0.3, heading=0.2)
     value, returned = with_omega(run), 0
-    for given in combinations((*VELOCITY, *family), 3):
+    choices = [*combinations((*VELOCITY, *OMEGA), 3)][::3]
+    for given in (*choices, PLANAR, EULER):
         dae = inverse_kinematics(
             three_wheeler(), HILLS, given=given, least_margin=0.0, solve_for="rates"
         )
@@ -105,18 +104,7 @@ def test_rates_come_back_at_recorded_states(family):
             expected, n = dae.rows("z", run, k), system.motion_size
             assert_allclose(z[:n], expected[:n], rtol=0, atol=1e-10, err_msg=str(given))
             returned += 1
-    assert returned > 20
-
-
-def test_given_omega_is_that_of_the_platform():
-    given = ("velocity_x", "velocity_y", "omega_z")
-    _, begin, run = direct_run(HILLS, np.linspace(0, 1, 3))
-    value = with_omega(run)
-    dae = inverse_kinematics(three_wheeler(), HILLS, given=given, solve_for="rates")
-    inputs = dae.inputs(**{name: value(name, 0) for name in given})
-    back = simulate(dae, begin, inputs, np.array([0.0, 1e-3]))
-    assert_allclose(back["omega_x"][0], value("omega_x", 0), atol=1e-12)
-    assert_allclose(back["steer_rate"][0], run["steer_rate"][0], atol=1e-10)
+    assert returned > 9
 
 
 def test_integrated_rates_come_back_where_the_steering_is_stable():
@@ -136,18 +124,15 @@ def test_integrated_rates_come_back_where_the_steering_is_stable():
 def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
     dae = inverse_kinematics(three_wheeler(), HILLS, given=PLANAR, solve_for="rates")
     _, _, run = direct_run(HILLS, np.linspace(0, 2, 3), x=0.3)
-    inputs = dae.inputs(**{name: run[name][-1] for name in PLANAR})
-    system, rates = with_inputs(dae, inputs, 0), []
-    x, z = dae.rows("x", run, -1), dae.rows("z", run, -1)
-    for step in (-1e-5, 0.0, 1e-5):
-        moved = x + step * np.array(
-            [label.name == "steer" for label in (*dae.labels.x[:3], *dae.labels.x.joints)]
-        )
-        rates.append(
-            solve_initial_conditions(system, 0.0, moved, z, system.u[:, 0])[system.motion_size - 1]
-        )
+    system = with_inputs(dae, dae.inputs(**{name: run[name][-1] for name in PLANAR}), 0)
+    x, z, u = dae.rows("x", run, -1), dae.rows("z", run, -1), system.u[:, 0]
+    steer = np.array([label.name == "steer" for label in (*dae.labels.x[:3], *dae.labels.x.joints)])
+    less, more = (
+        solve_initial_conditions(system, 0.0, x + step * steer, z, u)[system.motion_size - 1]
+        for step in (-1e-5, 1e-5)
+    )
     growth = ca.Function("growth", list(dae.columns()), dae.named("steering_growth"))
-    assert_allclose(float(growth(x, z, system.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)
+    assert_allclose(float(growth(x, z, u)), (more - less) / 2e-5, rtol=1e-6)
 
 
 @pytest.mark.slow
@@ -216,52 +201,6 @@ def test_path_passes_where_the_contact_crosses_the_steering_axis():
     assert max(again.difference.values()) < 2e-6
 
 
-def test_path_on_a_map_crosses_too():
-    """What `straight` has driven on the reference ground, again from its path alone."""
-    terrain, t = case1()[0], np.linspace(0, 5, 101)
-    direct = closure_model(three_wheeler(), terrain, slip=Rolling())
-    begin = settle(direct, heading=0.2)
-    law = straight(direct, three_wheeler(), begin, speed=0.135)
-    run = simulate(direct, begin, law, t, options=SolverOptions(tolerance=1e-12))
-    dae = inverse_kinematics(three_wheeler(), terrain, **CROSSING)
-    found = drive(
-        dae,
-        begin,
-        path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t),
-        t,
-        free_states=["steer"],
-    )
-    growth = found.run["steering_growth"]
-    assert growth.min() < 0 < growth.max()
-    for name in WHEEL_RATES:
-        assert_allclose(found.run[name], run[name], rtol=0, atol=1e-6, err_msg=name)
-    again = repeated(direct, found)
-    assert max(again.difference.values()) < 1e-6
-
-
-def test_path_by_expressions_of_time():
-    """A curve of constant speed on hills; the steering at the start is part of the answer."""
-    direct = closure_model(three_wheeler(), HILLS)
-    dae = inverse_kinematics(three_wheeler(), HILLS, **CROSSING)
-    begin = settle(direct, x=-1.0, heading=1.0)
-    heading = 1.0 + 0.02 * dae.t
-    x = -1.0 + 0.135 / 0.02 * (ca.cos(heading) - np.cos(1.0))
-    y = 0.135 / 0.02 * (ca.sin(heading) - np.sin(1.0))
-    found = drive(
-        dae,
-        begin,
-        path_inputs(dae, begin, x, y, heading),
-        np.linspace(0, 6, 61),
-        free_states=["steer"],
-    )
-    turned = found.run["heading"]
-    assert_allclose(turned, 1.0 + 0.02 * found.run.t, atol=1e-10)
-    again = repeated(direct, found)
-    assert_allclose(again.motion["y"], 6.75 * (np.sin(turned) - np.sin(1.0)), atol=2e-6)
-    assert max(again.difference.values()) < 2e-6
-    assert found.run["steering_growth"].min() > 0  # unstable all the way, if integrated
-
-
 def test_collocation_of_a_system_with_a_known_slow_solution():
     """On flat ground the lever is zero and the steering is that of the plane: no slope, no tilt."""
     direct = closure_model(three_wheeler(), FLAT)
@@ -286,22 +225,15 @@ def test_collocation_of_a_system_with_a_known_slow_solution():
 
 def moving(dae, stands):
     """Return one sample for each start, with equal rates of the rear wheels and fixed steering."""
-    system, x, z = (
-        with_inputs(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0),
-        [],
-        [],
-    )
-    for begin in stands:
-        x.append(dae.rows("x", begin, 0))
-        z.append(
-            solve_initial_conditions(system, 0.0, x[-1], dae.rows("z", begin, 0), system.u[:, 0])
-        )
-    n = len(stands)
-    u = np.repeat(system.u[:, :1], n, axis=1)
-    samples = Samples(
-        np.arange(float(n)), np.column_stack(x), np.column_stack(z), np.zeros((4, n)), u
-    )
-    return to_trajectory(system, *complete_samples(system, samples))
+    system = with_inputs(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0)
+    u, n = system.u[:, 0], len(stands)
+    x = [dae.rows("x", begin, 0) for begin in stands]
+    z = [
+        solve_initial_conditions(system, 0.0, at, dae.rows("z", begin, 0), u)
+        for at, begin in zip(x, stands, strict=True)
+    ]
+    columns = np.column_stack(x), np.column_stack(z), np.zeros((4, n)), np.tile(u[:, None], n)
+    return to_trajectory(system, *complete_samples(system, Samples(np.arange(float(n)), *columns)))
 
 
 def test_conditions_on_flat_ground():
@@ -318,53 +250,31 @@ def test_conditions_on_flat_ground():
 
 @pytest.mark.slow
 def test_conditions_on_hills(rng):
-    """Median, 90 % and maximum; (Vx, Vy, Oz) is by far the best in both forms."""
+    """(Vx, Vy, Oz) is by far the best in both forms."""
     ground, stands = Analytic(rough), []
     dae = closure_model(three_wheeler(), ground, slip=Rolling())
     names = ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
-    while len(stands) < 150:
+    while len(stands) < 60:
         values = rng.uniform(-1, 1, 6) * [3, 3, 3.1, 0.2, 0.2, 0.4]
-        pose = dict(zip(names, values, strict=True))
         try:
-            stands.append(settle(dae, **pose))
+            stands.append(settle(dae, **dict(zip(names, values, strict=True))))
         except ModelError:
             continue  # a second touch
-    run = moving(dae, stands)
-    best = ("velocity_x", "velocity_y", "omega_z")
+    run, best = moving(dae, stands), ("velocity_x", "velocity_y", "omega_z")
     by_rate = conditions(three_wheeler(), ground, run)
     by_angle = conditions(three_wheeler(), ground, run, solve_for="angles")
-    median, most, largest = np.quantile(by_rate[best], [0.5, 0.9, 1.0])
-    assert 12 < median < 35
-    assert 60 < most < 400
-    assert largest > 500
+    assert 12 < np.median(by_rate[best]) < 35
     assert min(by_rate, key=lambda given: np.median(by_rate[given])) == best
-    median, most, largest = np.quantile(by_angle[best], [0.5, 0.9, 1.0])
-    assert 5.8 < median < 6.2
-    assert most < 6.5
-    assert largest < 31
+    assert 5.8 < np.median(by_angle[best]) < 6.2
+    assert max(by_angle[best]) < 31
     assert min(np.median(v) for given, v in by_angle.items() if given != best) > 20
-
-
-def test_rate_form_has_no_start_on_flat_ground():
-    dae = inverse_kinematics(three_wheeler(), FLAT, given=PLANAR, solve_for="rates")
-    begin = settle(closure_model(three_wheeler(), FLAT))
-    with pytest.raises(ModelError, match="singular here: no equation determines steer_rate"):
-        simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 6, 61))
-    x, z = dae.rows("x", begin, 0), dae.rows("z", begin, 0)
-    words = "'steer_rate' is not determined, since the contact of wheel 'front' lies on the axis"
-    assert words in dae.checks[-1].describe(x, z)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("ground", "solve_for", "when"),
-    [
-        (Analytic(low), "rates", 4.11),
-        (Analytic(low), "angles", 4.11),
-        (FLAT, "angles", 4.15),
-        (MIRRORED, "angles", 4.0),
-    ],
-    ids=["hills, rates", "hills, angles", "flat, angles", "mirrored, angles"],
+    [(Analytic(low), "rates", 4.11), (Analytic(low), "angles", 4.11)],
+    ids=["rates", "angles"],
 )
 def test_inverse_input_of_the_paper_runs_until_a_tilt_stop(ground, solve_for, when):
     """The paper draws tilts up to its end and mentions no stop; here 0.35 rad come at 4.1 s."""
@@ -405,18 +315,9 @@ def test_steering_angle_needs_motion():
     ("options", "words"),
     [
         ({"given": ("velocity_x", "velocity_y")}, "expected a list of three different names"),
-        (
-            {"given": ("v_x", "v_y")},
-            r"one or more names from forward, right, yaw_rate, found \('v_x', 'v_y'",
-        ),
-        (
-            {"given": ("velocity_x", "velocity_y", "velocity_x")},
-            "expected a list of three different names",
-        ),
-        (
-            {"given": ("velocity_x", "velocity_y", "turn_rate")},
-            "given: expected three of vel.*, found 'turn_rate'",
-        ),
+        ({"given": ("velocity_x", "velocity_y", "velocity_x")}, "give each name once"),
+        ({"given": ("v_x", "v_y")}, r"one or more names from forward, right, yaw_rate, found \('v"),
+        ({"given": ("velocity_x", "velocity_y", "turn")}, "expected three of vel.*, found 'turn'"),
         ({"given": ("velocity_x", "omega_z", "roll_rate")}, "or Euler rates .*, not both"),
         ({"solve_for": "torques"}, "expected 'rates' or 'angles', found 'torques'"),
         ({"least_margin": -1.0}, "least_margin: expected zero or a positive"),
@@ -451,27 +352,20 @@ def test_vehicles_that_do_not_suit_are_refused():
 
 def test_paths_are_checked():
     dae = inverse_kinematics(three_wheeler(), HILLS, given=PLANAR, solve_for="rates")
-    begin = settle(closure_model(three_wheeler(), HILLS))
-    t = np.linspace(0, 1, 11)
-    still = np.zeros(11)
-    with pytest.raises(
-        ModelError, match=r"the position and heading of the start, found y = 1 instead of 0"
-    ):
-        path_inputs(dae, begin, still, 1 + t, still, t=t)
-    path_inputs(dae, begin, still, t, still + 2 * np.pi, t=t)  # a whole turn is none
-    with pytest.raises(ModelError, match=r"expected expressions of dae\.t only"):
-        path_inputs(dae, begin, dae.x.y, dae.t, 0 * dae.t)
-    with pytest.raises(ModelError, match="expected at least 6 way-points, found 5"):
-        path_inputs(dae, begin, still[:5], t[:5], still[:5], t=t[:5])
-    with pytest.raises(ModelError, match=r"expected 11 values each of x, y and heading, .*\(5,\)"):
-        path_inputs(dae, begin, still, t, still[:5], t=t)
-    with pytest.raises(ModelError, match="expected finite times and values"):
-        path_inputs(dae, begin, still * np.nan, t, still, t=t)
     other = inverse_kinematics(three_wheeler(), HILLS, given=VELOCITY, solve_for="rates")
-    with pytest.raises(
-        ModelError, match="expected an inverse model with the inputs velocity_x, velocity_y"
+    begin = settle(closure_model(three_wheeler(), HILLS))
+    t, still = np.linspace(0, 1, 11), np.zeros(11)
+    path_inputs(dae, begin, still, t, still + 2 * np.pi, t=t)  # a whole turn is none
+    for words, model, path, times in (
+        ("heading of the start, found y = 1 instead of 0", dae, (still, 1 + t, still), t),
+        ("expected at least 6 way-points, found 5", dae, (still[:5], t[:5], still[:5]), t[:5]),
+        (r"expected 11 values each of x, y and heading, .*\(5,\)", dae, (still, t, still[:5]), t),
+        ("expected finite times and values", dae, (still * np.nan, t, still), t),
+        ("expected an inverse model with the inputs velocity_x", other, (still, t, still), t),
+        (r"expected expressions of dae\.t only", dae, (dae.x.y, dae.t, 0 * dae.t), None),
     ):
-        path_inputs(other, begin, still, t, still, t=t)
+        with pytest.raises(ModelError, match=words):
+            path_inputs(model, begin, *path, t=times)
 
 
 def test_drives_are_checked():

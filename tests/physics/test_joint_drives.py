@@ -76,27 +76,16 @@ def test_a_motor_at_its_limit_approaches_its_no_load_rate(motion):
     assert run["work"][-1] == pytest.approx(inertia * expected[-1] ** 2 / 2, rel=1e-6)
 
 
-def test_a_motor_stalls_and_reaches_its_rate():
-    model = dynamics(with_arm(MOTOR, axis="z"), FLAT)
-    run = moved(model, settle(model), np.linspace(0, 3, 61), 1e-7, arm_rate=1.0)
-    torque, rate = run["arm_torque"], run["arm_speed"]
-    assert (torque <= 6.0 * np.minimum(1, 1 - rate / 4.0) + 1e-9).all()
-    assert torque[0] == pytest.approx(6.0)
-    assert rate[-1] == pytest.approx(1.0, rel=1e-3)
-    assert imbalance(run) < 100 * 1e-7
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("drive", [Torque(), replace(MOTOR, stall=20.0)])
 def test_the_energy_balance_contains_drives_springs_and_dampers_of_joints(drive):
     loads = {"stiffness": 20.0, "rest": 0.2, "damping": 0.4, "upper": 0.1, "bump": 400.0}
     model = dynamics(with_arm(drive, **loads), FLAT)
     law = {model.labels.u.joints[0].full: 12.0 * ca.cos(3 * model.t)}
-    for tolerance in (1e-6, 1e-8):
-        run = moved(model, settle(model), np.linspace(0, 1.5, 16), tolerance, **law)
-        assert np.abs(run["work"]).max() > 0.5
-        assert run["arm"].max() > 0.11
-        assert imbalance(run) < 100 * tolerance
+    run = moved(model, settle(model), np.linspace(0, 1.5, 16), 1e-8, **law)
+    assert np.abs(run["work"]).max() > 0.5
+    assert run["arm"].max() > 0.11
+    assert imbalance(run) < 100 * 1e-8
 
 
 @pytest.mark.slow

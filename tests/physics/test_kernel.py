@@ -87,17 +87,7 @@ def test_it_equals_the_expressions_to_the_fourth_derivative(interpreted):
         assert_allclose(np.array(found), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_heights_equal_the_expressions():
-    ground = Bicubic(grid())
-    x, y = places(ground)
-    expected = ground._local_heights(x, y)
-    atol = 1e-13 * np.abs(expected).max()
-    assert_allclose(ground._kernel.heights(x, y), expected, rtol=0, atol=atol)
-    assert np.isnan(ground._kernel.heights(np.array([np.nan]), np.array([0.0]))).all()
-
-
-@pytest.mark.parametrize("forward", [True, False])
-def test_casadi_differentiates_it_in_both_directions(forward, interpreted):
+def test_casadi_differentiates_it_in_both_directions(interpreted):
     ground = Bicubic(grid())
     p, seed = ca.SX.sym("p", 2), ca.SX.sym("seed", 2)
 
@@ -106,8 +96,8 @@ def test_casadi_differentiates_it_in_both_directions(forward, interpreted):
             at = [0.3 * ca.sin(p[0]) * p[1], p[0] + 0.1 * p[1] ** 2]
             values = flat(ground.jet(*at, lookups))
             bent = values[3] * values[1] / ca.sqrt(1 + ca.sumsqr(values[1:3])) + values[5] * p[0]
-            once = ca.jtimes(bent, p, seed if forward else ca.SX(1), not forward)
-            return bent, once, ca.hessian(bent, p)[0]
+            both = ca.jtimes(bent, p, seed), ca.jtimes(bent, p, ca.SX(1), True)
+            return bent, *both, ca.hessian(bent, p)[0]
 
         return function_of([p, seed], make)
 
@@ -172,15 +162,15 @@ def test_a_function_that_outlives_its_ground_gives_no_numbers():
     assert np.isnan(float(pickle.loads(kept)(0.1, 0.2)[0][0]))
 
 
-@pytest.mark.parametrize("through", [True, False])
-@pytest.mark.parametrize("order", ["C", "F"])
-def test_it_equals_the_expressions_for_maps_of_any_layout(through, order):
+@pytest.mark.parametrize(("through", "order"), [(True, "C"), (False, "F")])
+def test_heights_equal_the_expressions_for_maps_of_any_layout(through, order):
     made = grid()
     ground = Bicubic(Grid(made.x, made.y, np.asarray(made.z, order=order)), through=through)
     x, y = places(ground)
     expected = ground._local_heights(x, y)
     atol = 1e-13 * np.abs(expected).max()
     assert_allclose(ground._kernel.heights(x, y), expected, rtol=0, atol=atol)
+    assert np.isnan(ground._kernel.heights(np.array([np.nan]), np.array([0.0]))).all()
 
 
 @pytest.mark.parametrize("content", [b"", b"no library", None])
@@ -196,13 +186,8 @@ def test_a_library_that_cannot_be_used_is_left_alone(content, tmp_path, monkeypa
 
 def _drive(ground):
     dae = direct_kinematics(three_wheeler(mass=0.0, wheel_mass=0.0), ground)
-    run = simulate(
-        dae,
-        settle(dae),
-        dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0),
-        np.linspace(0, 1, 5),
-        options=SolverOptions(tolerance=1e-8),
-    )
+    inputs = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
+    run = simulate(dae, settle(dae), inputs, np.linspace(0, 1, 5), options=SolverOptions(1e-8))
     return np.array([run[name][-1] for name in ("x", "y", "z", "heading")])
 
 
@@ -214,10 +199,10 @@ def _gentle(seed=0):
 
 @pytest.mark.slow
 def test_pickled_grounds_work_here_and_in_other_processes():
-    grounds = [Bicubic(_gentle(seed)) for seed in range(3)]
+    grounds = [Bicubic(_gentle(seed)) for seed in range(2)]
     here = [_drive(ground) for ground in grounds]
     assert_array_equal(_drive(pickle.loads(pickle.dumps(grounds[1]))), here[1])
-    with get_context("spawn").Pool(2) as pool:
+    with get_context("spawn").Pool(1) as pool:
         there = pool.map(_drive, grounds)
     assert_array_equal(np.array(there), np.array(here))
 

@@ -4,7 +4,7 @@ Angles may differ by whole turns; positions are compared in metres and angles in
 """
 
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -34,7 +34,6 @@ from slipfree.models.montana import cross_check, montana_kinematics
 
 WHEELS = ("right", "left", "front")
 T = np.linspace(0, 6, 31)
-MINUTE = np.linspace(0, 60, 121)
 EVEN = {"right_rate": 0.45, "left_rate": 0.45, "steer_rate": 0.0}
 START = {"heading": 0.3, "tilt_right": 0.1, "tilt_left": -0.05, "steer": 0.2}
 montana_model = lru_cache(maxsize=8)(montana_kinematics)
@@ -48,18 +47,7 @@ def rough():
     return Bicubic(Grid(axis, axis, np.array(ca.DM(hills(ca.DM(x), ca.DM(y)))) + noise))
 
 
-def ramp(_, y):
-    """Level, then up at 0.3, with a bend of 0.5 m between."""
-    return 0.3 * 0.5 * ca.log1p(ca.exp((y - 1.0) / 0.5))
-
-
-GROUNDS = {
-    "case1": case1()[0],
-    "hills": Analytic(hills),
-    "rough": rough(),
-    "bowl": Analytic(lambda x, y: 6 - ca.sqrt(36 - x * x - y * y)),
-    "ramp": Analytic(ramp),
-}
+GROUNDS = {"hills": Analytic(hills), "rough": rough()}
 
 
 def both(ground, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
@@ -96,9 +84,9 @@ def gap(first, second):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ground", GROUNDS)
+@pytest.mark.parametrize("ground", ["hills", "rough"])
 def test_formulations_agree_to_their_errors(ground):
-    start = {} if ground == "case1" else {"x": 0.2, "y": -0.5} | START
+    start = {"x": 0.2, "y": -0.5} | START
     fine = both(GROUNDS[ground], T, tolerance=1e-12, **start)
     runs = both(GROUNDS[ground], T, tolerance=1e-9, **start)
     own = [gap(run, best) for run, best in zip(runs, fine, strict=True)]
@@ -114,19 +102,6 @@ def test_reference_motion():
     run = both(ground, expected["t"], tolerance=1e-10)[1]
     for name in ("x", "y", "heading", "tilt_right", "z", "roll", "contact_x", "contact_y"):
         assert_allclose(run[name], expected[name], rtol=0, atol=2e-8, err_msg=name)
-
-
-def test_error_follows_the_tolerance():
-    dae = montana_model(three_wheeler(), GROUNDS["hills"])
-    stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]), **START)
-    tolerances = 10.0 ** -np.arange(5, 11)
-    fine, *runs = (
-        simulate(dae, stand, dae.inputs(**PAPER_RATES), T, options=SolverOptions(tolerance=each))
-        for each in (1e-12, *tolerances)
-    )
-    errors = [gap(run, fine) for run in runs]
-    slope = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
-    assert 0.5 < slope < 1.2
 
 
 def test_four_wheels_with_suspension_slip_alike():
@@ -153,54 +128,29 @@ def test_rolling_law_and_feedback_apply_here_too():
     assert np.abs(runs[1]["slip_across"]).max() < 1e-12
 
 
-def test_a_motion_may_start_in_the_middle_of_another():
-    closure, montana = both(GROUNDS["case1"], T)
-    dae = montana_model(three_wheeler(), GROUNDS["case1"])
-    rest = simulate(dae, closure.part(slice(16)), dae.inputs(**PAPER_RATES), T[15:])
-    assert gap(rest, montana.part(slice(15, None))) < 1e-6
-
-
 # --- drift --------------------------------------------------------------------------------------
 
 
-@cache
-def minute(kappa=10.0, tolerance=1e-8, suppress=True):
+@pytest.mark.slow
+def test_drift_of_a_minute():
+    """The error test leaves out the rates: they carry the drift times kappa, noise to it."""
     closure = closure_model(three_wheeler(), GROUNDS["hills"])
-    dae = montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
-    dae = replace(dae, suppress_algebraic=suppress)
-    return simulate(
-        dae, settle(closure), dae.inputs(**EVEN), MINUTE, options=SolverOptions(tolerance=tolerance)
-    )
+    dae = montana_model(three_wheeler(), GROUNDS["hills"])
+    given = settle(closure), dae.inputs(**EVEN), np.linspace(0, 60, 121)
+    for tolerance, allowed in ((1e-10, 1e-8), (1e-8, 1e-6)):
+        run = simulate(dae, *given, options=SolverOptions(tolerance=tolerance))
+        assert run.stop is None
+        assert 0 < run["drift_position"].max() < allowed
+        assert run["drift_rotation"].max() < 2 * allowed
+        assert np.abs(run["slip_along"]).max() < 1e-12
+    wasteful = replace(dae, suppress_algebraic=False)
+    wasteful = simulate(wasteful, *given, options=SolverOptions(tolerance=1e-8))
+    assert wasteful.statistics["steps"] > 3 * run.statistics["steps"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("tolerance", "allowed"), [(1e-8, 1e-6), (1e-10, 1e-8)], ids=str)
-def test_drift_of_a_minute(tolerance, allowed):
-    run = minute(tolerance=tolerance)
-    assert run.stop is None
-    assert 0 < run["drift_position"].max() < allowed
-    assert run["drift_rotation"].max() < 2 * allowed
-    assert np.abs(run["slip_along"]).max() < 1e-12
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kappa", [1.0, 50.0])
-def test_steps_hardly_depend_on_kappa(kappa):
-    usual = minute().statistics["steps"]
-    assert abs(minute(kappa=kappa).statistics["steps"] / usual - 1) < 0.25
-
-
-@pytest.mark.slow
-def test_the_error_test_must_leave_out_the_rates():
-    """They carry the drift times kappa, which is noise to it."""
-    wasteful = minute(suppress=False)
-    assert wasteful.statistics["steps"] > 3 * minute().statistics["steps"]
-
-
-@pytest.mark.parametrize("kappa", [2.0, 10.0])
-def test_drift_decays_at_kappa(kappa):
+def test_drift_decays_at_kappa():
     """A vehicle put together a little wrong pulls itself right, in place and orientation."""
-    vehicle, ground = three_wheeler(), GROUNDS["hills"]
+    vehicle, ground, kappa = three_wheeler(), GROUNDS["hills"], 2.0
     dae = montana_model(vehicle, ground, kappa=kappa)
     stand = displaced(settle(closure_model(vehicle, ground), **START), x=3e-6, psi=1e-5)
     t = np.linspace(0, 1, 11)
@@ -212,48 +162,6 @@ def test_drift_decays_at_kappa(kappa):
 
 
 # --- every wheel knows the platform ---------------------------------------------------------------
-
-
-def platforms(dae, vehicle, ground):
-    """Return ``(x, z, u) -> (position, rotation, velocity, turning)`` from each wheel alone."""
-    x, z, u = dae.columns()
-    first = dae.ode.numel() - 5 * len(vehicle.wheels)
-    tilts = {"right": "tilt_right", "left": "tilt_left", "front": "steer"}
-    names = [label.full for label in dae.labels.x.joints]
-    functions = []
-    for k, wheel in enumerate(vehicle.wheels):
-        span = slice(first + 5 * k, first + 5 * k + 5)
-        joint = vehicle.joints[k]
-        index = first - len(names) + names.index(tilts[wheel.name])
-        pose = pair(wheel, ground, ContactCoordinates(*ca.vertsplit(x[span])), LookupTable()).pose
-        rotation = pose.rotation @ turn(joint.axis, x[index]).rotation.T
-        position = pose.origin - rotation @ ca.DM(joint.at)
-        own, rates = ca.vertcat(x[span], x[index]), ca.vertcat(dae.ode[span], dae.ode[index])
-        velocity = ca.jtimes(position, own, rates)
-        turning = ca.inv_skew(ca.jtimes(rotation, own, rates) @ rotation.T)
-        functions.append(ca.Function("p", [x, z, u], [position, rotation, velocity, turning]))
-    return functions
-
-
-def test_platform_from_each_wheel():
-    vehicle, ground = three_wheeler(), GROUNDS["hills"]
-    dae = montana_model(vehicle, ground)
-    run = both(ground, T, tolerance=1e-10, **START)[1]
-    inputs = np.array(list(PAPER_RATES.values()))
-    for f in platforms(dae, vehicle, ground):
-        for k in (0, 11, 30):
-            position, rotation, velocity, turning = (
-                np.array(out) for out in f(dae.rows("x", run, k), dae.rows("z", run, k), inputs)
-            )
-            at = [run[name][k] for name in ("heading", "roll", "pitch")]
-            assert_allclose(position.ravel(), [run[a][k] for a in "xyz"], atol=1e-8)
-            assert_allclose(rotation, Rotation.from_euler("ZYX", at).as_matrix(), atol=2e-8)
-            seen = [run[f"velocity_{a}"][k] for a in "xyz"]
-            assert_allclose(velocity.ravel(), seen, atol=1e-7)  # drift times kappa
-            (ch, cr), (sh, sr) = np.cos(at[:2]), np.sin(at[:2])
-            rates = [run[f"{name}_rate"][k] for name in ("pitch", "roll", "heading")]
-            omega = np.array([[ch * cr, -sh, 0], [sh * cr, ch, 0], [-sr, 0, 1]]) @ rates  # eq. 4
-            assert_allclose(turning.ravel(), omega, atol=2e-7)
 
 
 # --- what holds the vehicle together --------------------------------------------------------------
@@ -326,16 +234,6 @@ def test_twelve_invariants_hold_the_vehicle():
 # --- closed forms -------------------------------------------------------------------------------
 
 
-def test_straight_up_a_ramp():
-    slope, rate = 0.3, 0.6
-    rates = {"right_rate": rate, "left_rate": rate, "steer_rate": 0.0}
-    run = both(Analytic(lambda _, y: np.tan(slope) * y), T, rates=rates, tolerance=1e-10)[1]
-    assert_allclose(run["pitch"], slope, atol=1e-9)
-    assert_allclose(run["y"] - run["y"][0], 0.3 * rate * T * np.cos(slope), atol=1e-8)
-    assert_allclose(run["z"] - run["z"][0], 0.3 * rate * T * np.sin(slope), atol=1e-8)
-    assert_allclose(run["wheel_u"], np.pi / 2, atol=1e-8)
-
-
 def test_straight_over_a_cylindrical_hill():
     """A wheel's path along the ground is its radius times its turn relative to the normal."""
     rates = {"right_rate": 1.2, "left_rate": 1.2, "steer_rate": 0.0}
@@ -354,59 +252,24 @@ def test_straight_over_a_cylindrical_hill():
             assert_allclose(travelled - travelled[0], 0.3 * (turned - turned[0]), atol=2e-7)
 
 
-@pytest.mark.slow
-def test_the_disc_is_the_limit_of_thin_tori():
-    def end(r1):
-        vehicle = three_wheeler(r1=r1, r2=0.3 - r1)
-        run = drive(GROUNDS["hills"], T, vehicle=vehicle, tolerance=1e-11, **START)
-        return np.array([run[name][-1] for name in ("x", "y", "z", "heading", "tilt_right")])
-
-    sizes = np.array([1e-2, 1e-3, 1e-4])
-    disc = end(0.0)
-    errors = [np.abs(end(r1) - disc).max() for r1 in sizes]
-    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
-    assert order == pytest.approx(1.0, abs=0.05)
-    assert errors[-1] < 1e-4
-
-
 # --- errors and comparison ------------------------------------------------------------------------
 
 
-def test_discs_are_refused_by_name():
-    with pytest.raises(
-        ModelError, match=r"wheel 'right': .* with r1 > 0, found the edge of disc radius 0.3 m"
-    ):
-        montana_model(three_wheeler(r1=0.0, r2=0.3), GROUNDS["hills"])
-
-
-@pytest.mark.parametrize("kappa", [-1.0, np.inf, np.nan])
-def test_kappa_is_a_rate(kappa):
+def test_what_is_no_montana_model_is_refused():
+    ground = GROUNDS["hills"]
+    words = r"wheel 'right': .* with r1 > 0, found the edge of disc radius 0.3 m"
+    with pytest.raises(ModelError, match=words):
+        montana_model(three_wheeler(r1=0.0, r2=0.3), ground)
     with pytest.raises(ModelError, match="kappa: expected a finite rate of zero or more"):
-        montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
-
-
-def test_a_vehicle_in_pieces_is_refused():
-    dae = montana_model(three_wheeler(), GROUNDS["hills"])
-    stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]))
-    with pytest.raises(
-        ModelError, match="found a violation: wheel right has drifted from its position"
-    ):
+        montana_model(three_wheeler(), ground, kappa=np.nan)
+    dae, stand = (
+        montana_model(three_wheeler(), ground),
+        settle(closure_model(three_wheeler(), ground)),
+    )
+    with pytest.raises(ModelError, match="wheel right has drifted from its position"):
         simulate(dae, displaced(stand, x=0.01), dae.inputs(**PAPER_RATES), T)
-
-
-def test_there_is_nothing_to_settle():
-    with pytest.raises(
-        ModelError, match="drifted from its position on the vehicle; start from the closure"
-    ):
-        settle(montana_model(three_wheeler(), GROUNDS["hills"]))
-
-
-@pytest.mark.slow
-def test_limits_are_watched_as_in_the_closure_model():
-    vehicle = three_wheeler(tilt_stop=0.2)
-    closure, montana = both(GROUNDS["hills"], T, vehicle=vehicle)
-    assert closure.stop.name == montana.stop.name == "tilt_left_stop"
-    assert montana.stop.t == pytest.approx(closure.stop.t, abs=1e-5)
+    with pytest.raises(ModelError, match="position on the vehicle; start from the closure"):
+        settle(dae)
 
 
 def test_cross_check_finds_the_farthest_sample():
@@ -421,9 +284,5 @@ def test_cross_check_finds_the_farthest_sample():
     assert all(row.size == 0 for row in table if row is not worst)
     short = cross_check(run.part(slice(3)), other)
     assert max(row.size for row in short) < 1e-14
-
-
-def test_cross_check_needs_the_same_times():
-    run = drive(GROUNDS["hills"], T[:5])
     with pytest.raises(ModelError, match="expected two motions with the same sample times"):
         cross_check(run, replace(run, t=run.t + 0.1))

@@ -8,6 +8,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from slipfree import (
     Analytic,
@@ -89,9 +90,8 @@ def test_loads_on_a_slope_have_a_closed_form():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [catalog.three_wheeler, catalog.skid_steer])
-def test_exact_contact_is_the_limit_at_order_depth(make):
-    vehicle, options = make(), SolverOptions(tolerance=1e-9)
+def test_exact_contact_is_the_limit_at_order_depth():
+    vehicle, options = catalog.skid_steer(), SolverOptions(tolerance=1e-9)
     t, apart = np.linspace(0, 4, 9), []
     exact = direct_kinematics(vehicle, HILLS)
     motion = simulate(exact, settle(exact), rates(exact, 1.5), t, options=options)
@@ -128,8 +128,9 @@ def test_the_motion_does_not_depend_on_the_origin_of_the_platform():
         model = direct_kinematics(vehicle, HILLS)
         start = settle(model)
         if at.any():  # where the first robot's wheels are
-            rotation = np.array(_rotation(ends[0], 0))
-            place = np.array([ends[0][name][0] for name in "xyz"]) + rotation @ at
+            angles = [ends[0][name][0] for name in ("heading", "roll", "pitch")]
+            arm = Rotation.from_euler("ZYX", angles).apply(at)
+            place = np.array([ends[0][name][0] for name in "xyz"]) + arm
             pose = {name: ends[0][name][0] for name in ("roll", "pitch")}
             start = settle(model, x=place[0], y=place[1], guess={"z": place[2]} | pose)
         ends.append(simulate(model, start, rates(model, 3.0), t))
@@ -138,22 +139,10 @@ def test_the_motion_does_not_depend_on_the_origin_of_the_platform():
         np.testing.assert_allclose(second, first, atol=2e-6)
 
 
-def _rotation(run, k):
-    x, y, z, w = (float(run[f"quaternion_{axis}"][k]) for axis in "xyzw")
-    forward_left_up = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return np.column_stack([-forward_left_up[:, 1], forward_left_up[:, 0], forward_left_up[:, 2]])
-
-
 def test_poor_starts_settle():
     rng = np.random.default_rng(0)
     model = direct_kinematics(ROBOT, Analytic(hills(0.05)))
-    for _ in range(8):
+    for _ in range(4):
         x, y, heading = rng.uniform(-5, 5, 3)
         z, roll, pitch = rng.uniform([-0.2, -0.5, -0.5], [0.4, 0.5, 0.5])
         start = settle(

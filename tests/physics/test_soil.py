@@ -1,7 +1,6 @@
 """Tests of wheels in soil: closed forms, quadrature, symmetry, derivatives, slopes, test bed."""
 
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 from math import acos, cos, exp, pi, radians, sin, tan
 
@@ -101,7 +100,7 @@ def test_a_wheel_at_rest_sinks_as_in_the_closed_form():
     assert static_sinkage(soil, SIZE, load) == pytest.approx(depth, rel=1e-7)
 
 
-@pytest.mark.parametrize("exponent", [1.0, 2.0, 0.8])
+@pytest.mark.parametrize("exponent", [1.0, 0.8])
 def test_a_towed_wheel_meets_the_compaction_resistance_of_bekker(exponent):
     soil, depth = replace(SHEARLESS, exit_depth=0.0, exponent=exponent), 0.02
     work = SIZE.width * stiffness(soil) * depth ** (exponent + 1) / (exponent + 1)
@@ -110,7 +109,7 @@ def test_a_towed_wheel_meets_the_compaction_resistance_of_bekker(exponent):
     assert pull == pytest.approx(-work, rel=1e-7 if exact else 1e-3)
 
 
-@pytest.mark.parametrize("slip", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("slip", [0.1, 1.0])
 def test_hard_soil_is_coulomb_friction(slip):
     soil = replace(SAND, cohesion=0.0, frictional_modulus=1e15, shear_along=1e-12)
     curves = single_wheel(soil, SIZE, LOAD, [slip])
@@ -121,7 +120,7 @@ def test_hard_soil_is_coulomb_friction(slip):
 
 
 @pytest.mark.parametrize("name", SOILS)
-@pytest.mark.parametrize("slip", [-0.99, -0.9, -0.5, -0.15, 0.0, 0.1, 0.3, 0.6, 0.95])
+@pytest.mark.parametrize("slip", [-0.99, -0.15, 0.0, 0.3, 0.95])
 def test_the_forces_are_those_of_the_published_integrals(name, slip, monkeypatch):
     """The shear path of a braked wheel changes its sign, or saturates within a small angle."""
     soil = replace(known_soil(name), grouser_height=0.005)
@@ -174,21 +173,6 @@ def test_the_ground_resists_every_motion():
     assert locked[3] < 0 < spinning[3]
 
 
-def test_derivatives_are_those_of_differences():
-    names = "depth", "rim", "forward", "sideways"
-    x = [ca.SX.sym(name) for name in names]
-    forces = ca.vertcat(*forces_at_speeds(SAND, SIZE, *x, 1e-3))
-    f = ca.Function("f", x, [forces])
-    slope = ca.Function("slope", x, [ca.jacobian(forces, ca.vertcat(*x))])
-    for state in STATES:
-        exact, step = np.array(slope(*state)), 1e-7
-        for k in range(4):
-            low, high = ([v + d * (i == k) for i, v in enumerate(state)] for d in (-step, step))
-            differences = (np.array(f(*high)) - np.array(f(*low))).ravel() / (2 * step)
-            size = np.abs(exact[:, k]).max()
-            assert exact[:, k] == pytest.approx(differences, rel=1e-4, abs=1e-5 * size + 1e-9)
-
-
 def test_values_and_derivatives_are_finite_at_standstill_and_in_the_air():
     x = [ca.SX.sym(f"x{k}") for k in range(4)]
     forces = ca.vertcat(*forces_at_speeds(SAND, SIZE, *x, 1e-3))
@@ -206,32 +190,21 @@ def cart():
     )
 
 
-@cache
-def up_the_slope(model_of, duration):
-    """Return a motion of the cart up a slope of 8 degrees at rim speeds of 0.2 m/s."""
-    ground = Analytic(lambda x, y: tan(radians(8)) * y + 0 * x)
-    model = model_of(cart(), ground, law=SAND)
-    inputs = model.inputs(**{label.full: 0.2 / 0.15 for label in model.labels.u.wheels})
-    times = np.linspace(0, duration, 6)
-    run = simulate(model, settle(model), inputs, times, options=SolverOptions(1e-7))
-    assert run.stop is None
-    return run
-
-
 @pytest.mark.slow
 def test_a_cart_climbs_sand_with_the_slip_of_its_balance():
     """An independent balance of forces on the level cart has slip 0.1393 on 8 degrees."""
-    run = up_the_slope(dynamics, 6.0)
+    ground, motions = Analytic(lambda x, y: tan(radians(8)) * y + 0 * x), []
+    for make, duration in ((dynamics, 6.0), (quasi_statics, 1.0)):
+        model = make(cart(), ground, law=SAND)
+        inputs = model.inputs(**{label.full: 0.2 / 0.15 for label in model.labels.u.wheels})
+        t = np.linspace(0, duration, 6)
+        motions.append(simulate(model, settle(model), inputs, t, options=SolverOptions(1e-7)))
+        assert motions[-1].stop is None
+    run, slow = motions
     assert run["slip_ratio"][-1] == pytest.approx(0.1393, abs=5e-5)
     energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
     balance = energy - energy[0] - run["work"] + run["lost_energy"]
     assert np.abs(balance).max() < 1e-5 * run["work"][-1]
-
-
-@pytest.mark.slow
-def test_quasi_statics_in_soil_is_slow_dynamics():
-    run = up_the_slope(dynamics, 6.0)
-    slow = up_the_slope(quasi_statics, 1.0)
     speed = np.hypot(*(np.gradient(slow[name], slow.t) for name in ("y", "z")))
     assert 1 - speed[2] / 0.2 == pytest.approx(0.1393, abs=5e-5)
     rise = np.gradient(slow["potential_energy"], slow.t)

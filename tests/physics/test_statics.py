@@ -5,7 +5,7 @@ parts are computed again, every part is cut free, and its forces and moments are
 """
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import permutations
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -16,14 +16,12 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import null_space
-from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from helpers.cases import PAPER_RATES, closure_model, drive, hills
 from helpers.vehicles import four_wheels
 from slipfree import (
     Analytic,
-    Bicubic,
-    Grid,
     LeastSlip,
     ModelError,
     Rolling,
@@ -70,6 +68,7 @@ POSES = [
     {"x": -2.0, "y": -1.7, "heading": 3.0, "tilt_right": 0.0, "tilt_left": 0.3, "steer": -0.1},
 ]
 MASS = {"mass": 20.0, "center_of_mass": (0.1, -0.05, 0.2), "wheel_mass": 3.0}
+SLID = [{"x": 0.4, "heading": 0.7, "slide_right": 0.1, "steer": -0.3}]
 
 
 @cache
@@ -99,13 +98,7 @@ def forces(run, k=0):
 
 
 def turned(axis, angle):
-    i = "xyz".index(axis)
-    j, k = (i + 1) % 3, (i + 2) % 3
-    matrix = np.eye(3)
-    matrix[j, j] = matrix[k, k] = np.cos(angle)
-    matrix[k, j] = np.sin(angle)
-    matrix[j, k] = -matrix[k, j]
-    return matrix
+    return Rotation.from_euler(axis, angle).as_matrix()
 
 
 def normal(ground, x, y, step=5e-3):
@@ -141,9 +134,7 @@ class Balance(NamedTuple):
 def balance(vehicle, ground, run, k=0):
     """Cut the parts of a vehicle free at a sample."""
     value = {c.name: run[c.name][k] for c in vehicle.coordinates}
-    rotation = (
-        turned("z", run["heading"][k]) @ turned("y", run["roll"][k]) @ turned("x", run["pitch"][k])
-    )
+    rotation = turned("ZYX", [run[name][k] for name in ("heading", "roll", "pitch")])
     center = np.array([run[name][k] for name in "xyz"])
     parts, chain, joints = {"platform": (rotation, center)}, {"platform": ()}, {}
     for joint in vehicle.joints:
@@ -216,27 +207,6 @@ def tangential(count):
     return np.arange(3 * count) % 3 != 2
 
 
-def shared(vehicle, ground, run, k=0):
-    """Return the forces of least sum |f_t|^2/(mu N) for weights that are their own loads."""
-    found = balance(vehicle, ground, run, k)
-    m, n = len(vehicle.wheels), len(found.load)
-    grip = np.array([wheel.grip for wheel in vehicle.wheels])
-    flat = tangential(m)
-    load = np.full(m, vehicle.mass * G / m)
-    for _ in range(60):
-        weight = np.zeros(3 * m)
-        weight[flat] = np.repeat(grip * load, 2)
-        law = np.hstack(
-            [np.diag(np.where(flat, 1.0, 0.0)), np.where(flat, weight, 1.0)[:, None] * found.rows.T]
-        )
-        system = np.vstack([law, np.hstack([found.rows, np.zeros((n, n))])])
-        solution = np.linalg.solve(system, np.concatenate([np.zeros(3 * m), -found.load]))
-        step, load = np.abs(solution[2 : 3 * m : 3] - load).max(), solution[2 : 3 * m : 3]
-        if step < 1e-13 * vehicle.mass * G:
-            return solution[: 3 * m]
-    raise AssertionError("the weights do not settle")
-
-
 def loaded(*, stiffness=0.0, rest=0.0, damping=0.0):
     """Return a four-wheeler whose front axle rocks, with mass everywhere."""
     bare = four_wheels(rock=True)
@@ -265,25 +235,22 @@ def massless(vehicle):
 # Closed forms
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("degrees", [5, 10, 20])
-def test_friction_needed_straight_up_and_down(degrees):
-    steep = np.tan(np.radians(degrees))
-    for heading, sign in ((0.0, 1), (np.pi, -1)):
-        run = stand(VEHICLE, slope(degrees), heading=heading)
-        expected = steep / (2 / 3 + sign * H / LS * steep)
-        assert_allclose(run["friction_needed"][0], [expected, expected, 0], rtol=0, atol=1e-12)
-        push = sign * np.sin(np.radians(degrees)) / 2
-        assert_allclose(run["force_along"][0] / WEIGHT, [push, push, 0], rtol=0, atol=1e-12)
-        assert_allclose(run["drive_torque"][0] / WEIGHT, [push * R, push * R, 0], atol=1e-12)
+@pytest.mark.parametrize(("heading", "sign"), [(0.0, 1), (np.pi, -1)])
+def test_friction_needed_straight_up_and_down(heading, sign):
+    steep = np.tan(np.radians(20))
+    run = stand(VEHICLE, slope(20), heading=heading)
+    expected = steep / (2 / 3 + sign * H / LS * steep)
+    assert_allclose(run["friction_needed"][0], [expected, expected, 0], rtol=0, atol=1e-12)
+    push = sign * np.sin(np.radians(20)) / 2
+    assert_allclose(run["force_along"][0] / WEIGHT, [push, push, 0], rtol=0, atol=1e-12)
+    assert_allclose(run["drive_torque"][0] / WEIGHT, [push * R, push * R, 0], atol=1e-12)
 
 
-@pytest.mark.parametrize("degrees", [5, 10, 20])
 @pytest.mark.parametrize("side", [1, -1], ids=["uphill right", "uphill left"])
-def test_friction_needed_across(degrees, side):
+def test_friction_needed_across(side):
     """The front wheel bears all of the side force; the drives hold its moment."""
-    s = np.radians(degrees)
-    run = stand(VEHICLE, slope(degrees), heading=side * np.pi / 2)
+    s = np.radians(20)
+    run = stand(VEHICLE, slope(20), heading=side * np.pi / 2)
     assert_allclose(run["friction_needed", "front"][0], 3 * np.tan(s), rtol=0, atol=1e-12)
     across = np.array([0, 0, side * np.sin(s)])
     along = np.array([1, -1, 0]) * side * np.sin(s) * (2 * LS / 3) / (2 * LA)
@@ -292,96 +259,30 @@ def test_friction_needed_across(degrees, side):
         assert_allclose(run[name][0] / WEIGHT, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("degrees", [-20, 10, 20, 30])
-def test_tilted_wheels_push(degrees):
-    """The forces on a free tilt pass through its axis; the front wheel bears what both push.
-
-    The rear axle stands higher, so that the platform is level.
-    """
-    d = np.radians(degrees)
-    run = stand(VEHICLE, terrace(R2 * (1 - np.cos(d))), tilt_right=d, tilt_left=d)
-    assert abs(run["pitch"][0]) < 1e-13
-    ratio = R2 * np.sin(d) / (R1 + R2 * np.cos(d))
-    across = run["force_across"][0] / run["force_normal"][0]
-    assert_allclose(across, [ratio, ratio, -2 * ratio], rtol=0, atol=1e-12)
-    assert_allclose(run["force_normal"][0].sum(), WEIGHT, rtol=1e-12)
-
-
-LAB = [
-    (0, 0, "0 0 .333 0 0 .333 0 0 .333", "0 0 0", "0 0"),
-    (10, 0, ".087 0 .346 .087 0 .346 0 0 .294", ".251 .251 0", ".087 .087"),
-    (20, 0, ".171 0 .347 .171 0 .347 0 0 .245", ".492 .492 0", ".171 .171"),
-    (20, 180, "-.171 0 .279 -.171 0 .279 0 0 .382", ".613 .613 0", "-.171 -.171"),
-    (10, 90, ".087 0 .302 -.087 0 .354 0 .174 .328", ".287 .245 .529", ".087 -.087"),
-    (20, 90, ".171 0 .262 -.171 0 .365 0 .342 .313", ".653 .469 1.092", ".171 -.171"),
-    (20, 45, ".242 0 .299 -.008 0 .374 0 .249 .266", ".808 .020 .936", ".242 -.008"),
-]
-
-
-@pytest.mark.parametrize(("degrees", "heading", "of_weight", "needed", "torque"), LAB)
-def test_table_of_forces_on_slopes(degrees, heading, of_weight, needed, torque):
-    run = stand(VEHICLE, slope(degrees), heading=np.radians(heading))
-    for found, printed in (
-        (forces(run) / WEIGHT, of_weight),
-        (run["friction_needed"][0], needed),
-        (run["drive_torque"][0, :2] / (WEIGHT * R), torque),
-    ):
-        assert_allclose(found, np.array(printed.split(), float), rtol=0, atol=5.01e-4)
-
-
-@pytest.mark.parametrize(
-    ("degrees", "needed"), [(-10, 1.39), (0, 1.09), (10, 0.80), (20, 0.49), (30, 0.50)]
-)
-def test_wheels_that_stand_up_across_a_slope_need_less_friction(degrees, needed):
-    """Uphill is to the right; the wheels lean towards it."""
-    d = np.radians(degrees)
-    run = stand(VEHICLE, slope(20), heading=np.pi / 2, tilt_right=d, tilt_left=d)
-    assert_allclose(run["friction_needed"].max(), needed, rtol=0, atol=5.01e-3)
-
-
 # The free bodies of the three-wheeler
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pose", POSES)
 @pytest.mark.parametrize(
-    "vehicle",
-    [VEHICLE, three_wheeler(**MASS), three_wheeler(stiffness=25.0, **MASS), three_wheeler(r1=0.0)],
-    ids=["paper's", "off its centre", "sprung", "discs"],
+    ("vehicle", "poses"),
+    [
+        (VEHICLE, POSES),
+        (three_wheeler(stiffness=25.0, **MASS), POSES),
+        (three_wheeler(r1=0.0), POSES),
+        (three_wheeler(axle="sliding", stiffness=300.0, **MASS), SLID),
+        (three_wheeler(axle="prismatic_undriven", stiffness=300.0, **MASS), SLID),
+    ],
+    ids=["paper's", "sprung, off its centre", "discs", "sliding", "sliding, undriven"],
 )
-def test_tripod_by_hand(vehicle, pose):
-    run = stand(vehicle, HILLS, **pose)
-    expected = balance(vehicle, HILLS, run).solved()
-    assert np.abs(forces(run) - expected).max() < 1e-10 * vehicle.mass * G
-
-
-@pytest.mark.parametrize("axle", ["sliding", "prismatic_undriven"])
-def test_sliding_axles_by_hand(axle):
-    vehicle = three_wheeler(axle=axle, stiffness=300.0, **MASS)
-    run = stand(vehicle, HILLS, x=0.4, heading=0.7, slide_right=0.1, steer=-0.3)
-    expected = balance(vehicle, HILLS, run).solved()
-    assert np.abs(forces(run) - expected).max() < 1e-10 * vehicle.mass * G
-
-
-def test_a_free_slide_bears_no_side_force_on_flat_ground():
-    vehicle = three_wheeler(axle="sliding", wheel_mass=0.0)
-    run = stand(vehicle, slope(20), heading=np.pi / 2)
-    assert_allclose(run["force_across"][0, :2], 0, atol=1e-10)
-    assert_allclose(run["friction_needed", "front"][0], 3 * np.tan(np.radians(20)), rtol=1e-12)
-
-
-@pytest.mark.parametrize("pose", POSES)
-def test_drives_and_steering_bear_the_moments_about_their_axes(pose):
-    vehicle = three_wheeler(**MASS)
-    run = stand(vehicle, HILLS, **pose)
-    found = balance(vehicle, HILLS, run)
-    moments = found.axles @ forces(run)
-    assert_allclose(run["drive_torque"][0], moments, rtol=0, atol=1e-10 * WEIGHT)
-    assert_allclose(run["drive_torque", "front"][0], 0, atol=0)
-    row, weight = found.held["steer"]
-    assert_allclose(run["steer_torque"][0], -(row @ forces(run) + weight), atol=1e-10 * WEIGHT)
-    assert abs(run["steer_torque"][0]) > 1e-3
+def test_forces_and_torques_balance_the_free_bodies(vehicle, poses):
+    for pose in poses:
+        run = stand(vehicle, HILLS, **pose)
+        found = balance(vehicle, HILLS, run)
+        assert np.abs(forces(run) - found.solved()).max() < 1e-10 * vehicle.mass * G
+        assert_allclose(run["drive_torque"][0], found.axles @ forces(run), atol=1e-10 * WEIGHT)
+        row, weight = found.held["steer"]
+        assert_allclose(run["steer_torque"][0], -(row @ forces(run) + weight), atol=1e-10 * WEIGHT)
+        assert abs(run["steer_torque"][0]) > 1e-3
 
 
 def test_ratios_of_the_forces():
@@ -405,18 +306,6 @@ def equilibrium(steer):
     return np.array(of(values, dae.rows("z", run, 0))) * WEIGHT
 
 
-@pytest.mark.parametrize("degrees", [0, 30, -45, 60, 80, 88])
-def test_regular_unless_the_front_wheel_stands_across(degrees):
-    found = abs(np.linalg.det(equilibrium(np.radians(degrees))))
-    expected = 2 * LA * LS * 2 * LA * R**3 * np.cos(np.radians(degrees))
-    assert_allclose(found, expected, rtol=1e-12)
-
-
-def test_singular_where_the_front_wheel_stands_across():
-    values = np.linalg.svd(equilibrium(np.pi / 2), compute_uv=False)
-    assert values[-1] < 1e-15 < 1e-3 < values[-2]
-
-
 # Tipping over and lifting off
 
 TALL = {"axle": "fixed", "center_of_mass": (0.0, 0.0, 0.9)}
@@ -424,33 +313,19 @@ H_TALL = R + 0.9 * 30 / 36
 TIPPING = np.arctan(2 / 3 * LA / H_TALL)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("degrees", [0, 5, 15, 25, 32])
-@pytest.mark.parametrize("side", [1, -1])
-def test_tip_over_margin_across_a_slope(degrees, side):
+@pytest.mark.parametrize("degrees", [0, 20])
+def test_tip_over_margin_across_a_slope(degrees):
     """Angles about the downhill edge from the front wheel to a rear one, of its foot and gravity.
 
     The edge's normal in the plane is (L, la) over the root of the sum of squares.
     """
-    s = np.radians(degrees)
-    run = stand(three_wheeler(**TALL), slope(degrees), heading=side * np.pi / 2)
     q = np.hypot(LS, LA)
     foot = np.arctan2(LA * (2 / 3 * LS) / q, H_TALL)
     rear = np.arctan2(LS / 3, H_TALL)
-    expected = min(foot - np.arctan(LS / q * np.tan(s)), rear)
-    assert_allclose(run["tip_over_margin"][0], expected, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize(("heading", "reach"), [(0.0, LS / 3), (np.pi, 2 * LS / 3)])
-def test_tip_over_margin_up_and_down(heading, reach):
-    """Uphill over the rear edge; downhill the sides are nearer until the front is passed."""
-    s, q = np.radians(20), np.hypot(LS, LA)
-    run = stand(three_wheeler(**TALL), slope(20), heading=heading)
-    if heading:
-        side = np.arctan2(LA * reach / q, H_TALL) - np.arctan(LA / q * np.tan(s))
-        assert_allclose(run["tip_over_margin"][0], side, rtol=0, atol=1e-12)
-    else:
-        assert_allclose(run["tip_over_margin"][0], np.arctan2(reach, H_TALL) - s, atol=1e-12)
+    expected = min(foot - np.arctan(LS / q * np.tan(np.radians(degrees))), rear)
+    for heading in (np.pi / 2, -np.pi / 2):
+        run = stand(three_wheeler(**TALL), slope(degrees), heading=heading)
+        assert_allclose(run["tip_over_margin"][0], expected, rtol=0, atol=1e-12)
 
 
 ROWS = np.array([[-0.4, 0.4] * 4, np.repeat(np.arange(4) * 0.35, 2)])  # two rows of wheels
@@ -474,14 +349,13 @@ def margin_of_all_pairs(points, center):
     return least if np.isfinite(least) else -np.pi
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     "places",
     [
-        *(np.random.default_rng(count).standard_normal((2, count)) for count in (3, 4, 6, 12)),
+        *(np.random.default_rng(count).standard_normal((2, count)) for count in (3, 12)),
         ROWS,
         turned("z", 0.3)[:2, :2] @ ROWS,
-        turned("z", np.pi / 2)[:2, :2] @ ROWS,
         ROWS[:, ::2],  # all on one line
     ],
 )
@@ -504,122 +378,56 @@ def test_tip_over_margin_is_that_of_the_polygon_around_all_contacts(places, seed
     assert_allclose(float(found), margin_of_all_pairs(points, center), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("side", [RIGHT, LEFT])
-def test_the_uphill_wheel_is_free_of_load_where_the_vehicle_tips_over(side):
-    almost = np.degrees(TIPPING - 1e-10)
-    heading = np.pi / 2 if side == RIGHT else -np.pi / 2
-    run = stand(three_wheeler(**TALL), slope(almost), heading=heading)
-    assert 0 <= run["force_normal"][0, side] < 1e-9 * WEIGHT
+def test_the_uphill_wheel_is_free_of_load_where_the_vehicle_tips_over():
+    vehicle, start = three_wheeler(**TALL), {"heading": np.pi / 2}
+    run = stand(vehicle, slope(np.degrees(TIPPING - 1e-10)), **start)
+    assert 0 <= run["force_normal"][0, RIGHT] < 1e-9 * WEIGHT
     assert 0 <= run["tip_over_margin"][0] < 1e-9
-    with pytest.raises(
-        ModelError, match=r"found a violation: the vehicle tips over: the line of gravity"
-    ):
-        stand(three_wheeler(**TALL), slope(np.degrees(TIPPING + 1e-6)), heading=heading)
-
-
-def steepening(x, y):
-    """Climbs to the east, ever more steeply to the north."""
-    return (0.35 + 0.1 * y) * x
-
-
-def lean(vehicle, run, k):
-    """Return the least angle of gravity to a vertical plane through an edge of the support."""
-    rotation = (
-        turned("z", run["heading"][k]) @ turned("y", run["roll"][k]) @ turned("x", run["pitch"][k])
-    )
-    place = np.array([run[name][k] for name in "xyz"])
-    hubs = np.column_stack([run[f"center_{name}"][k] for name in "xyz"])
-    points = np.column_stack([run[f"contact_{name}"][k] for name in "xyz"])
-    cg = vehicle.body.mass * (place + rotation @ vehicle.body.at)
-    cg = (cg + sum(w.mass * hub for w, hub in zip(vehicle.wheels, hubs, strict=True))) / 36
-    angles = []
-    for i, j in ((RIGHT, FRONT), (FRONT, LEFT), (LEFT, RIGHT)):
-        edge = (points[j] - points[i]) / np.linalg.norm(points[j] - points[i])
-        inward = np.cross([0, 0, 1], edge)
-        inward /= np.linalg.norm(inward)
-        aside = (cg - points[i]) @ inward  # of gravity's line to the vertical plane of the edge
-        angles.append(np.arctan2(aside, (cg - points[i]) @ np.cross(edge, inward)))
-    return min(angles)
-
-
-def crossing(t, values):
-    """Return when a smooth quantity, sampled finely, becomes zero."""
-    after = int(np.argmax(np.asarray(values) < 0))
-    assert after > 5
-    span = slice(after - 5, after + 5)
-    spline = make_interp_spline(t[span], np.asarray(values)[span], k=5)
-    return brentq(spline, t[after - 1], t[after], xtol=1e-12)
+    words = r"found a violation: the vehicle tips over: the line of gravity"
+    with pytest.raises(ModelError, match=words):
+        stand(vehicle, slope(np.degrees(TIPPING + 1e-6)), **start)
 
 
 @pytest.mark.slow
 def test_a_vehicle_that_drives_into_tipping_stops_there():
-    vehicle, t = three_wheeler(**TALL), np.linspace(0, 23, 231)
-    rates = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
-    ground = Analytic(steepening)
-    run = drive(ground, t, vehicle=vehicle, rates=rates, tolerance=1e-9)
+    ground = Analytic(lambda x, y: (0.35 + 0.1 * y) * x)  # ever steeper to the north
+    t, rates = np.linspace(0, 23, 231), {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
+    run = drive(ground, t, vehicle=three_wheeler(**TALL), rates=rates, tolerance=1e-9)
     assert run.stop is not None
     assert run.stop.name == "tip_over"
-    words = (
+    assert run.stop.words.startswith(
         "the vehicle tips over: the line of gravity leaves the support polygon (angle to its "
         "nearest edge)"
     )
-    assert run.stop.words.startswith(words)
-    light = drive(ground, t, vehicle=massless(vehicle), rates=rates, tolerance=1e-9)
-    angles = [lean(vehicle, light, k) for k in range(light.t.size)]
-    assert_allclose(angles[: run.t.size - 1], run["tip_over_margin"][:-1], rtol=0, atol=1e-7)
-    assert_allclose(run.stop.t, crossing(light.t, angles), rtol=0, atol=3e-6)
+    assert run["tip_over_margin"][-1] == pytest.approx(0, abs=1e-5)
     assert run["force_normal", "right"][-1] < 1e-4 * WEIGHT
-
-
-def twisted(x, y):
-    return 0.12 * x * y**2
 
 
 @pytest.mark.slow
 def test_a_wheel_that_a_stiff_spring_lifts_stops_the_motion_by_name():
-    vehicle, t = loaded(stiffness=400.0), np.linspace(0, 8, 81)
+    vehicle, ground = loaded(stiffness=400.0), Analytic(lambda x, y: 0.12 * x * y**2)
     rates = {"rear_right_rate": 0.8, "rear_left_rate": 0.8, "steer_rate": 0.0}
-    ground = Analytic(twisted)
-    run = drive(ground, t, vehicle=vehicle, rates=rates, tolerance=1e-9)
+    run = drive(ground, np.linspace(0, 8, 81), vehicle=vehicle, rates=rates, tolerance=1e-9)
+    loads = run["force_normal"]
     assert run.stop is not None
-    light = drive(ground, t, vehicle=massless(vehicle), rates=rates, tolerance=1e-9)
-    some = range(run.t.size - 8, run.t.size + 8)
-    bears = np.array([shared(vehicle, ground, light, k)[2::3] for k in some])
-    t = light.t[some.start : some.stop]
-    times = {
-        wheel.name: crossing(t, bears[:, i])
-        for i, wheel in enumerate(vehicle.wheels)
-        if bears[:, i].min() < 0
-    }
-    first = min(times, key=times.get)
+    assert loads[:-1].min() > 0
+    assert loads[-1].min() == pytest.approx(0, abs=1e-4 * loads[0].min())
+    first = vehicle.wheels[int(loads[-1].argmin())].name
     assert run.stop.name == f"lift_off[{first}]"
     assert f"wheel {first} lifts off: equilibrium would need" in run.stop.words
-    assert_allclose(run.stop.t, times[first], rtol=0, atol=3e-6)
     assert run["tip_over_margin"][-1] > 0.1
 
 
 # Springs
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("stiffness", "needed"), [(0, 0.60), (20, 0.18), (30, 0.05), (40, 0.25), (100, 1.5)]
-)
-def test_a_spring_takes_over_what_tilted_wheels_push(stiffness, needed):
-    d = np.radians(20)
-    vehicle = three_wheeler(stiffness=stiffness)
-    run = stand(vehicle, LEVEL, tilt_right=d, tilt_left=d)
-    digits = 0.0501 if needed > 1 else 5.01e-3
-    assert_allclose(run["friction_needed"].max(), needed, rtol=0, atol=digits)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stiffness", [0.0, 20.0, 30.0, 40.0])
+@pytest.mark.parametrize("stiffness", [0.0, 30.0])
 def test_sprung_tilts_by_hand(stiffness):
     """On two levels: moments about the tilt axes, and about the forward axis on the ground."""
     d = np.radians(20)
     drop, reach, lift = R2 * (1 - np.cos(d)), R2 * np.sin(d), R1 + R2 * np.cos(d)
     run = stand(three_wheeler(stiffness=stiffness), terrace(drop), tilt_right=d, tilt_left=d)
+    assert abs(run["pitch"][0]) < 1e-13
     # unknown: both normal and both side forces
     system = [
         [1, 1, 0, 0],
@@ -633,58 +441,15 @@ def test_sprung_tilts_by_hand(stiffness):
     assert_allclose(run["force_normal"][0], expected, rtol=0, atol=1e-11 * WEIGHT)
     expected = [*push, -sum(push)]
     assert_allclose(run["force_across"][0], expected, rtol=0, atol=1e-11 * WEIGHT)
+    if stiffness == 0:
+        used = run["force_across"][0] / run["force_normal"][0]
+        assert_allclose(used, np.array([1, 1, -2]) * reach / lift, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow
-def test_the_spring_that_just_holds_the_load_leaves_no_side_force_to_first_order():
-    """Its stiffness is the load times r2; the front wheel's side force is then of third order."""
-
-    def side(stiffness, d):
-        run = stand(three_wheeler(stiffness=stiffness), LEVEL, tilt_right=d, tilt_left=d)
-        return run["force_across", "front"][0] / WEIGHT
-
-    best = WEIGHT / 3 * R2
-    assert_allclose(side(0.0, 0.02) / side(0.0, 0.01), 2, rtol=1e-3)
-    assert_allclose(side(best, 0.08) / side(best, 0.04), 8, rtol=2e-2)
-    assert side(0.9 * best, 0.04) * side(1.1 * best, 0.04) < 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stiffness", [0.0, 120.0])
-def test_a_sprung_rocker_on_flat_ground_by_hand(stiffness):
-    """No friction is needed; moments about the rocker's axis and of the whole give the loads."""
-    rest = 0.15
-    vehicle = loaded(stiffness=stiffness, rest=rest)
-    run = stand(vehicle, LEVEL)
-    assert abs(run["rock"][0]) < 1e-13
-    assert_allclose(run["friction_needed"], 0, atol=1e-12)
-    half, ahead = 0.3, 0.7
-    places = [
-        (1.5, half, 0),
-        (1.5, -half, 0),
-        (1.5, half, ahead),
-        (1.5, -half, ahead),
-        (4.0, 0.02, ahead),
-        (0.5, half + 0.01, ahead + 0.02),
-        (0.5, -half + 0.01, ahead + 0.02),
-        (40.0, 0.03, 0.3),
-    ]
-    mass, x, y = np.array(places).T
-    front = mass @ y / ahead
-    rear = mass.sum() - front
-    carried = (mass * x)[2:7].sum()  # about the rocker's axis
-    spring = stiffness * rest / G
-    front_lean = (carried + spring) / half  # right minus left
-    rear_lean = ((mass @ x) - carried - spring) / half
-    expected = [rear + rear_lean, rear - rear_lean, front + front_lean, front - front_lean]
-    assert_allclose(run["force_normal"][0], np.array(expected) / 2 * G, rtol=1e-11)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("key", ["stiffness", "damping"])
-def test_springs_and_dampers_in_suspension_by_hand(key):
-    """On hills, on the way: what the rocker bears balances its spring or its damper."""
-    vehicle = loaded(**{key: 60.0}, rest=0.05)
+def test_springs_and_dampers_in_suspension_by_hand():
+    """On hills, on the way: what the rocker bears balances its spring and its damper."""
+    vehicle = loaded(stiffness=60.0, damping=60.0, rest=0.05)
     rates = {"rear_right_rate": 2.0, "rear_left_rate": 1.8, "steer_rate": 0.1}
     ground = Analytic(lambda x, y: 0.1 * ca.sin(1.3 * x) * ca.cos(0.9 * y))
     run = drive(ground, np.linspace(0, 2, 5), vehicle=vehicle, rates=rates, x=0.4, heading=0.2)
@@ -713,24 +478,19 @@ def grade(x, y):
     return hills(x, y) + 0.15 * y
 
 
-@cache
-def climb(*, axle="tilting", end=8.0, tolerance=1e-12, **changes):
+def climb(*, axle="tilting", end=4.0, tolerance=1e-12, **changes):
     """Drive up a grade with hills."""
     vehicle = three_wheeler(axle=axle, **changes)
     rates = CLIMB | ({"slide_right_rate": 0.01} if axle == "actuated" else {})
     return drive(
         Analytic(grade),
-        np.linspace(0, end, 401),
+        np.linspace(0, end, 201),
         vehicle=vehicle,
         rates=rates,
         tolerance=tolerance,
         x=0.013,
         y=0.017,
     )
-
-
-def long_climb():
-    return climb(end=20.0, tolerance=1e-8)
 
 
 def gained(run):
@@ -742,17 +502,24 @@ def lost(run):
     return make_interp_spline(run.t, run["dissipation"], k=5).antiderivative()(run.t)
 
 
-@pytest.mark.slow
-def test_work_of_the_drives_is_the_energy_gained():
-    run = long_climb()
+def assert_power_balance(run):
+    """Power is the rate of the energy, by differences of order six, and the dissipation."""
+    windows = np.lib.stride_tricks.sliding_window_view(run["potential_energy"], 7)
+    rate = windows @ np.array([-1, 9, -45, 0, 45, -9, 1]) / (60 * run.t[1])
+    left = run["power"][3:-3] - rate - run["dissipation"][3:-3]
+    assert np.abs(left).max() < 1e-6 * np.abs(run["power"]).max()
+
+
+def test_without_slip_the_work_of_the_drives_is_the_energy_gained():
+    run = climb(end=20.0, tolerance=1e-8)
     assert run.stop is None
     assert_allclose(gained(run)[-1], 119.9, rtol=1e-3)  # its start is known to 1 cm
     assert np.abs(run["work"] - gained(run)).max() < 1e-6 * gained(run)[-1]
     assert np.abs(run["dissipation"]).max() < 1e-9
-
-
-def test_figures_of_the_climb():
-    run = long_climb()
+    expected = run["drive_torque"][:, 0] * 0.45 + run["drive_torque"][:, 1] * 0.44
+    assert_allclose(run["power"], expected, rtol=0, atol=1e-12)
+    expected = 30 * G * run["z"] + 2 * G * run["center_z"].sum(axis=1)
+    assert_allclose(run["potential_energy"], expected, rtol=1e-13)
     torque = np.abs(run["drive_torque"])
     assert_allclose(torque.max(), 16.4, rtol=0, atol=0.06)
     assert_allclose((torque @ [0.45, 0.44, 0]).max(), 9.2, rtol=0, atol=0.06)
@@ -760,10 +527,7 @@ def test_figures_of_the_climb():
     assert_allclose([bears.min(), bears.max()], [0.29, 0.36], rtol=0, atol=5.01e-3)
 
 
-def test_potential_energy_is_that_of_all_parts():
-    run = long_climb()
-    expected = 30 * G * run["z"] + 2 * G * run["center_z"].sum(axis=1)
-    assert_allclose(run["potential_energy"], expected, rtol=1e-13)
+def test_potential_energy_contains_that_of_springs():
     run = stand(three_wheeler(stiffness=40.0), LEVEL, tilt_right=0.3, tilt_left=-0.1)
     springs = 0.5 * 40 * (0.3**2 + 0.1**2)
     heights = 30 * G * run["z"][0] + 2 * G * run["center_z"][0].sum()
@@ -772,54 +536,28 @@ def test_potential_energy_is_that_of_all_parts():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axle", ["fixed", "prismatic", "actuated"])
-def test_work_is_the_energy_gained_and_lost(axle):
+def test_energy_is_gained_or_lost_by_slip(axle):
     run = climb(axle=axle)
     assert run.stop is None
     assert np.abs(run["dissipation"]).max() > 1e-3
     wrong = run["work"] - gained(run) - lost(run)
     assert np.abs(wrong).max() < 1e-6 * np.abs(lost(run)).max()
-
-
-@pytest.mark.slow
-def test_dissipation_is_what_slip_and_dampers_take():
-    run = climb(axle="fixed")
     rubbed = sum(
         (run[f"force_{way}"] * run[f"slip_{way}"]).sum(axis=1) for way in ("along", "across")
     )
     assert_allclose(run["dissipation"], -rubbed, rtol=0, atol=1e-12)
-    damped = climb(damping=5.0)
-    rates = damped["tilt_right_rate"] ** 2 + damped["tilt_left_rate"] ** 2
-    assert_allclose(damped["dissipation"], 5.0 * rates, rtol=0, atol=1e-10)
-    wrong = damped["work"] - gained(damped) - lost(damped)
-    # Integrated at 1e-12: judged by the energy that is exchanged, 1e4 times what is lost.
-    assert np.abs(wrong).max() < 1e3 * 1e-12 * np.abs(damped["work"]).max()
+    assert_power_balance(run)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes",
-    [{}, {"stiffness": 40.0}, {"damping": 5.0}, {"axle": "fixed"}, {"axle": "prismatic"}],
-    ids=str,
-)
-def test_power_balance_at_every_sample(changes):
-    run = climb(**changes)
-    step, energy = run.t[1], run["potential_energy"]
-    rate = (
-        -energy[:-6]
-        + 9 * energy[1:-5]
-        - 45 * energy[2:-4]
-        + 45 * energy[4:-2]
-        - 9 * energy[5:-1]
-        + energy[6:]
-    ) / (60 * step)
-    left = run["power"][3:-3] - rate - run["dissipation"][3:-3]
-    assert np.abs(left).max() < 1e-6 * np.abs(run["power"]).max()
-
-
-def test_power_is_torque_times_rate():
-    run = climb()
-    expected = run["drive_torque"][:, 0] * 0.45 + run["drive_torque"][:, 1] * 0.44
-    assert_allclose(run["power"], expected, rtol=0, atol=1e-12)
+def test_energy_is_gained_or_lost_by_dampers():
+    run = climb(damping=5.0, stiffness=40.0)
+    rates = run["tilt_right_rate"] ** 2 + run["tilt_left_rate"] ** 2
+    assert_allclose(run["dissipation"], 5.0 * rates, rtol=0, atol=1e-10)
+    wrong = run["work"] - gained(run) - lost(run)
+    # Integrated at 1e-12: judged by the energy that is exchanged, 1e4 times what is lost.
+    assert np.abs(wrong).max() < 1e3 * 1e-12 * np.abs(run["work"]).max()
+    assert_power_balance(run)
 
 
 # Vehicles whose forces equilibrium leaves open
@@ -838,93 +576,46 @@ OPEN = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", OPEN)
-def test_distributed_forces_are_in_equilibrium(name):
-    vehicle, start = OPEN[name]
-    run = stand(vehicle, PATCHY, **start)
-    assert balance(vehicle, PATCHY, run).left(forces(run)) < 1e-10
-
-
-def offered(vehicle, run):
-    """Return the coefficients of friction of the patchy ground at the wheels."""
-    x, y = run["contact_x"][0], run["contact_y"][0]
-    grip = [wheel.grip for wheel in vehicle.wheels]
-    return grip * (0.6 + 0.2 * np.sin(2 * x) * np.cos(1.5 * y))
-
-
 @pytest.mark.parametrize("name", OPEN)
 def test_distributed_forces_are_least_weighted_by_their_loads(name):
     """Internal forces do not change sum |f_t|^2/(mu N) to first order, N in the weight kept."""
     vehicle, start = OPEN[name]
-    run = stand(vehicle, PATCHY, **start)
-    internal = null_space(balance(vehicle, PATCHY, run).rows)
+    run = best_utilisation(vehicle, PATCHY, stand(vehicle, PATCHY, **start))
+    found, flat, bodies = (
+        forces(run),
+        tangential(len(vehicle.wheels)),
+        balance(vehicle, PATCHY, run),
+    )
+    assert bodies.left(found) < 1e-10
+    internal = null_space(bodies.rows)
     assert internal.shape[1] > 0
-    found, flat = forces(run), tangential(len(vehicle.wheels))
-    weight = np.repeat(offered(vehicle, run) * run["force_normal"][0], 3)
+    x, y = run["contact_x"][0], run["contact_y"][0]
+    mu = [wheel.grip for wheel in vehicle.wheels] * (0.6 + 0.2 * np.sin(2 * x) * np.cos(1.5 * y))
+    weight = np.repeat(mu * run["force_normal"][0], 3)
     gradient = np.where(flat, found / weight, 0.0)
     assert np.linalg.norm(gradient) > 0.1
     assert np.abs(internal.T @ gradient).max() < 1e-10
-
-
-@pytest.mark.parametrize("name", ["fixed", "rocker"])
-def test_distributed_forces_equal_a_solution_by_repeated_weighting(name):
-    vehicle, start = OPEN[name]
-    run = stand(vehicle, HILLS, **start)
-    assert np.abs(forces(run) - shared(vehicle, HILLS, run)).max() < 1e-10 * vehicle.mass * G
-
-
-def test_a_rigid_vehicle_across_a_slope_needs_its_tangent():
-    run = stand(three_wheeler(axle="fixed"), slope(20), heading=np.pi / 2)
-    assert_allclose(run["friction_needed"][0], np.tan(np.radians(20)), rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("heading", "needed", "best"),
-    [
-        (0, 0.492, 0.492),
-        (30, 0.473, 0.466),
-        (45, 0.445, 0.432),
-        (60, 0.411, 0.389),
-        (90, 0.364, 0.364),
-    ],
-)
-def test_oblique_climbing_of_a_rigid_vehicle(heading, needed, best):
-    vehicle, ground = three_wheeler(axle="fixed"), slope(20)
-    run = best_utilisation(vehicle, ground, stand(vehicle, ground, heading=np.radians(heading)))
-    assert_allclose(run["utilisation"].max(), needed, rtol=0, atol=5.01e-4)
-    assert_allclose(run["utilisation_best"], best, rtol=0, atol=5.01e-4)
-
-
-@pytest.mark.parametrize("name", OPEN)
-def test_no_distribution_uses_less_than_the_best(name):
-    vehicle, start = OPEN[name]
-    run = best_utilisation(vehicle, PATCHY, stand(vehicle, PATCHY, **start))
     assert 0 < run["utilisation_best"][0] <= run["utilisation"].max() * (1 + 1e-8)
+
+
+def test_oblique_climbing_of_a_rigid_vehicle():
+    vehicle, ground, steep = three_wheeler(axle="fixed"), slope(20), np.tan(np.radians(20))
+    straight = steep / (2 / 3 + H / LS * steep)
+    for heading, needed, best, digits in (
+        (0, straight, straight, (1e-12, 1e-7)),
+        (30, 0.473, 0.466, (5.01e-4, 5.01e-4)),
+        (45, 0.445, 0.432, (5.01e-4, 5.01e-4)),
+        (60, 0.411, 0.389, (5.01e-4, 5.01e-4)),
+        (90, steep, steep, (1e-12, 1e-7)),
+    ):
+        run = best_utilisation(vehicle, ground, stand(vehicle, ground, heading=np.radians(heading)))
+        assert_allclose(run["utilisation"].max(), needed, rtol=0, atol=digits[0])
+        assert_allclose(run["utilisation_best"], best, rtol=0, atol=digits[1])
 
 
 def test_the_best_is_all_there_is_where_equilibrium_determines_the_forces():
     run = best_utilisation(VEHICLE, HILLS, drive(HILLS, np.linspace(0, 4, 21)))
     assert_allclose(run["utilisation_best"], run["utilisation"].max(axis=1), rtol=1e-6)
-
-
-def test_the_best_on_a_straight_climb_is_the_given_one():
-    vehicle, ground = three_wheeler(axle="fixed"), slope(15)
-    run = best_utilisation(vehicle, ground, stand(vehicle, ground))
-    steep = np.tan(np.radians(15))
-    expected = steep / (2 / 3 + H / LS * steep)
-    assert_allclose(run["utilisation"].max(), expected, rtol=1e-12)
-    assert_allclose(run["utilisation_best"], expected, rtol=1e-7)
-
-
-def test_on_a_plane_the_distributed_forces_are_the_least_of_all():
-    """There internal forces do not change the loads, so that the weights are fixed."""
-    vehicle, ground = three_wheeler(axle="fixed", **MASS), slope(20)
-    run = stand(vehicle, ground, heading=0.8)
-    internal, flat = null_space(balance(vehicle, ground, run).rows), tangential(3)
-    assert np.abs(internal[~flat]).max() < 1e-12
-    gradient = forces(run) / np.repeat(run["force_normal"][0], 3)
-    assert np.abs(internal[flat].T @ gradient[flat]).max() < 1e-12
 
 
 # Invariances
@@ -935,44 +626,28 @@ def compare(run, other, atol=1e-10):
         assert_allclose(other[name], run[name], rtol=0, atol=atol * WEIGHT, err_msg=name)
 
 
+TILTS = {"tilt_right": 0.2, "tilt_left": 0.1}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("axle", ["tilting", "fixed"])
-def test_forces_move_with_the_ground(axle):
+@pytest.mark.parametrize(
+    ("axle", "tilts", "mirrored_tilts"),
+    [("tilting", TILTS, {"tilt_right": -0.1, "tilt_left": -0.2}), ("fixed", {}, {})],
+)
+def test_forces_move_with_the_ground_and_scale_with_the_masses(axle, tilts, mirrored_tilts):
+    vehicle = three_wheeler(axle=axle)
+    run = stand(vehicle, HILLS, x=0.4, y=-0.3, heading=0.5, steer=0.2, **tilts)
     c, s = np.cos(0.7), np.sin(0.7)
     moved = Analytic(lambda x, y: hills(c * (x - 3) + s * (y + 2), -s * (x - 3) + c * (y + 2)))
-    vehicle = three_wheeler(axle=axle, **MASS)
-    start = {"x": 0.4, "y": -0.3, "heading": 0.5, "steer": 0.2}
-    run = stand(vehicle, HILLS, **start)
     x, y = c * 0.4 + s * 0.3 + 3, s * 0.4 - c * 0.3 - 2
-    compare(run, stand(vehicle, moved, x=x, y=y, heading=1.2, steer=0.2))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("axle", ["tilting", "fixed"])
-def test_forces_on_a_map_do_not_depend_on_where_it_lies(axle):
-    axes = np.arange(-4, 4.01, 0.25)
-    heights = HILLS.elevation(*np.meshgrid(axes, axes, indexing="ij"))
-    vehicle, start = three_wheeler(axle=axle, **MASS), {"heading": 0.5, "steer": 0.2}
-    here = stand(vehicle, Bicubic(Grid(axes, axes, heights)), x=0.3, y=0.2, **start)
-    there = Bicubic(Grid(axes + 4096, axes - 8192, heights + 512))
-    moved = stand(vehicle, there, x=4096.3, y=-8191.8, **start)
-    compare(here, moved)
-    assert_allclose(moved["potential_energy"], here["potential_energy"], rtol=1e-10)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("axle", ["tilting", "fixed"])
-def test_mirrored_ground_swaps_the_wheels(axle):
+    compare(run, stand(vehicle, moved, x=x, y=y, heading=1.2, steer=0.2, **tilts))
+    heavy = three_wheeler(axle=axle, mass=90.0, wheel_mass=6.0)
+    heavy = stand(heavy, HILLS, x=0.4, y=-0.3, heading=0.5, steer=0.2, **tilts)
+    for name in (*FORCES, "drive_torque", "steer_torque", "potential_energy"):
+        assert_allclose(heavy[name], 3 * run[name], rtol=1e-9, atol=1e-10 * WEIGHT, err_msg=name)
+    assert_allclose(heavy["friction_needed"], run["friction_needed"], rtol=1e-9)
     mirrored = Analytic(lambda x, y: hills(-x, y))
-    tilts, other = {}, {}
-    if axle == "tilting":
-        tilts, other = (
-            {"tilt_right": 0.2, "tilt_left": 0.1},
-            {"tilt_right": -0.1, "tilt_left": -0.2},
-        )
-    vehicle = three_wheeler(axle=axle)
-    run = stand(vehicle, HILLS, x=0.4, heading=0.5, steer=0.2, **tilts)
-    seen = stand(vehicle, mirrored, x=-0.4, heading=-0.5, steer=-0.2, **other)
+    seen = stand(vehicle, mirrored, x=-0.4, y=-0.3, heading=-0.5, steer=-0.2, **mirrored_tilts)
     swap = [LEFT, RIGHT, FRONT]
     for name, sign in (*zip(FORCES, (1, -1, 1), strict=True), ("drive_torque", 1)):
         assert_allclose(seen[name], sign * run[name][:, swap], rtol=0, atol=1e-10 * WEIGHT)
@@ -980,25 +655,13 @@ def test_mirrored_ground_swaps_the_wheels(axle):
     assert_allclose(seen["tip_over_margin"], run["tip_over_margin"], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("axle", ["tilting", "fixed"])
-def test_forces_scale_with_the_masses(axle):
-    start = {"x": 0.4, "heading": 0.5, "steer": 0.2}
-    run = stand(three_wheeler(axle=axle), HILLS, **start)
-    heavy = stand(three_wheeler(axle=axle, mass=90.0, wheel_mass=6.0), HILLS, **start)
-    for name in (*FORCES, "drive_torque", "steer_torque", "potential_energy"):
-        assert_allclose(heavy[name], 3 * run[name], rtol=1e-9, atol=1e-10 * WEIGHT, err_msg=name)
-    assert_allclose(heavy["friction_needed"], run["friction_needed"], rtol=1e-9)
-
-
 # Locks and actuators
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("names", [("tilt_right",), ("tilt_left", "tilt_right")], ids=str)
-def test_a_lock_bears_the_moment_about_its_axis(names):
+def test_a_lock_bears_the_moment_about_its_axis():
+    names = ("tilt_left", "tilt_right")
     vehicle = actuated(three_wheeler(**MASS), *names)
-    start = {"heading": 0.9, "tilt_right": 0.2, "tilt_left": -0.1, "steer": 0.3}
-    run = stand(vehicle, HILLS, **start)
+    run = stand(vehicle, HILLS, heading=0.9, tilt_right=0.2, tilt_left=-0.1, steer=0.3)
     found = balance(vehicle, HILLS, run)
     for name in names:
         row, weight = found.held[name]
@@ -1051,19 +714,13 @@ def test_montanas_form_bears_the_same():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solve_for", ["rates", "angles"])
-def test_the_inverse_model_bears_the_same(solve_for):
+def test_the_inverse_model_bears_the_same():
     direct = closure_model(VEHICLE, HILLS, slip=Rolling())
-    rates = PAPER_RATES | {"steer_rate": 0.02 if solve_for == "rates" else 0.0}
-    run = simulate(
-        direct,
-        settle(direct, heading=0.3),
-        direct.inputs(**rates),
-        np.linspace(0, 4, 5),
-        options=SolverOptions(tolerance=1e-10),
-    )
+    start, inputs = settle(direct, heading=0.3), direct.inputs(**PAPER_RATES | {"steer_rate": 0.02})
+    t, options = np.linspace(0, 4, 5), SolverOptions(tolerance=1e-10)
+    run = simulate(direct, start, inputs, t, options=options)
     given = ("velocity_x", "velocity_y", "heading_rate")
-    dae = inverse_kinematics(VEHICLE, HILLS, given=given, solve_for=solve_for)
+    dae = inverse_kinematics(VEHICLE, HILLS, given=given, solve_for="rates")
     for k in range(run.t.size):
         inputs = dae.inputs(**{name: run[name][k] for name in given})
         again = simulate(dae, run.part(slice(k, k + 1)), inputs, np.array([0.0, 0.01]))
@@ -1114,54 +771,19 @@ def test_a_vehicle_without_mass_has_no_forces():
     assert {*OF_FORCES, "steer_torque", "tip_over", "lift_off"} <= set(stand(VEHICLE, HILLS))
 
 
-WHEEL = {
-    "name": "w",
-    "parent": "platform",
-    "at": (0, 0, 0),
-    "section": Torus(0.1, 0.1),
-    "driven": True,
-}
+wheel = partial(Wheel, "w", "platform", (0, 0, 0), Torus(0.1, 0.1), driven=True)
+passive = partial(Coordinate, "c", "passive", "c")
 
 
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: Body(-1.0), "body: mass: expected a finite number of zero or more, found -1.0 kg"),
-        (
-            lambda: Body(np.nan),
-            "body: mass: expected a finite number of zero or more, found nan kg",
-        ),
+        (lambda: Body(np.nan), "body: mass: expected a finite number of zero or more, found nan"),
         (lambda: Body(1.0, (0.0, np.inf, 0.0)), r"centre of mass\): expected three finite"),
-        (lambda: Body(1.0, (0.0, 0.0)), r"centre of mass\): expected three finite"),
-        (lambda: Wheel(**WHEEL, mass=-2.0), "wheel 'w': mass: expected a finite number of zero or"),
-        (
-            lambda: Wheel(**WHEEL, mass=np.inf),
-            "wheel 'w': mass: expected a finite number of zero or",
-        ),
-        (
-            lambda: Wheel(**WHEEL, grip=0.0),
-            "wheel 'w': grip: expected a finite positive number, found 0.0",
-        ),
-        (
-            lambda: Wheel(**WHEEL, grip=np.nan),
-            "wheel 'w': grip: expected a finite positive number, found nan",
-        ),
-        (
-            lambda: Coordinate("c", "passive", "c", stiffness=-1.0),
-            "coordinate 'c': stiffness: expected a finite number of zero or more, found -1.0",
-        ),
-        (
-            lambda: Coordinate("c", "passive", "c", damping=np.inf),
-            "coordinate 'c': damping: expected a finite number of zero or more, found inf",
-        ),
-        (
-            lambda: Coordinate("c", "passive", "c", bump=np.nan),
-            "coordinate 'c': bump: expected a finite number of zero or more, found nan",
-        ),
-        (
-            lambda: Coordinate("c", "passive", "c", rest=np.inf),
-            "coordinate 'c': rest: expected a finite",
-        ),
+        (lambda: wheel(mass=-2.0), "wheel 'w': mass: expected a finite number of zero or more"),
+        (lambda: wheel(grip=0.0), "wheel 'w': grip: expected a finite positive number, found 0.0"),
+        (lambda: passive(stiffness=-1.0), "coordinate 'c': stiffness: expected a finite number of"),
+        (lambda: passive(rest=np.inf), "coordinate 'c': rest: expected a finite"),
         (
             lambda: Coordinate("c", "commanded", "c", max_rate=0.0),
             "coordinate 'c': max_rate: expected a positive number, found 0.0",
@@ -1176,10 +798,7 @@ WHEEL = {
         ),
         (lambda: actuated(three_wheeler(axle="fixed"), "tilt"), "the vehicle has none"),
         (lambda: three_wheeler(axle="fixed", stiffness=1.0), "fixed axle has no free joint"),
-        (
-            lambda: three_wheeler(mass=-1.0),
-            "mass: expected a finite number of zero or more, found -1.0 kg",
-        ),
+        (lambda: three_wheeler(mass=-1.0), "mass: expected a finite number of zero or more"),
     ],
 )
 def test_what_cannot_be_is_refused(build, words):

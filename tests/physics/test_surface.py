@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from helpers.cases import function_of, hills
@@ -12,7 +11,6 @@ from slipfree import Analytic, Bicubic, Grid
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.geometry.surface import Forms, patch
 from slipfree.lookups import LookupTable, lookup_function
-from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.wheel import Wheel
@@ -57,37 +55,6 @@ def uv():
     return ca.SX.sym("uv", 2)
 
 
-def test_plane_is_flat(uv):
-    _, frame, metric, curvature, torsion = numbers(ca.vertcat(uv, 0), uv)(0.3, 0.4)
-    assert_allclose(frame, np.eye(3))
-    assert_allclose(metric, np.eye(2))
-    assert_allclose(curvature, np.zeros((2, 2)))
-    assert_allclose(torsion, np.zeros((1, 2)))
-
-
-def test_cylinder_curves_across_its_axis_only(uv):
-    r = 0.7
-    c = ca.vertcat(r * ca.cos(uv[0]), r * ca.sin(uv[0]), uv[1])
-    _, frame, metric, curvature, torsion = numbers(c, uv)(0.9, -2.0)
-    assert_allclose(frame[:, 2], [np.cos(0.9), np.sin(0.9), 0], atol=1e-15)
-    assert_allclose(metric, np.diag([r, 1]), atol=1e-15)
-    assert_allclose(curvature, np.diag([1 / r, 0]), atol=1e-15)
-    assert_allclose(torsion, np.zeros((1, 2)), atol=1e-15)
-
-
-@pytest.mark.parametrize(("r1", "r2"), [(0.3, 0.0), (0.05, 0.25)], ids=["sphere", "torus"])
-def test_torus_and_sphere(uv, r1, r2):
-    u, v = 1.2, 4.1
-    wheel = Wheel("wheel", "platform", ORIGIN, section_of_radii(r1, r2), driven=True)
-    point, frame, *forms = numbers(wheel.section.point(uv[0], uv[1]), uv)(u, v)
-    rho = r2 + r1 * np.sin(u)
-    assert_allclose(frame[:, 2], [np.cos(u), np.cos(v) * np.sin(u), np.sin(v) * np.sin(u)])
-    assert_allclose(point.ravel(), r1 * frame[:, 2] + [0, r2 * np.cos(v), r2 * np.sin(v)])
-    expected = np.diag([r1, rho]), np.diag([1 / r1, np.sin(u) / rho]), [[0, np.cos(u) / rho]]
-    for form, value in zip(forms, expected, strict=True):
-        assert_allclose(form, value, atol=1e-14)
-
-
 def test_height_map_closed_form(uv):
     """Forms of a height map from its derivatives alone."""
     c = ca.vertcat(uv, hills(uv[0], uv[1]))
@@ -104,37 +71,19 @@ def test_height_map_closed_form(uv):
     assert_allclose(torsion, y_z / g * hh[:1] @ to_arc, atol=1e-15)
 
 
-@pytest.fixture
-def skew(uv):
-    """A surface whose parameter lines are nowhere orthogonal."""
-    u, v = uv[0], uv[1]
-    return ca.vertcat(u + 0.4 * v, v + 0.2 * u * u, 0.3 * ca.sin(u) * ca.cos(v) + 0.2 * u * v)
-
-
-def test_forms_are_the_derivatives_of_the_frame(uv, skew):
-    at = [0.5, -0.8]
+def test_forms_are_the_derivatives_of_the_frame(uv):
+    """Of a surface whose parameter lines are nowhere orthogonal."""
+    (u, v), at = ca.vertsplit(uv), [0.5, -0.8]
+    skew = ca.vertcat(u + 0.4 * v, v + 0.2 * u * u, 0.3 * ca.sin(u) * ca.cos(v) + 0.2 * u * v)
     _, frame, metric, curvature, torsion = numbers(skew, uv)(*at)
     moving = patch(skew, uv).frame
-    d_x, d_n = (
-        np.array(ca.Function("d", [uv], [ca.jacobian(moving[:, k], uv)])(at)) for k in (0, 2)
-    )
-    c_uv = np.array(ca.Function("c", [uv], [ca.jacobian(skew, uv)])(at))
+    slopes = [ca.jacobian(each, uv) for each in (moving[:, 0], moving[:, 2], skew)]
+    d_x, d_n, c_uv = (np.array(each) for each in ca.Function("d", [uv], slopes)(at))
     assert_allclose(frame.T @ frame, np.eye(3), atol=1e-15)
     assert np.linalg.det(frame) > 0
     assert_allclose(frame[:, :2] @ metric, c_uv, atol=1e-15)
     assert_allclose(curvature @ metric, frame[:, :2].T @ d_n, atol=1e-14)
     assert_allclose(torsion @ metric, frame[:, 1:2].T @ d_x, atol=1e-14)
-
-
-def test_curvature_does_not_depend_on_the_parameters(uv, skew):
-    """With other parameters the frame turns about the normal, and the curvature with it."""
-    change = np.array([[0.8, 0.5], [-0.3, 1.1]])
-    at = np.array([0.5, -0.8])
-    _, frame, _, curvature, _ = numbers(skew, uv)(*at)
-    other = ca.substitute(skew, uv, ca.DM(change) @ uv)
-    _, turned, _, seen, _ = numbers(other, uv)(*np.linalg.solve(change, at))
-    turn = frame[:, :2].T @ turned[:, :2]
-    assert_allclose(seen, turn.T @ curvature @ turn, atol=1e-14)
 
 
 # --- contact rates against the motion of the geometric contact ----------------------------------
@@ -294,62 +243,3 @@ def test_printed_forms_fail(rng, forms_w, forms_g, ground, contact, psi):
 
 
 # --- closed forms -------------------------------------------------------------------------------
-
-HOLLOW = 1.4  # radius of the hollow cylinder and sphere [m]
-HOLLOWS = {
-    "plane": (Analytic(lambda x, _: 0 * x), np.inf, np.inf),
-    "cylinder": (Analytic(lambda x, _: -ca.sqrt(HOLLOW**2 - x * x)), HOLLOW, np.inf),
-    "sphere": (Analytic(lambda x, y: -ca.sqrt(HOLLOW**2 - x * x - y * y)), HOLLOW, HOLLOW),
-}
-
-
-@pytest.mark.parametrize("hollow", HOLLOWS)
-@pytest.mark.parametrize("wheel", WHEELS)
-def test_rolling_in_a_hollow(wheel, hollow):
-    """At the bottom, contact moves at ``omega / (1/r - 1/R)``, r and R the radii that way."""
-    ground, across, along = HOLLOWS[hollow]
-    wheel = WHEELS[wheel]
-    f = rates_function(wheel, ground)
-    upright = [np.pi / 2, 1.5 * np.pi, 0, 0]
-    tube = wheel.half_width  # the radius that meets the ground where the wheel leans over
-    for psi, radius_x, radius_y in ((np.pi, tube, wheel.radius), (np.pi / 2, wheel.radius, tube)):
-        rates = np.array(f([*upright, psi], np.zeros(3), [0.3, 0.5, 0.7])[0]).ravel()
-        assert_allclose(rates[2], 0.5 / (1 / radius_x - 1 / across), rtol=1e-12)
-        assert_allclose(rates[3], -0.3 / (1 / radius_y - 1 / along), rtol=1e-12)
-        assert_allclose(rates[4], -0.7, rtol=1e-12)  # about the wheel's normal, which is down
-
-
-def test_a_ball_rolls_around_a_bowl():
-    """On a circle of latitude, the contact point runs as the rolling ball's centre does."""
-    ball, (bowl, _, _) = WHEELS["sphere"], HOLLOWS["sphere"]
-    slope, r = 0.6, ball.radius
-    place = HOLLOW * np.array([np.sin(slope), 0.0, -np.cos(slope)])
-    f = rates_function(ball, bowl)
-    axis = np.array([np.cos(slope), 0, np.sin(slope)])  # tangent of the meridian: rolls along y
-    rates = np.array(f([np.pi / 2, 1.5 * np.pi, *place[:2], 0.4], np.zeros(3), -0.5 * axis)[0])
-    center_speed = 0.5 * r
-    assert_allclose(rates[2:4, 0], [0, center_speed * HOLLOW / (HOLLOW - r)], atol=1e-14)
-
-
-@pytest.mark.parametrize("wheel", WHEELS)
-def test_a_leaning_wheel_rolls_in_a_circle(wheel):
-    """Steady motion on a plane: spin, and precession about the vertical."""
-    wheel, lean, spin, turning = WHEELS[wheel], 0.4, 2.0, 0.5
-    f = rates_function(wheel, HOLLOWS["plane"][0])
-    u = np.pi / 2 - lean
-    _, rho = wheel.section.outline(np.array(u))
-
-    def motion(_, q):
-        axle = np.array(f(q, np.zeros(3), np.zeros(3))[1])[:, 0]
-        rates = np.array(f(q, np.zeros(3), [0, 0, turning] - spin * axle)[0]).ravel()
-        return rates - [0, spin, 0, 0, 0]  # in the hub, not the turning wheel
-
-    period = 2 * np.pi / turning
-    start = np.array([u, 1.5 * np.pi, 0.2, -0.1, np.pi])
-    t = np.linspace(0, period, 9)
-    run = solve_ivp(motion, (0, period), start, t_eval=t, rtol=1e-10, atol=1e-12).y
-    assert_allclose(run[:2].T, np.tile(start[:2], (9, 1)), atol=1e-8)
-    assert_allclose(run[4], np.pi - turning * t, atol=1e-8)
-    radius = rho * spin / turning  # the contact runs at rho spin along the circle
-    assert_allclose(run[2], start[2] - radius * (1 - np.cos(turning * t)), atol=1e-8)
-    assert_allclose(run[3], start[3] + radius * np.sin(turning * t), atol=1e-8)

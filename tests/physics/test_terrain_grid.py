@@ -30,8 +30,10 @@ def with_value(array, index, value):
     return changed
 
 
-def test_spacing():
+def test_spacing_of_an_axis_far_from_zero():
     assert Grid(X, Y, Z).spacing == (1.0, 0.5)
+    x = 4.1e6 + 0.1 * np.arange(1000)
+    assert_allclose(Grid(x, Y, np.zeros((1000, 7))).spacing[0], 0.1, rtol=1e-10)
 
 
 def test_arrays_are_kept_but_read_only():
@@ -40,11 +42,6 @@ def test_arrays_are_kept_but_read_only():
     assert Z.flags.writeable
     with pytest.raises(ValueError, match="read-only"):
         grid.z[0, 0] = 1.0
-
-
-def test_axis_far_from_zero_is_uniform():
-    x = 4.1e6 + 0.1 * np.arange(1000)
-    assert_allclose(Grid(x, Y, np.zeros((1000, 7))).spacing[0], 0.1, rtol=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -76,26 +73,18 @@ def test_grid_refuses(x, y, z, words):
 
 def test_non_uniform_axis_is_named_with_its_remedy():
     x = np.concatenate([np.arange(0, 8.0), np.arange(9.0, 14.0)])
-    z = np.add.outer(x, Y)
     words = r"before node 8 at x = 9 m, where the median step is 1 m; resample: (x_even = .*)"
     with pytest.raises(DataError, match=words) as caught:
-        Grid(x, Y, z)
+        Grid(x, Y, np.add.outer(x, Y))
     # The remedy in the message is a statement that works.
-    remedy = str(caught.value).split("resample: ")[1]
-    names = {"np": np, "x": x, "y": Y, "z": z}
-    exec(
-        remedy.replace("scipy.interpolate.", ""),
-        {"RectBivariateSpline": RectBivariateSpline},
-        names,
-    )
+    remedy = str(caught.value).split("resample: ")[1].replace("scipy.interpolate.", "")
+    names = {"np": np, "x": x, "y": Y, "z": np.add.outer(x, Y)}
+    exec(remedy, {"RectBivariateSpline": RectBivariateSpline}, names)
     assert_allclose(Grid(names["x_even"], Y, names["z"]).z, np.add.outer(names["x_even"], Y))
-
-
-def test_axis_that_drifts_is_not_uniform():
-    y = np.linspace(0, 1, 2000)
-    y = y + 1e-8 * np.sin(np.pi * y)
+    drifting = np.linspace(0, 1, 2000)
+    drifting += 1e-8 * np.sin(np.pi * drifting)
     with pytest.raises(DataError, match="axis y must be uniform to 1e-09"):
-        Grid(X, y, np.zeros((5, 2000)))
+        Grid(X, drifting, np.zeros((5, 2000)))
 
 
 def test_analytic_height_and_elevation_agree():
@@ -107,20 +96,11 @@ def test_analytic_height_and_elevation_agree():
     u, v = ca.SX.sym("u"), ca.SX.sym("v")
     slope = function_of([u, v], lambda lookups: [ca.jacobian(ground.height(u, v, lookups), u)])
     assert_allclose(float(slope(0.4, 0.7)), 0.3 * math.cos(0.4) * math.cos(1.4), rtol=1e-14)
-
-
-def test_analytic_constant():
-    ground = Analytic(lambda _x, _y: 2.0)
-    assert_allclose(ground.elevation(np.zeros((2, 3)), np.ones((2, 3))), np.full((2, 3), 2.0))
-
-
-def test_analytic_pickles():
-    ground = Analytic(hills, (-1, 1, -2, 2))
-    x = np.linspace(-1, 1, 5)
-    before = ground.elevation(x, x)
-    copy = pickle.loads(pickle.dumps(ground))
-    assert copy.domain == ground.domain
-    np.testing.assert_array_equal(copy.elevation(x, x), before)
+    assert_allclose(Analytic(lambda _x, _y: 2.0).elevation(x, y), np.full(x.shape, 2.0))
+    bounded = Analytic(hills, (-1, 1, -2, 2))
+    copy = pickle.loads(pickle.dumps(bounded))
+    assert copy.domain == bounded.domain
+    np.testing.assert_array_equal(copy.elevation(x, y), ground.elevation(x, y))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Tests of the search for the nearest ground point: compiled code against the graph."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -47,10 +46,11 @@ def built():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("section", SECTIONS, ids=str)
-@pytest.mark.parametrize("noise", [0.0, 0.005, 0.05])
+@pytest.mark.parametrize(
+    ("section", "noise"), [*((each, 0.005) for each in SECTIONS), (SECTIONS[0], 0.0)], ids=str
+)
 def test_the_compiled_search_equals_the_graph(section, noise):
-    """With 50 mm of noise, a tenth of the searches fails; the same ones fail in both."""
+    """The same searches fail in both."""
     terrain = ground(noise)
     compiled = touch.search_function(terrain, section, RADIUS)
     graph = touch._search_graph(terrain, section, RADIUS)
@@ -85,14 +85,6 @@ def test_a_pose_that_is_not_a_number_gives_none(bad):
         assert np.isnan(found[2:6]).all()
 
 
-def test_a_search_without_a_residual_is_repeated_in_short_steps():
-    """A residual that is not a number is not a converged one."""
-    found = ca.MX.sym("found", 15)
-    check = ca.Function("check", [found], [touch._converged(found)])
-    assert check(np.zeros(15))
-    assert not check(np.full(15, np.nan))
-
-
 @pytest.mark.slow
 def test_a_dynamic_motion_is_the_same_without_the_kernel(monkeypatch):
     def motion():
@@ -100,7 +92,7 @@ def test_a_dynamic_motion_is_the_same_without_the_kernel(monkeypatch):
         model = dynamics(four_wheels(), terrain)
         start = settle(model, x=1.5, y=0.5, heading=0.2)
         inputs = model.inputs(**{label.full: 5.0 for label in model.labels.u.wheels})
-        run = simulate(model, start, inputs, np.linspace(0, 1, 5), options=SolverOptions(1e-9))
+        run = simulate(model, start, inputs, np.linspace(0, 0.3, 4), options=SolverOptions(1e-9))
         return np.array([run[name] for name in ("x", "y", "z", "heading", "pitch", "roll")])
 
     compiled = motion()

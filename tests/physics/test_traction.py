@@ -6,16 +6,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
+from scipy.interpolate import CubicSpline
 
 from helpers.cases import hills
 from helpers.friction_cases import (
     FIXED,
-    RATES,
     UNEQUAL,
     T,
     dissipation,
-    flat,
     from_linear,
     from_rolling,
     least_slip_rates,
@@ -43,7 +41,7 @@ from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.montana import montana_kinematics
 from slipfree.outcome import Outcome
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.tree import Body, actuated
+from slipfree.vehicle.tree import Body
 
 
 def standing(vehicle, ground, law=Coulomb(), **start):  # noqa: B008
@@ -54,9 +52,7 @@ def creeps(run):
     return np.hypot(run["slip_along"], run["slip_across"])[-1]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("eps", [1e-2, 1e-4, 1e-6])
-@pytest.mark.parametrize("degrees", [5, 10, 20, 30])
+@pytest.mark.parametrize(("degrees", "eps"), [(10, 1e-2), (30, 1e-6)])
 def test_a_rigid_axle_creeps_straight_down_across_a_slope(degrees, eps):
     """``eps tan s / sqrt(mu^2 - tan^2 s)``: every wheel uses the same part of its friction."""
     s = np.radians(degrees)
@@ -67,17 +63,16 @@ def test_a_rigid_axle_creeps_straight_down_across_a_slope(degrees, eps):
     assert_allclose(run["utilisation"], np.tan(s) / 0.6, rtol=1e-6)
 
 
-@pytest.mark.parametrize("degrees", [10, 20])
-def test_a_driven_wheel_creeps_by_what_it_uses(degrees):
+def test_a_driven_wheel_creeps_by_what_it_uses():
     """Uphill on free tilts: ``eps U / sqrt(1 - U^2)`` at the rear wheels, none at the front."""
-    s = np.radians(degrees)
+    s = np.radians(20)
     run = standing(three_wheeler(), slope(s, 0.6))
     used = np.tan(s) / (2 / 3 + 0.3 / 1.5 * np.tan(s)) / 0.6
     expected = 1e-4 * used / np.sqrt(1 - used**2)
     assert_allclose(creeps(run), [expected, expected, 0], rtol=1e-6, atol=1e-15)
 
 
-@pytest.mark.parametrize("reserve", [1.0, 0.1, 0.05])
+@pytest.mark.parametrize("reserve", [1.0, 0.05])
 def test_the_reserve_holds_beyond_friction(reserve):
     """A block on a slope of 35 degrees: ``mu p + c s = tan s``, about ``(tan s - mu) / c``."""
     s, mu, eps = np.radians(35), 0.6, 1e-3
@@ -100,21 +95,19 @@ def test_beyond_friction_a_start_is_refused_with_what_it_needs():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("axle", ["tilting"])
-def test_small_creep_leads_to_rolling(axle):
+def test_small_creep_leads_to_rolling():
     """First order in the creep where the vehicle can roll; steps do not grow."""
-    creep = np.array([1e-3, 1e-4, 1e-5, 1e-6])
-    errors, steps = zip(*from_rolling(axle, creep), strict=True)
+    creep = np.array([1e-4, 1e-6])
+    errors, steps = zip(*from_rolling("tilting", creep), strict=True)
     assert order(creep, errors) == pytest.approx(1, abs=0.02)
     assert max(steps) < 250
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ground", [flat, hills])
-def test_large_friction_leads_to_the_linear_law(ground):
-    """mu to infinity at fixed eps/mu: second order; on flat ground least slip, weighted by load."""
+def test_large_friction_leads_to_the_linear_law():
+    """mu to infinity at fixed eps/mu: second order."""
     scale = np.array([1.0, 10.0, 100.0])
-    errors = [from_linear(ground, mu) for mu in scale]
+    errors = [from_linear(hills, mu) for mu in scale]
     assert order(1 / scale, errors) == pytest.approx(2, abs=0.1)
     assert errors[-1] < 1e-5
 
@@ -133,8 +126,7 @@ def test_small_creep_of_a_rigid_axle_leads_to_least_dissipation(rng):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("axle", ["tilting", "fixed", "prismatic", "sliding"])
-@pytest.mark.parametrize("mu", [0.6, 1.5])
+@pytest.mark.parametrize(("axle", "mu"), [("fixed", 0.6), ("sliding", 1.5)])
 def test_random_starts_lead_to_one_solution(axle, mu, rng):
     converged, apart = random_starts(axle, mu, 1e-3, 20, rng)
     assert converged >= 8
@@ -182,19 +174,10 @@ def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, toleran
 @pytest.mark.slow
 def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
     """Friction couples normal forces to the motion, which may go on with a jump only."""
-    grid = power_law(
-        blank((-6, 6), (-6, 6), 0.25),
-        rms=0.09746552344891801,
-        hurst=0.9539057256615531,
-        longest=8.0,
-        shortest=2.743039400737338,
-        seed=67,
-    )
-    rates = {
-        "right_rate": 0.7521118439376475,
-        "left_rate": 0.6014304356887998,
-        "steer_rate": -0.23850475241570412,
-    }
+    size = {"rms": 0.09746552344891801, "hurst": 0.9539057256615531, "longest": 8.0}
+    grid = power_law(blank((-6, 6), (-6, 6), 0.25), shortest=2.743039400737338, seed=67, **size)
+    rates = {"right_rate": 0.7521118439376475, "left_rate": 0.6014304356887998}
+    rates["steer_rate"] = -0.23850475241570412
     start = {"x": 0.06577387785453626, "y": -0.0420728627881235, "heading": 0.3860773330023184}
     ground, law = Bicubic(grid, mu=0.048397107850166564), Coulomb(3.4290050665254273e-06)
     t = np.linspace(0, 10, 51)
@@ -254,76 +237,23 @@ def test_the_edge_of_a_friction_map_is_a_stop_by_name():
     )
 
 
-@pytest.mark.slow
-def test_a_rigid_stop_of_a_tilt_ends_the_motion_by_name():
-    """On flat ground a common tilt falls over; the stop is where it would be passed."""
-    ground = slope(0.0, 0.6)
-    t, law = np.linspace(0, 60, 241), Coulomb(1e-3)
-    rates, tilts = dict.fromkeys(RATES, 0.0), {"tilt_right": 0.1, "tilt_left": 0.1}
-    free = moved(three_wheeler(), ground, law, np.linspace(0, 30, 601), rates, **tilts)
-    run = moved(three_wheeler(tilt_stop=0.2), ground, law, t, rates, **tilts)
-    first = np.maximum(free["tilt_right"], free["tilt_left"])
-    assert run.stop.name in ("tilt_right_stop", "tilt_left_stop")
-    assert run.stop.t == pytest.approx(np.interp(0.2, first, free.t), abs=1e-4)
-    assert (
-        "joint tilt_left (lateral tilt of the left rear wheel) reaches its stop" in run.stop.words
-    )
-
-
-def test_an_elastic_stop_bears_the_wheel_that_leans_on_it():
-    """Both tilts fall towards their stops and rest there: moment of the load against the stop."""
-    bump, limit = 2000.0, 0.2
-    vehicle = three_wheeler(tilt_stop=limit, bump=bump)
-    run = moved(
-        vehicle,
-        slope(0.0, 0.6),
-        Coulomb(1e-2),
-        np.linspace(0, 60, 121),
-        dict.fromkeys(RATES, 0.0),
-        tilt_right=0.1,
-        tilt_left=0.1,
-    )
-    assert run.stop is None
-    body = Rotation.from_euler("ZYX", [run[name][-1] for name in ("heading", "roll", "pitch")])
-    for side in ("right", "left"):
-        tilt = run[f"tilt_{side}"][-1]
-        arm = [run[f"contact_{i}", side][-1] - run[f"center_{i}", side][-1] for i in "xyz"]
-        axle = (body * Rotation.from_euler("y", tilt)).apply([1.0, 0.0, 0.0])
-        along = np.cross([0.0, 0.0, 1.0], axle)
-        along /= np.linalg.norm(along)
-        frame = np.array([along, np.cross(along, [0.0, 0.0, 1.0]), [0.0, 0.0, 1.0]])
-        force = frame.T @ [run[f"force_{i}", side][-1] for i in ("along", "across", "normal")]
-        moment = np.cross(arm, force) @ body.apply([0.0, 1.0, 0.0])
-        assert tilt > limit
-        assert_allclose(bump * (tilt - limit), moment, rtol=1e-9)
-
-
 def test_only_a_stiff_spring_holds_a_tilt_upright():
     """The tilt is an inverted pendulum; the spring it needs is the load times r2."""
+
+    def falls(**changes):
+        ground = slope(0.0, 0.6)
+        run = standing(three_wheeler(**changes), ground, tilt_right=0.01, tilt_left=0.01)
+        return run["tilt_right_rate"][0]
+
     load = three_wheeler().weight / 3 * 0.25
-    for factor, grows in ((0.95, True), (1.05, False)):
-        run = standing(
-            three_wheeler(stiffness=factor * load), slope(0.0, 0.6), tilt_right=0.01, tilt_left=0.01
-        )
-        assert (run["tilt_right_rate"][0] > 0) == grows
-
-
-def test_a_damper_slows_the_fall():
-    rates = [
-        standing(
-            three_wheeler(damping=d), slope(0.0, 0.6), Coulomb(1e-1), tilt_right=0.1, tilt_left=0.1
-        )["tilt_right_rate"][0]
-        for d in (0.0, 100.0)
-    ]
-    assert 0 < rates[1] < rates[0]
+    assert falls(stiffness=1.05 * load) < 0 < falls(stiffness=0.95 * load)
+    assert 0 < falls(damping=100.0) < falls()
 
 
 @pytest.mark.slow
 def test_work_is_what_is_gained_and_what_is_lost():
-    t = np.linspace(0, 10, 1001)
+    t = np.linspace(0, 4, 401)
     run = moved(FIXED, Analytic(hills, mu=0.6), Coulomb(1e-3), t, UNEQUAL, tolerance=1e-10)
-    from scipy.interpolate import CubicSpline
-
     lost = CubicSpline(run.t, run["dissipation"]).antiderivative()(run.t)
     gained = run["potential_energy"] - run["potential_energy"][0]
     assert lost[-1] > 0.1
@@ -332,30 +262,17 @@ def test_work_is_what_is_gained_and_what_is_lost():
 
 def test_what_does_not_suit_is_refused():
     ground = slope(0.0, 0.6)
-
-    def fails(words, vehicle=FIXED, ground=ground, law=Coulomb, **changes):
+    for words, vehicle, terrain, make in (
+        ("a vehicle with mass", three_wheeler(mass=0.0, wheel_mass=0.0), ground, Coulomb),
+        ("a ground with a coefficient of friction, found none", FIXED, slope(0.0), Coulomb),
+        ("'creep': expected a number > 0, found nan", FIXED, ground, lambda: Coulomb(np.nan)),
+        ("'creep': expected a number <= 0.3, found 1", FIXED, ground, lambda: Coulomb(1.0)),
+        ("'reserve': expected a number >= 0, found -1", FIXED, ground, lambda: Coulomb(0.1, -1.0)),
+        ("expected a wheel-ground law such as", FIXED, ground, LeastSlip),
+        ("expected a wheel-ground law such as", FIXED, ground, lambda: Coulomb),
+    ):
         with pytest.raises(ModelError, match=words):
-            quasi_statics(vehicle, ground, law=law(**changes))
-
-    fails("a vehicle with mass, found none in", vehicle=three_wheeler(mass=0.0, wheel_mass=0.0))
-    fails("a ground with a coefficient of friction, found none", ground=slope(0.0, None))
-    fails("'creep': expected a number > 0, found 0", creep=0.0)
-    fails("'creep': expected a number <= 0.3, found 1", creep=1.0)
-    fails("'creep': expected a number > 0, found nan", creep=np.nan)
-    fails("'reserve': expected a number >= 0, found -1", reserve=-1.0)
-    fails("'reserve': expected a number < inf", reserve=np.inf)
-    fails("expected a wheel-ground law such as", law=LeastSlip)
-    fails("expected a wheel-ground law such as", law=lambda: Coulomb)
+            quasi_statics(vehicle, terrain, law=make())
     for of in (direct_kinematics, montana_kinematics):
         with pytest.raises(ModelError, match=r"expected a slip law such as LeastSlip\(\) or"):
             of(FIXED, ground, slip=Coulomb())
-    with pytest.raises(ModelError, match=r"or Rolling\(\), found 'least'"):
-        direct_kinematics(FIXED, ground, slip="least")
-
-
-def test_a_lock_keeps_a_tilt_and_bears_its_torque():
-    vehicle = actuated(three_wheeler(), "tilt_right", "tilt_left")
-    s = np.radians(20)
-    run = standing(vehicle, slope(s, 0.6, across=True))
-    assert_allclose(run["utilisation"], np.tan(s) / 0.6, rtol=1e-6)
-    assert np.abs(run["tilt_right_torque"]).min() > 5

@@ -1,4 +1,4 @@
-"""Tests of moving horizons along a plan: they keep to the plan, and return to it."""
+"""Tests of moving horizons along a plan, and of closed loops: they return to the plan."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from helpers.cases import hills
 from slipfree import (
@@ -20,20 +20,23 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.catalog import three_wheeler
-from slipfree.plan import mpc as module
+from slipfree.catalog import differential_drive, three_wheeler
 from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import plan
+from slipfree.plan.tracking import track_plan
+from slipfree.plan.verification import simulate_plan
+from slipfree.terrain.grid_ops import disturbed
 
 GOAL, DURATION, COUNT = {"x": 0.2, "y": 0.9}, 8.0, 12
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
+VEHICLE = three_wheeler(axle="fixed")
+AXIS = np.arange(-3.0, 4.0, 0.25)
+GRID = Grid(AXIS, AXIS, Analytic(hills).elevation(*np.meshgrid(AXIS, AXIS, indexing="ij")))
 
 
 @pytest.fixture(scope="module")
 def found():
-    axis = np.arange(-3.0, 4.0, 0.25)
-    heights = Analytic(hills).elevation(*np.meshgrid(axis, axis, indexing="ij"))
-    dae = direct_kinematics(three_wheeler(axle="fixed"), Bicubic(Grid(axis, axis, heights)))
+    dae = direct_kinematics(VEHICLE, Bicubic(GRID))
     start = settle(dae)
     rates = dae.inputs(right_rate=0.4, left_rate=0.4, steer_rate=0.0)
     guess = simulate(dae, start, rates, np.linspace(0, DURATION, 30))
@@ -49,6 +52,11 @@ def found():
         limits={"steer": (-1.0, 1.0)},
         intervals=COUNT,
     )
+
+
+@pytest.fixture(scope="module")
+def window(found):
+    return horizon(found, span=DURATION / 2, intervals=COUNT // 2)
 
 
 def traverse(found, window, **start):
@@ -67,19 +75,6 @@ def away(run):
 
 
 @pytest.mark.slow
-def test_the_end_of_a_plan_is_its_end_whatever_was_summed_up(found):
-    window = horizon(found, span=DURATION, intervals=COUNT)
-    for one, other in zip(
-        module._row_bounds(window, DURATION),
-        module._row_bounds(window, DURATION - 1e-9),
-        strict=True,
-    ):
-        assert_array_equal(one, other)
-    lower, upper = module._row_bounds(window, DURATION - 1.0)
-    assert_array_equal(lower[-len(GOAL) :], upper[-len(GOAL) :])
-
-
-@pytest.mark.slow
 def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
     first, count = first_cycle(window), found.motion.layout.duration
@@ -88,30 +83,6 @@ def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
     for one in (first, cycle):
         assert_allclose(one.motion.unknowns[:count], found.motion.unknowns[:count], atol=1e-6)
         assert one.violation < 1e-9
-
-
-@pytest.mark.slow
-def test_a_step_of_the_shifted_window_leads_to_its_solution(found):
-    window, many = (
-        horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=count)
-        for count in (1, 50)
-    )
-    t, ends, first = found.motion.ends[1], found.motion.mesh.ends, first_cycle(window)
-    x = found.motion.states(ends[1:2])[:, 0]
-    whole, once = (replan(each, first, t, x) for each in (many, window))
-    twice = replan(window, once, t, x)
-    parts = np.linspace(0, 1, 9)
-    before, after = (
-        np.abs(each.motion.states(parts) - whole.motion.states(parts)).max()
-        for each in (once, twice)
-    )
-    assert before < 0.1
-    assert after < before / 3
-    assert once.violation < 1e-3
-    assert once.motion.duration == whole.motion.duration == DURATION / 2
-    at_end = found.motion.states(np.array([(t + DURATION / 2) / DURATION]))
-    for each in (once, whole):
-        assert_allclose(each.motion.states(np.ones(1))[:2], at_end[:2], atol=1e-8)
 
 
 @pytest.mark.slow
@@ -132,13 +103,10 @@ def test_steps_converge(found):
 
 
 @pytest.mark.slow
-def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found):
-    span = DURATION / 2
-    once, many = (
-        horizon(found, span=span, intervals=COUNT // 2, iterations=count) for count in (1, 50)
-    )
+def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found, window):
+    many = horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=50)
     off = {"x": 0.02, "y": -0.02, "heading": 0.03}
-    (end, cycles), (converged, _) = (traverse(found, each, **off) for each in (once, many))
+    (end, cycles), (converged, _) = (traverse(found, each, **off) for each in (window, many))
     assert away(end) < 1e-3
     assert away(converged) < 1e-3
     assert np.hypot(end["x"][-1] - converged["x"][-1], end["y"][-1] - converged["y"][-1]) < 1e-3
@@ -146,8 +114,7 @@ def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found):
 
 
 @pytest.mark.slow
-def test_inputs_keep_to_their_bounds(found):
-    window = horizon(found, span=DURATION / 2, intervals=COUNT // 2)
+def test_inputs_keep_to_their_bounds(found, window):
     start = found.program.task.start.copy()
     start[1] -= 0.5  # metres behind
     cycle = first_cycle(window)
@@ -158,50 +125,61 @@ def test_inputs_keep_to_their_bounds(found):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("period", [0.3, 0.7])
-def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, period):
+def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, window):
     """The last part is as long as what is left."""
-    window, here, t = horizon(found, span=4.0, intervals=6), settle(found.program.task.dae), 0.0
-    cycle = first_cycle(window)
-    while t < DURATION:
-        cycle = replan(window, cycle, t, found.program.task.dae.rows("x", here, -1))
-        inputs, times = cycle_inputs(window, cycle, t, t + period)
-        here = simulate(found.program.task.dae, here, inputs, times)
-        t += period
-    assert_allclose(times[-1], DURATION - cycle.t, atol=1e-9)
-    assert away(here) < 1e-3
-    with pytest.raises(ModelError, match=r"expected 'begin' from .* to below 8 s"):
-        cycle_inputs(window, cycle, 8.5, 9.0)
+    dae, times = found.program.task.dae, []
+    tracked = track_plan(window, dae, settle(dae), period=0.7, progress=times.append)
+    assert (tracked.cycles, tracked.failures) == (11, 0)
+    assert_allclose(times, np.arange(11) * 0.7)
+    assert away(tracked.run) < 1e-4
+    assert tracked.run.t[-1] == pytest.approx(DURATION)
+    assert (np.diff(tracked.run.t) > 0).all()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
+def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
+    world = direct_kinematics(VEHICLE, Bicubic(disturbed(GRID, 0.02, 1.0, 1)))
+    start = settle(world, x=0.04, y=-0.03, heading=0.03)
+    alone = simulate_plan(world, start, window.plan, step=0.2)
+    tracked = track_plan(window, world, start, period=0.4)
+    assert away(tracked.run) < away(alone) / 5
+
+
+@pytest.mark.slow
+def test_a_limit_of_the_world_ends_the_motion(window):
+    part = slice(7, 18)
+    grid = Grid(AXIS[part], AXIS[part], np.ascontiguousarray(GRID.z[part, part]))
+    world = direct_kinematics(VEHICLE, Bicubic(grid))
+    tracked = track_plan(window, world, settle(world), period=0.8)
+    assert tracked.run.stop.name.startswith("map_margin")
+    assert tracked.run.stop.t == pytest.approx(tracked.run.t[-1])
+    assert tracked.run.t[-1] < DURATION
+
+
+@pytest.mark.slow
+def test_what_is_no_window_period_world_or_state_is_refused(found, window):
+    task, first = found.program.task, first_cycle(window)
+    start = task.start
+    for given, words in (
         ({"span": 9.0}, "at most 8 s, the duration of the plan, found 9"),
         ({"span": 4.0, "intervals": 0}, "intervals: expected 1 or more, found 0"),
         ({"span": 4.0, "iterations": -1}, "iterations: expected 1 or more, found -1"),
-    ],
-)
-def test_what_is_no_window_is_refused(found, given, words):
-    with pytest.raises(ModelError, match=words):
-        horizon(found, **given)
-
-
-@pytest.mark.slow
-def test_what_depends_on_time_is_refused(found):
-    """A window counts time from its own beginning."""
-    task = found.program.task
+    ):
+        with pytest.raises(ModelError, match=words):
+            horizon(found, **given)
+    # a window counts time from its own beginning
     cost = task.costs[0]._replace(expression=task.costs[0].expression * task.dae.t)
     late = replace(found.program, task=replace(task, costs=(cost,)))
     with pytest.raises(ModelError, match="a goal that do not depend on time"):
         horizon(replace(found, program=late), span=4.0)
-
-
-@pytest.mark.slow
-def test_states_that_are_none_and_steps_that_fail_are_told(found):
-    window = horizon(found, span=4.0, intervals=6)
-    first, start = first_cycle(window), found.program.task.start
+    words = "period: expected a period above 0 and at most 8 s, the duration"
+    with pytest.raises(ModelError, match=words):
+        track_plan(window, task.dae, settle(task.dae), period=0.0)
+    other = direct_kinematics(differential_drive(), Bicubic(GRID))
+    with pytest.raises(ModelError, match="world: expected the states and inputs of the plan's"):
+        track_plan(window, other, settle(other), period=0.8)
+    with pytest.raises(ModelError, match=r"expected 'begin' from 0 to below 4 s"):
+        cycle_inputs(window, first, 8.5, 9.0)
     for state in (start[:-1], start * np.nan, start[0]):
         with pytest.raises(ModelError, match="expected a time and 4 states, all finite"):
             replan(window, first, 0.0, state)

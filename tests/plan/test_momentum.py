@@ -31,10 +31,15 @@ RADIUS = 0.15
 CLOSE = {"rtol": 1e-6, "atol": 1e-9}
 
 
-def car():
-    vehicle = catalog.skid_steer(wheelbase=0.7, mass=40.0, center_of_mass=(0.0, 0.0, 0.07))
+def with_torques(vehicle):
     wheels = tuple(replace(wheel, drive=Torque()) for wheel in vehicle.wheels)
     return replace(vehicle, wheels=wheels)
+
+
+def car():
+    return with_torques(
+        catalog.skid_steer(wheelbase=0.7, mass=40.0, center_of_mass=(0.0, 0.0, 0.07))
+    )
 
 
 def ridge(height):
@@ -44,10 +49,32 @@ def ridge(height):
 def straight_guess(model, vehicle, ground, speed, duration):
     start, still = settle(model), direct_kinematics(vehicle, ground)
     rates = {label.full: speed / RADIUS for label in still.labels.u.wheels}
-    times = np.linspace(0, duration, 21)
-    options = SolverOptions(tolerance=1e-5)
+    times, options = np.linspace(0, duration, 21), SolverOptions(tolerance=1e-5)
     run = simulate(still, settle(still), still.inputs(**rates), times, options=options)
     return dynamic_guess(model, vehicle, start, run), start
+
+
+def assert_planned(model, guess, start, most, **options):
+    """Plan to go 1.5 m in least time with limited torques; the simulation agrees."""
+    found = plan(
+        model,
+        start,
+        guess,
+        goal={"y": (1.5, 2.0)},
+        costs={"time": 1.0},
+        duration=(0.5, 5.0),
+        smooth=1e-4,
+        continuous=False,
+        inputs={label.full: (-most, most) for label in model.labels.u.wheels},
+        intervals=12,
+        accuracy=5e-3,
+        **options,
+    )
+    assert found.success
+    assert found.accurate
+    assert max(found.difference[axis] for axis in "xyz") < 5e-3
+    assert found.replay.stop is None
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -124,34 +151,16 @@ def test_guess_follows_the_kinematic_motion(crossing):
 def test_plan_with_momentum_agrees_with_compliant_contact(crossing):
     """Torques too small for slow driving over the ridge carry the car over it with momentum."""
     ground, vehicle, model, guess, start = crossing
-    most = 3.0
-    slow = quasi_statics(vehicle, ground)
+    most, slow = 3.0, quasi_statics(vehicle, ground)
     rates = {label.full: 0.6 / RADIUS for label in slow.labels.u.wheels}
-    options = SolverOptions(tolerance=1e-5)
-    run = simulate(slow, settle(slow), slow.inputs(**rates), np.linspace(0, 2, 81), options=options)
+    t, options = np.linspace(0, 2, 81), SolverOptions(tolerance=1e-5)
+    run = simulate(slow, settle(slow), slow.inputs(**rates), t, options=options)
     assert run["drive_torque"].sum(axis=1).max() > 4 * most
-    found = plan(
-        model,
-        start,
-        guess,
-        goal={"y": (1.5, 2.0)},
-        costs={"time": 1.0},
-        duration=(0.5, 5.0),
-        smooth=1e-4,
-        continuous=False,
-        inputs={label.full: (-most, most) for label in model.labels.u.wheels},
-        limits={"force_normal": (5.0, 1e4)},
-        intervals=12,
-        accuracy=5e-3,
-    )
-    assert found.success
-    assert found.accurate
-    assert max(found.difference[axis] for axis in "xyz") < 5e-3
+    found = assert_planned(model, guess, start, most, limits={"force_normal": (5.0, 1e4)})
     assert found.run["force_normal"].min() > 5 - 1e-6
     used = np.hypot(found.run["friction_used_along"], found.run["friction_used_across"])
     assert used.max() < 1 + 1e-6
     assert "kinetic_energy" in found.replay
-    assert found.replay.stop is None
 
 
 @pytest.mark.slow
@@ -170,28 +179,9 @@ def test_rigid_four_wheeler_stands_on_soft_contacts():
 
 @pytest.mark.slow
 def test_plan_of_a_rigid_four_wheeler_with_momentum():
-    vehicle = catalog.rigid_skid_steer()
-    wheels = tuple(replace(wheel, drive=Torque()) for wheel in vehicle.wheels)
-    vehicle, ground, most = replace(vehicle, wheels=wheels), ridge(0.06), 4.0
+    vehicle, ground = with_torques(catalog.rigid_skid_steer()), ridge(0.06)
     model = rigid_dynamics(vehicle, ground)
-    guess, start = straight_guess(model, vehicle, ground, 0.9, 1.9)
-    found = plan(
-        model,
-        start,
-        guess,
-        goal={"y": (1.5, 2.0)},
-        costs={"time": 1.0},
-        duration=(0.5, 5.0),
-        smooth=1e-4,
-        continuous=False,
-        inputs={label.full: (-most, most) for label in model.labels.u.wheels},
-        intervals=12,
-        accuracy=5e-3,
-    )
-    assert found.success
-    assert found.accurate
-    assert max(found.difference[axis] for axis in "xyz") < 5e-3
-    assert found.replay.stop is None
+    assert_planned(model, *straight_guess(model, vehicle, ground, 0.9, 1.9), 4.0)
 
 
 def test_dynamic_plan_refuses_options_by_name(tmp_path):

@@ -112,7 +112,7 @@ def model():
     return dae, start, simulate(dae, start, inputs, np.linspace(0, DURATION, 31))
 
 
-def planned(model, *, steer=STEER, x=GOAL[0], duration=DURATION, rate=0.1):
+def planned(model, *, steer=STEER, x=GOAL[0], duration=DURATION, rate=0.1, **options):
     rates = {"right_rate": (-2.0, 2.0), "left_rate": (-2.0, 2.0), "steer_rate": (-rate, rate)}
     return plan(
         *model,
@@ -124,45 +124,50 @@ def planned(model, *, steer=STEER, x=GOAL[0], duration=DURATION, rate=0.1):
         inputs=rates,
         intervals=5,
         accuracy=1.0,
+        **options,
     )
 
 
 @pytest.mark.slow
 def test_prices_are_the_derivatives_of_the_least_cost(model):
-    """Central differences of plans with limits on both sides."""
-    found = planned(model)
-    rates = {}
+    """Central differences of plans with limits on both sides; told in units and shares."""
+    found, rates = planned(model), {}
     for price in found.prices:
         sign = -1 if price.side == "at least" else 1
         key = price.role, price.label.name
         rates[key] = rates.get(key, 0.0) + sign * price.rate
-    changes = {
-        ("limit", "steer"): {"steer": 1e-4},
-        ("goal", "x"): {"x": 1e-4},
-        ("duration", "duration"): {"duration": 1e-2},
-        ("input", "steer_rate"): {"rate": 1e-4},
-    }
-    given = {"steer": STEER, "x": GOAL[0], "duration": DURATION, "rate": 0.1}
-    for key, change in changes.items():
-        ((name, step),) = change.items()
-        more, less = (planned(model, **{name: given[name] + each}) for each in (step, -step))
+    for key, name, value, step in (
+        (("limit", "steer"), "steer", STEER, 1e-4),
+        (("goal", "x"), "x", GOAL[0], 1e-4),
+        (("duration", "duration"), "duration", DURATION, 1e-2),
+        (("input", "steer_rate"), "rate", 0.1, 1e-4),
+    ):
+        more, less = (planned(model, **{name: value + each}) for each in (step, -step))
         assert more.success
         assert less.success
         slope = (more.solution.cost - less.solution.cost) / (2 * step)
         assert rates[key] == pytest.approx(slope, rel=2e-3), key
+    (price,) = (each for each in found.prices if each.label.name == "steer")
+    share = 100 * abs(price.rate) * 0.001 / found.solution.cost
+    side = "at least -0.12" if price.side == "at least" else "at most 0.12"
+    direction = "less" if price.side == "at least" else "more"
+    words = (
+        f"steer of the vehicle {side} rad: 0.001 rad {direction} saves {share:.2g} % of the cost"
+    )
+    assert price.words == words
+    assert words in prices_words(found.prices)
+    assert prices_words(()) == "no limit increases the cost noticeably"
 
 
-@pytest.mark.parametrize("k", [0.5, 3.0])
-def test_price_of_a_limited_cost_is_its_lagrange_multiplier(k):
+def test_price_of_a_limited_cost_is_its_lagrange_multiplier():
     """The integral of x^2 from 0 to 1 is least for x = sinh kt / sinh k at a price of 1/k^2."""
-    dae = toy(1, lambda _t, _x, _z, u: [u])
+    dae, k = toy(1, lambda _t, _x, _z, u: [u]), 3.0
     x, u, size = dae.x.values[0], dae.u.values[0], np.sinh(k) ** 2
-    end = TimedCondition(1.0, (Limit(Label("end", "m", ""), x, 1.0, 1.0),))
     asked = task(
         dae,
         [0.0],
         costs=[Cost("area", x**2, "m2 s", ""), Cost("work", u**2, "m2 s-1", "", 0.0)],
-        places=[end],
+        places=[TimedCondition(1.0, (Limit(Label("end", "m", ""), x, 1.0, 1.0),))],
         continuous=True,
         cost_limits=((1, k**2 * (0.5 + np.sinh(2 * k) / (4 * k)) / size),),
     )
@@ -178,33 +183,8 @@ def test_price_of_a_limited_cost_is_its_lagrange_multiplier(k):
 
 
 @pytest.mark.slow
-def test_prices_are_told_in_units_and_shares(model):
-    found = planned(model)
-    (price,) = (each for each in found.prices if each.label.name == "steer")
-    share = 100 * abs(price.rate) * 0.001 / found.solution.cost
-    side = "at least -0.12" if price.side == "at least" else "at most 0.12"
-    direction = "less" if price.side == "at least" else "more"
-    words = (
-        f"steer of the vehicle {side} rad: 0.001 rad {direction} saves {share:.2g} % of the cost"
-    )
-    assert price.words == words
-    assert words in prices_words(found.prices)
-    assert prices_words(()) == "no limit increases the cost noticeably"
-
-
-@pytest.mark.slow
 def test_a_plan_that_is_not_solved_has_no_prices(model):
-    dae, start, guess = model
-    found = plan(
-        dae,
-        start,
-        guess,
-        goal={"x": 0.6, "y": 1.3},
-        costs={"effort": 1.0},
-        duration=DURATION,
-        intervals=4,
-        progress=lambda _words, iterate: iterate.number < 1,
-    )
+    found = planned(model, progress=lambda _words, iterate: iterate.number < 1)
     assert not found.success
     assert found.optimality is None
     assert found.prices == ()

@@ -22,16 +22,18 @@ from slipfree.plan.verification import inputs_along
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
+PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
 GOAL = {"x": 0.6, "y": 2.6}
 WEIGHTS = {"slip": 7e4, "effort": 0.01}
+VEHICLE = three_wheeler(axle="fixed")
+STEER = {"steer": (-1.0, 1.0)}
 
 
-def asked(vehicle, *, goal=None, costs=None, guess=0.45, turn=0.0, duration=20.0, **options):
+def asked(vehicle=VEHICLE, *, goal=None, costs=None, duration=20.0, **options):
     dae = direct_kinematics(vehicle, Analytic(hills))
     start = settle(dae)
-    rates = dae.inputs(right_rate=guess + turn, left_rate=guess - turn, steer_rate=0.0)
+    rates = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
     first = simulate(dae, start, rates, np.linspace(0, 20, 61))
     found = plan(
         dae,
@@ -56,7 +58,7 @@ def rms_slip(run):
 @pytest.mark.slow
 def test_a_rigid_axle_reaches_its_goal_with_least_slip():
     """Slip and place are those of the simulation; more starts of the search in the benchmark."""
-    _, _, found = asked(three_wheeler(axle="fixed"), limits={"steer": (-1.0, 1.0)})
+    _, _, found = asked(limits=STEER)
     assert found.success
     replay = found.replay
     assert replay.stop is None
@@ -68,12 +70,20 @@ def test_a_rigid_axle_reaches_its_goal_with_least_slip():
 
 
 @pytest.mark.slow
-def test_effort_alone_slips_more():
-    _, _, found = asked(
-        three_wheeler(axle="fixed"), costs={"effort": 1.0}, limits={"steer": (-1.0, 1.0)}
-    )
-    assert rms_slip(found.replay) > 1e-3
-    assert found.costs["effort"] < 8.0
+def test_a_limited_cost_is_at_its_limit():
+    """A limit on a term without weight; below the least value the explanation names the cost."""
+    given = {"limits": STEER, "intervals": 6}
+    _, _, free = asked(costs={"effort": 1.0}, **given)
+    least = free.costs["effort"]
+    assert rms_slip(free.replay) > 1e-3  # effort alone slips more
+    assert least < 8.0
+    given["costs"] = {"slip": 1e3}
+    _, _, found = asked(cost_limits={"effort": 1.03 * least}, **given)
+    assert found.success
+    assert found.costs["effort"] == pytest.approx(1.03 * least, rel=1e-6)
+    _, _, none = asked(cost_limits={"effort": 0.5 * least}, **given)
+    assert none.run.outcome is Outcome.INFEASIBLE
+    assert "cost effort: " in none.run.stop.words
 
 
 @pytest.mark.slow
@@ -107,7 +117,6 @@ def test_tilting_wheels_keep_to_their_limit_without_slip():
 @pytest.mark.slow
 def test_a_pose_a_way_point_and_a_range_of_durations():
     _, _, found = asked(
-        three_wheeler(axle="fixed"),
         goal={"y": 2.0, "heading": (-0.05, 0.05)},
         way_points={0.5: {"x": 0.2}},
         duration=(5.0, 30.0),
@@ -125,62 +134,22 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
     assert np.abs(rates).max() <= 1.0 + 1e-6
 
 
-@pytest.mark.slow
-def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
-    _, _, found = asked(
-        three_wheeler(tilt_stop=0.04),
-        goal={"x": 0.1, "y": 1.0},
-        duration=8.0,
-        costs={"effort": 1.0},
-        intervals=8,
-    )
-    assert found.success
-    assert found.stages[1].words == "with tilt_right_stop, tilt_left_stop"
-    for name in ("tilt_right", "tilt_left"):
-        assert np.abs(found.run[name]).max() <= 0.04 + 1e-6
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         ({"goal": {"z_": 1.0}}, "found 'z_'; did you mean"),
         ({"costs": {"slop": 1.0}}, "found 'slop'; use one of"),
         ({"costs": {"slip": -1.0}}, "expected a weight of at least 0 for 'slip', found -1"),
-        ({"cost_limits": {"slop": 1.0}}, "found 'slop'; use one of"),
-        (
-            {"cost_limits": {"effort": 0.0}},
-            "cost_limits: expected a positive, finite limit of 'effort', found 0",
-        ),
+        ({"cost_limits": {"effort": 0.0}}, "cost_limits: expected a positive, finite limit of 'ef"),
         ({"duration": 0.0}, "expected a positive, finite duration"),
         ({"limits": {"steer": (1.0, -1.0)}}, "ascending bounds of 'steer'"),
-        (
-            {"way_points": {1.0: {"x": 0.0}}},
-            "way_points: expected fractions of the duration above 0 and below 1",
-        ),
+        ({"way_points": {1.0: {"x": 0.0}}}, "way_points: expected fractions of the duration above"),
         ({"accelerations": {"x": (0, 1)}}, "inputs: expected one of right_rate, .* found 'x'"),
     ],
 )
 def test_what_is_wrong_is_said(options, words):
     with pytest.raises(ModelError, match=words):
-        asked(three_wheeler(axle="fixed"), **options)
-
-
-@pytest.mark.slow
-def test_a_limited_cost_is_at_its_limit():
-    """A limit on a term without weight; below the least value the explanation names the cost."""
-    _, _, free = asked(three_wheeler(axle="fixed"), costs={"effort": 1.0})
-    least, costs = free.costs["effort"], {"slip": 1e3}
-    _, _, found = asked(
-        three_wheeler(axle="fixed"), costs=costs, cost_limits={"effort": 1.03 * least}
-    )
-    assert found.success
-    assert found.costs["effort"] == pytest.approx(1.03 * least, rel=1e-6)
-    _, _, none = asked(
-        three_wheeler(axle="fixed"), costs=costs, cost_limits={"effort": 0.5 * least}
-    )
-    assert none.run.outcome is Outcome.INFEASIBLE
-    assert "cost effort: " in none.run.stop.words
+        asked(**options)
 
 
 @pytest.mark.slow
@@ -191,7 +160,7 @@ def test_a_stopped_search_keeps_its_iterate():
         seen.append((words, iterate.number, iterate.violation))
         return len(seen) < 4
 
-    _, _, found = asked(three_wheeler(axle="fixed"), progress=stop, intervals=10)
+    _, _, found = asked(progress=stop, intervals=10)
     assert not found.success
     assert found.run.stop.name == "plan"
     assert found.run.outcome is Outcome.INTERRUPTED
@@ -206,12 +175,15 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+def run_file(*settings):
+    words = [word for each in settings for word in ("--set", each)]
+    return CliRunner().invoke(app, ["run", str(PROBLEM), "-o", "p.nc", "--no-draw", *words])
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_run_plans_simulates_and_tells():
-    file = PROBLEMS / "plan_rigid_hills.toml"
-    words = ["--set", "plan.intervals=10", "--set", "costs.slip="]
-    result = CliRunner().invoke(app, ["run", str(file), "-o", "p.nc", "--no-draw", *words])
+    result = run_file("plan.intervals=10", "costs.slip=")
     assert result.exit_code == 0, result.output
     told = dict(line.split("  ", 1) for line in result.stdout.splitlines() if "  " in line)
     assert told["driven by"].strip() == "plan to x 0.6, y 2.6"
@@ -228,16 +200,8 @@ def test_run_plans_simulates_and_tells():
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved():
-    words = [
-        "plan.intervals=10",
-        "costs.slip=",
-        "time.duration=4.0",
-        "bounds.right_rate=[0, 0.5]",
-        "bounds.left_rate=[0, 0.5]",
-    ]
-    settings = [word for each in words for word in ("--set", each)]
-    file = PROBLEMS / "plan_rigid_hills.toml"
-    result = CliRunner().invoke(app, ["run", str(file), "-o", "p.nc", "--no-draw", *settings])
+    bounds = (f"bounds.{side}_rate=[0, 0.5]" for side in ("right", "left"))
+    result = run_file("plan.intervals=10", "costs.slip=", "time.duration=4.0", *bounds)
     assert result.exit_code == 1, result.output
     told = result.stdout.partition("ground ")[0]
     assert told.startswith("outcome ")
@@ -260,5 +224,5 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
 )
 def test_what_is_wrong_in_a_file_is_told_with_its_place(setting, words):
     with pytest.raises(ProblemError) as error:
-        run_problem(load_problem(PROBLEMS / "plan_rigid_hills.toml", [setting]))
+        run_problem(load_problem(PROBLEM, [setting]))
     assert words in str(error.value)

@@ -20,7 +20,7 @@ from slipfree.routing import smoothing
 from slipfree.routing.homotopy import homotopy_class, obstacle_points
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import MAX_SLOPE, blocking_reasons, traversability
-from slipfree.terrain.synthetic import blank, craters, power_law, ramp
+from slipfree.terrain.synthetic import blank, craters, ramp
 from slipfree.vehicle.sections.torus import Torus
 
 ROVER = three_wheeler(axle="fixed")  # half width 1.05 m, half length 1.05 m, reach 1.42 m
@@ -31,6 +31,24 @@ UTM = (400_000.0, 5_500_000.0)
 
 def box(x_min, x_max, y_min, y_max):
     return Region.polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
+
+
+def corridor(width=2.0):
+    """A right-angled corridor for the small rover, its walls in keep-out regions."""
+    low, high = 8.0, 8.0 + width
+    walls = [
+        box(0, high + 0.5, low - 0.5, low),
+        box(high, high + 0.5, low, 20),
+        box(0, low, high, high + 0.5),
+        box(low - 0.5, low, high, 20),
+    ]
+    terrain = Bicubic(blank((0, 20), (0, 20), 0.1))
+    return traversability(terrain, SMALL, keep_out=walls, spacing=0.1), low + width / 2
+
+
+def plain(size=20, spacing=0.5, **options):
+    """Layers of level ground."""
+    return traversability(Bicubic(blank((0, size), (0, size), spacing)), ROVER, **options)
 
 
 def length(points):
@@ -60,9 +78,8 @@ def wavy(spacing, size=12.0):
 # Layers
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.2])
-def test_layers_of_a_plane(slope):
-    grid = blank((0, 20), (0, 16), 0.25)
+def test_layers_of_a_plane():
+    grid, slope = blank((0, 20), (0, 16), 0.25), 0.2
     layers = traversability(Bicubic(Grid(grid.x, grid.y, slope * grid.x[:, None] + grid.z)), ROVER)
     inner = (slice(5, -5), slice(5, -5))
     assert_allclose(layers.slope[inner], math.atan(slope), atol=1e-12)
@@ -78,17 +95,7 @@ def test_axes_are_a_third_of_the_smaller_half_extent_apart():
     assert_allclose(layers.spacing, 1.05 / 3, rtol=0.02)
     assert layers.cost.shape == (layers.x.size, layers.y.size)
     assert (layers.x[0], layers.x[-1], layers.y[0], layers.y[-1]) == (0, 20, 0, 30)
-
-
-def test_a_coarse_grid_keeps_its_nodes():
-    grid = blank((0, 40), (0, 40), 2.0)
-    layers = traversability(Bicubic(grid), ROVER)
-    assert_allclose(layers.x, grid.x)
-
-
-def test_spacing_is_an_option():
-    layers = traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, spacing=1.0)
-    assert_allclose(layers.spacing, 1.0)
+    assert_allclose(plain(40, 2.0).x, np.arange(0, 41, 2.0))  # a coarse grid keeps its nodes
 
 
 def test_slope_and_roughness_are_those_of_a_plane_fitted_by_least_squares(rng):
@@ -145,7 +152,7 @@ def test_ground_more_hollow_than_the_largest_wheel_is_blocked():
 
 
 def test_wheels_stay_on_the_map():
-    layers = traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER)
+    layers = plain()
     free = np.isfinite(layers.cost)
     to_edge = np.minimum(layers.x, 20 - layers.x)
     assert_allclose(layers.limits.reach, REACH)
@@ -159,46 +166,38 @@ def test_wheels_stay_on_the_map():
 
 def test_slopes_too_steep_are_blocked():
     terrain = Bicubic(ramp(blank((0, 20), (0, 20), 0.25), start=8, end=12, rise=1.0))
-    free = traversability(terrain, ROVER)
-    assert blocking_reasons(free, 10.0, 10.0) == ""
+    assert blocking_reasons(traversability(terrain, ROVER), 10.0, 10.0) == ""
     layers = traversability(terrain, ROVER, steepest=math.radians(20))
     assert "degrees, steeper than the 20 degrees" in blocking_reasons(layers, 10.0, 10.0)
     # the steepest slope is 15/8 of the mean at the middle, a little less over the footprint
     middle = layers.slope[layers.x.size // 2].max()
     assert 0.85 * 15 / 32 < math.tan(middle) < 15 / 32
+    words = r"at the start .*: slope of 22.* degrees, steeper than the 20"
+    with pytest.raises(ModelError, match=words):
+        route(layers, (10.0, 10.0), (10.0, 4.0))
 
 
-@pytest.mark.parametrize("kind", ["number", "formula", "map"])
+@pytest.mark.parametrize("kind", ["formula", "map"])
 def test_friction_that_cannot_hold_blocks(kind):
-    grid = blank((0, 20), (0, 20), 0.25)
+    grid, nodes = blank((0, 20), (0, 20), 0.25), blank((0, 20), (0, 20), 1.0)
     uphill = Grid(grid.x, grid.y, 0.3 * grid.y + grid.z)
-    nodes = blank((0, 20), (0, 20), 1.0)
-    icy = np.where(nodes.x < 10, 0.1, 0.6)[:, None] + nodes.z
     mu = {
-        "number": 0.6,
         "formula": lambda x, y: ca.if_else(x < 10, 0.1, 0.6) + 0 * y,
-        "map": Grid(nodes.x, nodes.y, icy),
+        "map": Grid(nodes.x, nodes.y, np.where(nodes.x < 10, 0.1, 0.6)[:, None] + nodes.z),
     }[kind]
     layers = traversability(Bicubic(uphill, mu=mu), ROVER)
-    at = {x: int(np.argmin(np.abs(layers.x - x))) for x in (5, 15)}
+    near, far = (int(np.argmin(np.abs(layers.x - x))) for x in (5, 15))
     j = layers.y.size // 2
-    assert_allclose(layers.friction[at[15], j], 0.5, rtol=1e-6)
+    assert_allclose(layers.friction[far, j], 0.5, rtol=1e-6)
     assert_allclose(layers.limits.steepest, math.atan(0.6), rtol=1e-6)
-    if kind == "number":
-        assert blocking_reasons(layers, 5.0, 10.0) == ""
-        return
-    assert_allclose(layers.friction[at[5], j], 3.0, rtol=1e-6)
+    assert_allclose(layers.friction[near, j], 3.0, rtol=1e-6)
     assert blocking_reasons(layers, 5.0, 10.0) == (
         "slope of 16.7 degrees needs a friction coefficient of 0.3, the ground offers 0.1"
     )
-
-
-def test_the_best_grip_decides():
-    grid = blank((0, 20), (0, 20), 0.5)
-    uphill = Bicubic(Grid(grid.x, grid.y, 0.3 * grid.y + grid.z), mu=0.2)
+    # the best grip decides
     wheels = (replace(ROVER.wheels[0], grip=2.0), *ROVER.wheels[1:])
-    layers = traversability(uphill, replace(ROVER, wheels=wheels))
-    assert_allclose(layers.friction[20, 20], 0.75)
+    layers = traversability(Bicubic(uphill, mu=0.2), replace(ROVER, wheels=wheels))
+    assert_allclose(layers.friction[far, j], 0.75)
 
 
 def test_keep_out_is_blocked_as_far_as_wheels_reach():
@@ -215,62 +214,52 @@ def test_keep_out_is_blocked_as_far_as_wheels_reach():
     )
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_bad_options_are_refused():
+    for options, message in (
         ({"steepest": 0.0}, "'steepest' above 0 and below pi/2 rad, found 0"),
         ({"steepest": 1.6}, "'steepest' above 0 and below pi/2 rad"),
         ({"spacing": 0.0}, "expected a positive 'spacing', found 0 m"),
         ({"spacing": 11.0}, r"half the smaller side of the map, 10 m, found 11 m"),
-    ],
-)
-def test_bad_options_are_refused(options, message):
-    with pytest.raises(ModelError, match=message):
-        traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, **options)
+    ):
+        with pytest.raises(ModelError, match=message):
+            traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, **options)
+    for radius in (-1.0, np.inf):
+        with pytest.raises(ModelError, match="finite 'turning_radius' of at least 0"):
+            route(plain(), (10.0, 5.0), (15.0, 5.0), turning_radius=radius)
+    with pytest.raises(ModelError, match="expected a count of at least 1, found 0"):
+        routes(plain(), (10.0, 5.0), (15.0, 5.0), 0)
 
 
 # Search and smoothing
 
 
-def test_moves_are_the_sixteen_neighbours():
-    assert len(search.MOVES) == 16
-    assert search._passed(2, -1) == ((1, 0), (1, -1))
-    assert search._passed(-1, 2) == ((0, 1), (-1, 1))
-
-
-@pytest.mark.parametrize("angle", np.linspace(0, np.pi / 2, 7))
-def test_grid_search_is_at_most_2_8_percent_long(angle):
+def test_grid_search_is_at_most_2_8_percent_long():
     graph = search._graph(np.ones((41, 41)), (0.5, 0.5))
-    lengths = dijkstra(graph, indices=0)
-    i, j = round(40 * math.cos(angle)), round(40 * math.sin(angle))
-    found = lengths[i * 41 + j] / (0.5 * math.hypot(i, j))
-    assert 1 - 1e-6 <= found <= 1.028
+    lengths = dijkstra(graph, indices=0).reshape(41, 41)
+    for angle in np.linspace(0, np.pi / 2, 7):
+        i, j = round(40 * math.cos(angle)), round(40 * math.sin(angle))
+        assert 1 - 1e-6 <= lengths[i, j] / (0.5 * math.hypot(i, j)) <= 1.028
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3, 1.1, 2.5])
+@pytest.mark.parametrize("angle", [0.0, 1.1])
 @pytest.mark.parametrize("origin", [(0.0, 0.0), UTM])
 def test_straight_on_flat_ground(angle, origin):
     x, y = origin
-    terrain = Bicubic(blank((x, x + 40), (y, y + 40), 0.5))
+    layers = traversability(Bicubic(blank((x, x + 40), (y, y + 40), 0.5)), ROVER)
     start = (x + 20 - 15.03 * math.cos(angle), y + 20 - 15.01 * math.sin(angle))
     goal = (x + 20 + 14.0 * math.cos(angle), y + 20 + 14.0 * math.sin(angle))
-    points = route(traversability(terrain, ROVER), start, goal)
+    points = route(layers, start, goal)
     assert tuple(points[0]) == start
     assert tuple(points[-1]) == goal
     assert_allclose(length(points), math.dist(start, goal), rtol=2e-3)
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert_allclose(gaps, 1.05, rtol=0.05)
+    cell = [(x + 10.0, y + 10.0), (x + 10.1, y + 10.05)]
+    assert_allclose(route(layers, *cell), cell)
 
 
-def test_start_and_goal_in_one_cell():
-    layers = traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER)
-    points = route(layers, (10.0, 10.0), (10.1, 10.05))
-    assert_allclose(points, [(10.0, 10.0), (10.1, 10.05)])
-
-
-@pytest.mark.parametrize("origin", [(0.0, 0.0), UTM])
-def test_through_the_gap_of_a_wall(origin):
-    x, y = origin
+def test_through_the_gap_of_a_wall():
+    x, y = UTM
     terrain = Bicubic(blank((x, x + 40), (y, y + 40), 0.5))
     walls = [box(x, x + 25, y + 19.5, y + 20.5), box(x + 31, x + 40, y + 19.5, y + 20.5)]
     layers = traversability(terrain, ROVER, keep_out=walls)
@@ -293,86 +282,21 @@ def tangent_arc(distance_start, distance_goal, radius):
 
 
 def test_around_a_disc():
-    disc = Region.disc(20.0, 20.0, 6.0)
-    terrain = Bicubic(blank((0, 40), (0, 40), 0.25))
-    layers = traversability(terrain, ROVER, keep_out=[disc], spacing=0.25)
+    layers = plain(40, 0.25, keep_out=[Region.disc(20.0, 20.0, 6.0)])
     points = route(layers, (5.0, 20.0), (35.0, 20.0))
     assert_allclose(length(points), tangent_arc(15, 15, 6 + REACH), rtol=0.02)
 
 
-def test_around_a_crater():
-    grid = craters(blank((0, 60), (0, 60), 0.25), count=1, diameters=(16, 16), seed=16)
-    i, j = np.unravel_index(grid.z.argmin(), grid.z.shape)
-    center = np.array([grid.x[i], grid.y[j]])
-    layers = traversability(Bicubic(grid), ROVER, steepest=math.radians(18))
-    x, y = np.meshgrid(layers.x, layers.y, indexing="ij")
-    from_center = np.hypot(x - center[0], y - center[1])
-    radius = from_center[np.isinf(layers.cost) & (from_center < 15)].max()
-    assert 6 < radius < 8  # the wall, within the crest of the rim at 8 m
-    start, goal = center - np.array([18, 0]), center + np.array([18, 0])
-    points = route(layers, start, goal, turning_radius=2.0)
-    assert np.hypot(*(driven(points)[0] - center).T).min() > radius - layers.spacing[0]
-    assert_allclose(length(points), tangent_arc(18, 18, radius), rtol=0.05)
-
-
-def test_ice_is_avoided():
-    grid = blank((0, 30), (0, 30), 0.25)
-    uphill = Grid(grid.x, grid.y, 0.25 * grid.y + grid.z)
-    nodes = blank((0, 30), (0, 30), 0.5)
-    icy = np.hypot(nodes.x[:, None] - 15, nodes.y - 15) < 4
-    mu = Grid(nodes.x, nodes.y, np.where(icy, 0.1, 0.7))
-    layers = traversability(Bicubic(uphill, mu=mu), ROVER)
-    dry = traversability(Bicubic(uphill, mu=0.7), ROVER)
-    ends = (15.0, 4.0), (15.0, 26.0)
-    assert_allclose(length(route(dry, *ends)), 22, rtol=1e-3)
-    places, _ = driven(route(layers, *ends))
-    assert np.hypot(*(places - 15).T).min() > 4
+@pytest.mark.parametrize(("width", "turning_radius"), [(2.0, 0.0), (2.0, 2.0), (1.2, 8.0)])
+def test_a_corridor_is_kept_and_its_bend_rounded_where_there_is_room(width, turning_radius):
+    layers, middle = corridor(width)
+    ends = (2.0, middle), (middle, 18.0)
+    places, curvature = driven(route(layers, *ends, turning_radius=turning_radius))
     assert np.isfinite(costs_at(layers, places)).all()
-
-
-def corridor(width=2.0):
-    """A right-angled corridor for the small rover, its walls in keep-out regions."""
-    terrain = Bicubic(blank((0, 20), (0, 20), 0.1))
-    low, high = 8.0, 8.0 + width
-    walls = [
-        Region.polygon(
-            (
-                (0, low - 0.5),
-                (high + 0.5, low - 0.5),
-                (high + 0.5, 20),
-                (high, 20),
-                (high, low),
-                (0, low),
-            )
-        ),
-        Region.polygon(
-            (
-                (0, high),
-                (low, high),
-                (low, 20),
-                (low - 0.5, 20),
-                (low - 0.5, high + 0.5),
-                (0, high + 0.5),
-            )
-        ),
-    ]
-    return traversability(terrain, SMALL, keep_out=walls, spacing=0.1), low + width / 2
-
-
-@pytest.mark.parametrize("turning_radius", [0.0, 0.5, 1.0, 2.0])
-def test_a_corridor_is_kept_and_its_bend_rounded(turning_radius):
-    layers, middle = corridor()
-    points = route(layers, (2.0, middle), (middle, 18.0), turning_radius=turning_radius)
-    places, curvature = driven(points)
-    assert np.isfinite(costs_at(layers, places)).all()
-    assert np.abs(curvature).max() * turning_radius <= 1.02
-
-
-def test_no_room_for_the_turning_radius_is_no_reason_to_leave_the_corridor():
-    layers, middle = corridor(width=1.2)
-    points = route(layers, (2.0, middle), (middle, 18.0), turning_radius=8.0)
-    places, _ = driven(points)
-    assert np.isfinite(costs_at(layers, places)).all()
+    if width == 2.0:
+        assert np.abs(curvature).max() * turning_radius <= 1.02
+    else:
+        assert len(routes(layers, *ends, 3)) == 1
 
 
 def battlement(layers, height):
@@ -388,7 +312,7 @@ def battlement(layers, height):
 
 @pytest.mark.parametrize("half", [1.05, 8.0])
 def test_where_there_is_no_room_for_smoothness_the_search_is_followed(half):
-    flat = traversability(Bicubic(blank((0, 21), (0, 21), 0.35)), ROVER)
+    flat = plain(21, 0.35)
     layers = battlement(flat, 4)._replace(limits=flat.limits._replace(half=half))
     start, goal = (layers.x[20], layers.y[20]), (layers.x[40], layers.y[20])
     points = route(layers, start, goal)
@@ -401,22 +325,13 @@ def test_where_there_is_no_room_for_smoothness_the_search_is_followed(half):
 
 @pytest.mark.parametrize("size", [5, 6])
 def test_where_way_points_half_an_extent_apart_cut_a_corner_more_are_given(size):
-    flat = traversability(Bicubic(blank((0, 21), (0, 21), 0.35)), ROVER)
+    flat = plain(21, 0.35)
     cost = np.full_like(flat.cost, np.inf)
     cost[20 : 20 + size, 20] = cost[20 + size, 20:40] = cost[19 + size : 21 + size, 20] = 1.0
     layers = flat._replace(cost=cost)
     start, goal = (layers.x[20], layers.y[20]), (layers.x[20 + size], layers.y[39])
     places, _ = driven(route(layers, start, goal))
     assert np.isfinite(costs_at(layers, places)).all()
-
-
-def test_rough_ground_is_driven_around():
-    grid = blank((0, 30), (0, 30), 0.25)
-    rough = power_law(grid, rms=0.1, hurst=0.5, longest=2, shortest=0.5, seed=3)
-    patch = np.hypot(grid.x[:, None] - 15, grid.y - 15) < 5
-    layers = traversability(Bicubic(Grid(grid.x, grid.y, np.where(patch, rough.z, 0))), ROVER)
-    places, _ = driven(route(layers, (3.0, 15.0), (27.0, 15.0)))
-    assert np.hypot(*(places - 15).T).min() > 4.5
 
 
 def test_a_vehicle_follows_its_route_through_craters():
@@ -435,14 +350,13 @@ def test_a_vehicle_follows_its_route_through_craters():
 # Several routes
 
 
-def discs(*each, size=40.0):
-    terrain = Bicubic(blank((0, size), (0, size), 0.5))
-    return traversability(terrain, ROVER, keep_out=[Region.disc(*disc) for disc in each])
+def discs(*each):
+    return plain(40, keep_out=[Region.disc(*disc) for disc in each])
 
 
-@pytest.mark.parametrize("y", [20.0, 20.7])
 @pytest.mark.parametrize("is_turned", [False, True])
-def test_a_disc_makes_two_classes(y, is_turned):
+def test_a_disc_makes_two_classes(is_turned):
+    y = 20.7
     layers = discs((y, 20.0, 6.0) if is_turned else (20.0, y, 6.0))
     start, goal = ((20.0, 5.0), (20.0, 35.0)) if is_turned else ((5.0, 20.0), (35.0, 20.0))
     found = routes(layers, start, goal, 5, turning_radius=2.0)
@@ -488,25 +402,7 @@ def test_a_class_does_not_change_with_the_path_between_obstacles(rng):
     assert homotopy_class(np.array([(0.0, 0.0), (4.0, -1.0)]), obstacles) == ()
 
 
-def test_small_obstacles_make_no_classes():
-    layers = discs()
-    layers.cost[40:43, 38:42] = np.inf
-    assert len(routes(layers, (3.0, 20.0), (37.0, 20.0), 3)) == 1
-
-
-def test_where_there_is_one_way_one_is_found():
-    layers, middle = corridor(width=1.2)
-    found = routes(layers, (2.0, middle), (middle, 18.0), 3)
-    assert len(found) == 1
-
-
 # Errors
-
-
-def blocked_map():
-    terrain = Bicubic(blank((0, 30), (0, 30), 0.5))
-    wall = box(0, 30, 14, 16)
-    return traversability(terrain, ROVER, keep_out=[wall, Region.disc(5.0, 5.0, 1.0)])
 
 
 @pytest.mark.parametrize(
@@ -514,7 +410,6 @@ def blocked_map():
     [
         ((-1.0, 5.0), (10.0, 5.0), r"cannot be at the start \(-1, 5\): 1 m outside the map"),
         ((10.0, 5.0), (5.0, 5.0), r"at the goal \(5, 5\): inside the keep-out disc at \(5, 5\)"),
-        ((10.0, 0.5), (10.0, 5.0), r"at the start \(10, 0.5\): 0.5 m from the edge of the map"),
         ((np.nan, 5.0), (10.0, 5.0), "finite coordinates of the start"),
         ((10.0, 5.0), (10.0, 5.0), r"different start and goal, found both at \(10, 5\)"),
         (
@@ -526,32 +421,10 @@ def blocked_map():
     ],
 )
 def test_questions_without_an_answer(start, goal, message):
+    layers = plain(30, keep_out=[box(0, 30, 14, 16), Region.disc(5.0, 5.0, 1.0)])
     for ask in (route, lambda *question: routes(*question, 2)):
         with pytest.raises(ModelError, match=message):
-            ask(blocked_map(), start, goal)
-
-
-def test_steep_start_is_named():
-    terrain = Bicubic(ramp(blank((0, 20), (0, 20), 0.25), start=8, end=12, rise=1.0))
-    layers = traversability(terrain, ROVER, steepest=math.radians(20))
-    with pytest.raises(
-        ModelError, match=r"at the start .*: slope of 22.* degrees, steeper than the 20"
-    ):
-        route(layers, (10.0, 10.0), (10.0, 4.0))
-
-
-@pytest.mark.parametrize("turning_radius", [-1.0, np.inf])
-def test_bad_turning_radius_is_refused(turning_radius):
-    with pytest.raises(ModelError, match="finite 'turning_radius' of at least 0"):
-        route(blocked_map(), (10.0, 5.0), (15.0, 5.0), turning_radius=turning_radius)
-
-
-def test_bad_count_is_refused():
-    with pytest.raises(ModelError, match="expected a count of at least 1, found 0"):
-        routes(blocked_map(), (10.0, 5.0), (15.0, 5.0), 0)
-
-
-# Inside
+            ask(layers, start, goal)
 
 
 def test_gradient_of_the_effort(rng):

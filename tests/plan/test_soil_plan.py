@@ -8,7 +8,6 @@ import pytest
 from slipfree import load_problem, run_problem
 from slipfree.problem.verbs.registry import verb_of
 
-pytestmark = pytest.mark.slow
 SLOPE = Path(__file__).parents[2] / "problems" / "plan_sandy_slope.toml"
 SHORT = (
     "law.soil.regions=",
@@ -25,37 +24,22 @@ SHORT = (
 )
 
 
-@pytest.fixture(scope="module")
-def result():
-    """Return the result of a plan over a part of the slope."""
-    return run_problem(load_problem(SLOPE, SHORT))
-
-
-def test_a_plan_keeps_its_limit_on_slip(result):
-    run = result.trajectory
+@pytest.mark.slow
+def test_a_plan_over_sand_keeps_its_limit_on_slip_and_is_confirmed_by_dynamics():
+    result = run_problem(load_problem(SLOPE, SHORT))
+    run, verb = result.trajectory, verb_of(result.problem)
     assert run.stop is None
     assert run["y"][-1] == pytest.approx(1.8, abs=0.02)
     assert run["slip_ratio"].max() == pytest.approx(0.22, abs=5e-3)  # a steeper path is shorter
     assert run["sinkage"].max() < 0.025
-
-
-def test_its_energy_is_the_work_of_the_drives(result):
-    run = result.trajectory
-    work = run["work"][-1] - run["work"][0]
+    work = run["work"][-1] - run["work"][0]  # of the drives
     assert run.facts["plan_cost_energy"].value == pytest.approx(work, rel=0.02)
-
-
-def test_dynamics_in_the_same_soil_confirms_it(result):
-    away = result.trajectory.facts["soil_end_distance"].value
+    away = run.facts["soil_end_distance"].value
     assert away < 0.03
-    lines = dict(verb_of(result.problem).summary(result.trajectory))
+    lines = dict(verb.summary(run))
     assert lines["simulated with inertia"].startswith(f"ends {away:.3g} m from the plan")
     assert "drawbar-pull reserve" in lines["soil"]
-
-
-def test_the_figure_of_the_contact_shows_the_reserve(result):
-    verb = verb_of(result.problem)
+    assert np.isfinite(run["drawbar_reserve"]).all()
     (plot,) = (each for each in verb.figures(result) if each.name == "contact")
     labels = [ax.get_ylabel() for ax in plot.make().axes]
     assert any("reserve" in each for each in labels), labels
-    assert np.isfinite(result.trajectory["drawbar_reserve"]).all()

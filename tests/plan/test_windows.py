@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -45,13 +46,29 @@ def case():
 
 
 def windows(case, **options):
-    given = {"speed": SPEED, "length": 1.8, "overlap": 0.6, "goal": GOAL, "intervals": 12}
+    given = {"speed": SPEED, "length": 1.8, "overlap": 0.6, "goal": GOAL, "intervals": 8}
     return plan_windows(*case, **COMMON, **(given | options))
 
 
 @pytest.fixture(scope="module")
 def found(case):
     return windows(case)
+
+
+def assert_continuous(found, t):
+    """Inputs are continuous at the hand-over at time t."""
+    around = t / found.motion.duration + np.array([-1e-9, 1e-9])
+    before, after = found.motion.inputs(around).T
+    assert_allclose(before, after, atol=1e-6)
+
+
+def assert_repeated(case, found):
+    """One simulation of the joined inputs repeats the motion."""
+    dae, _, start, _ = case
+    options = SolverOptions(tolerance=1e-9)
+    again = simulate_plan(dae, start, found.motion, step=0.25, options=options)
+    for name in ("x", "y", "heading", "steer"):
+        assert_allclose(again[name][-1], found.replay[name][-1], atol=1e-5)
 
 
 @pytest.mark.slow
@@ -65,31 +82,11 @@ def test_the_goal_is_reached_in_several_accurate_windows(case, found):
     assert_allclose([run["x"][-1], run["y"][-1]], list(GOAL.values()), atol=1e-3)
     assert_allclose(run.t[-1], found.motion.duration, rtol=1e-12)
     assert max(found.difference.values()) < 1e-3
-
-
-@pytest.mark.slow
-def test_windows_overlap_and_follow_each_other(found):
-    for before, after in zip(found.windows, found.windows[1:], strict=False):
+    for before, after in pairwise(found.windows):
         assert after.begin < before.end
         assert_allclose(after.t, before.t + before.duration, rtol=1e-12)
-
-
-@pytest.mark.slow
-def test_one_simulation_of_the_joined_inputs_repeats_the_motion(case, found):
-    dae, _, start, _ = case
-    again = simulate_plan(
-        dae, start, found.motion, step=0.25, options=SolverOptions(tolerance=1e-9)
-    )
-    for name in ("x", "y", "heading", "steer"):
-        assert_allclose(again[name][-1], found.replay[name][-1], atol=1e-5)
-
-
-@pytest.mark.slow
-def test_inputs_are_continuous_at_the_hand_overs(found):
-    for window in found.windows[1:]:
-        around = window.t / found.motion.duration + np.array([-1e-9, 1e-9])
-        before, after = found.motion.inputs(around).T
-        assert_allclose(before, after, atol=1e-6)
+        assert_continuous(found, after.t)
+    assert_repeated(case, found)
 
 
 @pytest.mark.slow
@@ -110,34 +107,23 @@ def test_windows_cost_little_more_than_one_plan(case, found):
 
 @pytest.mark.slow
 def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
-    def progress(words, _iterate):
-        return not words.startswith("2 to")
-
-    kept = windows(case, progress=progress, intervals=8)
+    kept = windows(case, progress=lambda words, _iterate: not words.startswith("2 to"))
     assert kept.replay.outcome is Outcome.INTERRUPTED
     assert not kept.success
     assert 1 <= len(kept.windows) < len(found.windows)
     assert kept.replay.t[-1] == pytest.approx(kept.motion.duration)
-    resumed = windows(case, resume=kept.saved, intervals=8)
+    resumed = windows(case, resume=kept.saved)
     assert resumed.accurate
     assert_allclose([resumed.replay["x"][-1], resumed.replay["y"][-1]], [0.3, 4.5], atol=1e-3)
-    around = kept.motion.duration / resumed.motion.duration + np.array([-1e-9, 1e-9])
-    before, after = resumed.motion.inputs(around).T
-    assert_allclose(before, after, atol=1e-6)
-    dae, _, start, _ = case
-    again = simulate_plan(
-        dae, start, resumed.motion, step=0.25, options=SolverOptions(tolerance=1e-9)
-    )
-    for name in ("x", "y", "heading"):
-        assert_allclose(again[name][-1], resumed.replay[name][-1], atol=1e-5)
+    assert_continuous(resumed, kept.motion.duration)
+    assert_repeated(case, resumed)
     shared = kept.replay.t.size - 1
     assert_allclose(resumed.replay["y"][:shared], kept.replay["y"][:shared], atol=1e-6)
 
 
 @pytest.mark.slow
 def test_a_window_without_solution_is_named_and_the_others_are_kept(case):
-    limits = {"y": (-1.0, 2.2)}
-    kept = windows(case, limits=limits, intervals=8)
+    kept = windows(case, limits={"y": (-1.0, 2.2)}, intervals=5)
     assert not kept.success
     assert kept.windows
     assert "m of the route" in kept.replay.stop.words
@@ -158,17 +144,14 @@ def test_parts_of_a_motion_join_to_the_motion(found):
     assert_allclose(twice.algebraic(at[1:] / 2), first.algebraic(at[1:]), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
+def test_lengths_and_speeds_that_do_not_fit_are_refused(case):
+    for change, words in (
         ({"overlap": 1.8}, "overlap shorter than the window"),
         ({"overlap": 0.0}, "overlap shorter than the window"),
         ({"speed": 0.0}, "expected a positive speed, found 0 m/s"),
-    ],
-)
-def test_lengths_and_speeds_that_do_not_fit_are_refused(case, change, words):
-    with pytest.raises(ModelError, match=words):
-        windows(case, **change)
+    ):
+        with pytest.raises(ModelError, match=words):
+            windows(case, **change)
 
 
 @pytest.mark.slow

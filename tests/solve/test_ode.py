@@ -59,15 +59,22 @@ def test_a_limit_ends_the_motion_at_its_crossing():
     assert run.stop.name == "bound"
     assert_allclose(run.stop.t, np.log(2), atol=1e-5)
     assert run["x"][-1] <= 2 + 1e-5
+    dae = model(lambda _t, _x, u: u, limits=[(-np.inf, 0.55)])
+    run = simulate_sampled(dae, settle(dae, x=0.0), dae.inputs(push=1.0), np.arange(11) * 0.1)
+    assert run.stop.name == "bound"
+    assert_allclose(run.t[-1], 0.6)
+    assert "x is out of bounds: 0.6, allowed at most 0.55 m" in run.stop.words
 
 
 @pytest.mark.slow
 def test_a_motion_that_goes_to_infinity_is_told_of():
-    dae = model(lambda _t, x, u: x**2 + u)
+    dae, t = model(lambda _t, x, u: x**2 + u), np.linspace(0, 2, 21)
     with pytest.raises(SolverError, match=r"stopped at t = (0\.99|1)") as caught:
-        simulate(dae, settle(dae, x=1.0), dae.inputs(push=0.0), np.linspace(0, 2, 21))
+        simulate(dae, settle(dae, x=1.0), dae.inputs(push=0.0), t)
     assert "CV_" in str(caught.value)
     assert caught.value.trajectory["x"][-1] > 50
+    with pytest.raises(SolverError, match=r"stopped at t = 0\.9"):
+        simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=0.0), t)
 
 
 def test_jumps_of_an_input():
@@ -102,27 +109,6 @@ def test_a_held_law_knows_the_time():
     assert_allclose(run["x"], own["x"], atol=1e-7)
 
 
-def test_a_limit_ends_a_sampled_motion():
-    dae = model(lambda _t, _x, u: u, limits=[(-np.inf, 0.55)])
-    run = simulate_sampled(dae, settle(dae, x=0.0), dae.inputs(push=1.0), np.arange(11) * 0.1)
-    assert run.stop.name == "bound"
-    assert_allclose(run.t[-1], 0.6)
-    assert "x is out of bounds: 0.6, allowed at most 0.55 m" in run.stop.words
-
-
-def test_a_sampled_motion_that_goes_to_infinity_is_told_of():
-    dae = model(lambda _t, x, u: x**2 + u)
-    with pytest.raises(SolverError, match=r"stopped at t = 0\.9"):
-        simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=0.0), np.linspace(0, 2, 21))
-
-
-@pytest.mark.parametrize("t", [[0.0], [0.0, 0.1, 0.3], [0.0, np.nan]])
-def test_times_that_no_controller_samples_at_are_refused(t):
-    dae = model(lambda _t, _x, u: u)
-    with pytest.raises(ModelError, match="t: "):
-        simulate_sampled(dae, settle(dae, x=0.0), dae.inputs(push=0.0), np.array(t))
-
-
 def test_what_a_method_cannot_do_is_refused():
     dae, t = direct_kinematics(three_wheeler(), Analytic(lambda x, _y: 0 * x)), np.arange(3) * 0.1
     start, given = settle(dae), dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
@@ -130,13 +116,21 @@ def test_what_a_method_cannot_do_is_refused():
         simulate(dae, start, given, t, options=SolverOptions(method="cvodes"))
     with pytest.raises(ModelError, match=r"sampled controller, found \d+"):
         simulate_sampled(dae, start, given, t)
-    plain = model(lambda _t, _x, u: u)
-    start, slope = settle(plain, x=0.0), PiecewiseLinear(np.zeros(2), np.ones(2))
     with pytest.raises(ModelError, match="expected one of idas, cvodes, found 'rk'"):
         SolverOptions(method="rk")
-    with pytest.raises(ModelError, match="expected 'cvodes' for a sampled controller"):
-        simulate_sampled(
-            plain, start, plain.inputs(push=0.0), t, options=SolverOptions(method="idas")
-        )
-    with pytest.raises(ModelError, match="inputs that are linear in time"):
-        simulate_sampled(plain, start, plain.inputs(push=slope), t)
+    dae = model(lambda _t, _x, u: u)
+    slope, idas = (
+        PiecewiseLinear(np.zeros(2), np.ones(2)),
+        {"options": SolverOptions(method="idas")},
+    )
+    for times, push, options, words in (
+        (t, 0.0, idas, "expected 'cvodes' for a sampled controller"),
+        (t, slope, {}, "inputs that are linear in time"),
+        ([0.0], 0.0, {}, "t: "),
+        ([0.0, 0.1, 0.3], 0.0, {}, "t: "),
+        ([0.0, np.nan], 0.0, {}, "t: "),
+    ):
+        with pytest.raises(ModelError, match=words):
+            simulate_sampled(
+                dae, settle(dae, x=0.0), dae.inputs(push=push), np.array(times), **options
+            )
