@@ -16,7 +16,7 @@ from slipfree.cli import app
 from slipfree.control.sensor_noise import Noise
 from slipfree.files.netcdf import read as read_result
 from slipfree.files.netcdf import read_arrays, write
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import motion_facts
 from slipfree.problem.solve import build, run_problem

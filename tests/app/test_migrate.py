@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.load import load_problem
 from slipfree.problem.migrate import migrate_text
 from slipfree.problem.old_keys import upgrade_keys

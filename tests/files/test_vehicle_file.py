@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from helpers.cases import hills
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
 from slipfree.cli import app
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of
 from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTable, WheelTable
 from slipfree.geometry.frame import Pose, unit_vector

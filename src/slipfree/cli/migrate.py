@@ -36,7 +36,7 @@ def migrate(
     Comments and layout are kept.
     """
     with reported():
-        from slipfree.files.toml.reader import read_text
+        from slipfree.files.toml.source import read_text
         from slipfree.problem.migrate import migrate_text
 
         refuse_result(file)

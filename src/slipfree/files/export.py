@@ -11,7 +11,7 @@ from typing import Any
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
-from slipfree.files.map_coordinates import map_positions
+from slipfree.files.cf import map_positions
 from slipfree.files.netcdf import read, write_csv
 from slipfree.records import Label
 from slipfree.regular_files import resolve_links

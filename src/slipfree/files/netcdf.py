@@ -31,6 +31,7 @@ from slipfree.errors import DataError, ModelError
 from slipfree.files.cf import (
     CRS,
     FEATURE,
+    MAP_CRS,
     TIME_ATTRIBUTES,
     TRAJECTORY,
     TRAJECTORY_ATTRIBUTES,
@@ -39,7 +40,6 @@ from slipfree.files.cf import (
     is_trajectory,
     position_columns,
 )
-from slipfree.files.map_coordinates import MAP_CRS
 from slipfree.files.tables import write_rows
 from slipfree.files.upgrade import sums_0_1, upgrade_0_1, upgrade_column_0_1
 from slipfree.frames import to_problem_frame

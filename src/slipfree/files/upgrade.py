@@ -6,8 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
-from slipfree.files.toml.settings import replace_values
-from slipfree.files.toml.source_lines import load_toml
+from slipfree.files.toml.source import load_toml, replace_values
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Label
 from slipfree.trajectory import OUTCOME, STATISTICS, STOP, Column

@@ -1,4 +1,4 @@
-"""Drafts of vehicles: parts read from a file, not yet validated as a vehicle."""
+"""Drafts of vehicles read from a file, and the text of vehicle files."""
 
 from __future__ import annotations
 
@@ -7,27 +7,30 @@ import keyword
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
+import tomlkit
 
-from slipfree.errors import DataError
-from slipfree.files.toml.angles import FULL_TURN
+from slipfree.errors import DataError, ModelError
+from slipfree.files.toml.types import FULL_TURN, WithUnit
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import in_axes
 from slipfree.records import Array
+from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.registry import SECTIONS
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
 NO_BODY = Body()
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 # rotation from axes x forward, y left (rep103) to axes x right, y forward
 FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-
 Value = float | bool | str | Mapping[str, Any]  # of a key in a vehicle file
 
 
@@ -274,3 +277,101 @@ def rotation_of(turned: Vector) -> Array:
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     return np.asarray(about_z @ about_y @ about_x)
+
+
+def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
+    """Return the text of a vehicle file, from which `read_vehicle` returns the vehicle.
+
+    Notes of the vehicle are left out.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle, with numbers.
+    comments : sequence of str
+        Lines of a comment at the beginning of the file.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle is locked to a plane, or a wheel has a section without a name in files.
+    """
+    if vehicle.planar:
+        raise ModelError(
+            f"{vehicle.name!r}: expected a vehicle that moves in space, found one locked to a "
+            "plane, which vehicle files do not describe; write the vehicle before 'planar'"
+        )
+    document = tomlkit.document()
+    for line in comments:
+        document.add(tomlkit.comment(line))
+    document.update({"name": vehicle.name, "frame": "paper", **_mass_keys(vehicle.body)})
+    tables = {
+        "coordinates": [_coordinate(each) for each in vehicle.coordinates],
+        "joints": [_joint(each) for each in vehicle.joints],
+        "wheels": [_wheel(each) for each in vehicle.wheels],
+    }
+    document.update({name: each for name, each in tables.items() if each})
+    return tomlkit.dumps(document)
+
+
+def _mass_keys(body: Body) -> dict[str, Any]:
+    """Return the keys of mass, centre of mass and inertia that differ from their defaults."""
+    found = {"mass": body.mass, "center_of_mass": body.at, "inertia": body.inertia}
+    defaults = {"mass": 0.0, "center_of_mass": ORIGIN, "inertia": None}
+    return {key: value for key, value in found.items() if value != defaults[key]}
+
+
+def _given(record: Any, *left_out: str) -> dict[str, Any]:
+    """Return the fields of a record that differ from their defaults, and finite numbers only."""
+    found = {each.name: getattr(record, each.name) for each in fields(record)}
+    defaults = {each.name: each.default for each in fields(record)}
+    return {
+        key: _with_unit(value)
+        for key, value in found.items()
+        if key not in left_out
+        and value != defaults[key]
+        and not (isinstance(value, float) and not isfinite(value))
+    }
+
+
+def _with_unit(value: Any) -> Any:
+    """Return a value with the unit that it had; without it, a large angle would be refused."""
+    if isinstance(value, tuple):
+        return tuple(map(_with_unit, value))
+    if not isinstance(value, WithUnit):
+        return value
+    return f"{float(value)!r} {value.unit.replace(' s-1', '/s')}"
+
+
+def _drive(drive: Drive) -> dict[str, Any]:
+    """Return the key of a drive; none for the default."""
+    if drive == RATE:
+        return {}
+    kind = next(name for name, each in DRIVES.items() if isinstance(drive, each))
+    return {"drive": {"kind": kind, **_given(drive)}}
+
+
+def _coordinate(c: Coordinate) -> dict[str, Any]:
+    return {**_given(c, "drive"), **_drive(c.drive)}
+
+
+def _joint(joint: Joint) -> dict[str, Any]:
+    return {**_given(joint, "body"), **_mass_keys(joint.body)}
+
+
+def _wheel(wheel: Wheel) -> dict[str, Any]:
+    section = wheel.section
+    rollers = {"rollers": True} if isinstance(section, Omni) else {}
+    section = section.rim if isinstance(section, Omni) else section
+    tube, outer = section.torus_radii or (0.0, 0.0)
+    if outer and (tube + outer) - tube == outer:  # exact in the reader
+        shape: dict[str, Any] = {"radius": tube + outer, "tube": tube}
+    else:
+        kind = next((name for name, each in SECTIONS.items() if type(section) is each), None)
+        if kind is None:
+            raise ModelError(
+                f"wheel {wheel.name!r}: expected a section with a name in vehicle files, "
+                f"{', '.join(SECTIONS)}, found {section}"
+            )
+        shape = {"section": kind, **{f.name: getattr(section, f.name) for f in fields(section)}}
+    return {**_given(wheel, "section", "drive"), **shape, **rollers, **_drive(wheel.drive)}

@@ -25,25 +25,32 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from slipfree.errors import ModelError
-from slipfree.files.toml.angles import (
+from slipfree.files.toml.source import (
+    PIECE,
+    Fault,
+    Place,
+    ProblemError,
+    Source,
+    key_lines,
+    listed,
+    name_errors,
+    parse_toml,
+    read_text,
+    spelled,
+    validation_fault,
+    value_errors,
+)
+from slipfree.files.toml.types import (
     WITH_UNIT,
     Angle,
+    NonNegative,
+    Positive,
     Quantity,
+    Record,
     bare_words,
     in_radians,
     unit_faults,
 )
-from slipfree.files.toml.errors import (
-    Fault,
-    ProblemError,
-    listed,
-    name_errors,
-    validation_fault,
-    value_errors,
-)
-from slipfree.files.toml.reader import parse_toml, read_text
-from slipfree.files.toml.source_lines import PIECE, Place, Source, key_lines, spelled
-from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.toml.types import Place as Place3
 from slipfree.files.vehicle_draft import (
     MAX_LENGTH,

@@ -11,9 +11,14 @@ from typing import Any, NamedTuple
 import tomlkit
 from tomlkit.items import Key, KeyType, SingleKey, Table
 
-from slipfree.files.toml.errors import Fault, ProblemError, problem_error
-from slipfree.files.toml.reader import parse_toml
-from slipfree.files.toml.source_lines import Source, key_lines
+from slipfree.files.toml.source import (
+    Fault,
+    ProblemError,
+    Source,
+    key_lines,
+    parse_toml,
+    problem_error,
+)
 from slipfree.problem.old_keys import KeyChange, old_keys, upgrade_keys
 
 

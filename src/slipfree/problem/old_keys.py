@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from slipfree.files.toml.errors import Fault
+from slipfree.files.toml.source import Fault
 
 VERBS = ("direct", "plan")  # verbs with changed keys
 

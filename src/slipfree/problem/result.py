@@ -14,7 +14,7 @@ from typing import Any
 from slipfree.errors import DataError, SlipfreeError
 from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.input_files import DRAWN, digest, files_read, input_names
 from slipfree.problem.load import load_earlier
 from slipfree.problem.problem import Problem
@@ -100,7 +100,7 @@ def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
         If the result cannot be read, is not a motion over terrain or contains no problem, if input
         files of its problem are missing or have changed, or if ``out`` cannot be written.
     """
-    from slipfree.files.mcap_writer import write_mcap
+    from slipfree.files.mcap import write_mcap
     from slipfree.problem.build_vehicle import read_robot
     from slipfree.problem.verbs.driving import vehicle_of
 

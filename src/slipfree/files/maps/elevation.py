@@ -17,8 +17,7 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps.missing_values import check_values
-from slipfree.files.maps.point_cloud import read_point_cloud
-from slipfree.files.maps.points import read_points
+from slipfree.files.maps.points import read_point_cloud, read_points
 from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
 from slipfree.files.maps.reference_systems import metric_system
 from slipfree.records import Array, field_overview

@@ -16,13 +16,15 @@ from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
+import scipy  # scipy.io is imported when it is used, since this takes 0.2 s
 
 from slipfree.errors import DataError
 from slipfree.files.maps.missing_values import Marker, check_values
-from slipfree.files.maps.netcdf_header import check_header
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
 
+CLASSIC = (b"CDF\1", b"CDF\2")
+DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
 DRIVERS = (  # GDAL drivers that read one file, and follow no references to others
     *("GTiff", "AAIGrid", "SRTMHGT", "DTED", "HFA", "GPKG", "PNG", "GSBG", "GS7BG", "GSAG", "BT"),
     *("NWT_GRD", "Terragen", "HF2", "GRIB", "JP2OpenJPEG", "NITF", "PCIDSK", "SIGDEM"),
@@ -90,6 +92,23 @@ WORDS = {
     "area": "heights at the centres of cells (pixel is area)",
     "point": "heights at nodes (pixel is point)",
 }
+
+
+def check_header(path: Path) -> None:
+    """Raise DataError for a damaged header of a classic netCDF file.
+
+    The netCDF library allocates as much memory as a header claims, up to gigabytes.
+    """
+    with path.open("rb") as stream:
+        if stream.read(4) not in CLASSIC:
+            return
+    try:
+        with path.open("rb") as stream, scipy.io.netcdf_file(stream, mmap=True):
+            pass
+    except DAMAGED as error:
+        raise DataError(
+            "expected a readable netCDF file, found a damaged header; copy or download it again"
+        ) from error.with_traceback(None)
 
 
 class Reading(NamedTuple):

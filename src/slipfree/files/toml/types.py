@@ -1,35 +1,179 @@
-"""Types of the values in problem files, and the base class of their tables."""
+"""Types of the values in TOML files, and the base class of their tables."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
-from typing import Annotated, Any
+from math import pi
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 from pydantic_core import PydanticCustomError
 
-from slipfree.files.toml.angles import (
-    IN_RADIANS,
-    IN_RADIANS_PER_SECOND,
-    Angle,
-    WithUnit,
-    parse_unit,
-)
+from slipfree.files.toml.source import Fault, format_value
+from slipfree.files.toml.source import Place as KeyPath
 
+FULL_TURN = 2 * pi * 1.001  # larger bare angles are probably degrees; the margin allows rounding
+EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'
+TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|rad)(/s2?)?\s*")
 MAX_NUMBER = 1e300  # largest accepted number
 Piecewise = tuple[tuple[float, float], ...]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-NonNegativeAngle = Annotated[NonNegative, IN_RADIANS]
-NonNegativeRate = Annotated[NonNegative, IN_RADIANS_PER_SECOND]
 Count = Annotated[int, Field(ge=0)]
 # arrays are read as tuples; types of elements are not converted
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Place = Annotated[tuple[float, float, float], Field(strict=False)]
 Column = Annotated[tuple[float, ...], Field(strict=False)]
-Angles = Annotated[tuple[Angle, ...], Field(strict=False)]
 Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
 Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
+
+
+class WithUnit(float):
+    """A number that was written with a unit, converted to SI units."""
+
+    unit: ClassVar[str]
+    words: ClassVar[str]
+
+
+class AngleWithUnit(WithUnit):
+    """An angle [rad]."""
+
+    unit, words = "rad", "an angle"
+
+
+class RateWithUnit(WithUnit):
+    """An angular rate [rad/s]."""
+
+    unit, words = "rad s-1", "an angular rate"
+
+
+class AccelerationWithUnit(WithUnit):
+    """An angular acceleration [rad/s2]."""
+
+    unit, words = "rad s-2", "an angular acceleration"
+
+
+KINDS: dict[str | None, type[WithUnit]] = {
+    None: AngleWithUnit,
+    "/s": RateWithUnit,
+    "/s2": AccelerationWithUnit,
+}
+
+
+def parse_unit(value: Any) -> Any:
+    """Return the number of a text such as "30 deg" in SI units; return other values unchanged."""
+    found = TEXT.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
+    if found is None:
+        return value
+    number = float(found[1])
+    return KINDS[found[3]](number * pi / 180 if found[2] == "deg" else number)
+
+
+def _read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
+    """Return a validated number: a `WithUnit` if it has a unit, which `unit_faults` checks."""
+    found = parse_unit(value)
+    if isinstance(found, str):
+        raise PydanticCustomError("expected", "{words}", {"words": EXAMPLE})
+    number: float = validate(float(found) if isinstance(found, WithUnit) else found)
+    return found if isinstance(found, WithUnit) else number
+
+
+def _reader(unit: type[WithUnit]) -> WrapValidator:
+    """Return a validator that accepts numbers, and texts with the given unit."""
+    words = f'a number, or text as in "{"5 deg/s" if unit is RateWithUnit else "30 deg"}"'
+
+    def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
+        found = parse_unit(value)
+        if isinstance(found, str) or (isinstance(found, WithUnit) and not isinstance(found, unit)):
+            raise PydanticCustomError("expected", "{words}", {"words": words})
+        return _read(value, validate)
+
+    return WrapValidator(read)
+
+
+WITH_UNIT = WrapValidator(_read)
+
+
+Quantity = Annotated[float, WITH_UNIT]  # `unit_faults` checks the unit, which depends on the key
+
+
+IN_RADIANS, IN_RADIANS_PER_SECOND = _reader(AngleWithUnit), _reader(RateWithUnit)
+
+
+Angle = Annotated[float, IN_RADIANS]
+
+
+def unit_faults(
+    place: KeyPath, values: Mapping[str, Any], units: Mapping[str, str], *, bare: bool = False
+) -> Iterator[Fault]:
+    """Yield an error for each value with a unit other than the expected one.
+
+    Parameters
+    ----------
+    place : tuple of str or int
+        Keys of the table in its file, for the location in messages.
+    values : mapping
+        Numbers, ranges, or piecewise constants by name of the key.
+    units : mapping of str to str
+        Expected units by name, as in ``rad s-1``; values without an entry are not checked.
+    bare : bool
+        Whether an angle of more than a full turn without a unit is an error too.
+    """
+    for name, value in values.items():
+        unit = units.get(name, "")
+        for number in _numbers(value) if unit else ():
+            if isinstance(number, WithUnit) and number.unit != unit:
+                spelled = unit.replace(" s-", "/s").replace("/s1", "/s")
+                found = f"{number.words}; correct the unit"
+                yield Fault((*place, name), f"a number in {spelled}", found)
+                break
+            if bare and unit == "rad" and (words := bare_words(number)):
+                yield Fault((*place, name), words, format_value(number))
+                break
+
+
+def bare_words(value: float) -> str:
+    """Return the expected value, in words, for an angle that is probably given in degrees.
+
+    Such an angle has no unit and exceeds a full turn. The result is empty for other values.
+    """
+    if isinstance(value, WithUnit) or abs(value) <= FULL_TURN:
+        return ""
+    return f'radians (did you mean {value:.6g} degrees? write "{value:.6g} deg")'
+
+
+def in_radians(value: float) -> float:
+    """Return an angle unchanged; raise an error if it has no unit and exceeds a full turn."""
+    if words := bare_words(value):
+        raise PydanticCustomError("expected", "{words}", {"words": words})
+    return value
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    """Yield all numbers of a value: a scalar, a range or a piecewise constant."""
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from _numbers(part)
+
+
+NonNegativeAngle = Annotated[NonNegative, IN_RADIANS]
+
+
+NonNegativeRate = Annotated[NonNegative, IN_RADIANS_PER_SECOND]
+
+
+Angles = Annotated[tuple[Angle, ...], Field(strict=False)]
 
 
 class Record(BaseModel):
@@ -115,6 +259,12 @@ def not_zero(value: float) -> float:
 
 
 PiecewiseConstant = Annotated[Any, PlainValidator(_piecewise_constant)]
+
+
 PiecewiseConstantOrFile = Annotated[Any, PlainValidator(_piecewise_constant_or_file)]
+
+
 TimeFunction = Annotated[Any, PlainValidator(_time_function)]
+
+
 Range = Annotated[Any, PlainValidator(_range)]

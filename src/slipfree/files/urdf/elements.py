@@ -9,15 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from slipfree.files.urdf.casters import with_separate_balls
-from slipfree.files.urdf.leftovers import (
-    check_macro_calls,
-    link_at,
-    substitute,
-    unknown_elements,
-    without_xacro,
-)
-from slipfree.files.urdf.other_formats import parse_robot
+from slipfree.files.urdf.joint_guesses import with_separate_balls
 from slipfree.files.urdf.tree import (
     Box,
     Faults,
@@ -28,7 +20,14 @@ from slipfree.files.urdf.tree import (
     Tree,
     UrdfJoint,
 )
-from slipfree.files.urdf.xml import Element
+from slipfree.files.urdf.xacro import (
+    check_macro_calls,
+    link_at,
+    substitute,
+    unknown_elements,
+    without_xacro,
+)
+from slipfree.files.urdf.xml import Element, parse_robot
 from slipfree.files.vehicle_draft import MAX_LENGTH, degrees_words, in_order, rotation_of
 from slipfree.geometry.frame import Vector
 from slipfree.geometry.tensor import Elements, in_axes, tensor

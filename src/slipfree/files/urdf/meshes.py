@@ -13,8 +13,8 @@ from urllib.parse import unquote
 import numpy as np
 
 from slipfree.errors import DataError, missing_package
-from slipfree.files.urdf.packages import package_folders
 from slipfree.files.urdf.tree import Mesh, Shape
+from slipfree.files.urdf.xacro import package_folders
 from slipfree.files.vehicle_draft import MAX_LENGTH, rotation_of
 from slipfree.geometry.mesh import Mesh as Triangles
 from slipfree.processes import ProcessDiedError, bounded_call, bounded_read

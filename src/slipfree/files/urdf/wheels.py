@@ -13,11 +13,19 @@ from typing import TypeVar
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.files.urdf.casters import CASTER, caster_wheels
-from slipfree.files.urdf.frames import (
+from slipfree.files.urdf.joint_guesses import CASTER, caster_wheels
+from slipfree.files.urdf.links import wheel_name
+from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
+from slipfree.files.urdf.roles import Roles, WheelRole
+from slipfree.files.urdf.tree import (
     MAX_ECCENTRICITY,
     STEEP,
     WHEEL,
+    Findings,
+    Mesh,
+    Shape,
+    Tree,
+    UrdfJoint,
     eccentricity,
     fixed_to_wheels,
     is_about,
@@ -25,17 +33,13 @@ from slipfree.files.urdf.frames import (
     is_level,
     lowest,
 )
-from slipfree.files.urdf.guesses import (
+from slipfree.files.urdf.wheel_guesses import (
     WheelGuess,
     sliding_wheels,
     unused_wheel_names,
     wheel_guesses,
     with_fixed_rollers,
 )
-from slipfree.files.urdf.links import wheel_name
-from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
-from slipfree.files.urdf.roles import Roles, WheelRole
-from slipfree.files.urdf.tree import Findings, Mesh, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import Value, angles_of, rotation_of, toml_key, toml_line
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import tensor

@@ -21,8 +21,7 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_columns
-from slipfree.files.toml.errors import Fault, problem_error
-from slipfree.files.toml.source_lines import Place
+from slipfree.files.toml.source import Fault, Place, problem_error
 from slipfree.laws.compliant import Compliant
 from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.problem.build_common import SampledTimes, sampled_times, samples

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from pydantic import Field
 
 from slipfree.control import sensor_noise, step_climbing
-from slipfree.files.toml.source_lines import Place as KeyPath
+from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import NonNegative, Pair, Positive, Record
 from slipfree.problem.law_record import law_record
 from slipfree.problem.schema import TOLERANCE, VERB, Runnable, Solver
