@@ -270,6 +270,12 @@ def angles_of(rotation: Array) -> Vector:
     return x, y, z
 
 
+def vector_of(array: Array) -> Vector:
+    """Return an array of shape (3,) as a tuple of floats."""
+    x, y, z = array.tolist()
+    return x, y, z
+
+
 def rotation_of(turned: Vector) -> Array:
     """Return the rotation matrix, shape (3, 3), of angles about fixed x, then y, then z [rad]."""
     (sx, sy, sz), (cx, cy, cz) = np.sin(turned), np.cos(turned)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -15,7 +15,6 @@ from slipfree.errors import DataError
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.roles import Roles
 from slipfree.files.urdf.tree import (
-    Box,
     Link,
     Mimic,
     Shape,
@@ -30,7 +29,6 @@ from slipfree.files.urdf.tree import (
     steered,
 )
 from slipfree.files.vehicle_draft import rotation_of
-from slipfree.geometry.frame import unit_vector
 from slipfree.records import Array
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN
@@ -89,68 +87,59 @@ def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) 
     ground = min(bottoms, default=np.inf)
     known = fixed_to_wheels(tree) | {wheel.name for wheel in wheels}
     for joint in tree.joints.values():
-        parts = [joint, *tree.below(joint.child)]
-        names = frozenset(part.name for part in parts)
         if joint.name in known or joint.name in excluded:
             continue
-        if CASTER.search(f"{joint.name} {joint.child}"):
+        parts = [joint, *tree.below(joint.child)]
+        names = frozenset(part.name for part in parts)
+        shapes = tree.links[joint.child].shapes
+        if CASTER.search(joint.names):
             parts = [part for part in parts if part.name not in excluded]
-            if known.isdisjoint(names) and (found := _lowest_part(tree, parts, ground)):
-                part, radius, reason = found
+            if known.isdisjoint(names) and (contact := _lowest_part(tree, parts, ground)):
+                part, radius, reason = contact
                 yield Caster(part.name, names, radius, not _trails(tree, joint, part), reason)
             known |= names
-            continue
-        link = tree.links[joint.child]
-        if is_last(tree, joint) and [shape.kind for shape in link.shapes] == ["sphere"]:
-            radius = link.shapes[0].radius
-            if abs(_bottom(link.shapes, frames[joint.child]) - ground) <= TOUCH * radius:
+        elif is_last(tree, joint) and [shape.kind for shape in shapes] == ["sphere"]:
+            radius = shapes[0].radius
+            if abs(_bottom(shapes, frames[joint.child]) - ground) <= TOUCH * radius:
                 reason = "it is a sphere that touches the ground of the wheels"
                 yield Caster(joint.name, names, radius, True, reason)
 
 
 def _bottom(shapes: Sequence[Shape], frame: tuple[Array, Array]) -> float:
     """Return the height of the lowest point of round shapes of a link; infinite without any [m]."""
-    return min((lowest(each, frame[0]) + float(frame[1][2]) for each in shapes), default=np.inf)
+    return min((lowest(shape, frame[0]) + float(frame[1][2]) for shape in shapes), default=np.inf)
 
 
 def _lowest_part(
     tree: Tree, parts: Sequence[UrdfJoint], ground: float
 ) -> tuple[UrdfJoint, float, str] | None:
-    """Return the part of a caster that touches the ground, its radius [m], and its reason.
-
-    The result is None for a caster without shapes that is not above the ground of the wheels.
-    """
-    frames = tree.frames
-    found: list[tuple[float, int, float, str]] = []  # height of the lowest point, index, result
+    """Return the part of a caster that touches the ground, its radius [m], and its reason."""
+    bottoms: list[tuple[float, int, float, str]] = []  # height, index, radius, reason
     for index, joint in enumerate(parts):
-        link, (rotation, origin) = tree.links[joint.child], frames[joint.child]
+        link, (rotation, origin) = tree.links[joint.child], tree.frames[joint.child]
         for shape in link.shapes:
             bottom = _bottom([shape], (rotation, origin))
-            found.append((bottom, index, shape.radius, "radius of its shape"))
-        depth = max((_depth(box, rotation) for box in link.boxes), default=0.0)
+            bottoms.append((bottom, index, shape.radius, "radius of its shape"))
+        depth = 0.0  # of the lowest point below the origin
+        for box in link.boxes:
+            half = np.abs((rotation @ rotation_of(box.turned))[2]) @ np.asarray(box.size) / 2
+            depth = max(depth, float(half - rotation[2] @ np.asarray(box.at)))
         if not link.shapes and not link.boxes:
-            depth = _mesh_depth(tree, joint, rotation)
+            depth = _mesh_depth(tree, link, rotation)
         if depth > 0:
-            found.append((float(origin[2]) - depth, index, depth, "radius to its lowest point"))
-    if found:
-        _, index, radius, reason = min(found)
+            bottoms.append((float(origin[2]) - depth, index, depth, "radius to its lowest point"))
+    if bottoms:
+        _, index, radius, reason = min(bottoms)
         return parts[index], radius, reason
-    height = float(frames[parts[-1].child][1][2]) - ground
+    height = float(tree.frames[parts[-1].child][1][2]) - ground
     return (parts[-1], height, "radius to the ground of the wheels") if height > 0 else None
 
 
-def _depth(box: Box, rotation: Array) -> float:
-    """Return the depth of the lowest point of a box below the origin of its link [m]."""
-    half = np.abs((rotation @ rotation_of(box.turned))[2]) @ np.asarray(box.size) / 2
-    return float(half - rotation[2] @ np.asarray(box.at))
-
-
-def _mesh_depth(tree: Tree, joint: UrdfJoint, rotation: Array) -> float:
+def _mesh_depth(tree: Tree, link: Link, rotation: Array) -> float:
     """Return the depth of a link's meshes below its origin; zero if they are unreadable [m]."""
-    meshes = tree.links[joint.child].meshes
-    files = MeshFiles(meshes, Path(tree.file).parent)
+    files = MeshFiles(link.meshes, Path(tree.file).parent)
     try:
-        points = [files.triangles(mesh).vertices for mesh in meshes]
+        points = [files.triangles(mesh).vertices for mesh in link.meshes]
     except DataError:  # the ground of the wheels gives the radius
         return 0.0
     return max((float(-(rotation @ each.T)[2].min()) for each in points), default=0.0)
@@ -173,7 +162,7 @@ def with_separate_balls(tree: Tree) -> Tree:
     frames, links, joints = tree.frames, dict(tree.links), dict(tree.joints)
     bottoms = {name: _bottom(link.shapes, frames[name]) for name, link in links.items()}
     moving = [joint for joint in tree.joints.values() if joint.moves]
-    for name in sorted({each.parent for each in moving} - {each.child for each in moving}):
+    for name in sorted({joint.parent for joint in moving} - {joint.child for joint in moving}):
         ground = min((z for other, z in bottoms.items() if other != name), default=np.inf)
         for k, ball in enumerate(tree.links[name].shapes):
             height = abs(_bottom([ball], frames[name]) - ground)
@@ -182,40 +171,27 @@ def with_separate_balls(tree: Tree) -> Tree:
                 continue
             rest = tuple(shape for shape in links[name].shapes if shape != ball)
             links[name] = links[name]._replace(shapes=rest)
-            links[new] = Link(new, None, ORIGIN, (ball._replace(at=ORIGIN, turned=ORIGIN),))
-            limits = (-np.inf, np.inf, np.inf)
-            joints[new] = UrdfJoint(
-                new, "fixed", name, new, ball.at, ORIGIN, ORIGIN, *limits, mimic=None, line=1
-            )
+            links[new] = Link(new, shapes=(ball._replace(at=ORIGIN, turned=ORIGIN),))
+            joints[new] = UrdfJoint(new, "fixed", name, new, ball.at)
     return replace(tree, links=links, joints=joints)
 
 
-def swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
-    """Return the names of the joints about steep axes that swivel freely, as those of casters.
-
-    They have no actuator, and a name such as "caster" or "hitch" or wheels that trail them. If each
-    wheel is below such a joint, none of them swivels freely.
-
-    Parameters
-    ----------
-    tree : Tree
-        The URDF, facing forward along x.
-    wheels : sequence of UrdfJoint
-        Joints whose links are wheels that roll.
-    """
-    found: dict[str, set[str]] = {}
+def _swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
+    """Return the names of the joints about steep axes that swivel freely, as those of casters."""
+    swivelling: dict[str, set[str]] = {}
     for joint in tree.joints.values():
-        name = f"{joint.name} {joint.child}"
-        below = {each.name for each in tree.below(joint.child)}
+        below = {part.name for part in tree.below(joint.child)}
         carried = [wheel for wheel in wheels if wheel.name in below]
-        free = joint.name not in tree.actuated and joint.mimic is None
         if not carried or not joint.moves or joint.type == "prismatic" or is_level(tree, joint):
             continue
-        trails = not STEERING.search(name) and TRAIL < _trail(tree, joint, carried) < MAX_TRAIL
-        if free and (TRAILER.search(name) or trails):
-            found[joint.name] = {wheel.name for wheel in carried}
-    held = {wheel.name for wheel in wheels}
-    return frozenset() if held == set().union(*found.values()) else frozenset(found)
+        trails = not STEERING.search(joint.names) and (
+            TRAIL < _trail(tree, joint, carried) < MAX_TRAIL
+        )
+        is_free = joint.name not in tree.actuated and joint.mimic is None
+        if is_free and (TRAILER.search(joint.names) or trails):
+            swivelling[joint.name] = {wheel.name for wheel in carried}
+    names = {wheel.name for wheel in wheels}  # if each wheel swivels, none does so freely
+    return frozenset() if names == set().union(*swivelling.values()) else frozenset(swivelling)
 
 
 def caster_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
@@ -224,24 +200,20 @@ def caster_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
     They are below joints that swivel freely, or have "caster" in a name, or are in the middle of a
     vehicle that turns only if they slide. If all wheels do, none belongs to a caster.
     """
-    free = {below.name for name in swivels(tree, wheels) for below in _below(tree, name)}
+    heads = [tree.joints[name].child for name in _swivels(tree, wheels)]
+    swivelling = {below.name for head in heads for below in tree.below(head)}
     above = {joint.child for joint in tree.joints.values() if CASTER.search(joint.name)}
-    found = {
+    names = {
         wheel.name
         for wheel in wheels
-        if wheel.name in free
-        or wheel.parent in above
-        or CASTER.search(f"{wheel.name} {wheel.child}")
+        if wheel.name in swivelling or wheel.parent in above or CASTER.search(wheel.names)
     }
-    found |= _middle_wheels(tree, [wheel for wheel in wheels if wheel.name not in found])
-    return frozenset() if len(found) == len(wheels) else frozenset(found)
+    names |= _middle_wheels(tree, [wheel for wheel in wheels if wheel.name not in names])
+    return frozenset() if len(names) == len(wheels) else frozenset(names)
 
 
 def _middle_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> set[str]:
-    """Return the names of small wheels in the middle, with one pair of wheels and no steering.
-
-    The wheels are those that belong to no other casters.
-    """
+    """Return the names of small wheels in the middle, with one pair of wheels and no steering."""
     places = np.array([tree.frames[wheel.child][1] for wheel in wheels]).reshape(-1, 3)
     axles = [axle_of(tree, wheel) for wheel in wheels]
     if len(wheels) < 3 or any(abs(axle @ axles[0]) < PARALLEL for axle in axles):
@@ -266,36 +238,22 @@ def axle_of(tree: Tree, wheel: UrdfJoint) -> Array:
     """Return the axle of a wheel in the root's frame; to the left for one that no joint turns."""
     if wheel.type not in ("continuous", "revolute") or not is_level(tree, wheel):
         return np.array([0.0, 1.0, 0.0])
-    return np.asarray(tree.frames[wheel.child][0] @ unit_vector(wheel.axis))
-
-
-def _below(tree: Tree, joint: str) -> list[UrdfJoint]:
-    return tree.below(tree.joints[joint].child)
+    return tree.axis(wheel)
 
 
 def _trail(tree: Tree, joint: UrdfJoint, wheels: Sequence[UrdfJoint]) -> float:
     """Return the least distance of wheels from an axis, across their axles [radii]."""
-    frames, trails = tree.frames, []
+    trails = []
     for wheel in wheels:
         axle = axle_of(tree, wheel)
-        offset = frames[wheel.child][1] - frames[joint.child][1]
+        offset = tree.frames[wheel.child][1] - tree.frames[joint.child][1]
         across = abs(float(offset[0] * axle[1] - offset[1] * axle[0]))
         trails.append(across / (radius_of(tree, wheel) or np.inf))
     return min(trails)
 
 
 class KindGuess(NamedTuple):
-    """Probable kind of a joint.
-
-    Attributes
-    ----------
-    kind : Kind or None
-        Kind of its coordinate; None for a joint that does not move.
-    reason : str
-        Reason for the guess.
-    other : Kind or "fixed"
-        The other choice.
-    """
+    """Probable kind of a joint (None if it does not move), the reason, and the other choice."""
 
     kind: Kind | None
     reason: str
@@ -303,23 +261,11 @@ class KindGuess(NamedTuple):
 
 
 NO_WHEEL = KindGuess(None, "it carries no wheel", "commanded")
-
-
 BALLS = KindGuess(None, "it carries only balls, which slide freely", "commanded")
-
-
 SWIVEL = KindGuess("passive", "a caster or a trailer swivels", "commanded")
-
-
 STEERS = KindGuess("commanded", "a steep axis above a wheel steers it", "passive")
-
-
 SLIDES = KindGuess("commanded", "it slides a wheel sideways", "fixed")
-
-
 FOLLOWS = KindGuess("suspension", "it lets wheels follow the ground", "fixed")
-
-
 TOO_MANY = KindGuess(
     None, "with so few wheels, it and its counterpart cannot follow the ground", "commanded"
 )
@@ -355,11 +301,11 @@ class Joints:
             and joint.type not in ("floating", "planar")
             and joint.lower != joint.upper
         }
-        self._carried = {
-            name: names & {each.name for each in tree.below(joint.child)}
+        self._own = {
+            name: names & {below.name for below in tree.below(joint.child)}
             for name, joint in tree.joints.items()
         }
-        self._own = dict(self._carried)
+        self._carried = dict(self._own)
         for name in tree.joints:  # a joint also moves the wheels of the joints that mimic it
             for leader in self._leaders(name):
                 self._carried[leader] = self._carried[leader] | self._carried[name]
@@ -368,8 +314,7 @@ class Joints:
         """Return the joints that a joint follows through its mimics."""
         chain = {name: None}  # a set in order, since chains may be long
         while True:
-            joint = self._tree.joints[name]
-            mimic = None if joint.name in self._roles.joints else joint.mimic
+            mimic = None if name in self._roles.joints else self._tree.joints[name].mimic
             if mimic is None or mimic.joint not in self._tree.joints or mimic.joint in chain:
                 return [*chain][1:]
             name = mimic.joint
@@ -378,43 +323,42 @@ class Joints:
     def _rocks(self, joint: UrdfJoint) -> bool:
         """Return whether a joint that carries wheels lets them follow the ground."""
         followers = [
-            self._tree.joints[name]
-            for name in self._tree.joints
+            follower
+            for name, follower in self._tree.joints.items()
             if joint.name in self._leaders(name) and self._carried[name]
         ]
         return any(
-            is_level(self._tree, each) != (each.type == "prismatic")
-            for each in followers or [joint]
+            is_level(self._tree, mover) != (mover.type == "prismatic")
+            for mover in followers or [joint]
         )
 
     def kinds(self) -> dict[str, KindGuess]:
         """Return the probable kinds of the joints without a role and without an actuator."""
-        tree, rolling = self._tree, [w for w in self._wheels if w.name not in self._balls]
-        swivelling = swivels(tree, rolling)
+        swivelling = _swivels(self._tree, [w for w in self._wheels if w.name not in self._balls])
         declared = [role.kind for role in self._roles.joints.values()].count("suspension")
         left = len(self._wheels) - 3 - declared
-        found: dict[str, KindGuess] = {}
+        kinds: dict[str, KindGuess] = {}
         candidates: dict[str, UrdfJoint] = {}
         for name, joint in self._free.items():
             if name in self._roles.joints or self._leaders(name):
                 continue
             if not self._carried[name]:
-                found[name] = NO_WHEEL
+                kinds[name] = NO_WHEEL
             elif self._carried[name] <= self._balls:
-                found[name] = BALLS
+                kinds[name] = BALLS
             elif self._rocks(joint):
                 candidates[name] = joint
             elif joint.type == "prismatic":
-                found[name] = SLIDES
+                kinds[name] = SLIDES
             else:
-                found[name] = SWIVEL if name in swivelling else STEERS
+                kinds[name] = SWIVEL if name in swivelling else STEERS
         for name, joint in candidates.items():
-            other = mirror_image(tree, joint, candidates.values())
+            other = mirror_image(self._tree, joint, candidates.values())
             pair = {name} if other is None else {name, other.name}
-            if name not in found:
-                found |= dict.fromkeys(pair, FOLLOWS if len(pair) <= left else TOO_MANY)
+            if name not in kinds:
+                kinds |= dict.fromkeys(pair, FOLLOWS if len(pair) <= left else TOO_MANY)
                 left -= len(pair) if len(pair) <= left else 0
-        return found
+        return kinds
 
     def differential(self) -> tuple[str, Mimic] | None:
         """Return the name of a rocker, and the opposite rocker that it follows; None without them.
@@ -423,7 +367,6 @@ class Joints:
         differential joins them: relative to the platform they turn by opposite angles. The result
         is None if they do.
         """
-        frames = self._tree.frames
         rockers = [
             joint
             for name, joint in self._free.items()
@@ -439,41 +382,20 @@ class Joints:
                 continue
             if self._own[first.name] | self._own[second.name] != everything:
                 continue
-            ahead, behind = (
-                float((frames[each.child][0] @ unit_vector(each.axis))[1])
-                for each in (first, second)
-            )
+            ahead, behind = (float(self._tree.axis(rocker)[1]) for rocker in (first, second))
             multiplier = -float(np.sign(ahead * behind))
-            mimics = [(one.mimic, two.name) for one, two in ((first, second), (second, first))]
-            joined = [
-                m.multiplier * multiplier > 0 for m, other in mimics if m and m.joint == other
-            ]
-            if min(abs(ahead), abs(behind)) > LATERAL and not any(joined):
+            is_joined = any(
+                one.mimic and one.mimic.joint == two.name and one.mimic.multiplier * multiplier > 0
+                for one, two in ((first, second), (second, first))
+            )
+            if min(abs(ahead), abs(behind)) > LATERAL and not is_joined:
                 leader, follower = (second, first) if first.mimic else (first, second)
                 return follower.name, Mimic(leader.name, multiplier, 0.0)
         return None
 
     def _may_follow(self, name: str) -> bool:
         """Return whether a joint has no role but suspension, and follows only such joints."""
-        role, leaders = self._roles.joints.get(name), self._leaders(name)
-        if not all(self._own[leader] and leader in self._free for leader in leaders):
+        role = self._roles.joints.get(name)
+        if not all(self._own[leader] and leader in self._free for leader in self._leaders(name)):
             return False
         return role is None or (role.kind == "suspension" and not role.keywords)
-
-
-def coupled(tree: Tree, couple: Mapping[str, float]) -> Tree:
-    """Return a URDF in which the second of two joints mimics the first.
-
-    Parameters
-    ----------
-    tree : Tree
-        The URDF.
-    couple : mapping of str to float
-        Coefficients of the joints' values, whose sum with these coefficients is zero; empty for
-        none.
-    """
-    if not couple:
-        return tree
-    (first, ahead), (second, behind) = couple.items()
-    mimic = Mimic(first, -ahead / behind, 0.0)
-    return replace(tree, joints=tree.joints | {second: tree.joints[second]._replace(mimic=mimic)})

@@ -8,6 +8,7 @@ import re
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from slipfree.errors import DataError, ModelError, missing_package
-from slipfree.files.urdf.tree import Faults
+from slipfree.files.urdf.tree import Findings
 from slipfree.files.urdf.xml import Element
 from slipfree.processes import ProcessDiedError, bounded_call
 from slipfree.regular_files import regular_file, resolve_links
@@ -32,13 +33,7 @@ NAMESPACE = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 IGNORED = ("gazebo", "material", "xacro:property", "xacro:arg", "xacro:macro")
 # further elements of robots in URDF files and in extensions of it
 KNOWN = {
-    "link",
-    "joint",
-    "transmission",
-    "ros2_control",
-    "sensor",
-    "mujoco",
-    "loop_joint",
+    *("link", "joint", "transmission", "ros2_control", "sensor", "mujoco", "loop_joint"),
     *IGNORED,
 }
 PARTS = {  # elements in links and joints
@@ -68,15 +63,7 @@ def package_folders(package: str, folder: Path) -> Iterator[Path]:
 
 
 class Expansion(NamedTuple):
-    """Result of an expansion.
-
-    Attributes
-    ----------
-    data : bytes
-        The URDF.
-    macros : frozenset of str
-        Names of all macros in the file and in the files that it includes.
-    """
+    """Result of an expansion: the URDF, and the names of all macros in the files."""
 
     data: bytes
     macros: frozenset[str]
@@ -150,8 +137,8 @@ def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
 
     if find_spec(FINDER) is None:
         _find_packages_above(path)
-    macros = _record_macros(xacro)
-    parse = xacro.parse
+    macros: set[str] = set()
+    parse, grab = xacro.parse, xacro.grab_macro
 
     def parse_regular(document: Any, filename: str | None = None) -> Any:
         if filename is not None:  # not a pipe, whose reading may never end
@@ -159,7 +146,11 @@ def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
                 pass
         return parse(document, filename)
 
-    xacro.parse = parse_regular
+    def record(element: Any, known: Any) -> None:
+        macros.add(element.getAttribute("name").removeprefix("xacro:"))
+        grab(element, known)
+
+    xacro.parse, xacro.grab_macro = parse_regular, record
     try:
         document: Any = xacro.process_file(str(path), mappings=dict(arguments), verbosity=0)
         data: bytes = document.toprettyxml(indent="  ").encode()
@@ -167,11 +158,11 @@ def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
         cause = getattr(error, "exc", None) or error
         if isinstance(cause, DataError | MemoryError):
             raise cause from None
-        words = " ".join(str(error).split())[:500] or type(error).__name__
+        message = " ".join(str(error).split())[:500] or type(error).__name__
         if (inside := xacro.filestack[-1:]) not in ([], [str(path)]):
-            words += f" (in {inside[0]})"
+            message += f" (in {inside[0]})"
         raise DataError(
-            f"{path}: expected xacro that can be expanded, found: {words}; correct it, or give "
+            f"{path}: expected xacro that can be expanded, found: {message}; correct it, or give "
             'its arguments in a vehicle file, as in arguments = { name = "value" }'
         ) from None
     if len(data) > MAX_BYTES:
@@ -182,31 +173,18 @@ def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
     return Expansion(data, frozenset(macros))
 
 
-def _record_macros(xacro: Any) -> set[str]:
-    """Let xacro add the names of macros to the returned set."""
-    found: set[str] = set()
-    grab = xacro.grab_macro
-
-    def record(element: Any, macros: Any) -> None:
-        found.add(element.getAttribute("name").removeprefix("xacro:"))
-        grab(element, macros)
-
-    xacro.grab_macro = record
-    return found
-
-
 def _find_packages_above(path: Path) -> None:
     """Let xacro find packages without ROS, in the folders of `package_folders`."""
 
     def folder_of(package: str) -> str:
-        found = [each for each in package_folders(package, path.parent) if each.is_dir()]
-        if not found:
-            raise DataError(
-                f"{path}: expected the package {package!r} in a folder above this file or in "
-                "ROS_PACKAGE_PATH, found none; put it there, or add its parent folder to "
-                "ROS_PACKAGE_PATH"
-            )
-        return str(found[0])
+        for folder in package_folders(package, path.parent):
+            if folder.is_dir():
+                return str(folder)
+        raise DataError(
+            f"{path}: expected the package {package!r} in a folder above this file or in "
+            "ROS_PACKAGE_PATH, found none; put it there, or add its parent folder to "
+            "ROS_PACKAGE_PATH"
+        )
 
     finder, packages = ModuleType(FINDER), ModuleType(f"{FINDER}.packages")
     packages.__dict__["get_package_share_directory"] = folder_of
@@ -239,40 +217,32 @@ class _Values:
             same = self.properties.setdefault(name, value) == value
             self.properties[name] = value if same else "${}"
 
-    def _command(self, found: re.Match[str]) -> str:
-        name, *words = found[1].split() or [""]
+    def _command(self, match: re.Match[str]) -> str:
+        name, *words = match[1].split() or [""]
         if name == "optenv" and words:
             self.variables[words[0]] = default = " ".join(words[1:])
             return default
         if name == "arg" and len(words) == 1:
-            return self.arguments.get(words[0], found[0])
-        return "." if name == "dirname" and not words else found[0]
+            return self.arguments.get(words[0], match[0])
+        return "." if name == "dirname" and not words else match[0]
 
-    def _expression(self, found: re.Match[str]) -> str:
-        text = found[1].strip().replace("math.pi", "pi")
+    def _expression(self, match: re.Match[str]) -> str:
+        text = match[1].strip().replace("math.pi", "pi")
         if text in self.properties and "$" not in self.properties[text]:
             return self.properties[text]
-        values = {name: ca.SX(n) for name, n in self._numbers().items()}
+        values = {}
+        for name, value in self.properties.items():
+            with suppress(ValueError):
+                if math.isfinite(number := float(value)):
+                    values[name] = ca.SX(number)
         try:
             number = float(ca.evalf(evaluate(text, values)))
         except ModelError:
-            return found[0]
+            return match[0]
         if not math.isfinite(number):
-            return found[0]
+            return match[0]
         is_whole = number.is_integer() and not re.search(r"[./e]", text)
         return str(int(number)) if is_whole and abs(number) < 1e15 else repr(number)
-
-    def _numbers(self) -> dict[str, float]:
-        """Return the values of the properties that are numbers."""
-        found = {}
-        for name, value in self.properties.items():
-            try:
-                number = float(value)
-            except ValueError:
-                continue
-            if math.isfinite(number):
-                found[name] = number
-        return found
 
 
 def substitute(robot: Element, arguments: Mapping[str, str]) -> tuple[str, ...]:
@@ -301,17 +271,17 @@ def check_macro_calls(robot: Element, file: str, macros: frozenset[str] = frozen
 
     ``macros`` are names of macros in addition to those that the robot defines.
     """
-    faults, parts = Faults(file), [*robot.everything()]
-    own = {each.attributes.get("name", "") for each in parts if each.tag == "xacro:macro"}
+    faults, parts = Findings(file), [*robot.everything()]
+    own = {part.attributes.get("name", "") for part in parts if part.tag == "xacro:macro"}
     called = (own | macros) - KNOWN - PARTS
-    for each in parts:
-        if each.tag in called:
+    for part in parts:
+        if part.tag in called:
             faults.add(
-                each.line,
+                part.line,
                 "expected calls of macros with the prefix 'xacro:', found the call "
-                f"<{each.tag}> of the macro {each.tag!r}; write <{PREFIX}{each.tag} ...>",
+                f"<{part.tag}> of the macro {part.tag!r}; write <{PREFIX}{part.tag} ...>",
             )
-    if faults.found:
+    if faults.faults:
         faults.stop()
 
 
@@ -325,7 +295,7 @@ def unknown_elements(robot: Element) -> tuple[str, ...]:
     )
 
 
-def without_xacro(robot: Element, file: str, faults: Faults) -> tuple[Element, tuple[str, ...]]:
+def without_xacro(robot: Element, file: str, faults: Findings) -> tuple[Element, tuple[str, ...]]:
     """Return a robot without its links that have unexpanded xacro, and the names of these links.
 
     Raises
@@ -343,29 +313,23 @@ def without_xacro(robot: Element, file: str, faults: Faults) -> tuple[Element, t
     dropped = [each for each in joints if _link_of(each) in left_out]
     turning = any(each.attributes.get("type") == "continuous" for each in dropped)
     if raw and (turning or "" in left_out or len(dropped) < len(left_out)):
-        for line, words in _errors(robot, raw, file):
-            faults.add(line, words)
+        element = next(each for part in raw for each in part.everything() if _xacro_in(each))
+        faults.add(
+            element.line,
+            f"expected plain URDF, found xacro, {_xacro_in(element)}, which may belong to the "
+            f"drive train; {ways(file)}",
+        )
+        every = [*robot.everything()]
+        has_prefix = any(each.tag.startswith(PREFIX) for each in every)
+        if has_prefix and not any("xmlns:xacro" in each.attributes for each in every):
+            faults.add(
+                robot.line,
+                "expected a declaration of the prefix 'xacro' in <robot>, found none; write "
+                f"<robot {NAMESPACE} ...>",
+            )
         faults.stop()
     kept = [part for part in parts if _link_of(part) not in left_out]
     return replace(robot, children=kept), tuple(sorted(left_out))
-
-
-def _errors(robot: Element, raw: list[Element], file: str) -> Iterator[tuple[int, str]]:
-    """Yield line and message of the errors about xacro: the first place, and a missing prefix."""
-    element = next(each for part in raw for each in part.everything() if _xacro_in(each))
-    yield (
-        element.line,
-        f"expected plain URDF, found xacro, {_xacro_in(element)}, which may belong to the drive "
-        f"train; {ways(file)}",
-    )
-    every = [*robot.everything()]
-    has_prefix = any(each.tag.startswith(PREFIX) for each in every)
-    if has_prefix and not any("xmlns:xacro" in each.attributes for each in every):
-        yield (
-            robot.line,
-            "expected a declaration of the prefix 'xacro' in <robot>, found none; write <robot "
-            f"{NAMESPACE} ...>",
-        )
 
 
 def _xacro_in(element: Element) -> str:
