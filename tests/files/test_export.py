@@ -81,16 +81,7 @@ def test_a_path_on_a_projected_map(tmp_path: Path) -> None:
     assert "pixel is area" in found.attributes["ground_map"]
     export_path(tmp_path / "out.nc", tmp_path / "path.csv")
     head, rows = _rows(tmp_path / "path.csv")
-    assert head == [
-        "time",
-        "x",
-        "y",
-        "z",
-        "heading",
-        "pitch",
-        "roll",
-        "yaw",
-    ]
+    assert head == ["time", "x", "y", "z", "heading", "pitch", "roll", "yaw"]
     names = ("x", "y", "z", "heading", "pitch", "roll", "yaw")
     assert_allclose(rows, np.column_stack([found.t, *(found[name] for name in names)]), rtol=1e-15)
 
@@ -135,12 +126,7 @@ def test_rates_that_a_robot_plays(tmp_path: Path) -> None:
     found = _utm(tmp_path)
     export_rates(tmp_path / "out.nc", tmp_path / "rates.csv")
     head, rows = _rows(tmp_path / "rates.csv")
-    assert head == [
-        "time",
-        "right_rate",
-        "left_rate",
-        "steer_rate",
-    ]
+    assert head == ["time", "right_rate", "left_rate", "steer_rate"]
     assert_allclose(rows[:, 0], found.t)
     assert set(rows[:, 1]) == {0.5, 0.4}
     assert set(rows[:, 3]) == {0.01}

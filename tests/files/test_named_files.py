@@ -34,10 +34,7 @@ KINDS = {
     "long": "found that it cannot be read (File name too long)",
 }
 
-WHY = {
-    "loop": "Too many levels of symbolic links",
-    "long": "File name too long",
-}
+WHY = {"loop": "Too many levels of symbolic links", "long": "File name too long"}
 
 
 @pytest.fixture(autouse=True)

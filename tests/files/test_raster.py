@@ -23,7 +23,7 @@ from rasterio.warp import transform
 
 from helpers.cases import drive
 from slipfree import Bicubic, DataError, Grid
-from slipfree.files.maps.elevation import read_grid, read_map
+from slipfree.files.maps.elevation import read_map
 
 UTM = "EPSG:32633"
 WEST, NORTH, CELL = 500000.0, 4.5e6, 0.25
@@ -99,7 +99,7 @@ def test_one_ground_from_every_file_is_one_motion(tmp_path):
         ),
         geotiff(tmp_path / "map.img", dtype="float64", driver="HFA"),
     ]
-    grids = [read_grid(file) for file in files]
+    grids = [read_map(file).grid for file in files]
     runs = [
         drive(Bicubic(grid, (WEST + 5, NORTH - 5)), np.linspace(0, 6, 4), x=WEST + 5, y=NORTH - 5)
         for grid in grids
@@ -111,7 +111,7 @@ def test_one_ground_from_every_file_is_one_motion(tmp_path):
 
 
 def test_a_map_at_utm_coordinates_gives_the_motion_of_the_shifted_one(tmp_path):
-    far = read_grid(geotiff(tmp_path / "map.tif"))
+    far = read_map(geotiff(tmp_path / "map.tif")).grid
     near = Grid(far.x - WEST, far.y - NORTH, far.z)
     runs = [
         drive(Bicubic(grid), np.linspace(0, 3, 4), x=x + 5, y=y - 5)
@@ -179,11 +179,11 @@ def test_a_virtual_mask_beside_a_raster_fetches_nothing(tmp_path):
         path = geotiff(tmp_path / "map.tif")
         for ending in (".msk", ".ovr", ".aux.xml"):
             (tmp_path / f"map.tif{ending}").write_text(virtual)
-        assert_array_equal(read_grid(path).z, ROWS[::-1].T)
+        assert_array_equal(read_map(path).grid.z, ROWS[::-1].T)
         path = geotiff(tmp_path / "inside.tif")
         with rasterio.open(path, "r+") as file:
             file.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=url)
-        assert_array_equal(read_grid(path).z, ROWS[::-1].T)
+        assert_array_equal(read_map(path).grid.z, ROWS[::-1].T)
         server.shutdown()
     assert hits == []
 
@@ -194,7 +194,7 @@ def test_heights_kept_outside_an_image_are_not_fetched(tmp_path):
     geotiff(path, driver="HFA", USE_SPILL="YES")
     spill, whole = path.with_suffix(".ige"), path.read_bytes()
     with pytest.raises(DataError, match="expected a readable ERDAS IMG"):
-        read_grid(path)
+        read_map(path)
     with _serve(hits) as server:
         url = f"/vsicurl/http://127.0.0.1:{server.server_port}/"
         name = f"{url}{'y' * (len(spill.name) - len(url) - 4)}.ige"
@@ -202,7 +202,7 @@ def test_heights_kept_outside_an_image_are_not_fetched(tmp_path):
         path.write_bytes(whole.replace(spill.name.encode(), name.encode()))
         spill.unlink()
         with pytest.raises(DataError, match="expected a readable ERDAS IMG"):
-            read_grid(path)
+            read_map(path)
         server.shutdown()
     assert hits == []
 
@@ -230,7 +230,7 @@ def test_files_beside_a_raster_do_not_change_it(tmp_path):
     with pytest.raises(
         DataError, match=r"expected cell and registration .* world files .*not read"
     ):
-        read_grid(path)
+        read_map(path)
 
 
 def test_a_mask_inside_a_raster_makes_holes(tmp_path):
@@ -239,7 +239,7 @@ def test_a_mask_inside_a_raster_makes_holes(tmp_path):
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "r+") as file:
         file.write_mask(mask)
     assert [each.name for each in tmp_path.iterdir()] == ["map.tif"]
-    assert_array_equal(read_grid(path).holes, ~mask[::-1].T)
+    assert_array_equal(read_map(path).grid.holes, ~mask[::-1].T)
 
 
 def test_damage_outside_the_window_does_not_matter(tmp_path):
@@ -285,7 +285,7 @@ def test_a_large_sparse_map_needs_a_window(tmp_path):
     ) as file:
         file.write(np.ones((256, 256), "float32"), 1, window=((0, 256), (0, 256)))
     with pytest.raises(DataError, match=r"found 4e\+08 \(20000 by 20000 .*window = \[x_min"):
-        read_grid(path)
+        read_map(path)
     assert read_map(path, window=(10, 20, 19900, 19910)).grid.z.min() == 1
 
 
@@ -319,7 +319,7 @@ def test_tiles_in_degrees(tmp_path):
     with pytest.raises(
         DataError, match=r"found degrees \(EPSG:4326\): x from -71 to -70, y from -12"
     ):
-        read_grid(path.rename(tmp_path / "S12W071.HGT"))
+        read_map(path.rename(tmp_path / "S12W071.HGT"))
     found = read_map(
         tmp_path / "S12W071.HGT",
         geographic="local",
@@ -336,7 +336,7 @@ def test_tiles_in_degrees(tmp_path):
     with pytest.raises(
         DataError, match=r"SRTM tile, .*name the file after its position, as in N45E006"
     ):
-        read_grid(path.with_name("site.hgt"))
+        read_map(path.with_name("site.hgt"))
     half = 1 / 240
     tile = heights[:121, :121].astype("int16")
     place = {"crs": "EPSG:4326", "transform": from_origin(6 - half, 46 + half, 2 * half)}
@@ -378,7 +378,7 @@ def test_tiles_in_degrees(tmp_path):
 def test_geotiffs_refused(tmp_path, options, words):
     path = geotiff(tmp_path / "map.tif", **options)
     with pytest.raises(DataError, match=f"map.tif: expected .*{words}"):
-        read_grid(path)
+        read_map(path)
 
 
 def test_a_metre_of_the_map_is_one_on_the_ground(tmp_path):
@@ -389,7 +389,7 @@ def test_a_metre_of_the_map_is_one_on_the_ground(tmp_path):
     path = geotiff(tmp_path / "map.tif", crs="EPSG:3857", transform=from_origin(0, north, 0.25))
     east = 0.5 / np.sqrt(1 - 6.69437999e-3 * 0.75)  # N cos(60 degrees) / a on the ellipsoid
     with pytest.raises(DataError, match=rf"1 m of the map is {east:.4g} m along x and .*EPSG:3857"):
-        read_grid(path)
+        read_map(path)
 
 
 MOON, MARS = "+a=1737400 +b=1737400", "+a=3396190 +b=3376200"
@@ -453,12 +453,12 @@ def test_more_geotiffs_refused(tmp_path):
     with rasterio.open(path, "r+") as file:
         file.units = ("kelvin",)
     with pytest.raises(DataError, match=r"unit of length, found the unit 'kelvin'; .* -units"):
-        read_grid(path)
+        read_map(path)
     path = geotiff(tmp_path / "palette.tif", 40 * ROWS, dtype="uint8", photometric="palette")
     with rasterio.open(path, "r+") as file:
         file.write_colormap(1, {0: (1, 2, 3, 255)})
     with pytest.raises(DataError, match="colours of a palette"):
-        read_grid(path)
+        read_map(path)
     points = [GroundControlPoint(r, c, 10 + c, 20 - r) for r, c in ((0, 0), (0, 9), (9, 0))]
     path = tmp_path / "gcp.tif"
     with rasterio.open(
@@ -474,7 +474,7 @@ def test_more_geotiffs_refused(tmp_path):
     ) as file:
         file.write(ROWS.astype("float32"), 1)
     with pytest.raises(DataError, match="3 ground control points; resample it: gdalwarp"):
-        read_grid(path)
+        read_map(path)
     with pytest.raises(DataError, match=r"no 'cell' for a raster that contains coordinates, found"):
         read_map(geotiff(tmp_path / "map.tif"), cell=0.25)
     with pytest.raises(DataError, match="expected a map in degrees, found EPSG:32633"):
@@ -488,11 +488,11 @@ def test_damaged_tiffs_lead_to_one_error(tmp_path):
     for content in (b"", b"no TIFF", whole[:100], whole[:-900]):
         path.write_bytes(content)
         with pytest.raises(DataError, match=r"map.tif: expected a readable GeoTIFF, .*damaged"):
-            read_grid(path)
+            read_map(path)
     for at in range(0, 500, 3):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5A]) + whole[at + 1 :])
         try:
-            read_grid(path)
+            read_map(path)
         except DataError:
             refused += 1
     assert refused > 20  # some bytes do not matter; no damage leads to another error
@@ -519,7 +519,7 @@ def test_a_picture_needs_cell_and_registration(tmp_path):
     )
     path = plain(tmp_path / "map.tif", ROWS)
     with pytest.raises(DataError, match="expected cell and registration"):
-        read_grid(path)
+        read_map(path)
     found = read_map(path, cell=0.5, registration="area")
     assert_array_equal(found.grid.z, ROWS[::-1].T)
     assert found.grid.x[0] == 0.25

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from slipfree.errors import DataError
-from slipfree.files.maps.elevation import read_grid, read_map
+from slipfree.files.maps.elevation import read_map
 
 
 def scattered(count=400, size=10.0, offset=(500000.0, 4.5e6)):
@@ -52,14 +52,7 @@ def test_names_in_another_order(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "X,Y,Z,R,G,B\n{}",
-        "//X Y Z Intensity\n{}",
-        "{}",
-        "400\n{}",
-        "r;z;y [m];x;i\n{}",
-    ],
+    "text", ["X,Y,Z,R,G,B\n{}", "//X Y Z Intensity\n{}", "{}", "400\n{}", "r;z;y [m];x;i\n{}"]
 )
 def test_further_columns_are_ignored(tmp_path, text):
     """Colours and intensities: x, y, z by name, else the first three columns."""
@@ -171,7 +164,7 @@ def test_a_missing_spacing_is_suggested(tmp_path):
     with pytest.raises(
         DataError, match=r"expected spacing, .* neighbours is 0.2\d+ m: set spacing"
     ):
-        read_grid(written(tmp_path / "p.xyz", scattered()))
+        read_map(written(tmp_path / "p.xyz", scattered()))
 
 
 def test_too_many_nodes_need_a_window(tmp_path):

@@ -661,10 +661,7 @@ def test_faults_of_the_table(setting, words):
             'catalog = "ackermann"\nwheelbase = 0',
             "vehicle.wheelbase: expected a number greater than",
         ),
-        (
-            'catalog = "rocky8"',
-            "p.toml:4: vehicle.catalog: expected 'ackermann', 'articulated",
-        ),
+        ('catalog = "rocky8"', "p.toml:4: vehicle.catalog: expected 'ackermann', 'articulated"),
     ],
 )
 def test_keys_of_the_catalogue_are_those_of_its_function(keys, words, folder):

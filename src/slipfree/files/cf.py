@@ -132,14 +132,7 @@ def position_columns(run: Trajectory) -> dict[str, Column]:
 def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> dict[str, str]:
     """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    on_map : sequence of str
-        Names of the columns that `position_columns` returns.
-    name : str
-        Name of the variable.
+    ``on_map`` are the names of the columns that `position_columns` returns.
     """
     found = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
     if not is_trajectory(run):
@@ -158,17 +151,8 @@ def grid_mapping(crs: str) -> dict[str, Any]:
     """Return the attributes of the variable ``crs`` for a reference system.
 
     They are its WKT in ``crs_wkt``, for the CF conventions, and in ``spatial_ref``, for GDAL, and
-    the CF name and parameters of the projection if the conventions define them.
-
-    Parameters
-    ----------
-    crs : str
-        EPSG code or WKT of the reference system.
-
-    Raises
-    ------
-    DataError
-        If the reference system is unknown.
+    the CF name and parameters of the projection if the conventions define them. ``crs`` is an EPSG
+    code or WKT; DataError is raised if it is unknown.
     """
     import rasterio.crs
     from rasterio.errors import CRSError
@@ -187,11 +171,7 @@ def grid_mapping(crs: str) -> dict[str, Any]:
 
 
 def _projection(system: dict[str, Any]) -> dict[str, Any]:
-    """Return the CF attributes of a projection from PROJJSON.
-
-    The result is empty if CF does not define the projection, or if the unit of a parameter is not
-    in `UNITS`.
-    """
+    """Return the CF attributes of a projection from PROJJSON; empty if CF does not define them."""
     conversion = system.get("conversion", {})
     code = conversion.get("method", {}).get("id", {}).get("code")
     rows = conversion.get("parameters", ())

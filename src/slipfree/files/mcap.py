@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from math import atan2, nan
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, missing_package
 from slipfree.files.urdf.links import (
+    MAP,
     LinkPoses,
     Robot,
     joint_motion,
@@ -30,6 +30,9 @@ from slipfree.records import Array
 from slipfree.regular_files import read_bytes, regular_file
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 DEFINITIONS = {  # as in ROS 2, without comments
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
@@ -61,32 +64,32 @@ MESSAGES = {  # types of the messages from which a table is read, by the names o
     ("v_x", "v_y", "omega_z"): ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
     ("x", "y", "heading"): ("nav_msgs/msg/Path", "nav_msgs/msg/Odometry"),
 }
-MAP, BASE = "map", "base_link"  # frames of REP 105
+BASE = "base_link"  # frame of REP 105
 Message = tuple[str, str, dict[str, Any]]  # topic, type, content
 
 
-def definition(name: str) -> str:
-    """Return the definition of a message, followed by those of the messages that it contains."""
-    parts = dict.fromkeys(_contained(name))
-    others = [f"{'=' * 80}\nMSG: {part}\n{DEFINITIONS[part]}" for part in parts]
-    return "\n".join([DEFINITIONS[name], *others])
+class JointCommands(NamedTuple):
+    """Commands of a joint over time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times since the first message of the topic. [s]
+    positions, velocities : ndarray, shape (n,)
+        Commanded values and rates; NaN where a message does not contain them. [rad or m, rad/s or
+        m/s]
+    """
+
+    t: Array
+    positions: Array
+    velocities: Array
 
 
-def _contained(name: str) -> Iterator[str]:
-    """Yield the names of the messages that a message contains, at any depth."""
-    for part in re.findall(r"^\w+/\w+", DEFINITIONS[name], re.MULTILINE):
-        yield part
-        yield from _contained(part)
+class MotionLog(NamedTuple):
+    """Poses as in `read_mcap`, and joints by name, with times since the first pose [s]."""
 
-
-def ros_package() -> ModuleType:
-    """Return the package ``mcap_ros2``; raise DataError if it is not installed."""
-    try:
-        import mcap_ros2.decoder
-        import mcap_ros2.writer
-    except ImportError as error:
-        raise DataError(missing_package("mcap-ros2-support", "ros")) from error
-    return mcap_ros2
+    pose: Rows
+    joints: dict[str, JointCommands]
 
 
 def is_mcap(path: Path) -> bool:
@@ -121,51 +124,7 @@ def read_mcap(path: Path, name: str) -> Rows:
             f"{path}: expected a CSV file, found MCAP, from which only paths and commands are "
             "read; write the values as CSV"
         )
-    return _bounded(_table, path, names)
-
-
-def _bounded(read: Callable[..., T], path: Path, *arguments: Any) -> T:
-    """Return the result of a reader in a process with limits, since chunks may be bombs."""
-    with regular_file(path, "messages as MCAP"):
-        return bounded_read(read, path, *arguments)
-
-
-def _table(path: Path, names: tuple[str, str, str]) -> Rows:
-    """Return the table of `read_mcap` with the given columns."""
-    topic, rows = _only_topic(path, MESSAGES[names])
-    with _standard_fields(path, topic):
-        stamped = [*_rows(rows)]
-        table = np.array([((t - stamped[0][0]) / 1e9, *row) for t, *row in stamped], dtype=float)
-    if not table.size:
-        raise DataError(
-            f"{path}: expected poses in the last message of topic {topic!r}, found none; record "
-            "the topic again"
-        )
-    if not np.isfinite(table).all():
-        raise DataError(
-            f"{path}: expected finite numbers in topic {topic!r}, found infinite ones or NaN; "
-            "record the topic again"
-        )
-    if "heading" in names:
-        table[:, -1] = np.unwrap(table[:, -1])
-    return dict(zip(("t", *names), table.T, strict=True))
-
-
-class JointCommands(NamedTuple):
-    """Commands of a joint over time.
-
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times since the first message of the topic. [s]
-    positions, velocities : ndarray, shape (n,)
-        Commanded values and rates; NaN where a message does not contain them. [rad or m, rad/s or
-        m/s]
-    """
-
-    t: Array
-    positions: Array
-    velocities: Array
+    return _bounded(_table, path, names)[1]
 
 
 def read_joint_commands(path: Path) -> dict[str, JointCommands]:
@@ -180,29 +139,6 @@ def read_joint_commands(path: Path) -> dict[str, JointCommands]:
     return _bounded(_joint_commands, path)
 
 
-def _joint_commands(path: Path) -> dict[str, JointCommands]:
-    """Return the result of `read_joint_commands`."""
-    topic, messages = _only_topic(path, (JOINT_STATE,))
-    with _standard_fields(path, topic):
-        first = _time(messages[0][1], messages[0][0])
-    return _commands(path, topic, messages, first)
-
-
-class MotionLog(NamedTuple):
-    """Poses and joints of a robot over time, with times since the first pose.
-
-    Attributes
-    ----------
-    pose : mapping of str to ndarray, shape (n,)
-        ``t, x, y, heading`` of the poses, as in `read_mcap`. [s, m, rad]
-    joints : dict of str and JointCommands
-        Positions and velocities of the joints, by name.
-    """
-
-    pose: Rows
-    joints: dict[str, JointCommands]
-
-
 def read_motion_log(path: Path) -> MotionLog:
     """Return poses and joint states in an MCAP file: one topic of poses, and one of JointState.
 
@@ -214,43 +150,60 @@ def read_motion_log(path: Path) -> MotionLog:
     return _bounded(_motion_log, path)
 
 
+def _bounded(read: Callable[..., T], path: Path, *arguments: Any) -> T:
+    """Return the result of a reader in a process with limits, since chunks may be bombs."""
+    with regular_file(path, "messages as MCAP"):
+        return bounded_read(read, path, *arguments)
+
+
 def _motion_log(path: Path) -> MotionLog:
-    """Return the result of `read_motion_log`."""
-    names = "x", "y", "heading"
-    table = _table(path, names)
-    _, poses = _only_topic(path, MESSAGES[names])
-    first = next(_rows(poses))[0]
+    first, table = _table(path, ("x", "y", "heading"))
+    return MotionLog(table, _joint_commands(path, first))
+
+
+def _table(path: Path, names: tuple[str, str, str]) -> tuple[int, Rows]:
+    """Return the first time [ns] and the table of `read_mcap` with the given columns."""
+    topic, messages = _only_topic(path, MESSAGES[names])
+    with _standard_fields(path, topic):
+        stamped = [*_rows(messages)]
+        table = np.array([((t - stamped[0][0]) / 1e9, *row) for t, *row in stamped], dtype=float)
+    if not table.size:
+        raise DataError(
+            f"{path}: expected poses in the last message of topic {topic!r}, found none; record "
+            "the topic again"
+        )
+    if not np.isfinite(table).all():
+        raise DataError(
+            f"{path}: expected finite numbers in topic {topic!r}, found infinite ones or NaN; "
+            "record the topic again"
+        )
+    if "heading" in names:
+        table[:, -1] = np.unwrap(table[:, -1])
+    return stamped[0][0], dict(zip(("t", *names), table.T, strict=True))
+
+
+def _joint_commands(path: Path, first: int | None = None) -> dict[str, JointCommands]:
+    """Return the joints in messages JointState, with times since ``first``, or the first [ns]."""
     topic, messages = _only_topic(path, (JOINT_STATE,))
-    return MotionLog(table, _commands(path, topic, messages, first))
-
-
-def _commands(
-    path: Path, topic: str, messages: Sequence[tuple[int, Any]], first: int
-) -> dict[str, JointCommands]:
-    """Return the joints in messages JointState, with times since ``first`` [ns].
-
-    Raises
-    ------
-    DataError
-        If their times do not increase.
-    """
     rows: dict[str, list[tuple[float, float, float]]] = {}
     with _standard_fields(path, topic):
         for recorded, message in messages:
-            time = (_time(message, recorded) - first) / 1e9
+            absolute = _time(message, recorded)
+            first = absolute if first is None else first
             for k, name in enumerate(message.name):
                 position, velocity = (
                     float(values[k]) if k < len(values) else nan
                     for values in (message.position, message.velocity)
                 )
-                rows.setdefault(str(name), []).append((time, position, velocity))
-    found = {name: JointCommands(*np.array(table).T) for name, table in rows.items()}
-    if any(np.diff(each.t, prepend=-1.0).min() <= 0 for each in found.values()):
+                row = ((absolute - first) / 1e9, position, velocity)
+                rows.setdefault(str(name), []).append(row)
+    joints = {name: JointCommands(*np.array(table).T) for name, table in rows.items()}
+    if any(np.diff(joint.t, prepend=-1.0).min() <= 0 for joint in joints.values()):
         raise DataError(
             f"{path}: expected increasing times of each joint in topic {topic!r}, found equal or "
             "decreasing ones; sort the messages, and keep one per time"
         )
-    return found
+    return joints
 
 
 def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, Any]]]:
@@ -260,13 +213,13 @@ def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, 
     for topic, time, message in _messages(path, kinds, others):
         topics.setdefault(topic, []).append((time, message))
     if len(topics) != 1:
-        found = ", ".join(sorted(topics)) or "none"
+        listed = ", ".join(sorted(topics)) or "none"
         if others and not topics:
             some = [f"{topic} ({kind})" for topic, kind in sorted(others.items())[:MAX_LISTED]]
-            found += f" among {', '.join(some)}{', ...' * (len(others) > MAX_LISTED)}"
+            listed += f" among {', '.join(some)}{', ...' * (len(others) > MAX_LISTED)}"
         raise DataError(
             f"{path}: expected one topic with messages of type {' or '.join(kinds)}, found "
-            f"{found}; record or extract one such topic"
+            f"{listed}; record or extract one such topic"
         )
     return next(iter(topics.items()))
 
@@ -286,11 +239,8 @@ def _standard_fields(path: Path, topic: str) -> Iterator[None]:
 def _messages(
     path: Path, kinds: Sequence[str], others: dict[str, str]
 ) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, recording time [ns] and content of each message of the given types.
-
-    Types of messages of other types are added to ``others``, by topic.
-    """
-    ros = ros_package()
+    """Yield topic, time [ns] and content of messages; add other topics and types to ``others``."""
+    ros = _ros_package()
     from mcap.reader import make_reader
 
     content, factory = read_bytes(path, "messages as MCAP"), ros.decoder.DecoderFactory()
@@ -298,15 +248,15 @@ def _messages(
         for schema, channel, record in make_reader(io.BytesIO(content), True).iter_messages():
             if schema is None or schema.name not in kinds:
                 others[channel.topic] = schema.name if schema else channel.message_encoding
-            else:
-                decode = factory.decoder_for(channel.message_encoding, schema)
-                if decode is None:
-                    raise DataError(
-                        f"{path}: expected messages of ROS 2 (CDR), found "
-                        f"{channel.message_encoding!r} with definitions in {schema.encoding!r} in "
-                        f"topic {channel.topic!r}; convert the file"
-                    )
-                yield channel.topic, record.log_time, decode(record.data)
+                continue
+            decode = factory.decoder_for(channel.message_encoding, schema)
+            if decode is None:
+                raise DataError(
+                    f"{path}: expected messages of ROS 2 (CDR), found {channel.message_encoding!r} "
+                    f"with definitions in {schema.encoding!r} in topic {channel.topic!r}; convert "
+                    "the file"
+                )
+            yield channel.topic, record.log_time, decode(record.data)
     except DataError:
         raise
     except Exception as error:  # also errors of its parsers and codecs
@@ -320,7 +270,7 @@ def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, 
     """Yield the rows of a table, with absolute times [ns]."""
     last = messages[-1][1]
     if type(last).__name__ == "Path":
-        messages = [(_time(each, 0), each) for each in last.poses]
+        messages = [(_time(pose, 0), pose) for pose in last.poses]
     for recorded, message in messages:
         time = _time(message, recorded)
         kind = type(message).__name__
@@ -371,12 +321,17 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
     ModelError
         If the motion lacks the pose, a coordinate, or the angles or the slip of the wheels.
     """
-    ros, times = ros_package(), [round(t * 1e9) for t in run.t.tolist()]
-    tracks = [
-        _transforms(run, vehicle, robot),
-        _joint_states(run, vehicle, robot),
-        *(_slip(run, wheel, robot.tree.root if robot else BASE) for wheel in run.wheels),
-    ]
+    ros, times = _ros_package(), [round(t * 1e9) for t in run.t.tolist()]
+    base = robot.tree.root if robot else BASE
+    origins, rotation = platform_poses(run, vehicle)
+    joints = joint_motion(run, vehicle, robot)
+    if robot is None:
+        frames = [LinkPoses(MAP, BASE, origins, rotation), *_wheel_frames(run, vehicle)]
+    else:
+        root = LinkPoses(MAP, base, origins, rotation * robot.root_turn)
+        frames = [root, *link_poses(robot, {name: value for name, (value, _) in joints.items()})]
+    slips = (_slip(run, wheel, base) for wheel in run.wheels)
+    tracks = [_transforms(frames), _joint_states(joints, base, run.t.size), *slips]
 
     def fill(part: Path) -> None:
         with part.open("wb") as stream:
@@ -385,16 +340,39 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
             def write(time: int, topic: str, kind: str, content: dict[str, Any]) -> None:
                 if kind not in schemas:
                     name = kind.replace("/", "/msg/")
-                    schemas[kind] = writer.register_msgdef(name, definition(kind))
+                    schemas[kind] = writer.register_msgdef(name, _definition(kind))
                 writer.write_message(topic, schemas[kind], content, log_time=time)
 
-            write(times[0], *_path(run, vehicle, times))
+            write(times[0], *_path(origins, rotation, times))
             for time, *messages in zip(times, *tracks, strict=True):
                 for topic, kind, content in messages:
                     write(time, topic, kind, _stamped(content, time))
             writer.finish()
 
     replace_file(out, fill)
+
+
+def _definition(name: str) -> str:
+    """Return the definition of a message, followed by those of the messages that it contains."""
+    others = [f"{'=' * 80}\nMSG: {part}\n{DEFINITIONS[part]}" for part in dict(_contained(name))]
+    return "\n".join([DEFINITIONS[name], *others])
+
+
+def _contained(name: str) -> Iterator[tuple[str, None]]:
+    """Yield the names of the messages that a message contains, at any depth."""
+    for part in re.findall(r"^\w+/\w+", DEFINITIONS[name], re.MULTILINE):
+        yield part, None
+        yield from _contained(part)
+
+
+def _ros_package() -> ModuleType:
+    """Return the package ``mcap_ros2``; raise DataError if it is not installed."""
+    try:
+        import mcap_ros2.decoder
+        import mcap_ros2.writer
+    except ImportError as error:
+        raise DataError(missing_package("mcap-ros2-support", "ros")) from error
+    return mcap_ros2
 
 
 def _header(time: int, frame: str) -> dict[str, Any]:
@@ -413,30 +391,21 @@ def _vector(values: Sequence[float], names: str = "xyz") -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
-def _path(run: Trajectory, vehicle: Vehicle, times: Sequence[int]) -> Message:
+def _path(origins: Array, rotation: Rotation, times: Sequence[int]) -> Message:
     """Return the whole path of the platform."""
-    origins, rotation = platform_poses(run, vehicle)
+    rows = zip(times, origins.tolist(), rotation.as_quat().tolist(), strict=True)
     poses = [
         {
             "header": _header(time, MAP),
             "pose": {"position": _vector(place), "orientation": _vector(turn, "xyzw")},
         }
-        for time, place, turn in zip(
-            times, origins.tolist(), rotation.as_quat().tolist(), strict=True
-        )
+        for time, place, turn in rows
     ]
     return "/path", "nav_msgs/Path", {"header": _header(times[0], MAP), "poses": poses}
 
 
-def _transforms(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Iterator[Message]:
+def _transforms(frames: Sequence[LinkPoses]) -> Iterator[Message]:
     """Yield the poses of the platform, and of wheels or links, at each sample."""
-    base, turn = platform_poses(run, vehicle)
-    if robot is None:
-        frames = [LinkPoses(MAP, BASE, base, turn), *_wheel_frames(run, vehicle)]
-    else:
-        root = LinkPoses(MAP, robot.tree.root, base, turn * robot.root_turn)
-        values = {name: placed for name, (placed, _) in joint_motion(run, vehicle, robot).items()}
-        frames = [root, *link_poses(robot, values)]
     places = np.stack([frame.origins for frame in frames], axis=1).tolist()
     quaternions = np.stack([frame.rotation.as_quat() for frame in frames], axis=1).tolist()
     for row in zip(places, quaternions, strict=True):
@@ -455,18 +424,18 @@ def _wheel_frames(run: Trajectory, vehicle: Vehicle) -> Iterator[LinkPoses]:
     """Yield the poses of the wheels in the platform's frame."""
     base, turn = platform_poses(run, vehicle)
     origins, rotations = to_rep103(wheel_poses(vehicle, run))
-    turns = rotations.as_quat().reshape(*origins.shape[:2], 4)
     for k, name in enumerate(run.wheels):
         local = turn.inv().apply(origins[:, k] - base)
-        yield LinkPoses(BASE, name, local, turn.inv() * Rotation.from_quat(turns[:, k]))
+        yield LinkPoses(BASE, name, local, turn.inv() * rotations[k :: len(run.wheels)])
 
 
-def _joint_states(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Iterator[Message]:
+def _joint_states(
+    joints: Mapping[str, tuple[Array, Array | None]], frame: str, size: int
+) -> Iterator[Message]:
     """Yield values [rad, m] of moving joints and wheels, and their rates."""
-    joints, frame = joint_motion(run, vehicle, robot), robot.tree.root if robot else BASE
-    positions = np.column_stack([place for place, _ in joints.values()]).tolist()
+    positions = np.column_stack([value for value, _ in joints.values()]).tolist()
     known = [rate for _, rate in joints.values() if rate is not None]
-    rates = np.column_stack(known).tolist() if known else [[]] * run.t.size
+    rates = np.column_stack(known).tolist() if known else [[]] * size
     for position, velocity in zip(positions, rates, strict=True):
         content = {"name": [*joints], "position": position, "velocity": velocity, "effort": []}
         yield "/joint_states", "sensor_msgs/JointState", {"frame_id": frame, **content}

@@ -46,15 +46,7 @@ from slipfree.frames import to_problem_frame
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Label
 from slipfree.regular_files import escape_name, regular_file
-from slipfree.trajectory import (
-    OUTCOME,
-    STATISTICS,
-    STOP,
-    WHEELS,
-    Column,
-    Stop,
-    Trajectory,
-)
+from slipfree.trajectory import OUTCOME, STATISTICS, STOP, WHEELS, Column, Stop, Trajectory
 from slipfree.version import __version__
 
 CONVENTIONS = "CF-1.11"
@@ -282,21 +274,7 @@ def _attributes(run: Trajectory) -> dict[str, Attribute]:
 
 
 class _Variable(NamedTuple):
-    """Header of a variable in a netCDF file.
-
-    Attributes
-    ----------
-    dimensions : tuple of str
-        Names of the dimensions.
-    shape : tuple of int
-        Lengths of the dimensions.
-    dtype : dtype
-        Type of the values in the file.
-    start : int
-        Offset of the values in the file. [bytes]
-    attributes : dict of str to str or float
-        Attributes of the variable.
-    """
+    """Header of a variable in a netCDF file: offset of its values [bytes], attributes."""
 
     dimensions: tuple[str, ...]
     shape: tuple[int, ...]

@@ -130,15 +130,10 @@ class UnfitError(DataError):
 
 
 def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
-    """Yield an error if there are too few wheels or too many suspension coordinates.
+    """Yield expected and found numbers for too few wheels or too many suspension coordinates.
 
     With springs at all suspension coordinates, any number of them is valid, since the springs
     determine the pose of the vehicle.
-
-    Yields
-    ------
-    expected, found : str
-        Descriptions of the expected number, and of the found number with a remedy.
     """
     count, given = len(draft.wheels), [c.name for c in draft.of("suspension")]
     if count < 3:
@@ -184,19 +179,9 @@ def degrees_words(angle: float) -> str:
 
 
 def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of a tree with parents before children.
+    """Return the names of a tree with parents before children, and those not connected to the root.
 
-    Parameters
-    ----------
-    parents : mapping of str to str
-        Parent of each name.
-    root : str
-        Name of the root.
-
-    Returns
-    -------
-    ordered, loose : tuple of str
-        Names connected to the root, without the root, and names not connected to it.
+    ``parents`` is the parent of each name; the root itself is in none of the results.
     """
     done, left = {root}, list(parents)
     ordered: list[str] = []
@@ -288,19 +273,8 @@ def rotation_of(turned: Vector) -> Array:
 def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
     """Return the text of a vehicle file, from which `read_vehicle` returns the vehicle.
 
-    Notes of the vehicle are left out.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle, with numbers.
-    comments : sequence of str
-        Lines of a comment at the beginning of the file.
-
-    Raises
-    ------
-    ModelError
-        If the vehicle is locked to a plane, or a wheel has a section without a name in files.
+    Notes of the vehicle are left out; ``comments`` are lines at the beginning. ModelError is raised
+    if the vehicle is locked to a plane, or if a wheel has a section without a name in files.
     """
     if vehicle.planar:
         raise ModelError(

@@ -22,7 +22,6 @@ from pydantic import (
     WrapValidator,
     create_model,
 )
-from pydantic_core import PydanticCustomError
 
 from slipfree.errors import ModelError
 from slipfree.files.toml.source import (
@@ -48,6 +47,7 @@ from slipfree.files.toml.types import (
     Quantity,
     Record,
     bare_words,
+    expected_error,
     in_radians,
     unit_faults,
 )
@@ -92,30 +92,16 @@ class VehicleError(ProblemError):
         self.draft = draft
 
 
-def meters(value: float) -> float:
+def _meters(value: float) -> float:
     """Return a length unchanged; raise an error if its absolute value exceeds 100 m."""
     if abs(value) > MAX_LENGTH:
-        raise _expected(length_words(value))
+        raise expected_error(length_words(value))
     return value
 
 
-def _place(value: Vector) -> Vector:
-    """Return a position unchanged; raise an error for components beyond -100 m or 100 m."""
-    for each in value:
-        meters(each)
-    return value
-
-
-def _radians(value: Vector) -> Vector:
-    """Return three angles unchanged; raise an error if one has no unit and exceeds a full turn."""
-    for each in value:
-        in_radians(each)
-    return value
-
-
-def _expected(words: str) -> PydanticCustomError:
-    """Return a validation error of pydantic with a description of the expected value."""
-    return PydanticCustomError("expected", "{words}", {"words": words})
+def _all(check: Callable[[float], float]) -> AfterValidator:
+    """Return a validator that checks the components of a vector."""
+    return AfterValidator(lambda vector: tuple(map(check, vector)))
 
 
 def _axis(value: Any) -> str | Vector:
@@ -129,15 +115,14 @@ def _axis(value: Any) -> str | Vector:
     ]
     if len(good) == 3 and all(good) and math.hypot(*numbers) > 0:
         return float(numbers[0]), float(numbers[1]), float(numbers[2])
-    raise _expected(
+    raise expected_error(
         "'x', 'y', 'z' or a vector [x, y, z] other than zero, with absolute values below "
         f"{MAX_LENGTH:g}"
     )
 
 
 def _known_section(_: Any) -> None:
-    """Raise a validation error with the names of the known sections."""
-    raise _expected(f"one of {', '.join(map(repr, SECTIONS))}")
+    raise expected_error(f"one of {', '.join(map(repr, SECTIONS))}")
 
 
 def _drive(value: Any) -> Drive:
@@ -145,32 +130,31 @@ def _drive(value: Any) -> Drive:
     given = dict(value) if isinstance(value, dict) else {}
     kind = given.pop("kind", None)
     if kind not in DRIVES:
-        raise _expected(f"a table whose 'kind' is one of {', '.join(map(repr, DRIVES))}")
-    keys = [each.name for each in fields(DRIVES[kind])]
-    needed = [each.name for each in fields(DRIVES[kind]) if each.default is MISSING]
+        raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, DRIVES))}")
+    keys = {field.name: field.default for field in fields(DRIVES[kind])}
     for name in given:
         if name not in keys:
             known = ", ".join(map(repr, ("kind", *keys)))
-            raise _expected(f"only the keys {known} for kind = {kind!r}, not {name!r}")
-    for name in needed:
-        if name not in given:
-            raise _expected(f"the key {name!r} for kind = {kind!r}")
-    for name, n in given.items():
-        if not isinstance(n, int | float) or isinstance(n, bool):
-            raise _expected(f"a number as {name!r} for kind = {kind!r}")
+            raise expected_error(f"only the keys {known} for kind = {kind!r}, not {name!r}")
+    for name, default in keys.items():
+        if default is MISSING and name not in given:
+            raise expected_error(f"the key {name!r} for kind = {kind!r}")
+    for name, number in given.items():
+        if not isinstance(number, int | float) or isinstance(number, bool):
+            raise expected_error(f"a number as {name!r} for kind = {kind!r}")
     try:
         return DRIVES[kind](**given)
     except ModelError as error:
-        raise _expected(f"a valid drive ({error})") from error
+        raise expected_error(f"a valid drive ({error})") from error
 
 
 Axis = Annotated[Any, PlainValidator(_axis)]
-At = Annotated[Place3, AfterValidator(_place)]
-Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), AfterValidator(_radians)]
+At = Annotated[Place3, _all(_meters)]
+Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), _all(in_radians)]
 Name = Annotated[str, Field(min_length=1)]
 Inertia = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
 WheelInertia = Annotated[tuple[Positive, Positive], Field(strict=False)]
-Length = Annotated[Positive, AfterValidator(meters)]
+Length = Annotated[Positive, AfterValidator(_meters)]
 DriveTable = Annotated[Any, PlainValidator(_drive)]
 
 
@@ -294,23 +278,19 @@ class File(NamedTuple):
     source: Source
     data: dict[str, Any]
 
-    def line(self, fault: Fault) -> str:
-        """Return the message of an error, with file, line, key and name of the element."""
-        where = f"{self.source.where(fault.place)}{self._who(fault.place)}"
-        return f"{where}: {fault.hint}expected {fault.expected}, found {fault.found}"
-
-    def _who(self, place: Place) -> str:
-        """Return the name of the element with a key, as in `` (joint 'boom')``; empty if none."""
-        if len(place) < 2 or not isinstance(place[1], int):
-            return ""
-        element = self.data[str(place[0])][place[1]]
-        name = element.get("name") if isinstance(element, dict) else None
-        return f" ({str(place[0])[:-1]} {name!r})" if name else ""
-
     def error(self, faults: list[Fault], draft: Draft | None = None) -> VehicleError:
         """Return an exception with the messages of all errors, in the order of their lines."""
+
+        def who(place: Place) -> str:  # name of the element, as in " (joint 'boom')"
+            if len(place) < 2 or not isinstance(place[1], int):
+                return ""
+            element = self.data[str(place[0])][place[1]]
+            name = element.get("name") if isinstance(element, dict) else None
+            return f" ({str(place[0])[:-1]} {name!r})" if name else ""
+
         ordered = sorted(faults, key=lambda fault: self.source.order(fault.place))
-        return VehicleError(*map(self.line, ordered), draft=draft)
+        lines = (f"{self.source.where(f.place)}{who(f.place)}: {f.message}" for f in ordered)
+        return VehicleError(*lines, draft=draft)
 
 
 def open_file(path: Path) -> File:
@@ -345,29 +325,18 @@ def _element_lines(text: str, start: int) -> Iterator[int]:
 def validated(model: type[Record], parts: Tables, file: File) -> Any:
     """Return the contents of a file as a record of type ``model``.
 
-    Parameters
-    ----------
-    model : type
-        Schema of the file.
-    parts : mapping of str to callable
-        Function from the data of an element to its schema, by name of the array of tables.
-    file : File
-        The file.
-
-    Raises
-    ------
-    VehicleError
-        If values are invalid; the message has a line for each.
+    ``parts`` are the functions from the data of an element to its schema, by name of the array of
+    tables. VehicleError is raised if values are invalid; its message has a line for each.
     """
     try:
-        found = model.model_validate(file.data)
+        table = model.model_validate(file.data)
     except ValidationError as error:
         errors = error.errors(include_url=False)
         faults = [_worded(model, parts, file.data, dict(each)) for each in errors]
         raise file.error(faults) from error
     if faults := [*value_errors(file.data)]:
         raise file.error(faults)
-    return found
+    return table
 
 
 def _worded(
@@ -408,7 +377,8 @@ def read_toml(file: File) -> Draft:
     draft = parts if table.frame == "paper" else from_rep103(parts)
     faults += wrong
     if len(draft.wheels) == len(table.wheels):
-        faults += [Fault((_counted(table),), *words) for words in misfits(draft)]
+        part = "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
+        faults += [Fault((part,), *words) for words in misfits(draft)]
     if faults:
         raise file.error(faults, draft)
     return draft
@@ -456,11 +426,6 @@ def _coupled(draft: Draft, couple: Mapping[str, float]) -> Draft:
     return replace(draft, joints=joints, coordinates=free)
 
 
-def _counted(table: VehicleTable) -> str:
-    """Return the name of the table to correct if there are too few wheels for the coordinates."""
-    return "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
-
-
 def _name_errors(table: VehicleTable) -> Iterator[Fault]:
     """Yield an error for each name that is not unique, is reserved, or has invalid characters."""
     seen: dict[str, str] = {}
@@ -506,7 +471,6 @@ def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
 
 
 def _near(name: str, known: list[str]) -> str:
-    """Return a name in quotes, with the most similar known name as a hint."""
     nearest = get_close_matches(name, known, n=1)
     return f"{name!r}" + (f"; did you mean {nearest[0]!r}?" if nearest else "")
 
@@ -614,22 +578,19 @@ def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -
 
 
 def _coordinate(table: CoordinateTable) -> Coordinate:
-    """Return the coordinate that a table describes."""
     given = {key: value for key, value in table if value is not None}
     return Coordinate(**{"words": table.name.replace("_", " "), **given})
 
 
 def _joint(table: JointTable, body: Body) -> Joint:
-    """Return the joint that a table describes, with its body."""
     return Joint(**table.model_dump(exclude={"mass", "center_of_mass", "inertia"}), body=body)
 
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
     """Return the wheel that a table describes; its axle is ``sideways`` by default."""
-    names = {"name", "parent", "at", "driven", "grip", "mass", "static_depth", "inertia"}
+    given = table.model_dump(include={field.name for field in fields(Wheel)})
     axle = sideways if table.axle is None else table.axle
-    given = table.model_dump(include=names)
-    return Wheel(**given, section=_section_of(table), axle=axle, drive=table.drive)
+    return Wheel(**given | {"section": _section_of(table), "axle": axle, "drive": table.drive})
 
 
 def _section_of(table: AnyWheelTable) -> Section:

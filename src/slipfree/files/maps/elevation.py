@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import lzma
-import struct
-import tokenize
 import warnings
 import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -19,7 +15,7 @@ from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.points import read_point_cloud, read_points
 from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
-from slipfree.files.maps.reference_systems import metric_system
+from slipfree.files.maps.reference_systems import metric_system, refuse
 from slipfree.records import Array, field_overview
 from slipfree.regular_files import regular_file
 from slipfree.terrain.base import Grid
@@ -38,24 +34,8 @@ HEADER = 1e4  # largest header of a numpy array [bytes]
 MAX_STRETCH = 0.01  # largest relative error of distances along x of a map in degrees
 # semi-major axis [m] and squared eccentricity [1] of the WGS84 ellipsoid
 SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
+TO_NPZ = "write it with np.savez(path, x=x, y=y, z=z)"
 MAX_MEDIAN_SLOPE = 50.0  # a steeper map is taken to be in degrees [1]
-UNREADABLE = (  # exceptions of numpy for a damaged archive
-    ValueError,
-    EOFError,
-    OSError,
-    RuntimeError,
-    NotImplementedError,
-    MemoryError,
-    SyntaxError,
-    KeyError,
-    TypeError,
-    OverflowError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-)
 Facts = tuple[tuple[str, str], ...]
 
 
@@ -104,17 +84,6 @@ class Map(NamedTuple):
 
     def __repr__(self) -> str:
         return field_overview(self)
-
-
-def read_grid(path: str | Path) -> Grid:
-    """Return the height grid in a map file, read by `read_map` with default arguments.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, or does not contain a complete uniform grid.
-    """
-    return read_map(path).grid
 
 
 def read_map(
@@ -190,15 +159,14 @@ def _reader(ending: str) -> MapReader:
     return next((each for each in READERS if ending in each.endings), RASTERS)
 
 
-def _endings() -> tuple[str, ...]:
-    return tuple(each for reader in READERS for each in reader.endings)
+def _endings(key: str = "") -> tuple[str, ...]:
+    """Return the endings of files that are read, or of those to which a key applies."""
+    return tuple(e for reader in READERS if not key or key in reader.keys for e in reader.endings)
 
 
 def _expected_endings() -> str:
-    """Return the description of the files that can be read."""
-    return (
-        f"a file ending in {', '.join(_endings())}, or another single-file raster that GDAL reads"
-    )
+    endings = ", ".join(_endings())
+    return f"a file ending in {endings}, or another single-file raster that GDAL reads"
 
 
 def _check_keys(ending: str, reading: Reading) -> None:
@@ -206,12 +174,9 @@ def _check_keys(ending: str, reading: Reading) -> None:
     for name in KEYS:
         value = getattr(reading, name)
         if value is not None and not takes_key(ending, name):
-            endings = [each for reader in READERS if name in reader.keys for each in reader.endings]
             kind = f"a {ending} file" if ending else "a file without an ending"
-            raise DataError(
-                f"expected no {name!r} for {kind}, found {value!r}; remove it "
-                f"({name!r} is for {', '.join(endings)})"
-            )
+            remedy = f"remove it ({name!r} is for {', '.join(_endings(name))})"
+            refuse(f"no {name!r} for {kind}", f"{value!r}", remedy)
 
 
 def _check_degrees(found: Heights, *, local: bool) -> None:
@@ -267,12 +232,8 @@ def _mapped(
         facts += (("ground holes", f"{count} have no height: wheels must not touch them"),)
         found = found._replace(z=continue_over_holes(found.z))
     if geographic is None:
-        return Map(
-            Grid(found.x, found.y, found.z, mask, holes),
-            crs=found.crs,
-            facts=facts,
-            gray=found.gray,
-        )
+        grid = Grid(found.x, found.y, found.z, mask, holes)
+        return Map(grid, crs=found.crs, facts=facts, gray=found.gray)
     frame = local_frame(found.x, found.y) if geographic == "local" else geographic
     x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
     facts += (("ground degrees", _degrees_words(found.y, frame)),)
@@ -307,21 +268,11 @@ def _stretch(latitude: Array, frame: Frame) -> float:
 
 
 def local_frame(longitude: Array, latitude: Array) -> Frame:
-    """Return the frame of `geographic_to_metric`, with its origin at the first node.
-
-    Parameters
-    ----------
-    longitude, latitude : ndarray, shapes (n_x,) and (n_y,)
-        Ascending coordinates of the nodes. [deg]
-    """
+    """Return the frame of `geographic_to_metric`, with its origin at the first node [deg]."""
     middle = np.deg2rad(0.5 * (latitude[0] + latitude[-1]))
     degree = EARTH_RADIUS * np.deg2rad(1.0)
-    return Frame(
-        float(longitude[0]),
-        float(1 / (degree * np.cos(middle))),
-        float(latitude[0]),
-        float(1 / degree),
-    )
+    x0, kx = float(longitude[0]), float(1 / (degree * np.cos(middle)))
+    return Frame(x0, kx, float(latitude[0]), float(1 / degree))
 
 
 def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
@@ -395,16 +346,6 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
     return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), facts)
 
 
-def _read_points(path: Path, ask: Reading) -> Heights:
-    """Return the height map interpolated from the scattered points in a file."""
-    return read_points(path, ask)
-
-
-def _read_cloud(path: Path, ask: Reading) -> Heights:
-    """Return the height map of the point cloud in a file."""
-    return read_point_cloud(path, ask.spacing, ask.window)
-
-
 class MapReader(NamedTuple):
     """Reader of map files of one format.
 
@@ -443,8 +384,8 @@ RASTERS = MapReader(tuple(FORMATS), _read_raster, ("cell", "registration"))
 READERS: tuple[MapReader, ...] = (
     MapReader((".npz",), _read_npz),
     RASTERS,
-    MapReader((".xyz", ".txt", ".csv"), _read_points, ("spacing",)),
-    MapReader((".las", ".laz"), _read_cloud, ("spacing",)),
+    MapReader((".xyz", ".txt", ".csv"), read_points, ("spacing",)),
+    MapReader((".las", ".laz"), read_point_cloud, ("spacing",)),
 )
 KEYS = ("cell", "registration", "spacing")  # arguments of some formats only
 
@@ -456,35 +397,26 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
             warnings.simplefilter("ignore", UserWarning)  # of files written by Python 2
             file = np.load(stream, allow_pickle=False)
             if not isinstance(file, np.lib.npyio.NpzFile):
-                raise DataError(
-                    f"{path}: expected an archive of arrays x, y, z, found a single array; write "
-                    "it with np.savez(path, x=x, y=y, z=z)"
-                )
+                refuse("an archive of arrays x, y, z", "a single array", TO_NPZ)
             largest = max((each.file_size for each in zipfile.ZipFile(path).infolist()), default=0)
             if largest > 8 * MAX_NODES + HEADER:
-                raise DataError(
-                    f"{path}: expected at most {MAX_NODES:g} nodes, found an array of "
-                    f"{largest / 1e9:.3g} GB; crop it, or convert it to GeoTIFF and set a window"
-                )
+                remedy = "crop it, or convert it to GeoTIFF and set a window"
+                size = f"an array of {largest / 1e9:.3g} GB"
+                refuse(f"at most {MAX_NODES:g} nodes", size, remedy)
             missing = sorted({"x", "y", "z"} - set(file.files))
             if missing:
-                raise DataError(
-                    f"{path}: expected the arrays x, y, z, found {sorted(file.files)} without "
-                    f"{missing}; write it with np.savez(path, x=x, y=y, z=z)"
-                )
+                refuse("the arrays x, y, z", f"{sorted(file.files)} without {missing}", TO_NPZ)
             arrays = {name: file[name] for name in ("x", "y", "z")}
-    except UNREADABLE as error:
-        if isinstance(error, DataError):
-            raise
+    except DataError:
+        raise
+    except Exception as error:  # numpy raises errors of many kinds for a damaged archive
         raise DataError(
-            f"{path}: expected a numpy archive, found a file that cannot be read "
-            f"({str(error).split(': ')[0]}); write it with np.savez(path, x=x, y=y, z=z)"
+            f"expected a numpy archive, found a file that cannot be read "
+            f"({str(error).split(': ')[0]}); {TO_NPZ}"
         ) from error
     for name, array in arrays.items():
         if array.dtype.kind not in "iuf":
-            raise DataError(
-                f"{path}: expected numbers in the array {name!r}, found {array.dtype}; convert it "
-                "to float"
-            )
+            expected = f"numbers in the array {name!r}"
+            refuse(expected, f"{array.dtype}", "convert it to float")
     x, y, z = (array.astype(np.float64) for array in arrays.values())
     return x, y, z

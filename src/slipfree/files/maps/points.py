@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import struct
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -50,38 +49,23 @@ def read_points(path: Path, ask: Reading) -> Heights:
     """Return the height map interpolated from scattered points.
 
     Heights are interpolated linearly on a Delaunay triangulation; nodes outside the convex hull of
-    the points are holes. The first node is at the smallest x and y of all points.
+    the points are holes. The first node is at the smallest x and y of all points. The file has x, y
+    and z in each line, see `slipfree.files.tables.read_columns`; without these names, they are the
+    first three columns, and others, such as colours, are ignored [m].
 
-    Parameters
-    ----------
-    path : Path
-        Text file with x, y and z in each line, see `slipfree.files.tables.read_columns`. Without
-        the names x, y and z, they are the first three columns; others, such as colours, are
-        ignored. [m]
-    ask : Reading
-        Window, and the distance between nodes, for None of which the error message suggests a
-        value.
-
-    Raises
-    ------
-    DataError
-        If the file is not such a table, if a coordinate exceeds 1e12 m, if ``spacing`` is None, too
-        large or too small, if the window contains too few nodes, or if the points lie on a line or
-        have fewer than three different positions.
+    DataError is raised if the file is not such a table, if a coordinate exceeds 1e12 m, if
+    ``spacing`` is None (the message suggests a value), too large or too small, if the window
+    contains too few nodes, or if the points lie on a line or have fewer than three positions.
     """
     names = {name.lower() for name in read_names(path, "points")}
     geographic = any("longitude" in same and names & same for same in ALIASES)
     unit = "deg" if geographic else "m"
-    columns: Sequence[str] | dict[str, str] = NAMES
-    if geographic:
-        columns = {"x": "longitude", "y": "latitude", "z": "z"}
+    columns = {"x": "longitude", "y": "latitude", "z": "z"} if geographic else NAMES
     values, notes = read_columns(path, columns, "points", others=True)
     table = np.column_stack([values[name] for name in NAMES])
     if (farthest := float(np.abs(table).max(initial=0.0))) > MAX_COORDINATE:
-        raise DataError(
-            f"expected coordinates with absolute values of at most {MAX_COORDINATE:g} m, found "
-            f"{farthest:g}; correct the file"
-        )
+        wanted = f"coordinates with absolute values of at most {MAX_COORDINATE:g} m"
+        refuse(wanted, f"{farthest:g}", "correct the file")
     check_values(
         table[:, 2],
         lambda k: f"x = {table[k[0], 0]:.9g}, y = {table[k[0], 1]:.9g}",
@@ -92,53 +76,36 @@ def read_points(path: Path, ask: Reading) -> Heights:
     spacing = ask.spacing
     distance = _distance(points[:, :2])
     if spacing is None:
-        raise DataError(
-            f"expected spacing, the distance between grid nodes in {unit}, found none; "
-            f"the median distance of {len(points)} points from their nearest "
-            f"neighbours is {distance:.3g} {unit}: set spacing = {distance:.2g}"
+        refuse(
+            f"spacing, the distance between grid nodes in {unit}",
+            "none",
+            f"the median distance of {len(points)} points from their nearest neighbours is "
+            f"{distance:.3g} {unit}: set spacing = {distance:.2g}",
         )
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
     x, y = (Axis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
     if counts.min() < 4:
-        raise DataError(
-            f"expected points that span at least 4 by 4 nodes, found {counts[0]} by "
-            f"{counts[1]} at spacing = {spacing:g} {unit}; set a smaller spacing, such as "
-            f"{distance:.2g}"
-        )
+        size = f"{counts[0]} by {counts[1]} at spacing = {spacing:g} {unit}"
+        remedy = f"set a smaller spacing, such as {distance:.2g}"
+        refuse("points that span at least 4 by 4 nodes", size, remedy)
     i, j = parts(x, y, ask.window)
     z = interpolate_points(points, low, spacing, (i, j))
-    words = (
+    facts = [
         f"{len(points)}, a median of {distance:.3g} {unit} apart, for {z.size} nodes {spacing:g} "
         f"{unit} apart"
-    )
+    ]
     if repeated:
-        words += (
-            f"; {repeated} at repeated positions averaged, with height differences of at most "
+        facts.append(
+            f"{repeated} at repeated positions averaged, with height differences of at most "
             f"{apart:.3g} m"
         )
-    words = "; ".join([words, *notes])
-    return Heights(
-        x.nodes(i),
-        y.nodes(j),
-        z,
-        (("ground map", "scattered points"), ("ground points", words)),
-        geographic=geographic,
-    )
+    described = ("ground map", "scattered points"), ("ground points", "; ".join([*facts, *notes]))
+    return Heights(x.nodes(i), y.nodes(j), z, described, geographic=geographic)
 
 
 def _distinct(points: Array) -> tuple[Array, int, float]:
-    """Return points with distinct x and y, from points of shape (n, 3) [m].
-
-    Returns
-    -------
-    points : ndarray, shape (m, 3)
-        Distinct points; heights of points with equal x and y are averaged.
-    repeated : int
-        Number of points removed by averaging.
-    apart : float
-        Largest difference of heights at the same x and y. [m]
-    """
+    """Return points, shape (n, 3), averaged at equal x and y, repetitions and the largest rise."""
     places, which = np.unique(points[:, :2], axis=0, return_inverse=True)
     which = which.reshape(-1)
     z = np.bincount(which, points[:, 2]) / np.bincount(which)
@@ -156,9 +123,7 @@ def _distance(places: Array) -> float:
     from scipy.spatial import cKDTree  # imported here: the import takes 0.2 s
 
     if len(places) < 3:
-        raise DataError(
-            f"expected at least 3 points with different x, y, found {len(places)}; add points"
-        )
+        refuse("at least 3 points with different x, y", f"{len(places)}", "add points")
     return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
 
 
@@ -167,26 +132,8 @@ def interpolate_points(
 ) -> Array:
     """Return heights at nodes, interpolated linearly; NaN outside the convex hull of the points.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        Distinct points. [m]
-    low : ndarray, shape (2,)
-        Position of the first node. [m]
-    spacing : float
-        Distance between nodes. [m]
-    part : tuple of 2 slices
-        Indices of the nodes along x and y.
-
-    Returns
-    -------
-    ndarray, shape (n_x, n_y)
-        Heights. [m]
-
-    Raises
-    ------
-    DataError
-        If the points lie on a line in x and y.
+    The first node is at ``low``; ``part`` are the indices of the wanted nodes along x and y. Points
+    have the shape (n, 3), heights (n_x, n_y) [m]. Points on a line raise DataError.
     """
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
     from scipy.spatial import QhullError
@@ -209,30 +156,16 @@ def interpolate_points(
 
 
 class _Cloud(NamedTuple):
-    """Points of a file.
+    """Points of a file."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (n, 3)
-        Positions; heights in the unit of the file. [m]
-    ground : ndarray of bool, shape (n,)
-        Whether a point is classified as ground.
-    version : str
-        Version of the format, such as ``"1.2"``.
-    crs : rasterio.crs.CRS or None
-        Horizontal reference system; None if not given.
-    unit : str
-        Unit of the heights; empty if unknown.
-    """
-
-    points: Array
-    ground: Mask
-    version: str
-    crs: Any
-    unit: str
+    points: Array  # shape (n, 3), heights in the unit of the file [m]
+    ground: Mask  # whether a point is classified as ground
+    version: str  # of the format, such as "1.2"
+    crs: Any  # horizontal reference system, rasterio.crs.CRS or None
+    unit: str  # of the heights; empty if unknown
 
 
-def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -> Heights:
+def read_point_cloud(path: Path, ask: Reading) -> Heights:
     """Return the height map of a point cloud.
 
     Points classified as ground are used if there are any, otherwise all points except noise and
@@ -240,45 +173,34 @@ def read_point_cloud(path: Path, spacing: float | None, window: Window | None) -
     linearly between these averages: a plane is exact. Cells without points, and nodes outside the
     convex hull, are holes.
 
-    Parameters
-    ----------
-    path : Path
-        LAS or LAZ file in metres.
-    spacing : float or None
-        Width of a cell; nodes are at its multiples. By default cells have 4 points on average. [m]
-    window : tuple of 4 floats or None
-        The part to read: x_min, x_max, y_min, y_max. [m]
-
-    Raises
-    ------
-    DataError
-        If laspy, lazrs or pyproj is not installed, if the file is damaged or not in metres, if its
-        points are too few or too many or lie on a line, or if the window contains too few nodes.
+    Nodes are at multiples of ``spacing``, by default such that cells have 4 points on average [m].
+    DataError is raised if laspy, lazrs or pyproj is not installed, if the file is damaged or not in
+    metres, if its points are too few or too many or lie on a line, or if the window contains too
+    few nodes.
     """
-    _check_packages()
+    for name in ("laspy", "lazrs", "pyproj"):
+        if find_spec(name) is None:
+            raise DataError(missing_package(name, "points"))
     # lazrs aborts the process for some damaged files; gridding there keeps the points there
-    return bounded_read(_heights, path, spacing, window, rate=1e5, growth=50.0)
+    return bounded_read(_heights, path, ask.spacing, ask.window, rate=1e5, growth=50.0)
 
 
 def _heights(path: Path, spacing: float | None, window: Window | None) -> Heights:
     """Return the height map of a point cloud; see `read_point_cloud`."""
-    near = None if window is None or spacing is None else _widened(window, spacing)
+    near = None
+    if window is not None and spacing is not None:  # its border also depends on points outside
+        margin = MARGIN * spacing
+        near = window[0] - margin, window[1] + margin, window[2] - margin, window[3] + margin
     cloud = _read(path, near)
     middle = np.mean(cloud.points[:, :2], axis=0) if len(cloud.points) else (math.nan, math.nan)
     name, geographic = system_name(cloud.crs, TO_METRES, *middle)
     if geographic:
-        refuse(
-            "a point cloud in metres",
-            f"degrees ({name})",
-            reprojection(cloud.crs, TO_METRES, *middle),
-        )
+        remedy = reprojection(cloud.crs, TO_METRES, *middle)
+        refuse("a point cloud in metres", f"degrees ({name})", remedy)
     points = cloud.points[cloud.ground] if cloud.ground.any() else cloud.points
     if len(points) < 3:
-        refuse(
-            "at least 3 points",
-            f"{len(points)}",
-            "use another file" if near is None else "enlarge or move the window",
-        )
+        remedy = "use another file" if near is None else "enlarge or move the window"
+        refuse("at least 3 points", f"{len(points)}", remedy)
     check_values(
         points[:, 2],
         lambda k: f"x = {points[k][0]:.9g}, y = {points[k][1]:.9g}",
@@ -288,8 +210,12 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         ),
     )
     density = _density(points)
-    cell = _two_digits(math.sqrt(POINTS_PER_CELL / density)) if spacing is None else spacing
-    x, y = (_axis(points[:, k], cell) for k in (0, 1))
+    cell = spacing or float(f"{math.sqrt(POINTS_PER_CELL / density):.2g}")
+    first, last = (
+        np.rint(ends / cell).astype(np.int64).tolist()
+        for ends in (points[:, :2].min(axis=0), points[:, :2].max(axis=0))
+    )
+    x, y = (Axis(a * cell, cell, b - a + 1) for a, b in zip(first, last, strict=True))
     i, j = parts(x, y, window)
     z, occupied = _gridded(points, x, y, (i, j))
     chosen = ""
@@ -312,12 +238,6 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         *scale_facts(cloud.crs, nodes[0].mean(), nodes[1].mean(), TO_METRES),
     )
     return Heights(*nodes, unit * z, facts, name)
-
-
-def _widened(window: Window, cell: float) -> Window:
-    """Return a window with a margin: heights at its border also depend on points outside."""
-    margin = MARGIN * cell
-    return window[0] - margin, window[1] + margin, window[2] - margin, window[3] + margin
 
 
 def _read(path: Path, near: Window | None) -> _Cloud:
@@ -378,13 +298,6 @@ def _check_header(stream: BinaryIO) -> None:
             raise ValueError(f"{records} records from byte {start}, beyond the end of the file")
 
 
-def _check_packages() -> None:
-    """Raise DataError if laspy, lazrs or pyproj is not installed."""
-    for name in ("laspy", "lazrs", "pyproj"):
-        if find_spec(name) is None:
-            raise DataError(missing_package(name, "points"))
-
-
 def _system(header: Any) -> tuple[Any, str]:
     """Return the horizontal reference system of a file, and the unit of its heights."""
     import pyproj
@@ -432,29 +345,8 @@ def _density(points: Array) -> float:
     return float(len(points) / (covered * extent.prod()))
 
 
-def _two_digits(value: float) -> float:
-    """Return a number rounded to two digits."""
-    return float(f"{value:.2g}")
-
-
-def _axis(places: Array, cell: float) -> Axis:
-    """Return the axis of nodes at multiples of the cell width whose cells contain all points."""
-    first, last = round(places.min() / cell), round(places.max() / cell)
-    return Axis(first * cell, cell, last - first + 1)
-
-
 def _gridded(points: Array, x: Axis, y: Axis, part: tuple[slice, slice]) -> tuple[Array, int]:
-    """Return heights at nodes, NaN in cells without points, and the number of cells with points.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        Positions. [m]
-    x, y : Axis
-        All nodes, at the centres of cells. [m]
-    part : tuple of 2 slices
-        Indices of the nodes along x and y.
-    """
+    """Return heights at nodes, NaN in cells without points, and the number of cells with points."""
     first = np.array([x.first, y.first])
     i, j = np.rint((points[:, :2] - first) / x.step).astype(np.int64).T
     cells, which = np.unique(i * y.size + j, return_inverse=True)

@@ -94,14 +94,11 @@ WORDS = {
 }
 
 
-def check_header(path: Path) -> None:
+def _check_header(path: Path) -> None:
     """Raise DataError for a damaged header of a classic netCDF file.
 
     The netCDF library allocates as much memory as a header claims, up to gigabytes.
     """
-    with path.open("rb") as stream:
-        if stream.read(4) not in CLASSIC:
-            return
     try:
         with path.open("rb") as stream, scipy.io.netcdf_file(stream, mmap=True):
             pass
@@ -139,50 +136,26 @@ class Reading(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Georeferencing of a raster: positions of its nodes.
+    """Georeferencing of a raster: positions of its nodes."""
 
-    Attributes
-    ----------
-    x, y : Axis
-        Uniform coordinates of the nodes. [m] or [deg]
-    upward : bool
-        Whether the first row of the raster is the southernmost.
-    registration : {"area", "point"}
-        Position of the values, as in `Reading`.
-    crs : str
-        Name of the coordinate reference system; empty if unknown.
-    geographic : bool
-        Whether the coordinates are degrees.
-    placed : bool
-        Whether the file contains the coordinates; otherwise the user gives cell and registration.
-    """
-
-    x: Axis
+    x: Axis  # uniform coordinates of the nodes [m or deg]
     y: Axis
-    upward: bool
-    registration: str
-    crs: str
-    geographic: bool
-    placed: bool
+    upward: bool  # whether the first row of the raster is the southernmost
+    registration: str  # as in `Reading`
+    crs: str  # name of the coordinate reference system; empty if unknown
+    geographic: bool  # whether the coordinates are degrees
+    placed: (
+        bool  # whether the file contains the coordinates; else the user gives cell, registration
+    )
 
 
 def read_raster(path: Path, ask: Reading) -> Heights:
-    """Return the heights in a raster file.
+    """Return the heights in a raster file of a format that GDAL reads from one file.
 
-    Parameters
-    ----------
-    path : Path
-        File of a format that GDAL reads from one file.
-    ask : Reading
-        Window, and cell and registration for a raster without coordinates.
-
-    Raises
-    ------
-    DataError
-        If the file is damaged, if it does not have one band of heights on a grid along x and y in
-        metres or degrees, if it has no coordinates and cell or registration is missing, if it has
-        coordinates and one of them is given, or if the window is empty or contains too few or too
-        many nodes.
+    DataError is raised if the file is damaged, if it does not have one band of heights on a grid
+    along x and y in metres or degrees, if it has no coordinates and cell or registration is
+    missing, if it has coordinates and one of them is given, or if the window is empty or contains
+    too few or too many nodes.
     """
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
@@ -199,15 +172,12 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     name = path.name if ending == ".hgt" else f"raster{ending if ending.isascii() else ''}"
     try:
         # the stack closes the streams of files that GDAL cannot read
-        with (
-            ExitStack() as opened,
-            _quiet_log(),
-            rasterio.Env(GDAL_CACHEMAX=CACHE),
-        ):
+        with ExitStack() as opened, _quiet_log(), rasterio.Env(GDAL_CACHEMAX=CACHE):
             noted = opened.enter_context(warnings.catch_warnings(record=True))
             warnings.simplefilter("always", NotGeoreferencedWarning)
             if head in BY_NAME:  # link it in a folder without other files, which GDAL would read
-                check_header(path)
+                if head in CLASSIC:
+                    _check_header(path)
                 folder = Path(opened.enter_context(TemporaryDirectory()))
                 (folder / name).symlink_to(path.resolve())
                 dataset = rasterio.open(folder / name, driver=BY_NAME[head])
@@ -230,13 +200,7 @@ def read_raster(path: Path, ask: Reading) -> Heights:
 
 
 def _open_alone(name: str, opener: Callable[..., BinaryIO]) -> Any:
-    """Return the open dataset of the first driver that can read a file.
-
-    Raises
-    ------
-    RasterioIOError
-        The error of the driver that recognizes the file, or that of unknown formats.
-    """
+    """Return the open dataset of the first driver that can read a file, or raise its error."""
     import rasterio
     from rasterio.errors import RasterioIOError
 
@@ -334,12 +298,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
         *_scale_facts(file),
         *scale_facts(file.crs, x.mean(), y.mean(), TO_METRES),
     )
-    values = file.read(
-        1,
-        window=window,
-        masked=True,
-        out_dtype=np.float64,
-    )
+    values = file.read(1, window=window, masked=True, out_dtype=np.float64)
     is_picture = _is_picture(file, is_placed)
     if is_picture and OCCUPANCY[0] in values and not np.setdiff1d(values, OCCUPANCY).size:
         refuse(
@@ -442,8 +401,7 @@ def _scale_facts(file: Any) -> tuple[tuple[str, str], ...]:
     return (("ground map heights", words),)
 
 
-def _unit(file: Any) -> float:
-    """Return the unit of the heights of a raster [m]."""
+def _unit(file: Any) -> float:  # of the heights [m]
     return LENGTHS[(file.units[0] or "").lower()]
 
 
@@ -460,12 +418,14 @@ def _is_picture(file: Any, is_placed: bool) -> bool:
 
 def _check_band(file: Any) -> None:
     """Raise DataError unless the file has a single band of heights in a known unit of length."""
-    if file.count != 1 and not _is_coloured(file):
+    colours = [band.name for band in file.colorinterp[:3]]
+    if file.count != 1 and colours != ["red", "green", "blue"]:
         refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
     if kind not in "iuf":
         refuse("heights that are real numbers", f"the type {file.dtypes[0]}", TO_REAL)
-    if file.colorinterp[0].name == "palette" and not _is_gray(file.colormap(1)):
+    palette = file.colormap(1) if colours[0] == "palette" else {}
+    if any((k, k, k) != colour[:3] for k, colour in palette.items()):
         refuse("heights", "colours of a palette", TO_LEVELS.format("-expand gray"))
     if not math.isfinite(file.offsets[0]) or not 0 < abs(file.scales[0]) < math.inf:
         refuse(
@@ -479,16 +439,6 @@ def _check_band(file: Any) -> None:
             f"the unit {file.units[0]!r}",
             f"correct it with gdal_edit.py -units; known units: {', '.join(sorted(LENGTHS)[1:])}",
         )
-
-
-def _is_coloured(file: Any) -> bool:
-    """Return whether the bands are the colours of a picture, with or without transparency."""
-    return [each.name for each in file.colorinterp[:3]] == ["red", "green", "blue"]
-
-
-def _is_gray(palette: dict[int, tuple[int, ...]]) -> bool:
-    """Return whether the colours of a palette are gray levels equal to their indices."""
-    return all((k, k, k) == colour[:3] for k, colour in palette.items())
 
 
 def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
@@ -515,14 +465,9 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
     crs = None if file.driver == "BT" and file.crs and file.crs.is_projected else file.crs
     registration = file.tags().get("AREA_OR_POINT", "Area").lower()
     x, y, upward = _axes(file)
-    return _Place(
-        x, y, upward, registration, *system_name(crs, TO_METRES, *_middle(x, y)), placed=True
-    )
-
-
-def _middle(x: Axis, y: Axis) -> tuple[float, float]:
-    """Return the centre of a map, in its units."""
-    return x.first + x.step * (x.size - 1) / 2, y.first + y.step * (y.size - 1) / 2
+    middle = (axis.first + axis.step * (axis.size - 1) / 2 for axis in (x, y))
+    name, geographic = system_name(crs, TO_METRES, *middle)
+    return _Place(x, y, upward, registration, name, geographic, placed=True)
 
 
 def _place_by_user(width: int, height: int, ask: Reading) -> _Place:

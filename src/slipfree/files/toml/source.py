@@ -124,11 +124,8 @@ def spelled(place: Place) -> str:
 def load_toml(text: str) -> dict[str, Any]:
     """Return the values of a TOML text from a user.
 
-    Raises
-    ------
-    ValueError
-        If the text is not TOML, is nested deeply, or contains an integer of thousands of digits.
-        The message may end with ``(at line L, column C)``.
+    ValueError is raised if the text is not TOML, is nested deeply, or contains an integer of
+    thousands of digits. The message may end with ``(at line L, column C)``.
     """
     if (found := LONG_KEY.search(text)) is not None:
         line = text.count("\n", 0, found.start()) + 1
@@ -163,13 +160,7 @@ def _is_deep(values: dict[str, Any]) -> bool:
 
 @lru_cache(maxsize=64)
 def key_path(text: str) -> tuple[str, ...]:
-    """Return the parts of a dotted key.
-
-    Raises
-    ------
-    ValueError
-        If the text is not a key.
-    """
+    """Return the parts of a dotted key; raise ValueError if the text is not a key."""
     node, parts = load_toml(f"{text} = 0"), []
     while isinstance(node, dict):
         ((part, node),) = node.items()
@@ -266,16 +257,16 @@ class Fault(NamedTuple):
     found: str
     hint: str = ""
 
+    @property
+    def message(self) -> str:
+        """Message without the location."""
+        return f"{self.hint}expected {self.expected}, found {self.found}"
+
 
 def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
     """Return an exception with the messages of all errors, in the order of their lines."""
     ordered = sorted(faults, key=lambda fault: source.order(fault.place))
-    return ProblemError(
-        *(
-            f"{source.where(f.place)}: {f.hint}expected {f.expected}, found {f.found}"
-            for f in ordered
-        )
-    )
+    return ProblemError(*(f"{source.where(fault.place)}: {fault.message}" for fault in ordered))
 
 
 def name_errors(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
@@ -317,7 +308,6 @@ def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
 
 
 def _unknown(place: Place, known: Sequence[str]) -> Fault:
-    """Return the error for an unknown key."""
     name = str(place[-1])
     expected = f"one of {listed(known)}" if known else "no key"
     return Fault(place, expected, f"the unknown key {_cut(name)!r}", similar_hint(name, known))
@@ -405,14 +395,14 @@ def read_raw(path: Path, expected: str = "a problem file") -> bytes:
     """Return the bytes of a TOML file; parameters and errors are those of `read_text`."""
     try:
         with regular_file(path, expected) as size:
-            if size > MAX_BYTES:
-                raise DataError(
-                    f"{path}: expected a TOML file of at most {MAX_BYTES / 1e6:g} MB, found "
-                    f"{size / 1e6:.3g} MB; check the name"
-                )
-            return read_bytes(path, expected)
+            if size <= MAX_BYTES:
+                return read_bytes(path, expected)
     except DataError as error:
         raise ProblemError(str(error)) from error
+    raise ProblemError(
+        f"{path}: expected a TOML file of at most {MAX_BYTES / 1e6:g} MB, found "
+        f"{size / 1e6:.3g} MB; check the name"
+    )
 
 
 def decode_text(path: Path, raw: bytes) -> str:
@@ -500,21 +490,16 @@ class _KeyPlaceError(ValueError):
 def _value(text: str) -> Any:
     """Return the value of a text, which is TOML or a bare word; raise ValueError otherwise."""
     try:
-        found = load_toml(f"value = {text}")
+        (value,) = load_toml(f"value = {text}").values()
     except ValueError:
         if BARE.fullmatch(text.strip()):
             return text.strip()
         raise
-    if len(found) > 1:
-        raise ValueError(text)
-    return found["value"]
+    return value
 
 
 def _insert(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
-    """Insert a value into nested tables; return its path and the paths of new tables.
-
-    Raise `_KeyPlaceError` if the path leads through a value that is not a table.
-    """
+    """Insert a value into nested tables; return its path and the paths of new tables."""
     places: list[Place] = [path]
     *tables, last = path
     for depth, name in enumerate(tables, start=1):
@@ -531,10 +516,7 @@ def _insert(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Pla
 
 
 def _remove(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
-    """Remove a key from nested tables; return its path in a list.
-
-    Raise `_KeyPlaceError` if there is no such key.
-    """
+    """Remove a key from nested tables; return its path in a list."""
     for name in path[:-1]:
         data = data.get(name, {}) if isinstance(data, dict) else {}
     if not isinstance(data, dict) or path[-1] not in data:

@@ -1,4 +1,7 @@
-"""Types of the values in TOML files, and the base class of their tables."""
+"""Types of the values in TOML files, and the base class of their tables.
+
+Angles and their rates are numbers in radians, or text with a unit as in "30 deg".
+"""
 
 from __future__ import annotations
 
@@ -23,18 +26,21 @@ from slipfree.files.toml.source import Place as KeyPath
 
 FULL_TURN = 2 * pi * 1.001  # larger bare angles are probably degrees; the margin allows rounding
 EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'
+PAIRS = "a number, or an array of [time, value] pairs"
 TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|rad)(/s2?)?\s*")
 MAX_NUMBER = 1e300  # largest accepted number
 Piecewise = tuple[tuple[float, float], ...]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=0)]
-# arrays are read as tuples; types of elements are not converted
-Pair = Annotated[tuple[float, float], Field(strict=False)]
-Place = Annotated[tuple[float, float, float], Field(strict=False)]
-Column = Annotated[tuple[float, ...], Field(strict=False)]
-Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
-Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
+
+
+class Record(BaseModel):
+    """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def expected_error(text: str) -> PydanticCustomError:
+    """Return a validation error of pydantic with a description of the expected value."""
+    return PydanticCustomError("expected", "{words}", {"words": text})
 
 
 class WithUnit(float):
@@ -56,60 +62,59 @@ class RateWithUnit(WithUnit):
     unit, words = "rad s-1", "an angular rate"
 
 
-class AccelerationWithUnit(WithUnit):
+class _AccelerationWithUnit(WithUnit):
     """An angular acceleration [rad/s2]."""
 
     unit, words = "rad s-2", "an angular acceleration"
 
 
-KINDS: dict[str | None, type[WithUnit]] = {
-    None: AngleWithUnit,
-    "/s": RateWithUnit,
-    "/s2": AccelerationWithUnit,
-}
+KINDS = {None: AngleWithUnit, "/s": RateWithUnit, "/s2": _AccelerationWithUnit}
 
 
 def parse_unit(value: Any) -> Any:
     """Return the number of a text such as "30 deg" in SI units; return other values unchanged."""
-    found = TEXT.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
-    if found is None:
+    match = TEXT.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
+    if match is None:
         return value
-    number = float(found[1])
-    return KINDS[found[3]](number * pi / 180 if found[2] == "deg" else number)
+    number = float(match[1])
+    return KINDS[match[3]](number * pi / 180 if match[2] == "deg" else number)
 
 
-def _read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
-    """Return a validated number: a `WithUnit` if it has a unit, which `unit_faults` checks."""
-    found = parse_unit(value)
-    if isinstance(found, str):
-        raise PydanticCustomError("expected", "{words}", {"words": EXAMPLE})
-    number: float = validate(float(found) if isinstance(found, WithUnit) else found)
-    return found if isinstance(found, WithUnit) else number
-
-
-def _reader(unit: type[WithUnit]) -> WrapValidator:
+def _reader(unit: type[WithUnit], text: str) -> WrapValidator:
     """Return a validator that accepts numbers, and texts with the given unit."""
-    words = f'a number, or text as in "{"5 deg/s" if unit is RateWithUnit else "30 deg"}"'
 
     def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
-        found = parse_unit(value)
-        if isinstance(found, str) or (isinstance(found, WithUnit) and not isinstance(found, unit)):
-            raise PydanticCustomError("expected", "{words}", {"words": words})
-        return _read(value, validate)
+        parsed = parse_unit(value)
+        if not isinstance(parsed, WithUnit):
+            if isinstance(parsed, str):
+                raise expected_error(text)
+            number: float = validate(parsed)
+            return number
+        if not isinstance(parsed, unit):
+            raise expected_error(text)
+        validate(float(parsed))
+        return parsed
 
     return WrapValidator(read)
 
 
-WITH_UNIT = WrapValidator(_read)
-
-
+WITH_UNIT = _reader(WithUnit, EXAMPLE)
 Quantity = Annotated[float, WITH_UNIT]  # `unit_faults` checks the unit, which depends on the key
-
-
-IN_RADIANS, IN_RADIANS_PER_SECOND = _reader(AngleWithUnit), _reader(RateWithUnit)
-
-
+IN_RADIANS = _reader(AngleWithUnit, 'a number, or text as in "30 deg"')
+IN_RADIANS_PER_SECOND = _reader(RateWithUnit, 'a number, or text as in "5 deg/s"')
 Angle = Annotated[float, IN_RADIANS]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+NonNegativeAngle = Annotated[NonNegative, IN_RADIANS]
+NonNegativeRate = Annotated[NonNegative, IN_RADIANS_PER_SECOND]
+Count = Annotated[int, Field(ge=0)]
+# arrays are read as tuples; types of elements are not converted
+Pair = Annotated[tuple[float, float], Field(strict=False)]
+Place = Annotated[tuple[float, float, float], Field(strict=False)]
+Column = Annotated[tuple[float, ...], Field(strict=False)]
+Angles = Annotated[tuple[Angle, ...], Field(strict=False)]
+Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
+Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 def unit_faults(
@@ -132,12 +137,12 @@ def unit_faults(
         unit = units.get(name, "")
         for number in _numbers(value) if unit else ():
             if isinstance(number, WithUnit) and number.unit != unit:
-                spelled = unit.replace(" s-", "/s").replace("/s1", "/s")
+                wanted = unit.replace(" s-", "/s").replace("/s1", "/s")
                 found = f"{number.words}; correct the unit"
-                yield Fault((*place, name), f"a number in {spelled}", found)
+                yield Fault((*place, name), f"a number in {wanted}", found)
                 break
-            if bare and unit == "rad" and (words := bare_words(number)):
-                yield Fault((*place, name), words, format_value(number))
+            if bare and unit == "rad" and (hint := bare_words(number)):
+                yield Fault((*place, name), hint, format_value(number))
                 break
 
 
@@ -153,8 +158,8 @@ def bare_words(value: float) -> str:
 
 def in_radians(value: float) -> float:
     """Return an angle unchanged; raise an error if it has no unit and exceeds a full turn."""
-    if words := bare_words(value):
-        raise PydanticCustomError("expected", "{words}", {"words": words})
+    if hint := bare_words(value):
+        raise expected_error(hint)
     return value
 
 
@@ -165,21 +170,6 @@ def _numbers(value: Any) -> Iterator[float]:
     elif isinstance(value, tuple):
         for part in value:
             yield from _numbers(part)
-
-
-NonNegativeAngle = Annotated[NonNegative, IN_RADIANS]
-
-
-NonNegativeRate = Annotated[NonNegative, IN_RADIANS_PER_SECOND]
-
-
-Angles = Annotated[tuple[Angle, ...], Field(strict=False)]
-
-
-class Record(BaseModel):
-    """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def _is_number(value: Any) -> bool:
@@ -201,13 +191,13 @@ def _piecewise_constant(value: Any) -> float | Piecewise:
         return _number(value)
     pairs = value if isinstance(value, list) else []
     if not pairs or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
-        raise PydanticCustomError("expected", "a number, or an array of [time, value] pairs")
+        raise expected_error(PAIRS)
     pairs = [(time, parse_unit(rate)) for time, rate in pairs]
     if not all(map(_is_number, (number for pair in pairs for number in pair))):
-        raise PydanticCustomError("expected", "a number, or an array of [time, value] pairs")
-    times = [pair[0] for pair in pairs]
+        raise expected_error(PAIRS)
+    times = [time for time, _ in pairs]
     if times[0] != 0 or any(b <= a for a, b in pairwise(times)):
-        raise PydanticCustomError("expected", "[time, value] pairs whose times ascend from 0")
+        raise expected_error("[time, value] pairs whose times ascend from 0")
     return tuple((float(t), _number(rate)) for t, rate in pairs)
 
 
@@ -220,24 +210,23 @@ def _piecewise_constant_or_file(value: Any) -> float | Piecewise | str:
 def _time_function(value: Any) -> float | Piecewise | str:
     """Return a number, the pairs of a piecewise-constant function, or a formula of time."""
     value = parse_unit(value)
-    if isinstance(value, str) and value:
-        return value
-    if not _is_number(value) and not isinstance(value, list):
-        expected = "a number, an array of [time, value] pairs, or a formula of t in quotes"
-        raise PydanticCustomError("expected", expected)
-    return _piecewise_constant(value)
+    is_formula = isinstance(value, str) and value
+    if not (is_formula or _is_number(value) or isinstance(value, list)):
+        raise expected_error(
+            "a number, an array of [time, value] pairs, or a formula of t in quotes"
+        )
+    return _piecewise_constant_or_file(value)
 
 
 def _range(value: Any) -> tuple[float, float]:
     """Return the range (low, high) of a pair in ascending order, or of a number (low = high)."""
     value = [*map(parse_unit, value)] if isinstance(value, list) else parse_unit(value)
-    if _is_number(value):
-        return _number(value), _number(value)
-    if isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)):
-        low, high = map(_number, value)
+    ends = value if isinstance(value, list) else [value, value]
+    if len(ends) == 2 and all(map(_is_number, ends)):
+        low, high = map(_number, ends)
         if low <= high:
             return low, high
-    raise PydanticCustomError("expected", "a number, or [low, high] in ascending order")
+    raise expected_error("a number, or [low, high] in ascending order")
 
 
 def coefficient(value: Any) -> float | str:
@@ -246,25 +235,17 @@ def coefficient(value: Any) -> float | str:
         return value
     if _is_number(value) and value > 0:
         return float(value)
-    raise PydanticCustomError(
-        "expected", "a number greater than 0, or the name of a file in quotes"
-    )
+    raise expected_error("a number greater than 0, or the name of a file in quotes")
 
 
 def not_zero(value: float) -> float:
     """Return a speed unchanged; raise an error for zero."""
     if value == 0:
-        raise PydanticCustomError("expected", "a speed other than zero")
+        raise expected_error("a speed other than zero")
     return value
 
 
 PiecewiseConstant = Annotated[Any, PlainValidator(_piecewise_constant)]
-
-
 PiecewiseConstantOrFile = Annotated[Any, PlainValidator(_piecewise_constant_or_file)]
-
-
 TimeFunction = Annotated[Any, PlainValidator(_time_function)]
-
-
 Range = Annotated[Any, PlainValidator(_range)]

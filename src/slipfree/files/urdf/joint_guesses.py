@@ -71,16 +71,9 @@ def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) 
     """Yield the casters whose wheels do not turn about a level axis of a joint.
 
     A caster is a joint with "caster" in a name, with the links below it; the lowest of them touches
-    the ground. A sphere that touches the ground of the wheels is one without a name.
-
-    Parameters
-    ----------
-    tree : Tree
-        The URDF, facing forward along x.
-    wheels : sequence of UrdfJoint
-        Joints whose links are wheels that roll.
-    excluded : collection of str
-        Names of joints that carry no wheel.
+    the ground. A sphere that touches the ground of the wheels is one without a name. The URDF faces
+    forward along x; ``wheels`` are joints of wheels that roll, and ``excluded`` names of joints
+    that carry no wheel.
     """
     frames = tree.frames
     bottoms = [_bottom(tree.links[wheel.child].shapes, frames[wheel.child]) for wheel in wheels]
@@ -274,16 +267,7 @@ TOO_MANY = KindGuess(
 class Joints:
     """Joints of a URDF whose values are unknown, with the wheels that they carry.
 
-    Parameters
-    ----------
-    tree : Tree
-        The URDF, facing forward along x.
-    wheels : sequence of UrdfJoint
-        Joints that carry wheels.
-    balls : set of str
-        Names of those that carry balls, which slide freely.
-    roles : Roles
-        Information that completes the URDF.
+    The URDF faces forward along x. ``balls`` are the names of wheels that slide freely.
     """
 
     def __init__(

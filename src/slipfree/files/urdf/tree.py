@@ -204,13 +204,7 @@ class Tree:
 
 
 class Findings:
-    """Errors, notes and guesses that the conversion of a URDF collects.
-
-    Parameters
-    ----------
-    file : str
-        Name of the file in messages.
-    """
+    """Errors, notes and guesses of the conversion of a URDF; ``file`` is its name in messages."""
 
     def __init__(self, file: str) -> None:
         self.file = file

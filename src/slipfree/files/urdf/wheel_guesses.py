@@ -90,16 +90,8 @@ def wheel_guesses(
 ) -> Iterator[tuple[str, WheelGuess]]:
     """Yield the wheels that joints probably carry, with the name of the joint.
 
-    Parameters
-    ----------
-    tree : Tree
-        The URDF, facing forward along x.
-    wheels : sequence of UrdfJoint
-        Joints whose links are wheels by their shape.
-    unread : collection of str
-        Names of joints whose meshes cannot be read.
-    roles : Roles
-        Information that completes the URDF.
+    The URDF faces forward along x; ``wheels`` are wheels by their shape, and ``unread`` the names
+    of joints whose meshes cannot be read.
     """
     guesses = dict(_named_wheels(tree, wheels, roles))
     rolling = [*wheels, *(tree.joints[name] for name in guesses if tree.joints[name].moves)]

@@ -63,28 +63,12 @@ T = TypeVar("T", Shape, Mesh)
 
 
 class Wheels:
-    """Recognition and conversion of the wheels of a URDF.
+    """Recognition and conversion of the wheels of a URDF that faces forward along x.
 
-    Parameters
-    ----------
-    tree : Tree
-        The URDF, facing forward along x.
-    roles : Roles
-        Information that completes the URDF.
-    findings : Findings
-        Collection to which errors, notes and guesses are added.
-
-    Attributes
-    ----------
-    tree : Tree
-        The URDF with the round shapes of meshes.
-    joints : list of UrdfJoint
-        Joints that carry wheels.
-    gears : dict of str
-        Table and values of the other choice, and the reason why a joint with a round shape carries
-        no wheel, by name of the joint.
-    balls : set of str
-        Names of joints whose wheels slide freely in all directions.
+    Attributes are the URDF with the round shapes of meshes (``tree``), the joints that carry wheels
+    (``joints``), the names of those that slide freely in all directions (``balls``), and by joint
+    of a round shape that carries no wheel (``gears``) the table and values of the other choice with
+    the reason.
     """
 
     def __init__(self, tree: Tree, roles: Roles, findings: Findings) -> None:

@@ -70,13 +70,7 @@ class Expansion(NamedTuple):
 
 
 def trusted_paths(files: Iterable[str | os.PathLike[str]]) -> frozenset[str]:
-    """Return the resolved paths of xacro files that the user trusts.
-
-    Raises
-    ------
-    DataError
-        If one of them is not a regular file.
-    """
+    """Return the resolved paths of xacro files that the user trusts; they must be regular files."""
     for file in files:
         with regular_file(Path(file), "a xacro file to trust"):
             pass
@@ -298,11 +292,8 @@ def unknown_elements(robot: Element) -> tuple[str, ...]:
 def without_xacro(robot: Element, file: str, faults: Findings) -> tuple[Element, tuple[str, ...]]:
     """Return a robot without its links that have unexpanded xacro, and the names of these links.
 
-    Raises
-    ------
-    UnfitError
-        If the xacro may belong to the drive train: it is not in a link or a joint, or a continuous
-        joint is at or below it.
+    UnfitError is raised if the xacro may belong to the drive train: it is not in a link or a joint,
+    or a continuous joint is at or below it.
     """
     parts = [part for part in robot.children if part.tag not in IGNORED]
     raw = [part for part in parts if any(map(_xacro_in, part.everything()))]

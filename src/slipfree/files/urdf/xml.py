@@ -91,19 +91,10 @@ class Element:
 
 
 def parse(data: bytes, name: str) -> Element:
-    """Return the root element of an XML file.
+    """Return the root element of an XML file; ``name`` is its name in messages.
 
-    Parameters
-    ----------
-    data : bytes
-        Contents of the file.
-    name : str
-        Name of the file in messages.
-
-    Raises
-    ------
-    DataError
-        If the file is not XML, or declares a document type, which could define entities.
+    DataError is raised if the file is not XML, or declares a document type, which could define
+    entities.
     """
     _check_contents(data, name)
     parser = expat.ParserCreate()
@@ -186,13 +177,7 @@ def check_ending(data: bytes, path: Path) -> None:
 
 
 def parse_robot(data: bytes, file: str) -> Element:
-    """Return the root element <robot> of a URDF file; ``file`` is its name in messages.
-
-    Raises
-    ------
-    DataError
-        If the file is not XML, or is XML of another format.
-    """
+    """Return the root element <robot> of a URDF file; raise DataError for another format."""
     root = parse(data, file)
     tag = root.tag.rpartition(":")[2] if root.tag not in FORMATS else root.tag
     if tag in FORMATS:
