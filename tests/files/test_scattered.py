@@ -123,22 +123,13 @@ def test_nodes_outside_the_hull_are_holes(tmp_path):
         ("x y z\n0 0 1\n1 0 nan\n", "xyz:3: expected three numbers x,y,z, found '1 0 nan'; "),
         ("0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
         ("0 0 1\n0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
-        (
-            "1 0 0 1\n2 0 1 1\n3 1 0 1\n",
-            "p.xyz:1: expected .* first column counts or names .* as in",
-        ),
-        (
-            "P1,0,0,1,GS\nP2,0,1,1,GS\n",
-            "first column counts or names the rows, from 'P1'; name the",
-        ),
+        ("1 0 0 1\n2 0 1 1\n3 1 0 1\n", "p.xyz:1: expected .* first column counts or names .* as"),
+        ("P1,0,0,1,GS\nP2,0,1,1,GS\n", "first column counts or names the rows, from 'P1'; name"),
         (
             "0,000,0,500,1,250\n",
             "found '000' between commas, .* separate the columns by semicolons",
         ),
-        (
-            "x,y,z\n0,00,0,05,1,25\n0,00,0,10,1,25\n",
-            "found '00' between commas, probably decimals of a number",
-        ),
+        ("x,y,z\n0,00,0,05,1,25\n0,00,0,10,1,25\n", "found '00' between commas, probably decimals"),
         ('"0,0","0,5","1,2"\n"0,0","1,5","1,2"\n', "xyz:2: expected two or more numbers, found"),
         ("0.0D+0 0.0D+0 1.0D+0\n1.0D+0 0.0D+0 1.0D+0\n", "write numbers as in 1.5 or 1.5e-3"),
         ("lon lat alt\n0 0 1\n0 1e-5 1\n1e-5 0 1\n", "at spacing = 1 deg; .* such as 1e-05"),

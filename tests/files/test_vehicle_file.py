@@ -195,8 +195,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
 
 FAULTS = r"""
 frame = "rep103"\n|  |v.toml:1: frame: expected 'paper' (x right, y forward, z up) or 'rep103' (x
-axis = "z"|axis = [0, 0, 0]|v.toml:11: joints[0].axis (joint 'fork'):pected 'x', 'y', 'z' or a
-axis = "z"|axis = "up"|v.toml:11: joints[0].axis (joint 'fork'):pected 'x',
+axis = "z"|axis = [0, 0, 0]|v.toml:11: joints[0].axis (joint 'fork'): expected 'x', 'y', 'z' or a
+axis = "z"|axis = "up"|v.toml:11: joints[0].axis (joint 'fork'): expected 'x',
 parent = "fork"\n|  |v.toml:29: wheels[2].parent (wheel 'caster'): expected the name of the joint
 parent = "fork"|parent = "frok"|'platform': platform, fork, found 'frok'; did you mean 'fork'?
 "fork"\nparent = "platform"|"fork"\nparent = "fork"|v.toml:10: joints[0].parent (joint 'fork'):
@@ -207,7 +207,7 @@ name = "fork"\n|name = "platform"\n|found 'platform', also the name of the platf
 kind = "passive"|kind = "suspension"|v.toml:4: coordinates: expected at most 0 suspension
 kind = "passive"|kind = "suspension"|(swivel); remove it, set its kind to 'passive' or 'commanded',
 value = "swivel"|value = "swivl"|found 'swivl'; did you mean 'swivel'? otherwise add { name =
-value = "swivel"|value = "2 swivel"|v.toml:13: joints[0].value (joint 'fork'):pected a formula of
+value = "swivel"|value = "2 swivel"|v.toml:13: joints[0].value (joint 'fork'): expected a formula of
 value = "swivel"|value = "0"|v.toml:4: coordinates[0] (coordinate 'swivel'): expected a joint whose
 name = "swivel"|name = "sin"|v.toml:5: coordinates[0].name (coordinate 'sin'): expected a name other
 name = "swivel"|name = "2a"|expected a name of letters, digits and _ that does not begin with a
