@@ -704,7 +704,7 @@ def test_heights_in_other_units_are_converted(tmp_path):
         assert f"converted from {unit}" in dict(found.facts)["ground map heights"]
 
 
-def test_a_damaged_header_of_netcdf_claims_no_memory(tmp_path: Path) -> None:
+def test_a_damaged_header_of_netcdf_claims_no_memory(tmp_path):
     """The netCDF library would allocate what the length of the attribute claims, gigabytes."""
     head = b"CDF\1" + bytes(4) + bytes(8)  # no records, no dimensions
     attribute = struct.pack(">II4sII", 12, 1, b"", 2**31 - 4, 2**31 - 4)

@@ -33,12 +33,12 @@ STOPS_OF_0_1 = [
 
 
 @pytest.mark.parametrize(("name", "words", "outcome"), STOPS_OF_0_1)
-def test_outcome_follows_from_the_stop(name: str, words: str, outcome: Outcome) -> None:
+def test_outcome_follows_from_the_stop(name, words, outcome):
     old = {"stop_name": name, "stop_time": 1.5, "stop_words": words}
     assert upgrade_0_1(old) == {**old, "outcome": outcome.name.lower()}
 
 
-def test_ending_of_a_climb_gets_its_own_key() -> None:
+def test_ending_of_a_climb_gets_its_own_key():
     old = {"outcome": "climbs: at t = 2.86 s the rear axle is up, or past"}
     assert upgrade_0_1(old) == {"outcome": "complete", "climb": old["outcome"]}
 
@@ -61,15 +61,13 @@ LEAST = {"model": "kinematics", "law": "least"}
         ("verb =", "", {}),
     ],
 )
-def test_verb_and_model_follow_from_the_problem(
-    problem: str, settings: str, expected: dict[str, str]
-) -> None:
+def test_verb_and_model_follow_from_the_problem(problem, settings, expected):
     old = {"problem": problem, "settings": settings}
     assert upgrade_0_1(old) == {**old, **expected, "outcome": "complete"}
 
 
 @pytest.fixture
-def files(tmp_path: Path) -> list[Path]:
+def files(tmp_path):
     """Return a result for each outcome."""
     x = {"x": Column(Label("x", "m", "place"), np.zeros(2))}
     motions = [
@@ -80,7 +78,7 @@ def files(tmp_path: Path) -> list[Path]:
     return [tmp_path / f"{outcome.name}.nc" for outcome in Outcome]
 
 
-def test_outcomes_are_stored(files: list[Path]) -> None:
+def test_outcomes_are_stored(files):
     assert [netcdf.read(file).outcome for file in files] == list(Outcome)
     assert {outcome.name: outcome.exit_code for outcome in Outcome if outcome.exit_code != 1} == {
         "COMPLETE": 0,
@@ -88,7 +86,7 @@ def test_outcomes_are_stored(files: list[Path]) -> None:
     }
 
 
-def test_unknown_outcomes_are_refused(files: list[Path]) -> None:
+def test_unknown_outcomes_are_refused(files):
     data = files[1].read_bytes()
     assert b"limit\0\0\0" in data
     files[1].write_bytes(data.replace(b"limit\0\0\0", b"limbo\0\0\0"))
@@ -96,13 +94,13 @@ def test_unknown_outcomes_are_refused(files: list[Path]) -> None:
         netcdf.read(files[1])
 
 
-def test_motions_without_a_stop_are_complete() -> None:
+def test_motions_without_a_stop_are_complete():
     motion = Trajectory(np.zeros(1), {})
     assert motion.outcome is Outcome.COMPLETE
     assert motion.metadata["outcome"] == "complete"
 
 
-def test_quantities_of_climbs_have_the_names_of_dynamics() -> None:
+def test_quantities_of_climbs_have_the_names_of_dynamics():
     names = ("x", "tilt_rear", "wheel_rate", "axle_x", "load_0", "gap_1", "rubbed", "damped")
     found = sums_0_1({name: Label(name, "1", name) for name in names})
     assert found["solid_load_1"] == {"load_0": 1.0}
@@ -114,7 +112,7 @@ def test_quantities_of_climbs_have_the_names_of_dynamics() -> None:
     assert sums_0_1({"x": Label("x", "m", "x")}) == {"x": {"x": 1.0}}
 
 
-def test_climbs_are_those_of_today() -> None:
+def test_climbs_are_those_of_today():
     """``slipfree run problems/climb_ramp.toml --set time.duration=0.6 --set time.step=0.1``.
 
     The wheel angles of version 0.1 were absolute.

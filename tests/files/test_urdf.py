@@ -1,7 +1,6 @@
 """Tests of URDF files: equal vehicles in another program, and refused files."""
 
 import re
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -150,7 +149,7 @@ def test_the_twin_of_a_catalogue_vehicle_moves_like_it(way, tmp_path):
     assert np.ptp(first["y"]) > 0.2
 
 
-def changed(folder: Path, name: str, *changes: tuple[str, str], roles: str | None = None) -> Path:
+def changed(folder, name, *changes, roles=None):
     """Return a vehicle file whose URDF, or whose own text, is changed."""
     text = (DATA / f"{name}.urdf").read_text()
     for old, new in changes:
@@ -162,7 +161,7 @@ def changed(folder: Path, name: str, *changes: tuple[str, str], roles: str | Non
     return file
 
 
-def faults(path: Path) -> str:
+def faults(path):
     with pytest.raises(VehicleError) as caught:
         read_vehicle(path)
     return str(caught.value).replace(f"{path.parent}/", "")
@@ -181,11 +180,7 @@ BASE_SWIVEL = '<parent link="base_link"/><child link="swivel"/>'
 BASE_LIDAR = '<parent link="base_link"/><child link="lidar"/>'
 FORK_WHEEL = '<parent link="fork"/><child link="left_wheel"/>'
 WRONG = [
-    (
-        '<axis xyz="0 1 0"/>',
-        '<axis xyz="0 0 0"/>',
-        "cart.urdf:27: joint 'left_drive': expected an",
-    ),
+    ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "cart.urdf:27: joint 'left_drive': expected an"),
     (
         '<axis xyz="0 1 0"/>',
         '<axis xyz="0 1"/>',
@@ -205,21 +200,13 @@ WRONG = [
         REVOLUTE.format(1, 1),
         "expected a lower limit of caster below the upper one, found 1",
     ),
-    (
-        CASTER,
-        REVOLUTE.format(1, 1),
-        '1; in a vehicle file with urdf = "cart.urdf", write caster =',
-    ),
+    (CASTER, REVOLUTE.format(1, 1), '1; in a vehicle file with urdf = "cart.urdf", write caster ='),
     (
         CASTER,
         SLIDING,
         "expected lower in metres, at least -100 (did you mean millimetres? write -0.",
     ),
-    (
-        LIDAR,
-        LIDAR.replace("lidar_mount", "caster"),
-        "cart.urdf:45: joint 'caster': expected a",
-    ),
+    (LIDAR, LIDAR.replace("lidar_mount", "caster"), "cart.urdf:45: joint 'caster': expected a"),
     (
         '<child link="caster_wheel"/>',
         '<child link="castor"/>',
@@ -229,38 +216,14 @@ WRONG = [
     (BASE_SWIVEL, BASE_SWIVEL.replace("base_link", "fork"), "found links in a loop: 'swivel', "),
     ('<link name="swivel"/>', LOST, "expected one root link, found 'base_link', 'lost'"),
     (CASTER, CASTER.replace("continuous", "planar"), "found 'planar'; replace it with such joints"),
-    (
-        CASTER,
-        CASTER.replace("continuous", "hinge"),
-        "joint 'caster': expected one of the types",
-    ),
-    (
-        '<cylinder radius="0.15" length="0.04"/>',
-        '<mesh filename="a.stl"/>',
-        "the mesh 'a.stl',",
-    ),
+    (CASTER, CASTER.replace("continuous", "hinge"), "joint 'caster': expected one of the types"),
+    ('<cylinder radius="0.15" length="0.04"/>', '<mesh filename="a.stl"/>', "the mesh 'a.stl',"),
     ('radius="0.15"', 'radius="150"', "in metres, greater than 0 and at most 100, found 150"),
-    (
-        '<robot name="cart">',
-        ENTITY,
-        "cart.urdf:3: expected XML without ant type, found",
-    ),
-    (
-        '<robot name="cart">',
-        "<!DOCTYPE robot><robot>",
-        "cart.urdf:3: expected XML without a",
-    ),
-    (
-        '<robot name="cart">',
-        INCLUDE,
-        "cart.urdf:3: expected plain URDF, found xacro,",
-    ),
+    ('<robot name="cart">', ENTITY, "cart.urdf:3: expected XML without a document type, found"),
+    ('<robot name="cart">', "<!DOCTYPE robot><robot>", "cart.urdf:3: expected XML without a"),
+    ('<robot name="cart">', INCLUDE, "cart.urdf:3: expected plain URDF, found xacro,"),
     ('xyz="0 0.25 0"', 'xyz="0 ${a} 0"', "found xacro, '0 ${a} 0' in the attribute 'xyz' of"),
-    (
-        'version="1.0"?>',
-        'version="1.0" encoding="klingon"?>',
-        "cart.urdf: expected XML in a known",
-    ),
+    ('version="1.0"?>', 'version="1.0" encoding="klingon"?>', "cart.urdf: expected XML in a known"),
     ('<robot name="cart">', "<sdf>", "cart.urdf:54: expected XML, found mismatched tag"),
 ]
 

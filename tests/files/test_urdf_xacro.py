@@ -83,7 +83,7 @@ time = { duration = 0.2, step = 0.1 }
 """
 
 
-def called(*words: str) -> str:
+def called(*words):
     """Return what a command prints, which fails because of bad input."""
     done = CliRunner().invoke(app, [*words])
     assert done.exit_code == 2, done.output

@@ -245,11 +245,7 @@ RIGHT = LONG[LONG.index('[[wheels]]\nname = "right"') : LONG.index('[[wheels]]\n
         (RIGHT, "", "v.toml:15: wheels: expected at least three wheels, so that the vehicle can"),
         ('value = "swivel"\n', SLIDES, "expected only turning or only sliding joints whose value"),
         ('axis = "z"', f"axis = [{10**400}, 0, 0]", "v.toml:11: joints[0].axis (joint 'fork'):"),
-        (
-            '"swivel"\n\n',
-            f'"{"-" * 990}swivel"\n\n',
-            "v.toml:13: joints[0].value (joint 'fork'):",
-        ),
+        ('"swivel"\n\n', f'"{"-" * 990}swivel"\n\n', "v.toml:13: joints[0].value (joint 'fork'):"),
     ],
 )
 def test_one_fault(old, new, fault, tmp_path):

@@ -267,7 +267,6 @@ def _messages(
 
 
 def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, float]]:
-    """Yield the rows of a table, with absolute times [ns]."""
     last = messages[-1][1]
     if type(last).__name__ == "Path":
         messages = [(_time(pose, 0), pose) for pose in last.poses]
@@ -285,7 +284,6 @@ def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, 
 
 
 def _time(message: Any, recorded: int) -> int:
-    """Return the time in the header of a message, or of its recording if it has no header [ns]."""
     if not hasattr(message, "header"):
         return recorded
     stamp = message.header.stamp
@@ -366,7 +364,6 @@ def _contained(name: str) -> Iterator[tuple[str, None]]:
 
 
 def _ros_package() -> ModuleType:
-    """Return the package ``mcap_ros2``; raise DataError if it is not installed."""
     try:
         import mcap_ros2.decoder
         import mcap_ros2.writer
@@ -392,7 +389,6 @@ def _vector(values: Sequence[float], names: str = "xyz") -> dict[str, float]:
 
 
 def _path(origins: Array, rotation: Rotation, times: Sequence[int]) -> Message:
-    """Return the whole path of the platform."""
     rows = zip(times, origins.tolist(), rotation.as_quat().tolist(), strict=True)
     poses = [
         {
@@ -405,7 +401,6 @@ def _path(origins: Array, rotation: Rotation, times: Sequence[int]) -> Message:
 
 
 def _transforms(frames: Sequence[LinkPoses]) -> Iterator[Message]:
-    """Yield the poses of the platform, and of wheels or links, at each sample."""
     places = np.stack([frame.origins for frame in frames], axis=1).tolist()
     quaternions = np.stack([frame.rotation.as_quat() for frame in frames], axis=1).tolist()
     for row in zip(places, quaternions, strict=True):
@@ -421,7 +416,6 @@ def _transforms(frames: Sequence[LinkPoses]) -> Iterator[Message]:
 
 
 def _wheel_frames(run: Trajectory, vehicle: Vehicle) -> Iterator[LinkPoses]:
-    """Yield the poses of the wheels in the platform's frame."""
     base, turn = platform_poses(run, vehicle)
     origins, rotations = to_rep103(wheel_poses(vehicle, run))
     for k, name in enumerate(run.wheels):

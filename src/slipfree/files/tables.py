@@ -281,7 +281,6 @@ def _line_body(line: str, separator: str | None) -> str:
 
 
 def _line_cells(text: str, separator: str | None) -> list[str]:
-    """Return the cells of a line, without quotes."""
     if '"' in text:
         cells = next(csv.reader([text], delimiter=separator or " ", skipinitialspace=True))
         cells = [cell for cell in cells if cell or separator]
@@ -416,7 +415,6 @@ def _check_commas(path: Path, rows: Iterable[tuple[int, Sequence[str]]]) -> None
 def _check_decimals(
     path: Path, rows: Iterable[tuple[int, Sequence[str]]], separator: str | None
 ) -> None:
-    """Raise DataError if some numbers have decimal commas and others points."""
     used: dict[str, str] = {}
     for number, cells in rows:
         for cell in cells:
@@ -454,7 +452,6 @@ def _is_in_order(layout: _Layout, names: Collection[str], others: bool) -> bool:
 def _choose(
     path: Path, layout: _Layout, requested: Mapping[str, str], where: str
 ) -> dict[str, tuple[int, str]]:
-    """Return index and unit of the requested columns."""
     names = layout.columns
     bases = [split_unit(name) for name in names]
     chosen = {}

@@ -238,7 +238,6 @@ def _body(body: Body) -> Body:
 
 
 def _angles_right(turned: Vector) -> Vector:
-    """Return roll, pitch and yaw [rad], converted from axes x forward to axes x right."""
     if not any(turned[:2]):
         return turned
     return angles_of(FORWARD_UP @ rotation_of(turned) @ FORWARD_UP.T)
@@ -324,7 +323,6 @@ def _with_unit(value: Any) -> Any:
 
 
 def _drive(drive: Drive) -> dict[str, Any]:
-    """Return the key of a drive; none for the default."""
     if drive == RATE:
         return {}
     kind = next(name for name, each in DRIVES.items() if isinstance(drive, each))

@@ -93,7 +93,6 @@ class VehicleError(ProblemError):
 
 
 def _meters(value: float) -> float:
-    """Return a length unchanged; raise an error if its absolute value exceeds 100 m."""
     if abs(value) > MAX_LENGTH:
         raise expected_error(length_words(value))
     return value
@@ -105,7 +104,6 @@ def _all(check: Callable[[float], float]) -> AfterValidator:
 
 
 def _axis(value: Any) -> str | Vector:
-    """Return a valid axis: "x", "y", "z" or a nonzero vector; raise an error for others."""
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
     numbers = value if isinstance(value, list) else []
@@ -126,7 +124,6 @@ def _known_section(_: Any) -> None:
 
 
 def _drive(value: Any) -> Drive:
-    """Return the drive that a table describes; raise an error for an invalid table."""
     given = dict(value) if isinstance(value, dict) else {}
     kind = given.pop("kind", None)
     if kind not in DRIVES:
@@ -230,7 +227,6 @@ def wheel_table(data: Any) -> type[AnyWheelTable]:
 
 @cache
 def _section_table(section: type[Section]) -> type[AnyWheelTable]:
-    """Return the schema for wheels with a section; the fields of the section are keys."""
     hints = get_type_hints(section)
     keys: dict[str, Any] = {
         each.name: (
@@ -243,7 +239,6 @@ def _section_table(section: type[Section]) -> type[AnyWheelTable]:
 
 
 def _read_wheel(data: Any, _: ValidatorFunctionWrapHandler) -> AnyWheelTable:
-    """Return the table of a wheel, validated by the schema of its section."""
     return wheel_table(data).model_validate(data)
 
 
@@ -532,7 +527,6 @@ def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
 
 
 def _names_in(formula: str) -> frozenset[str]:
-    """Return the names of coordinates in a formula; an empty set if the formula is invalid."""
     try:
         return names_in(formula)
     except ModelError:
@@ -594,7 +588,6 @@ def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
 
 
 def _section_of(table: AnyWheelTable) -> Section:
-    """Return the section of the wheel in a table; raise ModelError for invalid dimensions."""
     if isinstance(table, WheelTable):
         tube, rollers = table.tube, table.rollers
         return section_of_radii(tube, table.radius - tube, rollers=rollers)

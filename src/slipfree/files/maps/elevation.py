@@ -155,7 +155,6 @@ def takes_key(ending: str, key: str) -> bool:
 
 
 def _reader(ending: str) -> MapReader:
-    """Return the reader of files with an ending, by default that of rasters."""
     return next((each for each in READERS if ending in each.endings), RASTERS)
 
 
@@ -170,7 +169,6 @@ def _expected_endings() -> str:
 
 
 def _check_keys(ending: str, reading: Reading) -> None:
-    """Raise DataError for arguments that the file format does not use."""
     for name in KEYS:
         value = getattr(reading, name)
         if value is not None and not takes_key(ending, name):
@@ -214,7 +212,6 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
 def _mapped(
     found: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
 ) -> Map:
-    """Return the map in metres, with holes filled if required."""
     facts: Facts = found.facts
     mask, missing = None, np.isnan(found.z)
     if fill is not None:
@@ -330,7 +327,6 @@ def jacksboro(scale: float = 1.0) -> Grid:
 
 
 def _read_npz(path: Path, ask: Reading) -> Heights:
-    """Return the map in a numpy archive."""
     x, y, z = _arrays(path)
     grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes
     axes = axes_of(x, y)

@@ -156,8 +156,6 @@ def interpolate_points(
 
 
 class _Cloud(NamedTuple):
-    """Points of a file."""
-
     points: Array  # shape (n, 3), heights in the unit of the file [m]
     ground: Mask  # whether a point is classified as ground
     version: str  # of the format, such as "1.2"

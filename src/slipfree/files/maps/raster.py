@@ -279,7 +279,6 @@ def _raw_pgm(content: bytes) -> bytes:
 
 
 def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heights:
-    """Return the heights in an open raster."""
     _check_band(file)
     place = _place(file, ask, is_placed)
     i, j = parts(place.x, place.y, ask.window)
@@ -380,7 +379,6 @@ def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
 
 
 def _wrong_word(words: list[bytes]) -> bytes | None:
-    """Return the first word that is not a number; None if all words are numbers."""
     word = b""
     try:
         for word in words:
@@ -471,7 +469,6 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
 
 
 def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
-    """Return the positions of the nodes of a raster without coordinates."""
     if ask.cell is None or ask.registration is None:
         given = {"cell": ask.cell, "registration": ask.registration}
         refuse(

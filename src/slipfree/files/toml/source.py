@@ -111,7 +111,6 @@ class Source:
 
 
 def _longest(place: Place, known: Mapping[Place, object]) -> Place | None:
-    """Return the longest prefix of ``place`` in ``known``; None if no prefix is known."""
     parts = (place[:end] for end in range(len(place), 0, -1))
     return next((part for part in parts if part in known), None)
 
@@ -150,7 +149,6 @@ def shortened(text: str) -> str:
 
 
 def _is_deep(values: dict[str, Any]) -> bool:
-    """Return whether arrays and tables have more than `MAX_DEPTH` nested levels."""
     level: list[Any] = [values]
     for _ in range(MAX_DEPTH):
         tables = (each.values() if isinstance(each, dict) else each for each in level)
@@ -499,7 +497,6 @@ def _value(text: str) -> Any:
 
 
 def _insert(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
-    """Insert a value into nested tables; return its path and the paths of new tables."""
     places: list[Place] = [path]
     *tables, last = path
     for depth, name in enumerate(tables, start=1):
@@ -516,7 +513,6 @@ def _insert(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Pla
 
 
 def _remove(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
-    """Remove a key from nested tables; return its path in a list."""
     for name in path[:-1]:
         data = data.get(name, {}) if isinstance(data, dict) else {}
     if not isinstance(data, dict) or path[-1] not in data:

@@ -164,7 +164,6 @@ def in_radians(value: float) -> float:
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """Yield all numbers of a value: a scalar, a range or a piecewise constant."""
     if isinstance(value, float):
         yield value
     elif isinstance(value, tuple):
@@ -180,7 +179,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _number(value: Any) -> float:
-    """Return a number as float; return a `WithUnit` unchanged."""
     return value if isinstance(value, WithUnit) else float(value)
 
 
@@ -202,13 +200,11 @@ def _piecewise_constant(value: Any) -> float | Piecewise:
 
 
 def _piecewise_constant_or_file(value: Any) -> float | Piecewise | str:
-    """Return a number, the pairs of a piecewise-constant function, or the name of a file."""
     value = parse_unit(value)
     return value if isinstance(value, str) and value else _piecewise_constant(value)
 
 
 def _time_function(value: Any) -> float | Piecewise | str:
-    """Return a number, the pairs of a piecewise-constant function, or a formula of time."""
     value = parse_unit(value)
     is_formula = isinstance(value, str) and value
     if not (is_formula or _is_number(value) or isinstance(value, list)):

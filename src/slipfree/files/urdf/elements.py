@@ -108,7 +108,6 @@ def _world(links: dict[str, Link], joints: dict[str, UrdfJoint], root: str) -> l
 
 
 def _check_names(robot: Element, tag: str, faults: Findings) -> None:
-    """Add an error for each name that several elements with the same tag have."""
     lines: dict[str, list[int]] = {}
     for element in robot.all(tag):
         lines.setdefault(element.attributes.get("name", ""), []).append(element.line)
@@ -122,7 +121,6 @@ def _check_names(robot: Element, tag: str, faults: Findings) -> None:
 
 
 def _link(element: Element, faults: Findings) -> Link:
-    """Return the link of an element."""
     name = _text(element, "name", faults, "link")
     inertial, who = element.first("inertial"), f"link {name!r}"
     mass, center, inertia = None, ORIGIN, None
@@ -176,7 +174,6 @@ def _solid(element: Element, kind: str) -> Element | None:
 
 
 def _mesh(element: Element, faults: Findings, who: str) -> Mesh | None:
-    """Return the mesh of a collision or visual element; None for other shapes."""
     mesh = _solid(element, "mesh")
     if mesh is None:
         return None
@@ -194,7 +191,6 @@ def _mesh(element: Element, faults: Findings, who: str) -> Mesh | None:
 
 
 def _box(element: Element, faults: Findings, who: str) -> Box | None:
-    """Return the box of a collision or visual element; None for other shapes."""
     box = _solid(element, "box")
     if box is None:
         return None
@@ -203,7 +199,6 @@ def _box(element: Element, faults: Findings, who: str) -> Box | None:
 
 
 def _shape(element: Element, faults: Findings, who: str) -> Shape | None:
-    """Return the cylinder or sphere of a collision or visual element; None for other shapes."""
     at, turned = _origin(element, faults, f"{who}: {element.tag}")
     for kind in ("cylinder", "sphere"):
         solid = _solid(element, kind)
@@ -220,7 +215,6 @@ def _shape(element: Element, faults: Findings, who: str) -> Shape | None:
 
 
 def _joint(element: Element, faults: Findings) -> UrdfJoint:
-    """Return the joint of an element."""
     name = _text(element, "name", faults, "joint")
     who, kind = f"joint {name!r}", element.attributes.get("type", "")
     if kind not in TYPES:
@@ -311,7 +305,6 @@ def _origin(element: Element, faults: Findings, who: str) -> tuple[Vector, Vecto
 
 
 def _vector(element: Element, key: str, default: Vector, faults: Findings, who: str) -> Vector:
-    """Return three numbers of an attribute; add an error if they are invalid."""
     text = element.attributes.get(key)
     if text is None:
         return default
@@ -344,7 +337,6 @@ def _float(text: str) -> float:
 
 
 def _text(element: Element, key: str, faults: Findings, who: str) -> str:
-    """Return the name in an attribute; add an error if it is missing."""
     if not element.attributes.get(key):
         message = f"{who}: expected a name in the attribute {key!r}, found none; add it"
         faults.add(element.line, message)

@@ -20,13 +20,7 @@ from slipfree.files.urdf.tree import (
     Shape,
     Tree,
     UrdfJoint,
-    fixed_to_wheels,
-    is_last,
-    is_level,
     lowest,
-    mirror_image,
-    radius_of,
-    steered,
 )
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.records import Array
@@ -78,7 +72,7 @@ def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) 
     frames = tree.frames
     bottoms = [_bottom(tree.links[wheel.child].shapes, frames[wheel.child]) for wheel in wheels]
     ground = min(bottoms, default=np.inf)
-    known = fixed_to_wheels(tree) | {wheel.name for wheel in wheels}
+    known = tree.fixed_to_wheels | {wheel.name for wheel in wheels}
     for joint in tree.joints.values():
         if joint.name in known or joint.name in excluded:
             continue
@@ -91,7 +85,7 @@ def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) 
                 part, radius, reason = contact
                 yield Caster(part.name, names, radius, not _trails(tree, joint, part), reason)
             known |= names
-        elif is_last(tree, joint) and [shape.kind for shape in shapes] == ["sphere"]:
+        elif tree.is_last(joint) and [shape.kind for shape in shapes] == ["sphere"]:
             radius = shapes[0].radius
             if abs(_bottom(shapes, frames[joint.child]) - ground) <= TOUCH * radius:
                 reason = "it is a sphere that touches the ground of the wheels"
@@ -141,7 +135,7 @@ def _mesh_depth(tree: Tree, link: Link, rotation: Array) -> float:
 def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
     """Return whether a part of a caster is a disc beside the axis of the swivel above it."""
     shapes = tree.links[part.child].shapes
-    if not head.moves or is_level(tree, head) or not shapes or shapes[0].kind == "sphere":
+    if not head.moves or tree.is_level(head) or not shapes or shapes[0].kind == "sphere":
         return False
     offset = (tree.frames[part.child][1] - tree.frames[head.child][1])[:2]
     return float(np.hypot(*offset)) > TRAIL * shapes[0].radius
@@ -175,7 +169,7 @@ def _swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
     for joint in tree.joints.values():
         below = {part.name for part in tree.below(joint.child)}
         carried = [wheel for wheel in wheels if wheel.name in below]
-        if not carried or not joint.moves or joint.type == "prismatic" or is_level(tree, joint):
+        if not carried or not joint.moves or joint.type == "prismatic" or tree.is_level(joint):
             continue
         trails = not STEERING.search(joint.names) and (
             TRAIL < _trail(tree, joint, carried) < MAX_TRAIL
@@ -218,10 +212,10 @@ def _middle_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> set[str]:
         for i, j in combinations(range(len(wheels)), 2)
         if abs(along[i] - along[j]) < near < abs(left[i] - left[j])
     ]
-    if len(pairs) != 1 or steered(tree) & {wheel.name for wheel in wheels}:
+    if len(pairs) != 1 or tree.steered & {wheel.name for wheel in wheels}:
         return set()
     ends = pairs[0][0] + near, pairs[0][1] - near
-    radii = np.array([radius_of(tree, wheel) for wheel in wheels])
+    radii = np.array([tree.radius_of(wheel) for wheel in wheels])
     inside = (ends[0] < left) & (left < ends[1]) & (radii > 0) & (radii < SMALL * max(radii))
     middle = {wheel.name for wheel, is_small in zip(wheels, inside, strict=True) if is_small}
     return middle if len(middle) == len(wheels) - 2 and not middle & tree.actuated else set()
@@ -229,7 +223,7 @@ def _middle_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> set[str]:
 
 def axle_of(tree: Tree, wheel: UrdfJoint) -> Array:
     """Return the axle of a wheel in the root's frame; to the left for one that no joint turns."""
-    if wheel.type not in ("continuous", "revolute") or not is_level(tree, wheel):
+    if wheel.type not in ("continuous", "revolute") or not tree.is_level(wheel):
         return np.array([0.0, 1.0, 0.0])
     return tree.axis(wheel)
 
@@ -241,7 +235,7 @@ def _trail(tree: Tree, joint: UrdfJoint, wheels: Sequence[UrdfJoint]) -> float:
         axle = axle_of(tree, wheel)
         offset = tree.frames[wheel.child][1] - tree.frames[joint.child][1]
         across = abs(float(offset[0] * axle[1] - offset[1] * axle[0]))
-        trails.append(across / (radius_of(tree, wheel) or np.inf))
+        trails.append(across / (tree.radius_of(wheel) or np.inf))
     return min(trails)
 
 
@@ -312,7 +306,7 @@ class Joints:
             if joint.name in self._leaders(name) and self._carried[name]
         ]
         return any(
-            is_level(self._tree, mover) != (mover.type == "prismatic")
+            self._tree.is_level(mover) != (mover.type == "prismatic")
             for mover in followers or [joint]
         )
 
@@ -337,7 +331,7 @@ class Joints:
             else:
                 kinds[name] = SWIVEL if name in swivelling else STEERS
         for name, joint in candidates.items():
-            other = mirror_image(self._tree, joint, candidates.values())
+            other = self._tree.mirror_image(joint, candidates.values())
             pair = {name} if other is None else {name, other.name}
             if name not in kinds:
                 kinds |= dict.fromkeys(pair, FOLLOWS if len(pair) <= left else TOO_MANY)
@@ -361,7 +355,7 @@ class Joints:
         ]
         everything = {wheel.name for wheel in self._wheels}
         for first in rockers:
-            second = mirror_image(self._tree, first, rockers)
+            second = self._tree.mirror_image(first, rockers)
             if second is None or self._own[first.name] & self._own[second.name]:
                 continue
             if self._own[first.name] | self._own[second.name] != everything:

@@ -131,7 +131,6 @@ def unit_factor(radii: Array, centers: Array, axle: Array, own: int) -> float | 
 
 
 def _read_files(paths: Sequence[Path]) -> list[Triangles | DataError]:
-    """Return the triangles of files, or the errors of those that cannot be read."""
     if find_spec("trimesh") is None:
         return [DataError(missing_package("trimesh", "urdf")) for _ in paths]
     size = sum(path.stat().st_size for path in paths)
@@ -142,7 +141,6 @@ def _read_files(paths: Sequence[Path]) -> list[Triangles | DataError]:
 
 
 def _attempt(read: Callable[..., Triangles], *arguments: Any) -> Triangles | DataError:
-    """Return the triangles of a file, or the error if it cannot be read."""
     try:
         return read(*arguments)
     except DataError as error:

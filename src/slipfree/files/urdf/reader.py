@@ -10,7 +10,7 @@ from typing import Any
 
 from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints, KindGuess
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, Roles, completed, coupled
-from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward, is_last
+from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
 from slipfree.files.urdf.wheel_guesses import forward_guess
 from slipfree.files.urdf.wheels import Wheels
 from slipfree.files.vehicle_draft import (
@@ -71,7 +71,7 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
 def _wheel_remedy(tree: Tree, draft: Draft) -> str:
     """Return how to declare wheels, with the names of the last joints that carry none."""
     known = [wheel.name for wheel in draft.wheels]
-    ends = [j.name for j in tree.joints.values() if is_last(tree, j) and j.name not in known]
+    ends = [j.name for j in tree.joints.values() if tree.is_last(j) and j.name not in known]
     names = ", ".join(ends[:MAX_NAMES]) + (", ..." if len(ends) > MAX_NAMES else "")
     if not ends:
         return ", such as a link with a sphere at a fixed joint, as of a caster"
@@ -80,7 +80,6 @@ def _wheel_remedy(tree: Tree, draft: Draft) -> str:
 
 
 def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
-    """Return the draft of the vehicle of a URDF, in axes x forward, y left."""
     tree = coupled(completed(file, roles), roles.couple)
     forward = roles.forward or _forward(tree, roles, findings)
     wheels = Wheels(facing_forward(tree, forward), roles, findings)
@@ -204,7 +203,6 @@ def _used_joints(wheels: Wheels, findings: Findings) -> list[UrdfJoint]:
 
 
 def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Findings) -> None:
-    """Add notes on the assumptions made in the conversion of a file with its kept joints."""
     links, notes = wheels.tree.links, findings.notes
     notes.extend([*file.notes, *(f"not read: line {element}" for element in file.unknown)])
     used = [links[wheels.tree.root], *(links[j.child] for j in (*kept, *wheels.joints))]

@@ -202,6 +202,66 @@ class Tree:
         """Return the unit vector of a joint's axis in the root's frame."""
         return np.asarray(self.frames[joint.child][0] @ unit_vector(joint.axis))
 
+    def is_level(self, joint: UrdfJoint) -> bool:
+        """Return whether the axis of a joint is nearly level, with all joints at zero."""
+        return abs(float(self.axis(joint)[2])) <= STEEP
+
+    def is_last(self, joint: UrdfJoint) -> bool:
+        """Return whether no joint below a joint moves."""
+        return not any(below.moves for below in self.below(joint.child))
+
+    @cached_property
+    def steered(self) -> frozenset[str]:
+        """Names of the joints below joints that turn about steep axes."""
+        return frozenset(
+            below.name
+            for joint in self.joints.values()
+            if joint.type in ("continuous", "revolute") and not self.is_level(joint)
+            for below in self.below(joint.child)
+        )
+
+    @cached_property
+    def fixed_to_wheels(self) -> frozenset[str]:
+        """Names of the joints below joints that turn about a level axis, if none moves.
+
+        A round shape whose axis is beside that of the joint above does not turn with it, as a wheel
+        beside the gear that drives it.
+        """
+        frames, fixed = self.frames, set()
+        for joint in self.joints.values():
+            if joint.type != "continuous" or not self.is_last(joint) or not self.is_level(joint):
+                continue
+            axis, hub = self.axis(joint), self.radius_of(joint)
+            for below in self.below(joint.child):
+                offset = frames[below.child][1] - frames[joint.child][1]
+                reach = max(hub, self.radius_of(below) / 2)
+                is_beside = np.linalg.norm(np.cross(offset, axis)) > reach
+                if not (is_beside and self.links[below.child].shapes and WHEEL.search(below.names)):
+                    fixed.add(below.name)
+        return frozenset(fixed)
+
+    def radius_of(self, joint: UrdfJoint) -> float:
+        """Return the largest radius of the round shapes of a joint's link; zero without any [m]."""
+        return max((shape.radius for shape in self.links[joint.child].shapes), default=0.0)
+
+    def mirror_image(self, joint: UrdfJoint, others: Iterable[UrdfJoint]) -> UrdfJoint | None:
+        """Return the joint whose link is at the mirror image of a joint's link, on the other side.
+
+        The root faces forward along x. The plane is midway between the outermost links that turn
+        about level axes. The result is None without such a joint, and for links in the plane; of
+        several joints it is the last.
+        """
+        frames = self.frames
+        turning = [j for j in self.joints.values() if j.type == "continuous" and self.is_level(j)]
+        sides = [float(frames[j.child][1][1]) for j in turning] or [0.0]
+        x, y, z = frames[joint.child][1] - (0, (max(sides) + min(sides)) / 2, 0)
+        near = MIRROR * float(np.linalg.norm((x, y, z)))
+        image = frames[joint.child][1] - (0, 2 * y, 0)
+        images = [
+            other for other in others if np.linalg.norm(frames[other.child][1] - image) <= near
+        ]
+        return images[-1] if images and abs(y) > near else None
+
 
 class Findings:
     """Errors, notes and guesses of the conversion of a URDF; ``file`` is its name in messages."""
@@ -256,68 +316,6 @@ def is_about(shape: Shape, axis: Vector) -> bool:
     along = float(rotation_of(shape.turned)[:, 2] @ axis)
     parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=MAX_ECCENTRICITY)
     return parallel and eccentricity(shape, axis) <= MAX_ECCENTRICITY
-
-
-def is_level(tree: Tree, joint: UrdfJoint) -> bool:
-    """Return whether the axis of a joint is nearly level, with all joints at zero."""
-    return abs(float(tree.axis(joint)[2])) <= STEEP
-
-
-def is_last(tree: Tree, joint: UrdfJoint) -> bool:
-    """Return whether no joint below a joint moves."""
-    return not any(below.moves for below in tree.below(joint.child))
-
-
-def steered(tree: Tree) -> frozenset[str]:
-    """Return the names of the joints below joints that turn about steep axes."""
-    return frozenset(
-        below.name
-        for joint in tree.joints.values()
-        if joint.type in ("continuous", "revolute") and not is_level(tree, joint)
-        for below in tree.below(joint.child)
-    )
-
-
-def fixed_to_wheels(tree: Tree) -> frozenset[str]:
-    """Return the names of the joints below joints that turn about a level axis, if none moves.
-
-    A round shape whose axis is beside that of the joint above does not turn with it, as a wheel
-    beside the gear that drives it.
-    """
-    frames, fixed = tree.frames, set()
-    for joint in tree.joints.values():
-        if joint.type != "continuous" or not is_last(tree, joint) or not is_level(tree, joint):
-            continue
-        axis, hub = tree.axis(joint), radius_of(tree, joint)
-        for below in tree.below(joint.child):
-            offset = frames[below.child][1] - frames[joint.child][1]
-            reach = max(hub, radius_of(tree, below) / 2)
-            is_beside = np.linalg.norm(np.cross(offset, axis)) > reach
-            if not (is_beside and tree.links[below.child].shapes and WHEEL.search(below.names)):
-                fixed.add(below.name)
-    return frozenset(fixed)
-
-
-def radius_of(tree: Tree, joint: UrdfJoint) -> float:
-    """Return the largest radius of the round shapes of a joint's link; zero without any [m]."""
-    return max((shape.radius for shape in tree.links[joint.child].shapes), default=0.0)
-
-
-def mirror_image(tree: Tree, joint: UrdfJoint, others: Iterable[UrdfJoint]) -> UrdfJoint | None:
-    """Return the joint whose link is at the mirror image of a joint's link, on the other side.
-
-    The root faces forward along x. The plane is midway between the outermost links that turn about
-    level axes. The result is None without such a joint, and for links in the plane; of several
-    joints it is the last.
-    """
-    frames = tree.frames
-    turning = [j for j in tree.joints.values() if j.type == "continuous" and is_level(tree, j)]
-    sides = [float(frames[j.child][1][1]) for j in turning] or [0.0]
-    x, y, z = frames[joint.child][1] - (0, (max(sides) + min(sides)) / 2, 0)
-    near = MIRROR * float(np.linalg.norm((x, y, z)))
-    image = frames[joint.child][1] - (0, 2 * y, 0)
-    images = [other for other in others if np.linalg.norm(frames[other.child][1] - image) <= near]
-    return images[-1] if images and abs(y) > near else None
 
 
 def facing_forward(tree: Tree, forward: str) -> Tree:

@@ -17,13 +17,7 @@ from slipfree.files.urdf.tree import (
     Shape,
     Tree,
     UrdfJoint,
-    fixed_to_wheels,
     is_about,
-    is_last,
-    is_level,
-    mirror_image,
-    radius_of,
-    steered,
 )
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.geometry.frame import unit_vector
@@ -66,7 +60,7 @@ def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
     for joint in tree.joints.values():
         below = tree.below(joint.child)
         rollers = [roller for roller in below if roller.type == "continuous"]
-        if joint.type != "continuous" or len(rollers) <= MIN_ROLLERS or not is_level(tree, joint):
+        if joint.type != "continuous" or len(rollers) <= MIN_ROLLERS or not tree.is_level(joint):
             continue
         axis = np.asarray(unit_vector(joint.axis))
         far = [np.linalg.norm(np.cross(roller.at, axis)) for roller in rollers]
@@ -75,7 +69,7 @@ def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
         joints |= {each.name: each._replace(type="fixed") for each in below}
         along = [abs(rotation_of(r.turned) @ unit_vector(r.axis) @ axis) for r in rollers]
         if not links[joint.child].shapes:
-            radius = float(far[0]) + radius_of(replace(tree, links=links), rollers[0])
+            radius = float(far[0]) + replace(tree, links=links).radius_of(rollers[0])
             shape = Shape("cylinder", radius, ORIGIN, angles_to(axis))
             links[joint.child] = links[joint.child]._replace(shapes=(shape,))
         reason = "it does not slide along its rollers, which are oblique"
@@ -116,15 +110,15 @@ def _named_wheels(
     tree: Tree, wheels: Sequence[UrdfJoint], roles: Roles
 ) -> Iterator[tuple[str, WheelGuess]]:
     """Yield the wheels that names, such as "wheel", or a given radius of meshes suggest."""
-    frames, on_wheels = tree.frames, fixed_to_wheels(tree)
+    frames, on_wheels = tree.frames, tree.fixed_to_wheels
     grounds = [frames[link][1][2] for link in tree.links if FOOTPRINT.search(link)]
     heights: dict[str, float] = {}
     for joint in tree.joints.values():
         link, is_named = tree.links[joint.child], WHEEL.search(joint.names)
         known = joint in wheels or joint.name in {*roles.joints, *on_wheels}
-        if known or joint.type == "prismatic" or not is_last(tree, joint):
+        if known or joint.type == "prismatic" or not tree.is_last(joint):
             continue
-        if joint.moves and not is_level(tree, joint):
+        if joint.moves and not tree.is_level(joint):
             continue
         is_ball = {shape.kind for shape in link.shapes} == {"sphere"}
         if is_ball and CASTER.search(joint.names):
@@ -158,12 +152,12 @@ def _counterparts(
 ) -> Iterator[tuple[str, WheelGuess]]:
     """Yield the wheels opposite to a wheel that has no opposite wheel."""
     everything = [*wheels, *(tree.joints[name] for name in guesses)]
-    known = {*excluded, *fixed_to_wheels(tree), *(wheel.name for wheel in everything)}
-    ends = [j for j in tree.joints.values() if is_last(tree, j) and j.name not in known]
+    known = {*excluded, *tree.fixed_to_wheels, *(wheel.name for wheel in everything)}
+    ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in known]
     for wheel in everything:
-        other = mirror_image(tree, wheel, ends)
-        if other is not None and mirror_image(tree, wheel, everything) is None:
-            role = WheelRole(radius=radius_of(tree, wheel) or None)
+        other = tree.mirror_image(wheel, ends)
+        if other is not None and tree.mirror_image(wheel, everything) is None:
+            role = WheelRole(radius=tree.radius_of(wheel) or None)
             if role.radius is None and wheel.name in guesses:
                 role = guesses[wheel.name].role
             reason = f"its counterpart on the other side, {wheel.name}, is one"
@@ -175,13 +169,13 @@ def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
 
     They are all wheels with axles that are not parallel, and those of casters without a swivel.
     """
-    casters_, turned = caster_wheels(tree, wheels), steered(tree)
+    casters_, turned = caster_wheels(tree, wheels), tree.steered
     rolling = [
         wheel
         for wheel in wheels
         if wheel.name not in turned
         and wheel.type in ("continuous", "revolute", "fixed")
-        and (not wheel.moves or is_level(tree, wheel))
+        and (not wheel.moves or tree.is_level(wheel))
     ]
     rest = [wheel for wheel in rolling if wheel.name not in casters_]
     for wheel in rolling:
@@ -205,7 +199,7 @@ def unused_wheel_names(
         for joint in tree.joints.values()
         if WHEEL.search(joint.names)
         and joint.name not in {*known, *on_wheels}
-        and is_last(tree, joint)
+        and tree.is_last(joint)
         and on_wheels.isdisjoint(below.name for below in tree.below(joint.child))
     ]
 
@@ -240,7 +234,6 @@ class Forward(NamedTuple):
 
 
 def _sides(name: str) -> set[str]:
-    """Return the sides in a name: "front" or "rear", and "left" or "right"."""
     spaced = re.sub("([a-z0-9])([A-Z])", r"\1 \2", name)
     words = re.findall("[a-z]+", spaced.lower())
     return {side for side, pattern in SIDES.items() if any(map(pattern.fullmatch, words))}
@@ -282,12 +275,12 @@ def _turning(tree: Tree) -> list[UrdfJoint]:
         joint
         for joint in tree.joints.values()
         if joint.type == "continuous"
-        and is_last(tree, joint)
+        and tree.is_last(joint)
         and (tree.links[joint.child].shapes or tree.links[joint.child].meshes)
         and not CASTER.search(joint.names)
-        and is_level(tree, joint)
+        and tree.is_level(joint)
     ]
-    radii = [radius_of(tree, joint) for joint in turning]
+    radii = [tree.radius_of(joint) for joint in turning]
     bottoms = [tree.frames[j.child][1][2] - r for j, r in zip(turning, radii, strict=True)]
     most = min(bottoms, default=0.0) + max(radii, default=0.0)
     return [j for j, low in zip(turning, bottoms, strict=True) if low <= most or not any(radii)]
@@ -295,7 +288,7 @@ def _turning(tree: Tree) -> list[UrdfJoint]:
 
 def _along(tree: Tree, wheels: Sequence[UrdfJoint]) -> tuple[str, ...]:
     """Return the directions in which the unsteered wheels roll, or all without a common one."""
-    turned = steered(tree)
+    turned = tree.steered
     axles = [np.abs(tree.axis(joint)) for joint in wheels if joint.name not in turned]
     least = np.min(axles, axis=0) if axles else np.zeros(3)
     if least[0] >= PARALLEL:
@@ -348,7 +341,7 @@ def _named_vectors(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
 
 def _to_steered(tree: Tree, wheels: Sequence[UrdfJoint]) -> Array:
     """Return the vector to steered wheels from the others; zero for steered wheels at both ends."""
-    turned = steered(tree)
+    turned = tree.steered
     places = {wheel.name: tree.frames[wheel.child][1][:2] for wheel in wheels}
     rest = [place for name, place in places.items() if name not in turned]
     if len(rest) in (0, len(places)):
@@ -359,7 +352,6 @@ def _to_steered(tree: Tree, wheels: Sequence[UrdfJoint]) -> Array:
 
 
 def _view(tree: Tree) -> Array:
-    """Return the sum of the horizontal viewing directions of the cameras."""
     total = np.zeros(2)
     for link, (rotation, _) in tree.frames.items():
         if CAMERA.search(link) and not _sides(link) & {"rear", "left", "right"}:

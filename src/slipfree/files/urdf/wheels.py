@@ -27,10 +27,7 @@ from slipfree.files.urdf.tree import (
     Tree,
     UrdfJoint,
     eccentricity,
-    fixed_to_wheels,
     is_about,
-    is_last,
-    is_level,
     lowest,
 )
 from slipfree.files.urdf.wheel_guesses import (
@@ -89,9 +86,9 @@ class Wheels:
         gears: dict[str, tuple[str, dict[str, Value], str]]
         gears = {name: ("wheels", {"driven": True}, reason) for name in high}
         for joint in self.tree.joints.values():
-            if joint.type == "continuous" and is_level(self.tree, joint):
+            if joint.type == "continuous" and self.tree.is_level(joint):
                 beside = [wheel for wheel in joints if wheel in self.tree.below(joint.child)]
-                if beside and is_last(self.tree, joint):
+                if beside and self.tree.is_last(joint):
                     reason = "fixed: a gear, with wheels beside its axis"
                     gears[joint.name] = "joints", {"kind": "commanded"}, reason
         self.gears = {name: gear for name, gear in gears.items() if name not in roles.joints}
@@ -188,7 +185,6 @@ class Wheels:
             )
 
     def _with_mesh_shapes(self, tree: Tree) -> Tree:
-        """Return a URDF with the round shapes of meshes on the links that may be wheels."""
         links = dict(tree.links)
         joints = [
             joint
@@ -220,11 +216,11 @@ class Wheels:
         """Return whether a joint carries a wheel if its mesh is round."""
         if joint.name in self._roles.wheels:
             return True
-        if joint.name in self._roles.joints or not is_last(tree, joint):
+        if joint.name in self._roles.joints or not tree.is_last(joint):
             return False
         if joint.type == "continuous":
-            return is_level(tree, joint)
-        is_free = joint.moves or joint.name in fixed_to_wheels(tree)
+            return tree.is_level(joint)
+        is_free = joint.moves or joint.name in tree.fixed_to_wheels
         return not is_free and bool(WHEEL.search(joint.names))
 
     def _add_guess(self, joint: UrdfJoint, guess: WheelGuess) -> None:
@@ -273,7 +269,7 @@ class Wheels:
             is_guess = is_mesh or joint.name in self._given
             if not is_guess or role.radius or self._roles.radius or not radii[k]:
                 continue
-            turns = joint.moves and is_level(self.tree, joint)
+            turns = joint.moves and self.tree.is_level(joint)
             axle = self.tree.axis(joint) if turns else self._lateral(joint)
             factor = unit_factor(radii, centers, axle, k)
             if factor is None:
@@ -291,7 +287,6 @@ class Wheels:
         return f"write wheels = {{ {key} = {{ radius = ... }} }}, {self.tree.completion}"
 
     def _rolling_radius(self, joint: UrdfJoint) -> float | None:
-        """Return the rolling radius of a wheel; None if unknown [m]."""
         shape, radius = self._shape(joint), self._role(joint).radius
         if radius or shape is None:
             return radius
@@ -307,8 +302,8 @@ class Wheels:
             if CASTER.search(joint.names) or (above and not any(joint.at)):
                 return False
         return (
-            is_last(self.tree, joint)
-            and is_level(self.tree, joint)
+            self.tree.is_last(joint)
+            and self.tree.is_level(joint)
             and shape is not None
             and is_about(shape, unit_vector(joint.axis))
         )
@@ -358,7 +353,7 @@ class Wheels:
             return None
         if shape is None:
             return radius, tube, ORIGIN
-        turns = joint.moves and is_level(self.tree, joint)
+        turns = joint.moves and self.tree.is_level(joint)
         if turns and eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
             at = ", ".join(f"{x:g}" for x in shape.at)
             self._findings.wrong(
@@ -421,7 +416,7 @@ class Wheels:
         rolls sideways.
         """
         parent, _ = self.tree.frames[joint.parent]
-        if not joint.moves or not is_level(self.tree, joint):
+        if not joint.moves or not self.tree.is_level(joint):
             return vector_of(parent.T @ self._lateral(joint))
         axis = rotation_of(joint.turned) @ unit_vector(joint.axis)
         left = float((parent @ axis)[1])
@@ -487,10 +482,10 @@ class Wheels:
 
 def _with_fixed_shapes(tree: Tree) -> Tree:
     """Return a URDF in which hubs without a shape or mesh have those of the links fixed to them."""
-    links, turning = dict(tree.links), fixed_to_wheels(tree)
+    links, turning = dict(tree.links), tree.fixed_to_wheels
     for joint in tree.joints.values():
         hub = links[joint.child]
-        if hub.shapes or hub.meshes or joint.type != "continuous" or not is_last(tree, joint):
+        if hub.shapes or hub.meshes or joint.type != "continuous" or not tree.is_last(joint):
             continue
         rotation, origin = tree.frames[joint.child]
         shapes: list[Shape] = []

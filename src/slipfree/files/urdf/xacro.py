@@ -335,7 +335,6 @@ def _xacro_in(element: Element) -> str:
 
 
 def _link_of(part: Element) -> str:
-    """Return the name of a link, or of the child link of a joint; empty for other elements."""
     if part.tag == "joint":
         return link_at(part, "child")
     return part.attributes.get("name", "") if part.tag == "link" else ""

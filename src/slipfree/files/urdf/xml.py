@@ -142,7 +142,6 @@ def is_markup(head: bytes) -> bool:
 
 
 def _check_contents(data: bytes, name: str) -> None:
-    """Raise DataError for contents that are known not to be XML."""
     start = data[:200].lstrip(b"\xef\xbb\xbf \t\r\n").lower()
     for found, _, head, remedy in PACKED:
         if head and start.startswith(head.lower()):
