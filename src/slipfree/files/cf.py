@@ -23,7 +23,6 @@ FEATURE = {"featureType": "trajectory"}
 TRAJECTORY = "trajectory"  # variable that identifies the motion
 TRAJECTORY_ATTRIBUTES = {"long_name": "number of the motion", "cf_role": "trajectory_id"}
 CRS = "crs"  # variable with the reference system of the map
-POSITION = ("map_x", "map_y", "longitude", "latitude")  # variables with the position on the map
 STANDARD_NAMES = {
     "map_x": "projection_x_coordinate",
     "map_y": "projection_y_coordinate",
@@ -80,28 +79,24 @@ def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
     return json.dumps([*coordinates])
 
 
-def _map_coordinates(run: Trajectory) -> list[MapCoordinate]:
-    """Return the coordinates of the map file; without them, those of the motion."""
+def map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
+    """Return units and values, shape (n,), of the map coordinates by name.
+
+    Without a transform in the attributes, they are the coordinates of the motion.
+    """
     text = run.attributes.get(MAP_TRANSFORM)
-    if text is None:
-        return [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
+    coordinates = [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
     try:
-        return [MapCoordinate(*row) for row in json.loads(text)]
+        if text is not None:
+            coordinates = [MapCoordinate(*row) for row in json.loads(text)]
     except (ValueError, TypeError, RecursionError) as error:
         raise DataError(
             f"attribute {MAP_TRANSFORM!r} of the result: expected rows of name, offset, factor and "
             f"axis as JSON, found {text!r}; run the problem again"
         ) from error
-
-
-def map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
-    """Return units and values, shape (n,), of the map coordinates by name."""
     return {
-        each.name: (
-            "degree" if each.name in DEGREES else "m",
-            each.offset + each.factor * run[each.axis],
-        )
-        for each in _map_coordinates(run)
+        name: ("degree" if name in DEGREES else "m", offset + factor * run[axis])
+        for name, offset, factor, axis in coordinates
     }
 
 

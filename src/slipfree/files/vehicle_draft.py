@@ -213,7 +213,9 @@ def from_rep103(draft: Draft) -> Draft:
                 joint,
                 axis=turned_right(unit_vector(joint.axis)),
                 at=turned_right(joint.at),
-                turned=_angles_right(joint.turned),
+                turned=angles_of(FORWARD_UP @ rotation_of(joint.turned) @ FORWARD_UP.T)
+                if any(joint.turned[:2])
+                else joint.turned,
                 body=_body(joint.body),
             )
             for joint in draft.joints
@@ -235,12 +237,6 @@ def turned_right(vector: Vector) -> Vector:
 def _body(body: Body) -> Body:
     inertia = None if body.inertia is None else in_axes(FORWARD_UP, body.inertia)
     return Body(body.mass, turned_right(body.at), inertia)
-
-
-def _angles_right(turned: Vector) -> Vector:
-    if not any(turned[:2]):
-        return turned
-    return angles_of(FORWARD_UP @ rotation_of(turned) @ FORWARD_UP.T)
 
 
 def angles_of(rotation: Array) -> Vector:
@@ -285,30 +281,28 @@ def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
         document.add(tomlkit.comment(line))
     document.update({"name": vehicle.name, "frame": "paper", **_mass_keys(vehicle.body)})
     tables = {
-        "coordinates": [_coordinate(each) for each in vehicle.coordinates],
-        "joints": [_joint(each) for each in vehicle.joints],
-        "wheels": [_wheel(each) for each in vehicle.wheels],
+        "coordinates": [{**_given(c, "drive"), **_drive(c.drive)} for c in vehicle.coordinates],
+        "joints": [{**_given(joint, "body"), **_mass_keys(joint.body)} for joint in vehicle.joints],
+        "wheels": [_wheel(wheel) for wheel in vehicle.wheels],
     }
-    document.update({name: each for name, each in tables.items() if each})
+    document.update({name: rows for name, rows in tables.items() if rows})
     return tomlkit.dumps(document)
 
 
 def _mass_keys(body: Body) -> dict[str, Any]:
     """Return the keys of mass, centre of mass and inertia that differ from their defaults."""
-    found = {"mass": body.mass, "center_of_mass": body.at, "inertia": body.inertia}
-    defaults = {"mass": 0.0, "center_of_mass": ORIGIN, "inertia": None}
-    return {key: value for key, value in found.items() if value != defaults[key]}
+    values = {"mass": body.mass, "center_of_mass": body.at, "inertia": body.inertia}
+    return {key: value for key, value in values.items() if value not in (0.0, ORIGIN, None)}
 
 
 def _given(record: Any, *left_out: str) -> dict[str, Any]:
     """Return the fields of a record that differ from their defaults, and finite numbers only."""
-    found = {each.name: getattr(record, each.name) for each in fields(record)}
-    defaults = {each.name: each.default for each in fields(record)}
+    values = {field: getattr(record, field.name) for field in fields(record)}
     return {
-        key: _with_unit(value)
-        for key, value in found.items()
-        if key not in left_out
-        and value != defaults[key]
+        field.name: _with_unit(value)
+        for field, value in values.items()
+        if field.name not in left_out
+        and value != field.default
         and not (isinstance(value, float) and not isfinite(value))
     }
 
@@ -327,14 +321,6 @@ def _drive(drive: Drive) -> dict[str, Any]:
         return {}
     kind = next(name for name, each in DRIVES.items() if isinstance(drive, each))
     return {"drive": {"kind": kind, **_given(drive)}}
-
-
-def _coordinate(c: Coordinate) -> dict[str, Any]:
-    return {**_given(c, "drive"), **_drive(c.drive)}
-
-
-def _joint(joint: Joint) -> dict[str, Any]:
-    return {**_given(joint, "body"), **_mass_keys(joint.body)}
 
 
 def _wheel(wheel: Wheel) -> dict[str, Any]:

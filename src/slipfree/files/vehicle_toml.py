@@ -18,7 +18,6 @@ from pydantic import (
     Field,
     PlainValidator,
     ValidationError,
-    ValidatorFunctionWrapHandler,
     WrapValidator,
     create_model,
 )
@@ -106,13 +105,11 @@ def _all(check: Callable[[float], float]) -> AfterValidator:
 def _axis(value: Any) -> str | Vector:
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
-    numbers = value if isinstance(value, list) else []
-    good = [
-        isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < MAX_LENGTH
-        for n in numbers
-    ]
-    if len(good) == 3 and all(good) and math.hypot(*numbers) > 0:
-        return float(numbers[0]), float(numbers[1]), float(numbers[2])
+    numbers = value if isinstance(value, list) and len(value) == 3 else [True]
+    if not any(isinstance(n, bool) or not isinstance(n, int | float) for n in numbers):
+        x, y, z = numbers
+        if max(map(abs, numbers)) < MAX_LENGTH and math.hypot(*numbers) > 0:
+            return float(x), float(y), float(z)
     raise expected_error(
         "'x', 'y', 'z' or a vector [x, y, z] other than zero, with absolute values below "
         f"{MAX_LENGTH:g}"
@@ -238,8 +235,7 @@ def _section_table(section: type[Section]) -> type[AnyWheelTable]:
     return create_model(f"{section.__name__}Table", __base__=AnyWheelTable, **keys)
 
 
-def _read_wheel(data: Any, _: ValidatorFunctionWrapHandler) -> AnyWheelTable:
-    return wheel_table(data).model_validate(data)
+WHEEL_READER = WrapValidator(lambda data, _: wheel_table(data).model_validate(data))
 
 
 class VehicleTable(Record):
@@ -253,9 +249,7 @@ class VehicleTable(Record):
     couple: dict[str, float] = Field(default_factory=dict)
     coordinates: Annotated[tuple[CoordinateTable, ...], Field(strict=False)] = ()
     joints: Annotated[tuple[JointTable, ...], Field(strict=False)] = ()
-    wheels: Annotated[
-        tuple[Annotated[AnyWheelTable, WrapValidator(_read_wheel)], ...], Field(strict=False)
-    ]
+    wheels: Annotated[tuple[Annotated[AnyWheelTable, WHEEL_READER], ...], Field(strict=False)]
 
 
 # function from the data of an element to its schema, by name of the array of tables
@@ -549,10 +543,17 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
                 faults.append(Fault((part, index), f"a valid {part[:-1]}", str(error)))
         return tuple(made)
 
-    coordinates = build("coordinates", _coordinate)
-    bodies = [_body(each, faults, ("joints", k)) for k, each in enumerate(table.joints)]
-    made = iter(bodies)
-    joints = {joint.name: joint for joint in build("joints", lambda each: _joint(each, next(made)))}
+    def coordinate(table: CoordinateTable) -> Coordinate:
+        given = {key: value for key, value in table if value is not None}
+        return Coordinate(**{"words": table.name.replace("_", " "), **given})
+
+    def joint(table: JointTable) -> Joint:
+        keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia"})
+        return Joint(**keys, body=next(bodies))
+
+    coordinates = build("coordinates", coordinate)
+    bodies = iter([_body(part, faults, ("joints", k)) for k, part in enumerate(table.joints)])
+    joints = {joint.name: joint for joint in build("joints", joint)}
     parents = {name: joint.parent for name, joint in joints.items()}
     hung, loose = in_order(parents, "platform")
     wheels = build("wheels", lambda each: _wheel(each, SIDEWAYS[table.frame]))
@@ -569,15 +570,6 @@ def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -
     except ModelError as error:
         faults.append(Fault((*place, "inertia"), "a valid inertia", str(error)))
         return Body(table.mass, table.center_of_mass)
-
-
-def _coordinate(table: CoordinateTable) -> Coordinate:
-    given = {key: value for key, value in table if value is not None}
-    return Coordinate(**{"words": table.name.replace("_", " "), **given})
-
-
-def _joint(table: JointTable, body: Body) -> Joint:
-    return Joint(**table.model_dump(exclude={"mass", "center_of_mass", "inertia"}), body=body)
 
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:

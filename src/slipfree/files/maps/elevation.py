@@ -137,7 +137,12 @@ def read_map(
     ending = path.suffix.lower()
     reading = Reading(window, cell, registration, spacing, vertical_scale)
     try:
-        _check_keys(ending, reading)
+        for key in KEYS:
+            value = getattr(reading, key)
+            if value is not None and not takes_key(ending, key):
+                kind = f"a {ending} file" if ending else "a file without an ending"
+                remedy = f"remove it ({key!r} is for {', '.join(_endings(key))})"
+                refuse(f"no {key!r} for {kind}", f"{value!r}", remedy)
         check_ending(path, "map", _expected_endings(), _endings())
         with regular_file(path, "a map"):
             found = _reader(ending).read(path, reading)
@@ -166,15 +171,6 @@ def _endings(key: str = "") -> tuple[str, ...]:
 def _expected_endings() -> str:
     endings = ", ".join(_endings())
     return f"a file ending in {endings}, or another single-file raster that GDAL reads"
-
-
-def _check_keys(ending: str, reading: Reading) -> None:
-    for name in KEYS:
-        value = getattr(reading, name)
-        if value is not None and not takes_key(ending, name):
-            kind = f"a {ending} file" if ending else "a file without an ending"
-            remedy = f"remove it ({name!r} is for {', '.join(_endings(name))})"
-            refuse(f"no {name!r} for {kind}", f"{value!r}", remedy)
 
 
 def _check_degrees(found: Heights, *, local: bool) -> None:

@@ -105,8 +105,6 @@ IN_RADIANS_PER_SECOND = _reader(RateWithUnit, 'a number, or text as in "5 deg/s"
 Angle = Annotated[float, IN_RADIANS]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-NonNegativeAngle = Annotated[NonNegative, IN_RADIANS]
-NonNegativeRate = Annotated[NonNegative, IN_RADIANS_PER_SECOND]
 Count = Annotated[int, Field(ge=0)]
 # arrays are read as tuples; types of elements are not converted
 Pair = Annotated[tuple[float, float], Field(strict=False)]
