@@ -416,39 +416,37 @@ def _coupled(draft: Draft, couple: Mapping[str, float]) -> Draft:
 
 
 def _name_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield an error for each name that is not unique, is reserved, or has invalid characters."""
+    """Yield an error for row name that is not unique, is reserved, or has invalid characters."""
     seen: dict[str, str] = {}
     for part in ("coordinates", "wheels", "joints"):
         if part == "joints":
             seen = {"platform": "the platform"}
-        for index, each in enumerate(getattr(table, part)):
+        for index, row in enumerate(getattr(table, part)):
             place = (part, index, "name")
-            if each.name in seen:
-                remedy = "it" if seen[each.name] == "the platform" else "one of them"
-                found = f"{each.name!r}, also the name of {seen[each.name]}; rename {remedy}"
+            if row.name in seen:
+                remedy = "it" if seen[row.name] == "the platform" else "one of them"
+                found = f"{row.name!r}, also the name of {seen[row.name]}; rename {remedy}"
                 yield Fault(place, "a unique name", found)
-            seen.setdefault(each.name, spelled((part, index)))
-            if part == "wheels" and not re.fullmatch(r"[\w-]+", each.name):
-                yield Fault(
-                    place, "a name of letters, digits, _ and -", f"{each.name!r}; rename it"
-                )
-            if part == "coordinates" and not is_symbol(each.name):
+            seen.setdefault(row.name, spelled((part, index)))
+            if part == "wheels" and not re.fullmatch(r"[\w-]+", row.name):
+                yield Fault(place, "a name of letters, digits, _ and -", f"{row.name!r}; rename it")
+            if part == "coordinates" and not is_symbol(row.name):
                 expected = "a name of letters, digits and _ that does not begin with a digit"
-                if each.name.isidentifier():
+                if row.name.isidentifier():
                     expected = "a name other than those of functions, constants, states of the "
                     expected += "platform and Python keywords"
-                yield Fault(place, expected, f"{each.name!r}; rename it")
+                yield Fault(place, expected, f"{row.name!r}; rename it")
 
 
 def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield an error for each unknown parent and for each loop of parents."""
+    """Yield an error for row unknown parent and for row loop of parents."""
     parents = {joint.name: joint.parent for joint in table.joints}
     known = ["platform", *parents]
     for part in ("joints", "wheels"):
-        for index, each in enumerate(getattr(table, part)):
-            if each.parent not in known:
+        for index, row in enumerate(getattr(table, part)):
+            if row.parent not in known:
                 yield Fault(
-                    (part, index, "parent"), f"{PARENT}: {listed(known)}", _near(each.parent, known)
+                    (part, index, "parent"), f"{PARENT}: {listed(known)}", _near(row.parent, known)
                 )
     reported: set[str] = set()
     for index, joint in enumerate(table.joints):

@@ -173,30 +173,30 @@ def _expected_endings() -> str:
     return f"a file ending in {endings}, or another single-file raster that GDAL reads"
 
 
-def _check_degrees(found: Heights, *, local: bool) -> None:
+def _check_degrees(heights: Heights, *, local: bool) -> None:
     """Raise DataError if degrees would be used as metres or metres as degrees."""
     reach = (
-        f"x from {found.x[0]:.9g} to {found.x[-1]:.9g}, y from {found.y[0]:.9g} to "
-        f"{found.y[-1]:.9g}"
+        f"x from {heights.x[0]:.9g} to {heights.x[-1]:.9g}, y from {heights.y[0]:.9g} to "
+        f"{heights.y[-1]:.9g}"
     )
-    fits = max(abs(found.x[[0, -1]])) <= 360 and max(abs(found.y[[0, -1]])) <= 90
-    if local and not (found.geographic or (found.placed and fits and not found.crs)):
+    fits = max(abs(heights.x[[0, -1]])) <= 360 and max(abs(heights.y[[0, -1]])) <= 90
+    if local and not (heights.geographic or (heights.placed and fits and not heights.crs)):
         raise DataError(
-            f"geographic: expected a map in degrees, found {found.crs or 'a map in metres'} with "
+            f"geographic: expected a map in degrees, found {heights.crs or 'a map in metres'} with "
             f"{reach}; remove geographic"
         )
-    new = metric_system(float(found.x.mean()), float(found.y.mean()))
+    new = metric_system(float(heights.x.mean()), float(heights.y.mean()))
     remedy = (
         f'; set geographic = "local", or reproject it to metres: gdalwarp -t_srs {new} in out.tif'
     )
-    system = f" ({found.crs})" if found.crs else ""
-    if found.geographic and not local:
+    system = f" ({heights.crs})" if heights.crs else ""
+    if heights.geographic and not local:
         raise DataError(f"expected a map in metres, found degrees{system}: {reach}{remedy}")
-    if local or found.crs or not (found.placed and fits):
+    if local or heights.crs or not (heights.placed and fits):
         return
-    rise = np.abs(np.diff(np.where(np.isinf(found.z), np.nan, found.z), axis=1))
+    rise = np.abs(np.diff(np.where(np.isinf(heights.z), np.nan, heights.z), axis=1))
     rise = rise[rise > 0]  # neither holes nor lakes
-    steep = float(np.median(rise)) / axes_of(found.x, found.y)[1].step if rise.size else 0.0
+    steep = float(np.median(rise)) / axes_of(heights.x, heights.y)[1].step if rise.size else 0.0
     if steep > MAX_MEDIAN_SLOPE:
         raise DataError(
             f"expected a map in metres, found one that seems to be in degrees: {reach}, with "
@@ -206,38 +206,38 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
 
 
 def _mapped(
-    found: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
+    heights: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
 ) -> Map:
-    facts: Facts = found.facts
-    mask, missing = None, np.isnan(found.z)
+    facts: Facts = heights.facts
+    mask, missing = None, np.isnan(heights.z)
     if fill is not None:
-        filled = fill_holes(found)
+        filled = fill_holes(heights)
         unit = "m" if geographic is None else "deg"
         size = " x ".join(f"{each:.6g}" for each in filled.largest)
         words = f"{filled.nodes} nodes in {filled.holes} holes, the largest {size} {unit}, linearly"
         facts += (("ground holes filled", words if filled.nodes else "none found"),)
         left = np.isnan(filled.z)
         mask, missing = missing & ~left if filled.nodes else None, left
-        found = found._replace(z=filled.z)
+        heights = heights._replace(z=filled.z)
     holes = missing if missing.any() else None
     if holes is not None:
         count = f"{np.count_nonzero(holes)} of {holes.size} nodes"
         facts += (("ground holes", f"{count} have no height: wheels must not touch them"),)
-        found = found._replace(z=continue_over_holes(found.z))
+        heights = heights._replace(z=continue_over_holes(heights.z))
     if geographic is None:
-        grid = Grid(found.x, found.y, found.z, mask, holes)
-        return Map(grid, crs=found.crs, facts=facts, gray=found.gray)
-    frame = local_frame(found.x, found.y) if geographic == "local" else geographic
-    x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
-    facts += (("ground degrees", _degrees_words(found.y, frame)),)
-    if (wrong := _stretch(found.y, frame)) > MAX_STRETCH:
+        grid = Grid(heights.x, heights.y, heights.z, mask, holes)
+        return Map(grid, crs=heights.crs, facts=facts, gray=heights.gray)
+    frame = local_frame(heights.x, heights.y) if geographic == "local" else geographic
+    x, y = (heights.x - frame.x0) / frame.kx, (heights.y - frame.y0) / frame.ky
+    facts += (("ground degrees", _degrees_words(heights.y, frame)),)
+    if (wrong := _stretch(heights.y, frame)) > MAX_STRETCH:
         raise DataError(
             "geographic: expected a map with errors of distances along x of at most "
             f"{100 * MAX_STRETCH:g} %, found {100 * wrong:.2g} % at its northern or southern "
             "border; set a window, or reproject it to metres: gdalwarp -t_srs "
-            f"{metric_system(float(found.x.mean()), float(found.y.mean()))} in out.tif"
+            f"{metric_system(float(heights.x.mean()), float(heights.y.mean()))} in out.tif"
         )
-    return Map(Grid(x, y, found.z, mask, holes), frame, found.crs, geographic=True, facts=facts)
+    return Map(Grid(x, y, heights.z, mask, holes), frame, heights.crs, geographic=True, facts=facts)
 
 
 def _degrees_words(latitude: Array, frame: Frame) -> str:

@@ -470,10 +470,9 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
 
 def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
     if ask.cell is None or ask.registration is None:
-        given = {"cell": ask.cell, "registration": ask.registration}
+        missing = [key for key in ("cell", "registration") if getattr(ask, key) is None]
         refuse(
-            f"{' and '.join(name for name, value in given.items() if value is None)} for a raster "
-            "without coordinates",
+            f"{' and '.join(missing)} for a raster without coordinates",
             "none",
             'set cell, the width of a cell in metres, and registration: "area" if the values '
             'belong to the centres of cells, "point" if the outermost values are on the border; '

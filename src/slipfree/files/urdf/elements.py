@@ -59,18 +59,20 @@ def read_tree(
     DataError
         If the file is not XML; an `UnfitError` with all errors if its elements are not valid.
     """
-    robot, faults = parse_robot(data, file), Findings(file)
+    robot, findings = parse_robot(data, file), Findings(file)
     check_macro_calls(robot, file, macros)
     notes = substitute(robot, arguments)
     actuated = frozenset(_actuated(robot))
-    robot, omitted = without_xacro(robot, file, faults)
+    robot, omitted = without_xacro(robot, file, findings)
     for tag in ("link", "joint"):
-        _check_names(robot, tag, faults)
-    links = {link.name: link for link in (_link(each, faults) for each in robot.all("link"))}
-    joints = {joint.name: joint for joint in (_joint(each, faults) for each in robot.all("joint"))}
-    root = _root(links, joints, faults) if not faults.faults else ""
-    if faults.faults:
-        faults.stop()
+        _check_names(robot, tag, findings)
+    links = {link.name: link for link in (_link(each, findings) for each in robot.all("link"))}
+    joints = {
+        joint.name: joint for joint in (_joint(each, findings) for each in robot.all("joint"))
+    }
+    root = _root(links, joints, findings) if not findings.errors else ""
+    if findings.errors:
+        findings.stop()
     world = _world(links, joints, root)
     for joint in world:
         root = joint.child
@@ -107,36 +109,36 @@ def _world(links: dict[str, Link], joints: dict[str, UrdfJoint], root: str) -> l
     return chain
 
 
-def _check_names(robot: Element, tag: str, faults: Findings) -> None:
+def _check_names(robot: Element, tag: str, findings: Findings) -> None:
     lines: dict[str, list[int]] = {}
     for element in robot.all(tag):
         lines.setdefault(element.attributes.get("name", ""), []).append(element.line)
     for name, places in lines.items():
         if len(places) > 1:
-            faults.add(
+            findings.add(
                 places[1],
                 f"{tag} {name!r}: expected a unique name, found {len(places)} {tag}s with it; "
                 "give each a different name",
             )
 
 
-def _link(element: Element, faults: Findings) -> Link:
-    name = _text(element, "name", faults, "link")
+def _link(element: Element, findings: Findings) -> Link:
+    name = _text(element, "name", findings, "link")
     inertial, who = element.first("inertial"), f"link {name!r}"
     mass, center, inertia = None, ORIGIN, None
     if inertial is not None:
-        center, turned = _origin(inertial, faults, who)
-        inertia = _inertia(inertial, turned, faults, f"{who}: inertia")
+        center, turned = _origin(inertial, findings, who)
+        inertia = _inertia(inertial, turned, findings, f"{who}: inertia")
         weighed = inertial.first("mass")
         if weighed is not None:
-            mass = _number(weighed, "value", None, faults, f"{who}: mass")
+            mass = _number(weighed, "value", None, findings, f"{who}: mass")
             if mass < 0:
                 message = f"{who}: expected a mass of at least 0 kg, found {mass:g}; correct it"
-                faults.add(weighed.line, message)
+                findings.add(weighed.line, message)
 
     def shapes_of(read: Callable[[Element, Findings, str], T | None], *tags: str) -> tuple[T, ...]:
         for tag in tags:
-            read_shapes = [read(shape, faults, who) for shape in element.all(tag)]
+            read_shapes = [read(shape, findings, who) for shape in element.all(tag)]
             if shapes := tuple(shape for shape in read_shapes if shape is not None):
                 return shapes
         return ()
@@ -150,7 +152,7 @@ def _link(element: Element, faults: Findings) -> Link:
     return Link(name, mass, center, shapes, meshes, boxes, inertia, shapes_of(_mesh, "visual"))
 
 
-def _inertia(inertial: Element, turned: Vector, faults: Findings, who: str) -> Elements | None:
+def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) -> Elements | None:
     """Return the inertia tensor of an element in the axes of its link [kg m^2].
 
     The result is None without the element ``inertia``, or for impossible moments: principal
@@ -159,7 +161,7 @@ def _inertia(inertial: Element, turned: Vector, faults: Findings, who: str) -> E
     element = inertial.first("inertia")
     if element is None:
         return None
-    xx, yy, zz, xy, xz, yz = (_number(element, key, 0.0, faults, who) for key in MOMENTS)
+    xx, yy, zz, xy, xz, yz = (_number(element, key, 0.0, findings, who) for key in MOMENTS)
     moments = (xx, yy, zz, xy, xz, yz)
     least, middle, most = np.linalg.eigvalsh(tensor(moments))
     if least <= 0 or most > (1 + TRIANGLE) * (least + middle):
@@ -173,39 +175,39 @@ def _solid(element: Element, kind: str) -> Element | None:
     return None if geometry is None else geometry.first(kind)
 
 
-def _mesh(element: Element, faults: Findings, who: str) -> Mesh | None:
+def _mesh(element: Element, findings: Findings, who: str) -> Mesh | None:
     mesh = _solid(element, "mesh")
     if mesh is None:
         return None
-    at, turned = _origin(element, faults, f"{who}: {element.tag}")
+    at, turned = _origin(element, findings, f"{who}: {element.tag}")
     # three factors, one for all axes, or a fourth that is ignored
     factors = mesh.attributes.get("scale", "1").replace(",", " ").split()
     factors = factors * 3 if len(factors) == 1 else factors[:3] if len(factors) == 4 else factors
     scaled = Element("mesh", {"scale": " ".join(factors)}, mesh.line)
-    scale = _vector(scaled, "scale", (1.0, 1.0, 1.0), faults, f"{who}: mesh")
+    scale = _vector(scaled, "scale", (1.0, 1.0, 1.0), findings, f"{who}: mesh")
     if not all(scale):
         text = mesh.attributes["scale"]
         message = f"expected factors other than zero in 'scale', found {text!r}; correct them"
-        faults.add(mesh.line, f"{who}: mesh: {message}")
+        findings.add(mesh.line, f"{who}: mesh: {message}")
     return Mesh(mesh.attributes.get("filename", ""), scale, at, turned)
 
 
-def _box(element: Element, faults: Findings, who: str) -> Box | None:
+def _box(element: Element, findings: Findings, who: str) -> Box | None:
     box = _solid(element, "box")
     if box is None:
         return None
-    at, turned = _origin(element, faults, f"{who}: {element.tag}")
-    return Box(_vector(box, "size", ORIGIN, faults, f"{who}: box"), at, turned)
+    at, turned = _origin(element, findings, f"{who}: {element.tag}")
+    return Box(_vector(box, "size", ORIGIN, findings, f"{who}: box"), at, turned)
 
 
-def _shape(element: Element, faults: Findings, who: str) -> Shape | None:
-    at, turned = _origin(element, faults, f"{who}: {element.tag}")
+def _shape(element: Element, findings: Findings, who: str) -> Shape | None:
+    at, turned = _origin(element, findings, f"{who}: {element.tag}")
     for kind in ("cylinder", "sphere"):
         solid = _solid(element, kind)
         if solid is not None:
-            radius = _number(solid, "radius", None, faults, f"{who}: {kind}")
+            radius = _number(solid, "radius", None, findings, f"{who}: {kind}")
             if not 0 < radius <= MAX_LENGTH:
-                faults.add(
+                findings.add(
                     solid.line,
                     f"{who}: expected the radius of a {kind} in metres, greater than 0 and at most "
                     f"{MAX_LENGTH:g}, found {radius:g}; correct it",
@@ -214,42 +216,42 @@ def _shape(element: Element, faults: Findings, who: str) -> Shape | None:
     return None
 
 
-def _joint(element: Element, faults: Findings) -> UrdfJoint:
-    name = _text(element, "name", faults, "joint")
+def _joint(element: Element, findings: Findings) -> UrdfJoint:
+    name = _text(element, "name", findings, "joint")
     who, kind = f"joint {name!r}", element.attributes.get("type", "")
     if kind not in TYPES:
         expected = f"one of the types {', '.join(TYPES)}"
         wrong = repr(kind) if kind else "none"
-        faults.add(element.line, f"{who}: expected {expected}, found {wrong}; choose one")
+        findings.add(element.line, f"{who}: expected {expected}, found {wrong}; choose one")
     ends: list[str] = []
     for tag in ("parent", "child"):
         link = link_at(element, tag)
         if not link:
-            faults.add(element.line, f'{who}: expected <{tag} link="..."/>, found none; add it')
+            findings.add(element.line, f'{who}: expected <{tag} link="..."/>, found none; add it')
         ends.append(link)
-    at, turned = _origin(element, faults, who)
+    at, turned = _origin(element, findings, who)
     pointed, axis = element.first("axis"), ORIGIN if kind == "fixed" else FORWARD
     if pointed is not None:
-        axis = _vector(pointed, "xyz", FORWARD, faults, f"{who}: axis")
+        axis = _vector(pointed, "xyz", FORWARD, findings, f"{who}: axis")
         if not math.hypot(*axis) > 0 and kind not in ("fixed", "floating"):
-            faults.add(
+            findings.add(
                 pointed.line,
                 f"{who}: expected an axis other than zero, found 0 0 0; "
                 'write <axis xyz="0 1 0"/> for an axis to the left',
             )
-    lower, upper = _limits(element, kind, faults, f"{who}: limit")
+    lower, upper = _limits(element, kind, findings, f"{who}: limit")
     if kind == "revolute" and math.isinf(lower) and math.isinf(upper):
         kind = "continuous"
     limit = element.first("limit")
-    rate = 0.0 if limit is None else _number(limit, "velocity", 0.0, faults, f"{who}: limit")
+    rate = 0.0 if limit is None else _number(limit, "velocity", 0.0, findings, f"{who}: limit")
     max_rate = rate if 0 < rate < MAX_LIMIT else math.inf
     mimic, follows = element.first("mimic"), None
     if mimic is not None:
         who = f"{who}: mimic"
         follows = Mimic(
-            _text(mimic, "joint", faults, who),
-            _number(mimic, "multiplier", 1.0, faults, who),
-            _number(mimic, "offset", 0.0, faults, who),
+            _text(mimic, "joint", findings, who),
+            _number(mimic, "multiplier", 1.0, findings, who),
+            _number(mimic, "offset", 0.0, findings, who),
         )
     return UrdfJoint(
         name,
@@ -267,7 +269,7 @@ def _joint(element: Element, faults: Findings) -> UrdfJoint:
     )
 
 
-def _limits(element: Element, kind: str, faults: Findings, who: str) -> tuple[float, float]:
+def _limits(element: Element, kind: str, findings: Findings, who: str) -> tuple[float, float]:
     """Return the limits of a joint, infinite from an absolute value of 1000 [rad, m].
 
     Both are infinite if the joint is of a type without limits, or has neither ``lower`` nor
@@ -278,45 +280,47 @@ def _limits(element: Element, kind: str, faults: Findings, who: str) -> tuple[fl
     has_limits = limit is not None and {"lower", "upper"} & set(limit.attributes)
     if kind not in ("revolute", "prismatic", "fixed") or limit is None or not has_limits:
         return -math.inf, math.inf
-    lower, upper = (_number(limit, key, 0.0, faults, who) for key in ("lower", "upper"))
+    lower, upper = (_number(limit, key, 0.0, findings, who) for key in ("lower", "upper"))
     return (
         lower if abs(lower) < MAX_LIMIT else -math.inf,
         upper if abs(upper) < MAX_LIMIT else math.inf,
     )
 
 
-def _origin(element: Element, faults: Findings, who: str) -> tuple[Vector, Vector]:
+def _origin(element: Element, findings: Findings, who: str) -> tuple[Vector, Vector]:
     """Return position [m] and roll, pitch, yaw [rad] in ``origin``; zeros without an origin."""
     origin = element.first("origin")
     if origin is None:
         return ORIGIN, ORIGIN
-    at = _vector(origin, "xyz", ORIGIN, faults, f"{who}: origin")
-    turned = _vector(origin, "rpy", ORIGIN, faults, f"{who}: origin")
+    at = _vector(origin, "xyz", ORIGIN, findings, f"{who}: origin")
+    turned = _vector(origin, "rpy", ORIGIN, findings, f"{who}: origin")
     if max(map(abs, at)) > MAX_LENGTH:
-        faults.add(
+        findings.add(
             origin.line,
             f"{who}: expected xyz in metres, from {-MAX_LENGTH:g} to {MAX_LENGTH:g} (did you mean "
             f"millimetres?), found {origin.attributes['xyz']}; correct it",
         )
     for angle in turned:
         if hint := degrees_words(angle):
-            faults.add(origin.line, f"{who}: expected rpy in radians ({hint}), found {angle:g}")
+            findings.add(origin.line, f"{who}: expected rpy in radians ({hint}), found {angle:g}")
     return at, turned
 
 
-def _vector(element: Element, key: str, default: Vector, faults: Findings, who: str) -> Vector:
+def _vector(element: Element, key: str, default: Vector, findings: Findings, who: str) -> Vector:
     text = element.attributes.get(key)
     if text is None:
         return default
     values = [_float(number) for number in text.replace(",", " ").split()]
     if len(values) != 3 or not all(map(math.isfinite, values)):
         message = f"{who}: expected three numbers in {key!r}, found {text!r}; correct them"
-        faults.add(element.line, message)
+        findings.add(element.line, message)
         return default
     return values[0], values[1], values[2]
 
 
-def _number(element: Element, key: str, default: float | None, faults: Findings, who: str) -> float:
+def _number(
+    element: Element, key: str, default: float | None, findings: Findings, who: str
+) -> float:
     """Return the number in an attribute; one without a default is required."""
     text = element.attributes.get(key)
     if text is None and default is not None:
@@ -324,7 +328,7 @@ def _number(element: Element, key: str, default: float | None, faults: Findings,
     value = _float(text or "")
     if not math.isfinite(value):
         wrong = "none; add it" if text is None else f"{text!r}; correct it"
-        faults.add(element.line, f"{who}: expected a number in {key!r}, found {wrong}")
+        findings.add(element.line, f"{who}: expected a number in {key!r}, found {wrong}")
         return default or 1.0
     return value
 
@@ -336,41 +340,41 @@ def _float(text: str) -> float:
         return math.nan
 
 
-def _text(element: Element, key: str, faults: Findings, who: str) -> str:
+def _text(element: Element, key: str, findings: Findings, who: str) -> str:
     if not element.attributes.get(key):
         message = f"{who}: expected a name in the attribute {key!r}, found none; add it"
-        faults.add(element.line, message)
+        findings.add(element.line, message)
     return element.attributes.get(key, "")
 
 
-def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Findings) -> str:
+def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], findings: Findings) -> str:
     """Return the name of the root link; add errors if the links and joints do not form a tree."""
     parent_of: dict[str, UrdfJoint] = {}
     for joint in joints.values():
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
                 message = f"expected a link of this file as {role}, found {link!r}"
-                faults.wrong(joint, f"{message}; correct the name or add the link")
+                findings.wrong(joint, f"{message}; correct the name or add the link")
         if joint.child in parent_of:
-            faults.wrong(
+            findings.wrong(
                 joint,
                 f"expected a tree, found a closed loop: link {joint.child!r} is also the child of "
                 f"joint {parent_of[joint.child].name!r}; cut the loop at one of these joints",
             )
         parent_of[joint.child] = joint
-    if faults.faults:
+    if findings.errors:
         return ""
     roots = [name for name in links if name not in parent_of]
     if len(roots) > 1:
         names = ", ".join(map(repr, roots))
-        faults.add(1, f"expected one root link, found {names}; connect them by joints")
+        findings.add(1, f"expected one root link, found {names}; connect them by joints")
         return ""
     root = roots[0] if roots else ""
     _, loose = in_order({child: joint.parent for child, joint in parent_of.items()}, root)
     if not links or loose:
         line = parent_of[loose[0]].line if loose else 1
         wrong = f"links in a loop: {', '.join(map(repr, loose))}" if loose else "no link"
-        faults.add(line, f"expected a tree of links, found {wrong}; correct the joints")
+        findings.add(line, f"expected a tree of links, found {wrong}; correct the joints")
     return root
 
 

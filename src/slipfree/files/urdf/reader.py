@@ -58,7 +58,7 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     """
     findings = Findings(tree.file)
     draft = from_rep103(_draft(tree, roles, findings))
-    if findings.faults:
+    if findings.errors:
         raise UnfitError(findings.lines, draft)
     remedy = _wheel_remedy(tree, draft) if len(draft.wheels) < MIN_WHEELS else ""
     wrong = [f"{tree.file}:1: expected {e}, found {f}{remedy}" for e, f in misfits(draft)]

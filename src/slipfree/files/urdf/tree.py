@@ -268,13 +268,13 @@ class Findings:
 
     def __init__(self, file: str) -> None:
         self.file = file
-        self.faults: list[tuple[int, str]] = []
+        self.errors: list[tuple[int, str]] = []
         self.notes: list[str] = []
         self.guesses: list[Guess] = []
 
     def add(self, line: int, message: str) -> None:
         """Add an error with its line of the file."""
-        self.faults.append((line, message))
+        self.errors.append((line, message))
 
     def wrong(self, joint: UrdfJoint, message: str) -> None:
         """Add an error of a joint."""
@@ -291,7 +291,7 @@ class Findings:
     @property
     def lines(self) -> list[str]:
         """Messages of all errors in the order of their lines, as ``file:line: message``."""
-        return [f"{self.file}:{line}: {message}" for line, message in sorted(self.faults)]
+        return [f"{self.file}:{line}: {message}" for line, message in sorted(self.errors)]
 
     def stop(self) -> NoReturn:
         """Raise UnfitError with all errors."""

@@ -265,18 +265,18 @@ def check_macro_calls(robot: Element, file: str, macros: frozenset[str] = frozen
 
     ``macros`` are names of macros in addition to those that the robot defines.
     """
-    faults, parts = Findings(file), [*robot.everything()]
+    findings, parts = Findings(file), [*robot.everything()]
     own = {part.attributes.get("name", "") for part in parts if part.tag == "xacro:macro"}
     called = (own | macros) - KNOWN - PARTS
     for part in parts:
         if part.tag in called:
-            faults.add(
+            findings.add(
                 part.line,
                 "expected calls of macros with the prefix 'xacro:', found the call "
                 f"<{part.tag}> of the macro {part.tag!r}; write <{PREFIX}{part.tag} ...>",
             )
-    if faults.faults:
-        faults.stop()
+    if findings.errors:
+        findings.stop()
 
 
 def unknown_elements(robot: Element) -> tuple[str, ...]:
@@ -289,7 +289,7 @@ def unknown_elements(robot: Element) -> tuple[str, ...]:
     )
 
 
-def without_xacro(robot: Element, file: str, faults: Findings) -> tuple[Element, tuple[str, ...]]:
+def without_xacro(robot: Element, file: str, findings: Findings) -> tuple[Element, tuple[str, ...]]:
     """Return a robot without its links that have unexpanded xacro, and the names of these links.
 
     UnfitError is raised if the xacro may belong to the drive train: it is not in a link or a joint,
@@ -305,7 +305,7 @@ def without_xacro(robot: Element, file: str, faults: Findings) -> tuple[Element,
     turning = any(each.attributes.get("type") == "continuous" for each in dropped)
     if raw and (turning or "" in left_out or len(dropped) < len(left_out)):
         element = next(each for part in raw for each in part.everything() if _xacro_in(each))
-        faults.add(
+        findings.add(
             element.line,
             f"expected plain URDF, found xacro, {_xacro_in(element)}, which may belong to the "
             f"drive train; {ways(file)}",
@@ -313,12 +313,12 @@ def without_xacro(robot: Element, file: str, faults: Findings) -> tuple[Element,
         every = [*robot.everything()]
         has_prefix = any(each.tag.startswith(PREFIX) for each in every)
         if has_prefix and not any("xmlns:xacro" in each.attributes for each in every):
-            faults.add(
+            findings.add(
                 robot.line,
                 "expected a declaration of the prefix 'xacro' in <robot>, found none; write "
                 f"<robot {NAMESPACE} ...>",
             )
-        faults.stop()
+        findings.stop()
     kept = [part for part in parts if _link_of(part) not in left_out]
     return replace(robot, children=kept), tuple(sorted(left_out))
 

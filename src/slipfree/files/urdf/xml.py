@@ -85,9 +85,9 @@ class Element:
         """Yield the element and all elements in it."""
         left = [self]
         while left:
-            each = left.pop()
-            yield each
-            left += reversed(each.children)
+            element = left.pop()
+            yield element
+            left += reversed(element.children)
 
 
 def parse(data: bytes, name: str) -> Element:
@@ -123,9 +123,9 @@ def parse(data: bytes, name: str) -> Element:
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
-        words = expat.ErrorString(error.code)
-        remedy = REMEDIES.get(words, "correct it")
-        raise DataError(f"{name}:{error.lineno}: expected XML, found {words}; {remedy}") from error
+        fault = expat.ErrorString(error.code)
+        remedy = REMEDIES.get(fault, "correct it")
+        raise DataError(f"{name}:{error.lineno}: expected XML, found {fault}; {remedy}") from error
     except DataError:  # a document type; DataError is a ValueError
         raise
     except (LookupError, ValueError) as error:
