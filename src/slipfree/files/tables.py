@@ -1,6 +1,6 @@
 """Tables of numbers in text files: separators, comments, names and units of columns.
 
-Tables of paths and commands are also read from MCAP files (`slipfree.files.mcap`).
+Tables of paths and commands are also read from MCAP files (`slipfree.files.mcap_reader`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
 from slipfree.files.foreign_formats import check_contents, check_ending
-from slipfree.files.mcap import is_mcap, read_mcap
+from slipfree.files.mcap_reader import is_mcap, read_mcap
 from slipfree.records import Array
 from slipfree.regular_files import read_bytes
 
@@ -152,7 +152,7 @@ def read_names(path: Path, expected: str) -> list[str]:
     ----------
     path : Path
         The table. For an MCAP file, the names are those of its commands
-        (`slipfree.files.mcap.read_mcap`).
+        (`slipfree.files.mcap_reader.read_mcap`).
     expected : str
         Description of the expected contents in messages, such as ``"way-points"``.
 

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.files.mcap import JointCommands, is_mcap, read_joint_commands
+from slipfree.files.mcap_reader import JointCommands, is_mcap, read_joint_commands
 from slipfree.files.toml.types import Piecewise
 from slipfree.files.urdf.links import Robot, joint_values
 from slipfree.problem.build_ground import at

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
-from slipfree.files.mcap import is_mcap, read_motion_log
+from slipfree.files.mcap_reader import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
 from slipfree.files.tables import Columns, read_columns, split_unit
 from slipfree.files.toml.source import name_errors, problem_error

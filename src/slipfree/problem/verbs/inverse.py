@@ -13,7 +13,7 @@ import numpy as np
 from slipfree.control.path_tracking import path_inputs, track_path
 from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError, SlipfreeError
-from slipfree.files.mcap import is_mcap
+from slipfree.files.mcap_reader import is_mcap
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.source import Fault, name_errors, problem_error
