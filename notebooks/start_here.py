@@ -37,7 +37,7 @@ from slipfree.terrain.synthetic import blank, power_law
 # ## A ground
 #
 # Heights on a uniform grid, here made by rule: a level one with waves of 2 to 8 m added, the same for the
-# same seed. A bicubic spline goes through them. (`read_grid` in `slipfree.files.maps.elevation` reads your own.)
+# same seed. A bicubic spline goes through them. (`slipfree.read_map` reads your own.)
 
 # %%
 grid = blank((-5.0, 5.0), (-3.0, 7.0), 0.25)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from slipfree.files.toml.angles import AngleWithUnit, RateWithUnit, parse_unit
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml.types import AngleWithUnit, RateWithUnit, parse_unit
 from slipfree.files.vehicle_toml import open_file, read_toml
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build

@@ -15,8 +15,8 @@ from slipfree.catalog import step_climber
 from slipfree.cli import app
 from slipfree.climb.metrics import climb_metrics
 from slipfree.files.netcdf import read as read_result
-from slipfree.files.toml.errors import ProblemError
-from slipfree.files.vehicle_writer import vehicle_text
+from slipfree.files.toml.source import ProblemError
+from slipfree.files.vehicle_draft import vehicle_text
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import motion_facts
 from slipfree.problem.solve import build, run_problem

@@ -20,7 +20,7 @@ from slipfree.errors import DataError
 from slipfree.files.mcap_writer import write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
-from slipfree.files.vehicle_writer import vehicle_text
+from slipfree.files.vehicle_draft import vehicle_text
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.load import load_problem

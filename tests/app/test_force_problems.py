@@ -15,7 +15,7 @@ from slipfree import direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.files import netcdf
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.models import friction_feasibility
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.friction_feasibility import best_utilisation

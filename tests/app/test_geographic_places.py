@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app
 from slipfree.files.maps.elevation import read_map
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.load import load_problem
 
 WEST, NORTH, CELL = 440720.0, 5100320.0, 0.5

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from slipfree.cli import app
 from slipfree.cli.show import open_page
 from slipfree.errors import DataError
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem import plan_session
 from slipfree.problem.load import load_problem
 from slipfree.problem.plan_document import Document, read_document, saved

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slipfree.files.netcdf import write
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.outcome import Outcome
 from slipfree.plan import plan as planning
 from slipfree.plan.convergence import convergence_from

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.outcome import Outcome
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem

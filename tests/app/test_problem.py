@@ -11,8 +11,7 @@ import pytest
 
 from helpers.problem_files import FILE, VALID, _read
 from slipfree.errors import DataError
-from slipfree.files.toml.errors import ProblemError
-from slipfree.files.toml.source_lines import key_lines
+from slipfree.files.toml.source import ProblemError, key_lines
 from slipfree.problem.build_common import samples
 from slipfree.problem.load import load_problem
 from slipfree.problem.schema import Time

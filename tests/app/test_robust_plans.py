@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from slipfree.cli import app
 from slipfree.files import netcdf
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.outcome import Outcome
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem

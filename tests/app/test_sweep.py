@@ -32,7 +32,7 @@ from slipfree import processes
 from slipfree.cli import app
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.units import unit_of
 from slipfree.processes import finish_tasks
 from slipfree.show import sweep_figures as show

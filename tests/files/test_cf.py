@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,14 +16,14 @@ from slipfree.records import Label
 from slipfree.trajectory import Column, Trajectory
 
 
-def _motion(**attributes: str) -> Trajectory:
+def _motion(**attributes):
     rng = np.random.default_rng(0)
     columns = {n: Column(Label(n, "m", n), rng.random(4)) for n in ("x", "y", "z", "pitch")}
     columns["slip"] = Column(Label("slip", "m s-1", "slip"), rng.random((4, 2)))
     return Trajectory(np.arange(4.0), columns, ("a", "b"), attributes=attributes)
 
 
-def _written(run: Trajectory, path: Path) -> dict[str, dict[str, object]]:
+def _written(run, path):
     """Return the attributes of the variables of a written motion, and its own under ''."""
     netcdf.write(path, run)
     with netcdf_file(str(path), mmap=False) as file:
@@ -32,7 +31,7 @@ def _written(run: Trajectory, path: Path) -> dict[str, dict[str, object]]:
         return {n: v._attributes for n, v in file.variables.items()} | {"": file._attributes}
 
 
-def test_a_motion_without_a_map_is_a_trajectory_over_x_y_z(tmp_path: Path) -> None:
+def test_a_motion_without_a_map_is_a_trajectory_over_x_y_z(tmp_path):
     found = _written(_motion(), tmp_path / "a.nc")
     assert found[""]["featureType"] == b"trajectory"
     assert found["trajectory"]["cf_role"] == b"trajectory_id"
@@ -45,14 +44,14 @@ def test_a_motion_without_a_map_is_a_trajectory_over_x_y_z(tmp_path: Path) -> No
     np.testing.assert_array_equal(run["slip"], _motion()["slip"])
 
 
-def test_a_climb_in_its_plane_is_no_trajectory_of_the_conventions(tmp_path: Path) -> None:
+def test_a_climb_in_its_plane_is_no_trajectory_of_the_conventions(tmp_path):
     run = _motion()
     found = _written(replace(run, columns={"slip": run.columns["slip"]}), tmp_path / "a.nc")
     assert "featureType" not in found[""]
     assert "trajectory" not in found
 
 
-def test_a_motion_on_a_map_has_its_reference_system(tmp_path: Path) -> None:
+def test_a_motion_on_a_map_has_its_reference_system(tmp_path):
     rows = '[["x", 5e5, 2, "y"], ["y", 4e6, -1, "x"], ["z", 0, 1, "z"]]'
     run = _motion(map_crs="EPSG:32633", map_transform=rows)
     found = _written(run, tmp_path / "a.nc")
@@ -67,7 +66,7 @@ def test_a_motion_on_a_map_has_its_reference_system(tmp_path: Path) -> None:
     assert list(netcdf.read(tmp_path / "a.nc").columns) == [*run.columns]
 
 
-def test_a_motion_on_a_map_in_degrees(tmp_path: Path) -> None:
+def test_a_motion_on_a_map_in_degrees(tmp_path):
     rows = '[["longitude", 15, 1e-5, "x"], ["latitude", 47, 1e-5, "y"], ["z", 0, 1, "z"]]'
     found = _written(_motion(map_crs="EPSG:4326", map_transform=rows), tmp_path / "a.nc")
     assert found["crs"]["grid_mapping_name"] == b"latitude_longitude"
@@ -113,14 +112,12 @@ def test_a_motion_on_a_map_in_degrees(tmp_path: Path) -> None:
         (3857, {}),  # the conventions have no name for it: WKT alone
     ],
 )
-def test_projections_have_the_names_of_the_conventions(
-    code: int, expected: dict[str, object]
-) -> None:
+def test_projections_have_the_names_of_the_conventions(code, expected):
     found = grid_mapping(f"EPSG:{code}")
     assert {k: v for k, v in found.items() if k not in ("crs_wkt", "spatial_ref")} == expected
 
 
-def test_further_arrays_have_names(tmp_path: Path) -> None:
+def test_further_arrays_have_names(tmp_path):
     arrays = {"plan_sizes": np.arange(3.0)}
     netcdf.write(tmp_path / "a.nc", _motion(), arrays)
     with netcdf_file(str(tmp_path / "a.nc"), mmap=False) as file:
@@ -128,6 +125,6 @@ def test_further_arrays_have_names(tmp_path: Path) -> None:
     assert list(netcdf.read_arrays(tmp_path / "a.nc")) == ["plan_sizes"]
 
 
-def test_an_unknown_reference_system(tmp_path: Path) -> None:
+def test_an_unknown_reference_system(tmp_path):
     with pytest.raises(DataError, match="expected an EPSG code or WKT, found 'EPSG:0'"):
         netcdf.write(tmp_path / "a.nc", _motion(map_crs="EPSG:0"))

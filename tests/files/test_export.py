@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from slipfree.files import netcdf
 from slipfree.files.export import export_path, export_rates
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
-from slipfree.trajectory import Trajectory
 
 PROBLEM = """\
 verb = "direct"
@@ -43,7 +41,7 @@ step = 0.25
 """
 
 
-def _solved(folder: Path, crs: str, transform: Affine, **asked: object) -> Trajectory:
+def _solved(folder, crs, transform, **asked):
     """Solve a problem on a GeoTIFF of a plane, write its result, and return it."""
     rows = 100 + 0.1 * np.arange(40.0)[:, None] + np.zeros(40)
     with rasterio.open(
@@ -64,33 +62,24 @@ def _solved(folder: Path, crs: str, transform: Affine, **asked: object) -> Traje
     return found
 
 
-def _rows(path: Path) -> tuple[list[str], np.ndarray]:
+def _rows(path):
     with path.open() as file:
         head, *rows = csv.reader(file)
     return head, np.array(rows, dtype=float)
 
 
-def _utm(folder: Path, terrain: str = "", x: float = 500010.0, y: float = 4499990.0) -> Trajectory:
+def _utm(folder, terrain="", x=500010.0, y=4499990.0):
     transform = Affine(0.5, 0, 500000, 0, -0.5, 4.5e6)
     return _solved(folder, "EPSG:32633", transform, terrain=terrain, x=x, y=y)
 
 
-def test_a_path_on_a_projected_map(tmp_path: Path) -> None:
+def test_a_path_on_a_projected_map(tmp_path):
     found = _utm(tmp_path)
     assert found.attributes["map_crs"] == "EPSG:32633"
     assert "pixel is area" in found.attributes["ground_map"]
     export_path(tmp_path / "out.nc", tmp_path / "path.csv")
     head, rows = _rows(tmp_path / "path.csv")
-    assert head == [
-        "time",
-        "x",
-        "y",
-        "z",
-        "heading",
-        "pitch",
-        "roll",
-        "yaw",
-    ]
+    assert head == ["time", "x", "y", "z", "heading", "pitch", "roll", "yaw"]
     names = ("x", "y", "z", "heading", "pitch", "roll", "yaw")
     assert_allclose(rows, np.column_stack([found.t, *(found[name] for name in names)]), rtol=1e-15)
 
@@ -103,7 +92,7 @@ def test_a_path_on_a_projected_map(tmp_path: Path) -> None:
     assert feature["properties"]["time_s"] == found.t.tolist()
 
 
-def test_a_path_on_a_scaled_map_is_where_the_file_says(tmp_path: Path) -> None:
+def test_a_path_on_a_scaled_map_is_where_the_file_says(tmp_path):
     terrain = "scale = 0.5\nvertical_scale = 1.5"
     small = _utm(tmp_path, terrain, 250005.0, 2249995.0)
     export_path(tmp_path / "out.nc", tmp_path / "path.csv")
@@ -113,7 +102,7 @@ def test_a_path_on_a_scaled_map_is_where_the_file_says(tmp_path: Path) -> None:
     assert_allclose(rows[0, 1:3], [500010, 4499990], rtol=1e-14)
 
 
-def test_a_path_on_a_map_in_degrees(tmp_path: Path) -> None:
+def test_a_path_on_a_map_in_degrees(tmp_path):
     step = 1 / 3600 / 64  # half a metre
     transform = Affine(step, 0, 15, 0, -step, 47)
     found = _solved(tmp_path, "EPSG:4326", transform, terrain='geographic = "local"', x=5.0, y=10.0)
@@ -131,22 +120,17 @@ def test_a_path_on_a_map_in_degrees(tmp_path: Path) -> None:
     assert_allclose(content["features"][0]["geometry"]["coordinates"], rows[:, 1:4], rtol=1e-15)
 
 
-def test_rates_that_a_robot_plays(tmp_path: Path) -> None:
+def test_rates_that_a_robot_plays(tmp_path):
     found = _utm(tmp_path)
     export_rates(tmp_path / "out.nc", tmp_path / "rates.csv")
     head, rows = _rows(tmp_path / "rates.csv")
-    assert head == [
-        "time",
-        "right_rate",
-        "left_rate",
-        "steer_rate",
-    ]
+    assert head == ["time", "right_rate", "left_rate", "steer_rate"]
     assert_allclose(rows[:, 0], found.t)
     assert set(rows[:, 1]) == {0.5, 0.4}
     assert set(rows[:, 3]) == {0.01}
 
 
-def test_what_cannot_be_exported(tmp_path: Path) -> None:
+def test_what_cannot_be_exported(tmp_path):
     found = _utm(tmp_path)
     out = tmp_path / "out.nc"
     for name, words in (
@@ -181,7 +165,7 @@ def test_what_cannot_be_exported(tmp_path: Path) -> None:
         export_path(out, tmp_path / "path.geojson")
 
 
-def test_without_a_reference_system_geojson_says_so(tmp_path: Path) -> None:
+def test_without_a_reference_system_geojson_says_so(tmp_path):
     found = _utm(tmp_path)
     attributes = {k: v for k, v in found.attributes.items() if k != "map_crs"}
     netcdf.write(tmp_path / "out.nc", replace(found, attributes=attributes))
@@ -191,7 +175,7 @@ def test_without_a_reference_system_geojson_says_so(tmp_path: Path) -> None:
     assert content["features"][0]["properties"]["reference_system"].startswith("not given")
 
 
-def test_the_command(tmp_path: Path) -> None:
+def test_the_command(tmp_path):
     _utm(tmp_path)
     out, path, rates = (str(tmp_path / name) for name in ("out.nc", "path.csv", "rates.csv"))
     done = CliRunner().invoke(app, ["export", out, "--path", path, "--rates", rates])

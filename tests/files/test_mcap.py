@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 from xml.etree import ElementTree
 
 import mcap.writer
@@ -31,25 +29,19 @@ from slipfree.cli import app
 from slipfree.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.mcap_reader import read_joint_commands, read_mcap
-from slipfree.files.ros_messages import DEFINITIONS
+from slipfree.files.mcap_writer import DEFINITIONS
 from slipfree.files.tables import read_columns, read_names
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import export_mcap
 from slipfree.problem.solve import run_problem
-from slipfree.trajectory import Trajectory
 
 pytestmark = pytest.mark.usefixtures("direct_reads")
 DRIVE = """\
 verb = "direct"
 frame = "rep103"
-[terrain]
-file = "ground.npz"
-[vehicle]
-catalog = "rocky7"
-[start]
-x = 0
-y = 0
-heading = 0.3
+terrain.file = "ground.npz"
+vehicle.catalog = "rocky7"
+start = { x = 0, y = 0, heading = 0.3 }
 [driver]
 name = "straight"
 speed = 0.2
@@ -60,25 +52,30 @@ step = 0.25
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 
-def _ground(folder: Path) -> None:
+def _ground(folder):
     x, y = np.meshgrid(np.linspace(-5, 5, 41), np.linspace(-5, 5, 41), indexing="ij")
     axis = np.linspace(-5, 5, 41)
     np.savez(folder / "ground.npz", x=axis, y=axis, z=0.1 * np.sin(x) + 0.02 * x * y)
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trajectory]:
-    """Return the folder of a result and its motion."""
-    folder = tmp_path_factory.mktemp("drive")
+def _exported(folder, text):
+    """Return the motion of a problem whose result and MCAP file are in a folder."""
     _ground(folder)
-    (folder / "p.toml").write_text(DRIVE)
+    (folder / "p.toml").write_text(text)
     run = run_problem(load_problem(folder / "p.toml")).trajectory
     netcdf.write(folder / "out.nc", run)
     export_mcap(folder / "out.nc", folder / "out.mcap")
-    return folder, run
+    return run
 
 
-def _read(path: Path, library: str) -> dict[str, list[tuple[int, object]]]:
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """Return the folder of a result and its motion."""
+    folder = tmp_path_factory.mktemp("drive")
+    return folder, _exported(folder, DRIVE)
+
+
+def _read(path, library):
     """Return the messages of each topic, with their times [ns], as a library reads them."""
     found: dict[str, list[tuple[int, object]]] = {}
     if library == "mcap":
@@ -94,15 +91,13 @@ def _read(path: Path, library: str) -> dict[str, list[tuple[int, object]]]:
     return found
 
 
-def _numbers(vector: object, names: str = "xyz") -> list[float]:
+def _numbers(vector, names="xyz"):
     return [getattr(vector, name) for name in names]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("library", ["mcap", "rosbags"])
-def test_two_libraries_read_the_numbers_of_the_motion(
-    drive: tuple[Path, Trajectory], library: str
-) -> None:
+def test_two_libraries_read_the_numbers_of_the_motion(drive, library):
     folder, run = drive
     found, exact = _read(folder / "out.mcap", library), {"rtol": 0, "atol": 1e-12}
     assert set(found) == {
@@ -149,7 +144,7 @@ def test_two_libraries_read_the_numbers_of_the_motion(
         assert_allclose(np.transpose(slip), expected, **exact)
 
 
-def test_messages_and_their_definitions_are_those_of_ros(drive: tuple[Path, Trajectory]) -> None:
+def test_messages_and_their_definitions_are_those_of_ros(drive):
     folder, run = drive
     kinds = {"/path": "nav_msgs/msg/Path", "/tf": "tf2_msgs/msg/TFMessage"}
     kinds["/joint_states"] = "sensor_msgs/msg/JointState"
@@ -168,17 +163,13 @@ def test_messages_and_their_definitions_are_those_of_ros(drive: tuple[Path, Traj
 
 
 @pytest.mark.slow
-def test_a_vehicle_without_joints(tmp_path: Path) -> None:
-    _ground(tmp_path)
-    text = DRIVE.replace("rocky7", "rigid_skid_steer")
-    (tmp_path / "p.toml").write_text(text)
-    netcdf.write(tmp_path / "out.nc", run_problem(load_problem(tmp_path / "p.toml")).trajectory)
-    export_mcap(tmp_path / "out.nc", tmp_path / "out.mcap")
+def test_a_vehicle_without_joints(tmp_path):
+    run = _exported(tmp_path, DRIVE.replace("rocky7", "rigid_skid_steer"))
     states = _read(tmp_path / "out.mcap", "mcap")["/joint_states"]
-    assert list(states[-1][1].name) == list(netcdf.read(tmp_path / "out.nc").wheels)
+    assert list(states[-1][1].name) == list(run.wheels)
 
 
-def test_wheels_turn_forward_about_the_left_axis(drive: tuple[Path, Trajectory]) -> None:
+def test_wheels_turn_forward_about_the_left_axis(drive):
     folder, run = drive
     messages = _read(folder / "out.mcap", "mcap")["/tf"]
     before, after = (
@@ -190,7 +181,7 @@ def test_wheels_turn_forward_about_the_left_axis(drive: tuple[Path, Trajectory])
     assert turned[1] > 0.5
 
 
-def _chained(message: object) -> dict[str, tuple[Rotation, np.ndarray]]:
+def _chained(message):
     """Return the poses of all frames in the map from a message of /tf, parents first."""
     poses = {"map": (Rotation.identity(), np.zeros(3))}
     for each in message.transforms:
@@ -203,17 +194,14 @@ def _chained(message: object) -> dict[str, tuple[Rotation, np.ndarray]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("forward", ["x", "-x"])
-def test_links_and_joints_of_a_urdf_are_those_of_adam(forward: str, tmp_path: Path) -> None:
-    _ground(tmp_path)
+def test_links_and_joints_of_a_urdf_are_those_of_adam(forward, tmp_path):
     robot = (DATA / "cart.urdf").read_text()
     (tmp_path / "cart.urdf").write_text(robot)
     completion = (DATA / "cart.toml").read_text()
     (tmp_path / "cart.toml").write_text(f'forward = "{forward}"\n{completion}')
-    text = DRIVE.replace('catalog = "rocky7"', 'file = "cart.toml"')
-    (tmp_path / "p.toml").write_text(text)
-    run = run_problem(load_problem(tmp_path / "p.toml")).trajectory
-    netcdf.write(tmp_path / "out.nc", run)
-    export_mcap(tmp_path / "out.nc", tmp_path / "out.mcap")
+    run = _exported(
+        tmp_path, DRIVE.replace('vehicle.catalog = "rocky7"', 'vehicle.file = "cart.toml"')
+    )
     found = _read(tmp_path / "out.mcap", "mcap")
     names = found["/joint_states"][0][1].name
     elements = ElementTree.fromstring(robot).findall("joint")
@@ -243,7 +231,7 @@ def test_links_and_joints_of_a_urdf_are_those_of_adam(forward: str, tmp_path: Pa
         assert abs(last.position[k]) > 0.5
 
 
-def test_the_command(drive: tuple[Path, Trajectory], tmp_path: Path) -> None:
+def test_the_command(drive, tmp_path):
     folder, _ = drive
     out = str(tmp_path / "a.mcap")
     found = CliRunner().invoke(app, ["export", str(folder / "out.nc"), "--mcap", out])
@@ -253,16 +241,14 @@ def test_the_command(drive: tuple[Path, Trajectory], tmp_path: Path) -> None:
     assert "ends in .mcap" in found.output
 
 
-def test_without_the_package(
-    drive: tuple[Path, Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_package(drive, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)
     with pytest.raises(DataError, match=r"mcap-ros2-support', .*install '\.\[ros\]'"):
         export_mcap(drive[0] / "out.nc", tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
 
 
-def _bag(folder: Path, *topics: tuple[str, str, list[object]]) -> Path:
+def _bag(folder, *topics):
     """Return an MCAP file written by rosbags: one message per 0.5 s since 2023."""
     with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for topic, kind, messages in topics:
@@ -274,14 +260,14 @@ def _bag(folder: Path, *topics: tuple[str, str, list[object]]) -> Path:
     return file
 
 
-def _twists() -> list[object]:
+def _twists():
     t = STORE.types
     vector = t["geometry_msgs/msg/Vector3"]
     twist = t["geometry_msgs/msg/Twist"]
     return [twist(vector(0.1 * k, 0.01, 0.0), vector(0.0, 0.0, -0.2 * k)) for k in range(3)]
 
 
-def _poses(yaws: list[float]) -> list[object]:
+def _poses(yaws):
     t = STORE.types
     time, header = t["builtin_interfaces/msg/Time"], t["std_msgs/msg/Header"]
     point, turn = t["geometry_msgs/msg/Point"], t["geometry_msgs/msg/Quaternion"]
@@ -295,7 +281,7 @@ def _poses(yaws: list[float]) -> list[object]:
     ]
 
 
-def test_commands_are_read(tmp_path: Path) -> None:
+def test_commands_are_read(tmp_path):
     file = _bag(tmp_path, ("/cmd_vel", "geometry_msgs/msg/Twist", _twists()))
     names = read_names(file, "commands")
     assert names == ["t", "v_x", "v_y", "omega_z"]
@@ -310,7 +296,7 @@ def test_commands_are_read(tmp_path: Path) -> None:
     assert_allclose(read_mcap(file, "v_x")["t"], 0)  # the time of the header, not of the recording
 
 
-def test_paths_are_read(tmp_path: Path) -> None:
+def test_paths_are_read(tmp_path):
     poses = _poses([3.0, 3.1, -3.1])
     path = STORE.types["nav_msgs/msg/Path"](poses[0].header, poses)
     file = _bag(tmp_path, ("/plan", "nav_msgs/msg/Path", [path]))
@@ -321,14 +307,14 @@ def test_paths_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.bounded
-def test_a_written_path_is_read_again(drive: tuple[Path, Trajectory]) -> None:
+def test_a_written_path_is_read_again(drive):
     folder, run = drive
     table = read_mcap(folder / "out.mcap", "x")
     assert_allclose(table["x"], run["x"], rtol=0, atol=1e-12)
     assert_allclose(table["heading"], run["yaw"], rtol=0, atol=1e-12)
 
 
-def test_odometry_is_read(tmp_path: Path) -> None:
+def test_odometry_is_read(tmp_path):
     t = STORE.types
     cover, twist = (
         np.zeros(36),
@@ -345,7 +331,7 @@ def test_odometry_is_read(tmp_path: Path) -> None:
     assert_allclose(table.rows(), [[0, 0, 0, 0], [1, 1, 0.1, 0.1]], rtol=0, atol=1e-12)
 
 
-def test_what_cannot_be_read(tmp_path: Path) -> None:
+def test_what_cannot_be_read(tmp_path):
     kind = "geometry_msgs/msg/Twist"
     file = _bag(tmp_path, ("/a", kind, _twists()), ("/b", kind, _twists()))
     with pytest.raises(DataError, match=r"expected one topic .*, found /a, /b"):
@@ -367,9 +353,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
         (lambda data: data.replace(bytes(np.float64(0.125)), bytes(np.float64(0.5))), "CRCVal"),
     ],
 )
-def test_damaged_files_are_refused(
-    damage: Callable[[bytes], bytes], words: str, tmp_path: Path
-) -> None:
+def test_damaged_files_are_refused(damage, words, tmp_path):
     file = tmp_path / "a.mcap"
     kind, fields = "geometry_msgs/Twist", {"x": 0.125, "y": 0.0, "z": 0.0}
     vector = f"{'=' * 80}\nMSG: geometry_msgs/Vector3\n{DEFINITIONS['geometry_msgs/Vector3']}"
@@ -381,7 +365,7 @@ def test_damaged_files_are_refused(
         read_names(file, "commands")
 
 
-def _recorded(file: Path, kind: str, text: str, message: dict[str, Any]) -> None:
+def _recorded(file, kind, text, message):
     """Write one message of a type whose definition the file states."""
     with file.open("wb") as stream:
         writer = mcap_ros2.writer.Writer(stream, compression=CompressionType.NONE)
@@ -405,9 +389,7 @@ def _recorded(file: Path, kind: str, text: str, message: dict[str, Any]) -> None
         ),
     ],
 )
-def test_types_with_other_fields_are_refused(
-    kind: str, text: str, message: dict[str, Any], tmp_path: Path
-) -> None:
+def test_types_with_other_fields_are_refused(kind, text, message, tmp_path):
     file = tmp_path / "a.mcap"
     _recorded(file, kind, text, message)
     read = {
@@ -421,7 +403,7 @@ def test_types_with_other_fields_are_refused(
 
 
 @pytest.mark.bounded
-def test_messages_in_other_encodings_are_refused(tmp_path: Path) -> None:
+def test_messages_in_other_encodings_are_refused(tmp_path):
     file = tmp_path / "a.mcap"
     with file.open("wb") as stream:
         writer = mcap.writer.Writer(stream)
@@ -435,9 +417,7 @@ def test_messages_in_other_encodings_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_problem_with_commands_and_one_with_a_path(
-    drive: tuple[Path, Trajectory], tmp_path: Path
-) -> None:
+def test_a_problem_with_commands_and_one_with_a_path(drive, tmp_path):
     _ground(tmp_path)
     _bag(tmp_path, ("/cmd_vel", "geometry_msgs/msg/Twist", _twists())).rename(tmp_path / "c.mcap")
     start, _, rest = DRIVE.partition("[driver]")
@@ -459,7 +439,7 @@ def test_a_problem_with_commands_and_one_with_a_path(
         run_problem(load_problem(tmp_path / "w.toml"))
 
 
-def _states(folder: Path, *messages: tuple[list[str], list[float], list[float]]) -> Path:
+def _states(folder, *messages):
     """Return an MCAP file of JointState messages, one per 0.5 s: names, positions, velocities."""
     kind, found = "sensor_msgs/msg/JointState", []
     time, header = STORE.types["builtin_interfaces/msg/Time"], STORE.types["std_msgs/msg/Header"]
@@ -473,21 +453,15 @@ def _states(folder: Path, *messages: tuple[list[str], list[float], list[float]])
 
 CART = """\
 verb = "direct"
-[terrain]
-file = "ground.npz"
-[vehicle]
-file = "cart.toml"
-[start]
-x = 0
-[inputs]
-file = "c.mcap"
-[time]
-duration = 1
-step = 0.25
+terrain.file = "ground.npz"
+vehicle.file = "cart.toml"
+start.x = 0
+inputs.file = "c.mcap"
+time = { duration = 1, step = 0.25 }
 """
 
 
-def _cart(folder: Path, *messages: tuple[list[str], list[float], list[float]]) -> Path:
+def _cart(folder, *messages):
     """Return a problem of the cart with commands of its joints."""
     _ground(folder)
     for name in ("cart.urdf", "cart.toml"):
@@ -497,7 +471,7 @@ def _cart(folder: Path, *messages: tuple[list[str], list[float], list[float]]) -
     return folder / "p.toml"
 
 
-def test_commands_of_joints_have_the_signs_of_the_urdf(tmp_path: Path) -> None:
+def test_commands_of_joints_have_the_signs_of_the_urdf(tmp_path):
     """The axis of the right wheel points right; joints of no input are ignored."""
     names = ["lidar_mount", "right_drive", "left_drive"]
     moves = [(names, [], [9.0, -1.0 - k, 1.0]) for k in range(3)]
@@ -510,7 +484,7 @@ def test_commands_of_joints_have_the_signs_of_the_urdf(tmp_path: Path) -> None:
     assert "of c.mcap" in str(run.attributes)
 
 
-def test_positions_of_joints_are_reached_at_the_next_message(tmp_path: Path) -> None:
+def test_positions_of_joints_are_reached_at_the_next_message(tmp_path):
     moves = [(["left_drive", "right_drive"], [5 + k, -2 * k], []) for k in range(3)]
     problem = load_problem(_cart(tmp_path, *moves), ["inputs.left_drive_rate=3"])
     run = run_problem(problem).trajectory
@@ -521,9 +495,7 @@ def test_positions_of_joints_are_reached_at_the_next_message(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_exported_joint_states_drive_the_same_motion(
-    drive: tuple[Path, Trajectory], tmp_path: Path
-) -> None:
+def test_exported_joint_states_drive_the_same_motion(drive, tmp_path):
     folder, run = drive
     _ground(tmp_path)
     start, _, rest = DRIVE.partition("[driver]")
@@ -545,14 +517,12 @@ def test_exported_joint_states_drive_the_same_motion(
         ([(["left_drive"], [1.0], []), (["left_drive"], [], [1.0])], "in every message"),
     ],
 )
-def test_commands_of_joints_that_do_not_suffice(
-    messages: list[tuple[list[str], list[float], list[float]]], words: str, tmp_path: Path
-) -> None:
+def test_commands_of_joints_that_do_not_suffice(messages, words, tmp_path):
     with pytest.raises(DataError, match=words):
         run_problem(load_problem(_cart(tmp_path, *messages)))
 
 
-def test_steering_starts_at_its_first_command(tmp_path: Path) -> None:
+def test_steering_starts_at_its_first_command(tmp_path):
     _ground(tmp_path)
     names = ["steer", "right", "left"]
     moves = [(names, [0.1 + 0.1 * k, k, k], []) for k in range(3)]
@@ -573,13 +543,13 @@ def test_steering_starts_at_its_first_command(tmp_path: Path) -> None:
         ('inputs.left_drive_rate="c.mcap"', r"a number, or an array of \[time, value\] pairs"),
     ],
 )
-def test_files_of_inputs(value: str, words: str, tmp_path: Path) -> None:
+def test_files_of_inputs(value, words, tmp_path):
     with pytest.raises(DataError, match=words):
         run_problem(load_problem(_cart(tmp_path, (["left_drive"], [], [1.0])), [value]))
 
 
 @pytest.mark.slow
-def test_the_libraries_are_imported_only_when_used() -> None:
+def test_the_libraries_are_imported_only_when_used():
     code = (
         "import sys, slipfree.cli, slipfree.files.tables, slipfree.problem.result; "
         "assert not {'mcap', 'mcap_ros2'} & set(sys.modules)"

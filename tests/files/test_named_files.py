@@ -6,7 +6,6 @@ import errno
 import json
 import os
 import signal
-from collections.abc import Iterator
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -34,17 +33,14 @@ KINDS = {
     "long": "found that it cannot be read (File name too long)",
 }
 
-WHY = {
-    "loop": "Too many levels of symbolic links",
-    "long": "File name too long",
-}
+WHY = {"loop": "Too many levels of symbolic links", "long": "File name too long"}
 
 
 @pytest.fixture(autouse=True)
-def limited() -> Iterator[None]:
+def limited():
     """End a test that waits for a pipe."""
 
-    def end(*_: Any) -> None:
+    def end(*_):
         pytest.fail(f"no answer within {LIMIT} s")
 
     before = signal.signal(signal.SIGALRM, end)
@@ -55,13 +51,13 @@ def limited() -> Iterator[None]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "p.toml").write_text(document(bases("direct")[0]))
     return tmp_path
 
 
-def _spoiled(kind: str, ending: str) -> str:
+def _spoiled(kind, ending):
     """Return the name of a file that cannot be read."""
     path = Path(f"bad{ending}")
     if kind == "pipe":
@@ -77,7 +73,7 @@ def _spoiled(kind: str, ending: str) -> str:
     return str(path)
 
 
-def _refused(*words: str) -> str:
+def _refused(*words):
     """Return the message of a command that must refuse its input."""
     found = CliRunner().invoke(app, list(words))
     assert found.exit_code == 2, (found.output, found.exception)
@@ -103,7 +99,7 @@ def _refused(*words: str) -> str:
         ("run p.toml --resume", ".nc"),
     ],
 )
-def test_a_file_on_the_command_line_that_is_none(command: str, ending: str, kind: str) -> None:
+def test_a_file_on_the_command_line_that_is_none(command, ending, kind):
     more = {"export": ["--path", "o.csv"], "sweep": ["--vary", "time.duration=1,2"]}
     name = _spoiled(kind, ending)
     if "--resume" in command:
@@ -130,9 +126,7 @@ def test_a_file_on_the_command_line_that_is_none(command: str, ending: str, kind
         ("driver", "file", ".csv"),
     ],
 )
-def test_a_file_named_in_a_problem_that_is_none(
-    table: str, key: str, ending: str, kind: str
-) -> None:
+def test_a_file_named_in_a_problem_that_is_none(table, key, ending, kind):
     problem: dict[str, Any] = deepcopy(bases("direct")[0])
     name = "n\0" + ending if kind == "null" else _spoiled(kind, ending)
     if table == "driver":
@@ -150,7 +144,7 @@ def test_a_file_named_in_a_problem_that_is_none(
 
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_urdf_named_in_a_vehicle_file_that_is_none(kind: str) -> None:
+def test_a_urdf_named_in_a_vehicle_file_that_is_none(kind):
     Path("v.toml").write_text(f'urdf = "{_spoiled(kind, ".urdf")}"\n')
     told = _refused("vehicle", "v.toml")
     assert "expected a URDF (urdf of v.toml), found" in told
@@ -159,7 +153,7 @@ def test_a_urdf_named_in_a_vehicle_file_that_is_none(kind: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["loop", "long"])
-def test_an_output_whose_name_cannot_be_used(folder: Path, kind: str) -> None:
+def test_an_output_whose_name_cannot_be_used(folder, kind):
     run = CliRunner().invoke(app, ["run", "p.toml", "-o", "x.nc", "--no-draw"])
     assert run.exit_code == 0, run.output
     before = sorted(folder.iterdir())
@@ -188,15 +182,13 @@ def test_an_output_whose_name_cannot_be_used(folder: Path, kind: str) -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_link_to_a_regular_file_is_followed() -> None:
+def test_a_link_to_a_regular_file_is_followed():
     Path("link.toml").symlink_to("p.toml")
     assert CliRunner().invoke(app, ["check", "link.toml"]).exit_code == 0
 
 
-def test_a_medium_that_fails_while_it_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: Any, **__: Any) -> None:
+def test_a_medium_that_fails_while_it_is_read(tmp_path, monkeypatch):
+    def fail(*_, **__):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     for name in ("a.toml", "a.asc", "a.nc"):
@@ -208,13 +200,13 @@ def test_a_medium_that_fails_while_it_is_read(
             read(tmp_path / name)
 
 
-def test_a_file_without_end_is_read_to_its_size() -> None:
+def test_a_file_without_end_is_read_to_its_size():
     assert regular_files.read_bytes(Path("/proc/self/maps"), "a file") == b""
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
-def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch):
     monkeypatch.setattr(DriveVerb, "figures", lambda *_: ())  # drawing takes long
     problem = {**bases("direct")[0], "terrain": {"file": "g.npz"}}
     problem.pop("title", None)
@@ -245,7 +237,7 @@ def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("command", ["run", "sweep"])
-def test_a_setting_that_is_not_utf_8_is_refused_before_anything_is_computed(command: str) -> None:
+def test_a_setting_that_is_not_utf_8_is_refused_before_anything_is_computed(command):
     setting = os.fsdecode(b"title=\xff")
     option = "--vary" if command == "sweep" else "--set"
     told = _refused(command, "p.toml", option, setting)

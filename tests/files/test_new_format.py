@@ -16,13 +16,12 @@ from slipfree.cli import app
 from slipfree.errors import DataError
 from slipfree.files.maps import elevation
 from slipfree.files.maps.elevation import READERS, MapReader, read_map
-from slipfree.files.maps.raster import Reading
 from slipfree.terrain.grid_ops import Heights, axes_of, parts
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "paper_direct.toml"
 
 
-def read_json(path: Path, ask: Reading) -> Heights:
+def read_json(path, ask):
     """Return the map in a JSON file with the arrays x, y and z."""
     x, y, z = (np.array(json.loads(path.read_text())[name], dtype=float) for name in "xyz")
     i, j = parts(*axes_of(x, y), ask.window)
@@ -30,7 +29,7 @@ def read_json(path: Path, ask: Reading) -> Heights:
 
 
 @pytest.fixture
-def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def file(tmp_path, monkeypatch):
     monkeypatch.setattr(elevation, "READERS", (*READERS, MapReader((".json",), read_json)))
     x = np.linspace(-5, 5, 21)
     z = 0.1 * np.sin(x)[:, None] * np.cos(x)
@@ -39,7 +38,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_a_problem_drives_on_a_map_of_the_new_format(file: Path, tmp_path: Path) -> None:
+def test_a_problem_drives_on_a_map_of_the_new_format(file, tmp_path):
     text = PROBLEM.read_text()
     begin, end = text.index("[terrain.synthetic]"), text.index("[vehicle]")
     problem = tmp_path / "p.toml"
@@ -50,12 +49,12 @@ def test_a_problem_drives_on_a_map_of_the_new_format(file: Path, tmp_path: Path)
     assert "JSON" in result.output
 
 
-def test_keys_of_other_formats_are_refused(file: Path) -> None:
+def test_keys_of_other_formats_are_refused(file):
     assert read_map(file, window=(-1, 1, -1, 1)).grid.z.shape == (5, 5)
     with pytest.raises(DataError, match=r"no 'spacing' for a \.json file"):
         read_map(file, spacing=0.1)
 
 
-def test_the_endings_of_all_formats_are_named(file: Path) -> None:
+def test_the_endings_of_all_formats_are_named(file):
     with pytest.raises(DataError, match=r"\.laz, \.json, or .* found '\.shp'"):
         read_map(file.with_suffix(".shp"))

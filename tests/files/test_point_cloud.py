@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from pathlib import Path
 from random import Random
 
 import laspy
@@ -25,7 +24,7 @@ def plane(x, y):
     return 30 + 0.2 * (x - WEST) - 0.1 * (y - SOUTH)
 
 
-def cloud(path, places, z, *, kind=None, crs: str | None = "EPSG:32633", keys=()):
+def cloud(path, places, z, *, kind=None, crs="EPSG:32633", keys=()):
     """Write points with millimetres as LAS 1.4, or as LAS 1.2 with GeoTIFF keys."""
     modern = not keys
     header = laspy.LasHeader(point_format=6 if modern else 1, version="1.4" if modern else "1.2")
@@ -214,7 +213,7 @@ def test_without_the_package_the_message_says_how_to_install_it(tmp_path, monkey
         read_map(tmp_path / "a.laz")
 
 
-def test_other_files_do_not_import_the_package(tmp_path: Path) -> None:
+def test_other_files_do_not_import_the_package(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.arange(5.0), y=np.arange(5.0), z=np.zeros((5, 5)))
     code = (
         "import sys; from slipfree import read_map; read_map('a.npz'); "

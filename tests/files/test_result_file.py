@@ -25,7 +25,7 @@ N = 7
 
 
 @pytest.fixture
-def motion(rng: np.random.Generator) -> Trajectory:
+def motion(rng):
     columns = {
         "x": Column(Label("x", "m", "easting of the platform's centre"), rng.normal(size=N)),
         "slip": Column(Label("slip", "m s-1", "slip of the wheel"), rng.normal(size=(N, 3))),
@@ -43,11 +43,11 @@ def motion(rng: np.random.Generator) -> Trajectory:
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
+def rng():
     return np.random.default_rng(2)
 
 
-def _assert_same(found: Trajectory, motion: Trajectory) -> None:
+def _assert_same(found, motion):
     np.testing.assert_array_equal(found.t, motion.t)
     assert list(found.columns) == list(motion.columns)
     for name, column in motion.columns.items():
@@ -59,7 +59,7 @@ def _assert_same(found: Trajectory, motion: Trajectory) -> None:
     assert found.statistics == motion.statistics
 
 
-def test_round_trip_is_exact(motion: Trajectory, tmp_path: Path) -> None:
+def test_round_trip_is_exact(motion, tmp_path):
     netcdf.write(tmp_path / "a.nc", motion)
     found = netcdf.read(tmp_path / "a.nc")
     _assert_same(found, motion)
@@ -71,14 +71,14 @@ def test_round_trip_is_exact(motion: Trajectory, tmp_path: Path) -> None:
     assert [p.name for p in sorted(tmp_path.iterdir())] == ["a.nc", "b.nc"]
 
 
-def test_round_trip_without_wheels_and_stop(motion: Trajectory, tmp_path: Path) -> None:
+def test_round_trip_without_wheels_and_stop(motion, tmp_path):
     columns = {"x": motion.columns["x"]}
     plain = replace(motion, columns=columns, wheels=(), stop=None, statistics={}, attributes={})
     netcdf.write(tmp_path / "a.nc", plain)
     _assert_same(netcdf.read(tmp_path / "a.nc"), plain)
 
 
-def test_provenance(motion: Trajectory, tmp_path: Path) -> None:
+def test_provenance(motion, tmp_path):
     netcdf.write(tmp_path / "a.nc", motion)
     found = netcdf.read(tmp_path / "a.nc").attributes
     assert found["numpy_version"] == np.__version__
@@ -87,7 +87,7 @@ def test_provenance(motion: Trajectory, tmp_path: Path) -> None:
     assert found["date_created"].endswith("Z")
 
 
-def test_xarray_opens_it(motion: Trajectory, tmp_path: Path) -> None:
+def test_xarray_opens_it(motion, tmp_path):
     netcdf.write(tmp_path / "a.nc", motion)
     with xarray.open_dataset(tmp_path / "a.nc", engine="scipy") as dated:
         assert np.issubdtype(dated.time.dtype, np.datetime64)
@@ -114,7 +114,7 @@ def test_xarray_opens_it(motion: Trajectory, tmp_path: Path) -> None:
     assert {"stop_name", "stop_time", "statistics_tolerance", "problem"} <= set(same.attrs)
 
 
-def test_pandas_frame_is_indexed_as_the_motion(motion: Trajectory) -> None:
+def test_pandas_frame_is_indexed_as_the_motion(motion):
     frame = motion.to_pandas()
     np.testing.assert_array_equal(frame.index, motion.t)
     assert (frame.index.name, frame.columns.names) == ("time", ["quantity", "wheel"])
@@ -129,7 +129,7 @@ def test_pandas_frame_is_indexed_as_the_motion(motion: Trajectory) -> None:
     assert plain.to_xarray().sizes == {"time": N}
 
 
-def test_scipy_reads_it(motion: Trajectory, tmp_path: Path) -> None:
+def test_scipy_reads_it(motion, tmp_path):
     netcdf.write(tmp_path / "a.nc", motion)
     with netcdf_file(str(tmp_path / "a.nc"), mmap=False) as file:
         assert file.version_byte == 2
@@ -138,7 +138,7 @@ def test_scipy_reads_it(motion: Trajectory, tmp_path: Path) -> None:
         np.testing.assert_array_equal(file.variables["slip"][:], motion["slip"].T)
 
 
-def test_csv(motion: Trajectory, tmp_path: Path) -> None:
+def test_csv(motion, tmp_path):
     netcdf.write_csv(tmp_path / "a.csv", motion)
     with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
         head, *rows = csv.reader(file)
@@ -149,25 +149,21 @@ def test_csv(motion: Trajectory, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("package", ["xarray", "pandas"])
-def test_frames_without_their_package(
-    motion: Trajectory, monkeypatch: pytest.MonkeyPatch, package: str
-) -> None:
+def test_frames_without_their_package(motion, monkeypatch, package):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(SlipfreeError, match=rf"package '{package}', .*install '\.\[xarray\]'"):
         getattr(motion, f"to_{package}")()
 
 
-def test_import_needs_no_xarray() -> None:
+def test_import_needs_no_xarray():
     code = "import sys, slipfree.files.netcdf; assert not {'xarray', 'pandas'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_an_old_file_survives_a_failure(
-    motion: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_old_file_survives_a_failure(motion, tmp_path, monkeypatch):
     netcdf.write(tmp_path / "a.nc", motion)
 
-    def fail(*_: object) -> None:
+    def fail(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(netcdf, "_write_values", fail)
@@ -177,7 +173,7 @@ def test_an_old_file_survives_a_failure(
     assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
-def test_names_that_cannot_be_used(motion: Trajectory, tmp_path: Path) -> None:
+def test_names_that_cannot_be_used(motion, tmp_path):
     path = tmp_path / "a.nc"
     with pytest.raises(ModelError, match="at least one sample, found none"):
         netcdf.write(path, motion.part(slice(0)))
@@ -191,12 +187,12 @@ def test_names_that_cannot_be_used(motion: Trajectory, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_no_folder(motion: Trajectory, tmp_path: Path) -> None:
+def test_no_folder(motion, tmp_path):
     with pytest.raises(DataError, match=r"no[\\/]a\.nc: cannot be written"):
         netcdf.write(tmp_path / "no" / "a.nc", motion)
 
 
-def test_every_truncation_is_found(motion: Trajectory, tmp_path: Path) -> None:
+def test_every_truncation_is_found(motion, tmp_path):
     netcdf.write(tmp_path / "a.nc", motion)
     data, cut = (tmp_path / "a.nc").read_bytes(), tmp_path / "cut.nc"
     for size in range(len(data)):
@@ -207,7 +203,7 @@ def test_every_truncation_is_found(motion: Trajectory, tmp_path: Path) -> None:
             netcdf.read(cut)
 
 
-def test_missing_file_and_folder(tmp_path: Path) -> None:
+def test_missing_file_and_folder(tmp_path):
     with pytest.raises(DataError, match=r"no\.nc: expected a result file.*No such file"):
         netcdf.read(tmp_path / "no.nc")
     with pytest.raises(DataError, match=r"expected a result file.*found a folder"):
@@ -222,13 +218,13 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
         (b"CDF\x05" + bytes(40), "a format other than netCDF-3; convert it: nccopy"),
     ],
 )
-def test_other_files(head: bytes, words: str, tmp_path: Path) -> None:
+def test_other_files(head, words, tmp_path):
     (tmp_path / "a.nc").write_bytes(head)
     with pytest.raises(DataError, match=words):
         netcdf.read(tmp_path / "a.nc")
 
 
-def _foreign(path: Path, **attributes: bytes) -> Path:
+def _foreign(path, **attributes):
     with netcdf_file(str(path), "w") as file:
         for name, value in attributes.items():
             setattr(file, name, value)
@@ -239,12 +235,12 @@ def _foreign(path: Path, **attributes: bytes) -> Path:
     return path
 
 
-def test_a_foreign_netcdf_file(tmp_path: Path) -> None:
+def test_a_foreign_netcdf_file(tmp_path):
     with pytest.raises(DataError, match="a netCDF file of another program; give a file that"):
         netcdf.read(_foreign(tmp_path / "a.nc"))
 
 
-def test_a_file_changed_by_others(motion: Trajectory, tmp_path: Path) -> None:
+def test_a_file_changed_by_others(motion, tmp_path):
     path = _foreign(tmp_path / "a.nc", slipfree_version=b"0.2.0")
     with pytest.raises(DataError, match="the empty or unlimited dimension 'time'"):
         netcdf.read(path)
@@ -263,9 +259,7 @@ def test_a_file_changed_by_others(motion: Trajectory, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_any_damaged_byte_of_the_header_gives_no_other_error(
-    motion: Trajectory, tmp_path: Path
-) -> None:
+def test_any_damaged_byte_of_the_header_gives_no_other_error(motion, tmp_path):
     path = tmp_path / "a.nc"
     netcdf.write(path, motion)
     data = path.read_bytes()
@@ -311,7 +305,7 @@ def test_motions_without_a_stop_are_complete() -> None:
     assert motion.metadata["outcome"] == "complete"
 
 
-def test_quantities_read_one_by_one_are_the_same(tmp_path: Path, motion: Trajectory) -> None:
+def test_quantities_read_one_by_one_are_the_same(tmp_path, motion):
     path = tmp_path / "a.nc"
     netcdf.write(path, motion)
     found = netcdf.read(path, lazy=True)
@@ -322,7 +316,7 @@ def test_quantities_read_one_by_one_are_the_same(tmp_path: Path, motion: Traject
         found.columns["other"]
 
 
-def test_fewer_samples_keep_all_extremes(rng: np.random.Generator) -> None:
+def test_fewer_samples_keep_all_extremes(rng):
     values = rng.normal(size=(2000, 2))
     values[:10] = np.nan
     columns = {

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from slipfree.errors import DataError
-from slipfree.files.maps.elevation import read_grid, read_map
+from slipfree.files.maps.elevation import read_map
 
 
 def scattered(count=400, size=10.0, offset=(500000.0, 4.5e6)):
@@ -52,14 +52,7 @@ def test_names_in_another_order(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "X,Y,Z,R,G,B\n{}",
-        "//X Y Z Intensity\n{}",
-        "{}",
-        "400\n{}",
-        "r;z;y [m];x;i\n{}",
-    ],
+    "text", ["X,Y,Z,R,G,B\n{}", "//X Y Z Intensity\n{}", "{}", "400\n{}", "r;z;y [m];x;i\n{}"]
 )
 def test_further_columns_are_ignored(tmp_path, text):
     """Colours and intensities: x, y, z by name, else the first three columns."""
@@ -130,22 +123,13 @@ def test_nodes_outside_the_hull_are_holes(tmp_path):
         ("x y z\n0 0 1\n1 0 nan\n", "xyz:3: expected three numbers x,y,z, found '1 0 nan'; "),
         ("0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
         ("0 0 1\n0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
-        (
-            "1 0 0 1\n2 0 1 1\n3 1 0 1\n",
-            "p.xyz:1: expected .* first column counts or names .* as in",
-        ),
-        (
-            "P1,0,0,1,GS\nP2,0,1,1,GS\n",
-            "first column counts or names the rows, from 'P1'; name the",
-        ),
+        ("1 0 0 1\n2 0 1 1\n3 1 0 1\n", "p.xyz:1: expected .* first column counts or names .* as"),
+        ("P1,0,0,1,GS\nP2,0,1,1,GS\n", "first column counts or names the rows, from 'P1'; name"),
         (
             "0,000,0,500,1,250\n",
             "found '000' between commas, .* separate the columns by semicolons",
         ),
-        (
-            "x,y,z\n0,00,0,05,1,25\n0,00,0,10,1,25\n",
-            "found '00' between commas, probably decimals of a number",
-        ),
+        ("x,y,z\n0,00,0,05,1,25\n0,00,0,10,1,25\n", "found '00' between commas, probably decimals"),
         ('"0,0","0,5","1,2"\n"0,0","1,5","1,2"\n', "xyz:2: expected two or more numbers, found"),
         ("0.0D+0 0.0D+0 1.0D+0\n1.0D+0 0.0D+0 1.0D+0\n", "write numbers as in 1.5 or 1.5e-3"),
         ("lon lat alt\n0 0 1\n0 1e-5 1\n1e-5 0 1\n", "at spacing = 1 deg; .* such as 1e-05"),
@@ -171,7 +155,7 @@ def test_a_missing_spacing_is_suggested(tmp_path):
     with pytest.raises(
         DataError, match=r"expected spacing, .* neighbours is 0.2\d+ m: set spacing"
     ):
-        read_grid(written(tmp_path / "p.xyz", scattered()))
+        read_map(written(tmp_path / "p.xyz", scattered()))
 
 
 def test_too_many_nodes_need_a_window(tmp_path):

@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 import gzip
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from slipfree.errors import DataError
 from slipfree.files.netcdf import write_csv
-from slipfree.files.tables import Columns, read_columns, read_names
+from slipfree.files.tables import read_columns, read_names
 from slipfree.records import Label
 from slipfree.trajectory import Column, Trajectory
 
 ROWS = np.array([[0.0, 1.5, -2.0], [0.5, 2.25, 1e3], [1.0, 3.0, 0.125]])
 
 
-def _read(folder: Path, text: str | bytes, columns: object = ("t", "x", "heading")) -> Columns:
+def _read(folder, text, columns=("t", "x", "heading")):
     path = folder / "a.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_columns(path, columns)  # type: ignore[arg-type]
 
 
-def _text(separator: str = ",", head: str = "t,x,heading", factors: object = 1.0) -> str:
+def _text(separator=",", head="t,x,heading", factors=1.0):
     lines = [separator.join(map(repr, row)) for row in (ROWS / factors).tolist()]  # type: ignore[operator]
     return "\n".join([*([head.replace(",", separator)] if head else []), *lines, ""])
 
 
-def test_a_result_is_a_path(tmp_path: Path) -> None:
+def test_a_result_is_a_path(tmp_path):
     """Its columns are found by name, ``time`` as ``t``, and others are skipped."""
     t = np.linspace(0, 1, 9001)  # more than a block
     columns = {
@@ -84,14 +83,14 @@ LAYOUTS = {
 
 
 @pytest.mark.parametrize("text", LAYOUTS.values(), ids=LAYOUTS)
-def test_layouts_of_one_table(tmp_path: Path, text: str | bytes) -> None:
+def test_layouts_of_one_table(tmp_path, text):
     found = _read(tmp_path, text)
     np.testing.assert_allclose(np.array(found.rows()), ROWS, rtol=1e-14, atol=1e-12)
     has_units = b"mm" in (tmp_path / "a.csv").read_bytes()
     assert any("converted from ms to s" in note for note in found.notes) == has_units
 
 
-def test_columns_named_by_the_user(tmp_path: Path) -> None:
+def test_columns_named_by_the_user(tmp_path):
     """A name may have the unit of the column; numbers count columns without names."""
     found = _read(
         tmp_path, "stamp,yaw\n0,180\n500,90\n", {"t": "stamp [ms]", "heading": "yaw [deg]"}
@@ -103,7 +102,7 @@ def test_columns_named_by_the_user(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("row", ["1,2", "1,2,3,4", "1,2,x", "1,2,nan", "1,2,"])
-def test_rows_as_long_as_the_first_line(tmp_path: Path, row: str) -> None:
+def test_rows_as_long_as_the_first_line(tmp_path, row):
     with pytest.raises(
         DataError,
         match=r"a.csv:3: expected 3 values as in the first row, with numbers for x,y, found '1,2",
@@ -132,6 +131,6 @@ def test_rows_as_long_as_the_first_line(tmp_path: Path, row: str) -> None:
         (b"\x00\x01\x02", "expected way-points as text, found binary data; write its columns"),
     ],
 )
-def test_tables_refused(tmp_path: Path, text: str | bytes, words: str) -> None:
+def test_tables_refused(tmp_path, text, words):
     with pytest.raises(DataError, match=words):
         _read(tmp_path, text)

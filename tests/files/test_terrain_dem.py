@@ -8,10 +8,15 @@ from matplotlib.cbook import get_sample_data
 from numpy.testing import assert_allclose, assert_array_equal
 
 from slipfree.errors import DataError
-from slipfree.files.maps.elevation import geographic_to_metric, jacksboro, read_grid, read_map
+from slipfree.files.maps.elevation import geographic_to_metric, jacksboro, read_map
 
 HEADER = "ncols 5\nNROWS 4\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
 ROWS = "\n".join(" ".join(str(10 * row + column) for column in range(5)) for row in range(4))
+
+
+def refuses(path, words, **keys):
+    with pytest.raises(DataError, match=words):
+        read_map(path, **keys)
 
 
 def written(tmp_path, text, name="map.asc"):
@@ -21,7 +26,7 @@ def written(tmp_path, text, name="map.asc"):
 
 
 def test_asc_orientation_and_corner_registration(tmp_path):
-    grid = read_grid(written(tmp_path, HEADER + ROWS + "\n"))
+    grid = read_map(written(tmp_path, HEADER + ROWS + "\n")).grid
     assert_allclose(grid.x, [105, 115, 125, 135, 145])
     assert_allclose(grid.y, [205, 215, 225, 235])
     # Row 0 of the file is the northernmost: heights fall by 10 to the north, rise by 1 to the east.
@@ -30,22 +35,21 @@ def test_asc_orientation_and_corner_registration(tmp_path):
 
 def test_asc_centre_registration_and_case(tmp_path):
     text = (HEADER + ROWS).replace("corner", "center").upper()
-    grid = read_grid(str(written(tmp_path, text, "MAP.ASC")))
+    grid = read_map(str(written(tmp_path, text, "MAP.ASC"))).grid
     assert_allclose(grid.x, [100, 110, 120, 130, 140])
     assert_allclose(grid.y, [200, 210, 220, 230])
 
 
 def test_asc_without_nodata(tmp_path):
     header = HEADER.replace("NODATA_value -9999\n", "")
-    assert read_grid(written(tmp_path, header + ROWS)).z[3, 1] == 23
+    assert read_map(written(tmp_path, header + ROWS)).grid.z[3, 1] == 23
     path = written(tmp_path, header + ROWS.replace("23", "-9999"))
-    with pytest.raises(DataError, match="expected heights, found the value -9999 at 1 of 20 nodes"):
-        read_grid(path)
+    refuses(path, "expected heights, found the value -9999 at 1 of 20 nodes")
 
 
 def test_asc_of_cells_that_are_not_square(tmp_path):
     header = HEADER.replace("cellsize 10", "dx 10\ndy 2.5")
-    grid = read_grid(written(tmp_path, header + ROWS))
+    grid = read_map(written(tmp_path, header + ROWS)).grid
     assert_allclose(grid.spacing, (10, 2.5))
     assert (grid.x[0], grid.y[0]) == (105, 201.25)
 
@@ -60,21 +64,19 @@ def test_asc_window_and_rows_that_run_over_lines(tmp_path):
     assert_array_equal(found.grid.z, heights[6:, 2:7][::-1].T)
     path = written(tmp_path, path.read_text().replace("\n20\n", "\n?\n"))
     assert_array_equal(read_map(path, window=(2, 6.5, -5, 3)).grid.z, found.grid.z)
-    with pytest.raises(DataError, match=r"expected numbers in line 26, found '\?'"):
-        read_map(path)
+    refuses(path, r"expected numbers in line 26, found '\?'")
 
 
 def test_asc_heights_keep_their_digits(tmp_path):
     heights = np.random.default_rng(5).normal(scale=1e3, size=(4, 5))
     text = "\n".join(" ".join(map(repr, row)) for row in heights.tolist())
-    assert_array_equal(read_grid(written(tmp_path, HEADER + text)).z, heights[::-1].T)
+    assert_array_equal(read_map(written(tmp_path, HEADER + text)).grid.z, heights[::-1].T)
 
 
 def test_maps_too_large_without_a_window(tmp_path):
     text = HEADER.replace("ncols 5", "ncols 100000").replace("NROWS 4", "nrows 100000") + ROWS
     path = written(tmp_path, text)
-    with pytest.raises(DataError, match=r"at most 5e\+07 nodes, found 1e\+10 .* window = \[x_min"):
-        read_grid(path)
+    refuses(path, r"at most 5e\+07 nodes, found 1e\+10 .* window = \[x_min")
 
 
 @pytest.mark.parametrize(
@@ -90,8 +92,7 @@ def test_maps_too_large_without_a_window(tmp_path):
     ],
 )
 def test_windows_refused(tmp_path, window, words):
-    with pytest.raises(DataError, match=words):
-        read_map(written(tmp_path, HEADER + ROWS), window=window)
+    refuses(written(tmp_path, HEADER + ROWS), words, window=window)
 
 
 def test_degrees_taken_for_metres_are_refused(tmp_path):
@@ -99,14 +100,14 @@ def test_degrees_taken_for_metres_are_refused(tmp_path):
     x, y = 15 + step * np.arange(20), 47 + step * np.arange(20)
     z = 500 + np.add.outer(np.arange(20.0), np.arange(20.0))  # 5 %
     np.savez(tmp_path / "map.npz", x=x, y=y, z=z)
-    with pytest.raises(DataError, match=r"seems to be in degrees: x from 15 to 15.0.*gdalwarp"):
-        read_grid(tmp_path / "map.npz")
+    refuses(tmp_path / "map.npz", r"seems to be in degrees: x from 15 to 15.0.*gdalwarp")
     found = read_map(tmp_path / "map.npz", geographic="local")
     assert_allclose(found.grid.x, geographic_to_metric(x, y, z).x)
     assert "errors of distances are up to" in dict(found.facts)["ground degrees"]
     np.savez(tmp_path / "map.npz", x=1e3 * x, y=1e3 * y, z=z)
-    with pytest.raises(DataError, match="expected a map in degrees, found a map in metres"):
-        read_map(tmp_path / "map.npz", geographic="local")
+    refuses(
+        tmp_path / "map.npz", "expected a map in degrees, found a map in metres", geographic="local"
+    )
 
 
 def test_the_error_told_of_local_metres_is_that_of_the_ellipsoid(tmp_path):
@@ -124,12 +125,12 @@ def test_the_error_told_of_local_metres_is_that_of_the_ellipsoid(tmp_path):
 def test_keys_that_a_file_has_no_use_for(tmp_path):
     path = written(tmp_path, HEADER + ROWS)
     for key, value in (("cell", 1.0), ("registration", "area")):
-        with pytest.raises(
-            DataError, match=f"map.asc: expected no '{key}' for a raster that contains coordinates"
-        ):
-            read_map(path, **{key: value})
-    with pytest.raises(DataError, match=r"map.asc: expected no 'spacing' for a \.asc file"):
-        read_map(path, spacing=1.0)
+        refuses(
+            path,
+            f"map.asc: expected no '{key}' for a raster that contains coordinates",
+            **{key: value},
+        )
+    refuses(path, r"map.asc: expected no 'spacing' for a \.asc file", spacing=1.0)
 
 
 @pytest.mark.parametrize(
@@ -158,27 +159,25 @@ def test_keys_that_a_file_has_no_use_for(tmp_path):
     ],
 )
 def test_asc_refuses(tmp_path, text, words):
-    with pytest.raises(DataError, match=words):
-        read_grid(written(tmp_path, text))
+    refuses(written(tmp_path, text), words)
 
 
 def test_heights_that_an_asc_lacks_stay_holes(tmp_path):
     text = HEADER + ROWS.replace("12", "-9999").replace("22", "nan")
-    assert np.argwhere(read_grid(written(tmp_path, text)).holes).tolist() == [[2, 1], [2, 2]]
+    assert np.argwhere(read_map(written(tmp_path, text)).grid.holes).tolist() == [[2, 1], [2, 2]]
 
 
 def test_asc_that_is_binary(tmp_path):
     path = tmp_path / "map.asc"
     path.write_bytes(bytes(range(256)))
-    with pytest.raises(DataError, match="expected a readable ESRI ASCII grid"):
-        read_grid(path)
+    refuses(path, "expected a readable ESRI ASCII grid")
 
 
 def test_npz(tmp_path):
     x, y = np.arange(5), np.arange(4.0, dtype=np.float32)
     z = np.arange(20, dtype=np.int16).reshape(5, 4)
     np.savez(tmp_path / "map.npz", x=x, y=y, z=z)
-    grid = read_grid(tmp_path / "map.npz")
+    grid = read_map(tmp_path / "map.npz").grid
     assert grid.z.dtype == np.float64
     assert_allclose(grid.z, z)
 
@@ -187,31 +186,19 @@ def test_npz_refuses(tmp_path):
     path = tmp_path / "map.npz"
     x = np.arange(5.0)
     np.savez(path, x=x, height=x)
-    with pytest.raises(DataError, match=r"found \['height', 'x'\] without \['y', 'z'\]; write"):
-        read_grid(path)
+    refuses(path, r"found \['height', 'x'\] without \['y', 'z'\]; write")
     np.savez(path, x=x, y=x, z=np.zeros((5, 4)))
-    with pytest.raises(DataError, match=r"map.npz: grid: z must have .* \(5, 5\), found \(5, 4\)"):
-        read_grid(path)
+    refuses(path, r"map.npz: grid: z must have .* \(5, 5\), found \(5, 4\)")
     np.savez(path, x=x, y=x, z=np.full((5, 5), "a"))
-    with pytest.raises(DataError, match="expected numbers in the array 'z', found <U1"):
-        read_grid(path)
+    refuses(path, "expected numbers in the array 'z', found <U1")
     np.savez(path, x=x, y=x, z=np.full((5, 5), None))
-    with pytest.raises(
-        DataError, match="expected a numpy archive, found a file that cannot be read"
-    ):
-        read_grid(path)
+    refuses(path, "expected a numpy archive, found a file that cannot be read")
     for content in (b"", b"no archive", path.read_bytes()[:200]):
         path.write_bytes(content)
-        with pytest.raises(
-            DataError, match="expected a numpy archive, found a file that cannot be"
-        ):
-            read_grid(path)
+        refuses(path, "expected a numpy archive, found a file that cannot be")
     with path.open("wb") as file:
         np.save(file, x)
-    with pytest.raises(
-        DataError, match="expected an archive of arrays x, y, z, found a single array"
-    ):
-        read_grid(path)
+    refuses(path, "expected an archive of arrays x, y, z, found a single array")
 
 
 @pytest.mark.parametrize(
@@ -231,8 +218,7 @@ def test_npz_refuses(tmp_path):
 )
 def test_other_files(tmp_path, name, words):
     (tmp_path / "junk").write_bytes(bytes(range(100)))
-    with pytest.raises(DataError, match=words):
-        read_grid(tmp_path / name)
+    refuses(tmp_path / name, words)
 
 
 def test_geographic_to_metric_against_great_circles():
@@ -281,7 +267,7 @@ def test_damaged_archives_are_refused(tmp_path):
     for at in range(40, len(whole), 7):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
         try:
-            read_grid(path)
+            read_map(path)
         except DataError:
             refused += 1
     assert refused > 10  # some bytes do not matter; no damage leads to another error

@@ -23,14 +23,14 @@ TYRE = trimesh.creation.torus(0.25, 0.05, major_sections=64, minor_sections=32)
 PLATE = trimesh.creation.cylinder(0.1, 0.04, sections=48)
 
 
-def mesh(name: str, origin: str = TURN, scale: str = "1 1 1") -> str:
+def mesh(name, origin=TURN, scale="1 1 1"):
     return (
         f'<visual><origin {origin}/><geometry><mesh filename="{name}" scale="{scale}"/>'
         "</geometry></visual>"
     )
 
 
-def tricycle(shape: str, **more: str) -> str:
+def tricycle(shape, **more):
     places = ("0.4 0.3 0", "0.4 -0.3 0", "-0.4 0 0")
     return "".join(wheel(f"part_{k}", at, shape, **more) for k, at in enumerate(places))
 
@@ -57,12 +57,12 @@ def test_a_mesh_has_the_radius_and_tube_of_its_body(made, name, scale, section, 
     assert any("a wheel: a round mesh" in note for note in vehicle.notes)
 
 
-def exported(made: trimesh.Trimesh, name: str) -> bytes:
+def exported(made, name):
     data = made.export(file_type=Path(name).suffix[1:])
     return data.encode() if isinstance(data, str) else data
 
 
-def radii(section: Torus | Disc | Sphere) -> list[float]:
+def radii(section):
     return list(vars(section).values())
 
 

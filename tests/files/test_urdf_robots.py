@@ -268,10 +268,7 @@ ASIDE = FOUR.replace(" 0.15 0", " 0.45 0").replace(" -0.15 0", " 0.15 0")  # of 
         (WHEEL, ""),
         (WHEEL, BOX),
         ('name="rear_right_joint" type="continuous"', 'name="rear_right_joint" type="fixed"'),
-        (
-            'rpy="0 0 0"/><axis xyz="0 1 0"',
-            'rpy="0 0 0"/><axis xyz="0 0 1"',
-        ),
+        ('rpy="0 0 0"/><axis xyz="0 1 0"', 'rpy="0 0 0"/><axis xyz="0 0 1"'),
     ],
 )
 @pytest.mark.parametrize("aside", [FOUR, ASIDE])

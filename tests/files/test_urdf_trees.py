@@ -17,7 +17,7 @@ from slipfree.files.urdf.reader import read_urdf
 INERTIAL = '<inertial><origin xyz="0 0 0"/><mass value="1"/></inertial>'
 
 
-def random_urdf(rng: np.random.Generator, count: int) -> tuple[str, list[str], dict[str, tuple]]:
+def random_urdf(rng, count):
     """Return a URDF of random joints, the names of its independent joints, and its mimics."""
     parts, free, mimics = [f'<link name="l0">{INERTIAL}</link>'], [], {}
     for k in range(1, count):
@@ -41,7 +41,7 @@ def random_urdf(rng: np.random.Generator, count: int) -> tuple[str, list[str], d
     return f'<robot name="r">{"".join(parts)}</robot>', free, mimics
 
 
-def spelled(numbers: np.ndarray) -> str:
+def spelled(numbers):
     return " ".join(map(repr, numbers.tolist()))
 
 

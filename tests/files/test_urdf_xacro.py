@@ -13,7 +13,7 @@ from slipfree.cli import app
 from slipfree.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.urdf.elements import read_tree
-from slipfree.files.urdf.expansion import expanded
+from slipfree.files.urdf.xacro import expanded
 from slipfree.problem.build_vehicle import (
     VehicleError,
     guessed_completion,
@@ -83,7 +83,7 @@ time = { duration = 0.2, step = 0.1 }
 """
 
 
-def called(*words: str) -> str:
+def called(*words):
     """Return what a command prints, which fails because of bad input."""
     done = CliRunner().invoke(app, [*words])
     assert done.exit_code == 2, done.output
@@ -193,7 +193,7 @@ def test_a_result_without_its_vehicle_reads_no_file():
     ],
 )
 def test_expansion_has_limits(line, words, robot, monkeypatch):
-    monkeypatch.setattr("slipfree.files.urdf.expansion.MAX_SECONDS", 2.0)
+    monkeypatch.setattr("slipfree.files.urdf.xacro.MAX_SECONDS", 2.0)
     monkeypatch.chdir(robot.parent)
     os.mkfifo("pipe")
     robot.write_text(ROBOT.replace("<link", f"{line}<link", 1))

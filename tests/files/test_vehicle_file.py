@@ -1,5 +1,6 @@
 """Tests of vehicle files: the described vehicle, and errors with their lines."""
 
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from typer.testing import CliRunner
 from helpers.cases import hills
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
 from slipfree.cli import app
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of
 from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTable, WheelTable
 from slipfree.geometry.frame import Pose, unit_vector
@@ -45,53 +46,27 @@ def array(vector):
 def as_toml(vehicle, frame):
     """Return a vehicle as a vehicle file; wheels' axles and joints' frames are not turned."""
     turned = rep103 if frame == "rep103" else tuple
-    lines = [
-        f'name = "{vehicle.name}"',
-        f'frame = "{frame}"',
-        f"mass = {vehicle.body.mass}",
-        f"center_of_mass = {array(turned(vehicle.body.at))}",
-    ]
+
+    def vectors(**values):
+        return [f"{key} = {array(turned(value))}" for key, value in values.items()]
+
+    def plain(record, *keys):
+        return [f"{key} = {json.dumps(getattr(record, key))}" for key in keys]
+
+    lines = [f'name = "{vehicle.name}"', f'frame = "{frame}"', f"mass = {vehicle.body.mass}"]
+    lines += vectors(center_of_mass=vehicle.body.at)
     for c in vehicle.coordinates:
-        lines += [
-            "[[coordinates]]",
-            f'name = "{c.name}"',
-            f'kind = "{c.kind}"',
-            f'words = "{c.words}"',
-        ]
-        lines += [f"{key} = {getattr(c, key)}" for key in SCALARS]
-        lines += [
-            f"{key} = {getattr(c, key)}"
-            for key in ("lower", "upper")
-            if np.isfinite(getattr(c, key))
-        ]
+        stops = [key for key in ("lower", "upper") if np.isfinite(getattr(c, key))]
+        lines += ["[[coordinates]]", *plain(c, "name", "kind", "words", *SCALARS, *stops)]
     for j in vehicle.joints:
         assert not any(j.turned)
-        lines += [
-            "[[joints]]",
-            f'name = "{j.name}"',
-            f'parent = "{j.parent}"',
-            f"axis = {array(turned(unit_vector(j.axis)))}",
-            f"at = {array(turned(j.at))}",
-            f'value = "{j.value}"',
-            f'motion = "{j.motion}"',
-            f"mass = {j.body.mass}",
-            f"center_of_mass = {array(turned(j.body.at))}",
-        ]
+        lines += ["[[joints]]", *plain(j, "name", "parent", "value", "motion")]
+        lines += vectors(axis=unit_vector(j.axis), at=j.at, center_of_mass=j.body.at)
+        lines.append(f"mass = {j.body.mass}")
     for w in vehicle.wheels:
-        lines += [
-            "[[wheels]]",
-            f'name = "{w.name}"',
-            f'parent = "{w.parent}"',
-            f"at = {array(turned(w.at))}",
-            f"radius = {w.radius!r}",
-            f"tube = {w.half_width!r}",
-            f"driven = {str(w.driven).lower()}",
-            f"rollers = {str(w.rollers).lower()}",
-            f"grip = {w.grip}",
-            f"mass = {w.mass}",
-        ]
-        if unit_vector(w.axle) != (1.0, 0.0, 0.0):
-            lines.append(f"axle = {array(turned(unit_vector(w.axle)))}")
+        keys = ("name", "parent", "radius", "driven", "rollers", "grip", "mass")
+        lines += ["[[wheels]]", *plain(w, *keys), f"tube = {w.half_width!r}"]
+        lines += vectors(at=w.at, axle=unit_vector(w.axle))
     return "\n".join(lines)
 
 
@@ -218,203 +193,64 @@ def test_joints_may_stand_in_any_order(tmp_path):
     assert [joint.name for joint in vehicle.joints] == ["column", "fork"]
 
 
+FAULTS = r"""
+frame = "rep103"\n|  |v.toml:1: frame: expected 'paper' (x right, y forward, z up) or 'rep103' (x
+axis = "z"|axis = [0, 0, 0]|v.toml:11: joints[0].axis (joint 'fork'): expected 'x', 'y', 'z' or a
+axis = "z"|axis = "up"|v.toml:11: joints[0].axis (joint 'fork'): expected 'x',
+parent = "fork"\n|  |v.toml:29: wheels[2].parent (wheel 'caster'): expected the name of the joint
+parent = "fork"|parent = "frok"|'platform': platform, fork, found 'frok'; did you mean 'fork'?
+"fork"\nparent = "platform"|"fork"\nparent = "fork"|v.toml:10: joints[0].parent (joint 'fork'):
+"fork"\nparent = "platform"|"fork"\nparent = "fork"|a loop: fork on fork; cut the loop at one joint
+name = "right"|name = "left"|v.toml:23: wheels[1].name (wheel 'left'): expected a unique name, found
+name = "right"|name = "swivel"|found 'swivel', also the name of coordinates[0]
+name = "fork"\n|name = "platform"\n|found 'platform', also the name of the platform; rename it
+kind = "passive"|kind = "suspension"|v.toml:4: coordinates: expected at most 0 suspension
+kind = "passive"|kind = "suspension"|(swivel); remove it, set its kind to 'passive' or 'commanded',
+value = "swivel"|value = "swivl"|found 'swivl'; did you mean 'swivel'? otherwise add { name =
+value = "swivel"|value = "2 swivel"|v.toml:13: joints[0].value (joint 'fork'): expected a formula of
+value = "swivel"|value = "0"|v.toml:4: coordinates[0] (coordinate 'swivel'): expected a joint whose
+name = "swivel"|name = "sin"|v.toml:5: coordinates[0].name (coordinate 'sin'): expected a name other
+name = "swivel"|name = "2a"|expected a name of letters, digits and _ that does not begin with a
+kind = "passive"|kind = "passive"\nupper = 45|v.toml:7: coordinates[0].upper (coordinate 'swivel'):
+kind = "passive"|kind = "passive"\nupper = 45|radians (did you mean 45 degrees? write "45 deg"),
+kind = "passive"|kind = "passive"\nlower = 1.0\nupper = 0.5|the lower stop must be below the upper
+value = "swivel"|value = "swivel"\nturned = [0, 90, 0]|(did you mean 90 degrees? write "90 deg"),
+at = [0, -0.25, 0]|at = [0, -250, 0]|at least -100 (did you mean millimetres? write -0.25), found
+at = [0, -0.25, 0]|at = [0, -0.25, 0]\nmass = 1e200|v.toml:26: wheels[1].mass (wheel 'right'):
+at = [0, -0.25, 0]|at = [0, -0.25]|v.toml:25: wheels[1].at[2] (wheel 'right'): expected a number,
+radius = 0.1\n|radius = 100.5\n|at most 100 (did you mean millimetres? write 0.1005), found 100.5
+radius = 0.1\n|radius = 0.1\ntube = 0.2|expected at most the radius, 0.1 m (a ball), found 0.2
+radius = 0.1\n|radius = 0.1\ntubes = 0.2|did you mean 'tube'? expected one of name, parent, section,
+name = "right"|name = "on the right"|expected a name of letters, digits, _ and -, found 'on the
+frame = "rep103"|frame = "rep103"\nweight = 3|v.toml:3: weight: expected one of name, frame, mass,
+"""  # old and new text of the file, and words of the error
+SLIDES = """value = "swivel"
+motion = "slide"
+[[joints]]
+name = "b"
+parent = "platform"
+axis = "z"
+value = "swivel"
+"""
+RIGHT = LONG[LONG.index('[[wheels]]\nname = "right"') : LONG.index('[[wheels]]\nname = "caster"')]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        (
-            'frame = "rep103"\n',
-            "",
-            "v.toml:1: frame: expected 'paper' (x right, y forward, z up) "
-            "or 'rep103' (x forward, y left, z up), found none",
+        *(
+            [part.replace("\\n", "\n").strip(" ") for part in line.split("|")]
+            for line in FAULTS.strip().splitlines()
         ),
-        (
-            'axis = "z"',
-            "axis = [0, 0, 0]",
-            "v.toml:11: joints[0].axis (joint 'fork'): expected "
-            "'x', 'y', 'z' or a vector [x, y, z] other than zero, with absolute values below 100, "
-            "found [0, 0, 0]",
-        ),
-        ('axis = "z"', 'axis = "up"', "v.toml:11: joints[0].axis (joint 'fork'): expected 'x', "),
-        (
-            'parent = "fork"\n',
-            "",
-            "v.toml:29: wheels[2].parent (wheel 'caster'): expected the name "
-            "of the joint that carries it, or 'platform', found none",
-        ),
-        (
-            'parent = "fork"',
-            'parent = "frok"',
-            "v.toml:31: wheels[2].parent (wheel 'caster'): "
-            "expected the name of the joint that carries it, or 'platform': platform, fork, found "
-            "'frok'; did you mean 'fork'?",
-        ),
-        (
-            'name = "fork"\nparent = "platform"',
-            'name = "fork"\nparent = "fork"',
-            "v.toml:10: "
-            "joints[0].parent (joint 'fork'): expected a tree with the root 'platform', "
-            "found a loop: fork on fork; cut the loop at one joint",
-        ),
-        (
-            'name = "right"',
-            'name = "left"',
-            "v.toml:23: wheels[1].name (wheel 'left'): expected a "
-            "unique name, found 'left', also the name of wheels[0]",
-        ),
-        (
-            'name = "right"',
-            'name = "swivel"',
-            "v.toml:23: wheels[1].name (wheel 'swivel'): "
-            "expected a unique name, found 'swivel', also the name of coordinates[0]",
-        ),
-        (
-            'name = "fork"\n',
-            'name = "platform"\n',
-            "v.toml:9: joints[0].name (joint 'platform'): "
-            "expected a unique name, found 'platform', also the name of the platform; rename it",
-        ),
-        (
-            'kind = "passive"',
-            'kind = "suspension"',
-            "v.toml:4: coordinates: expected at most 0 "
-            "suspension coordinates for 3 wheels, one for each wheel beyond three, found 1 "
-            "(swivel); remove it, set its kind to 'passive' or 'commanded', add 1 wheel, or give "
-            "it a stiffness",
-        ),
-        (
-            LONG[
-                LONG.index('[[wheels]]\nname = "right"') : LONG.index('[[wheels]]\nname = "caster"')
-            ],
-            "",
-            "v.toml:15: wheels: expected at least three wheels, so that the vehicle can stand, "
-            "found 2; add wheels",
-        ),
-        (
-            'value = "swivel"',
-            'value = "swivl"',
-            "v.toml:13: joints[0].value (joint 'fork'): "
-            "expected a formula of the coordinates (swivel), found 'swivl'; did you mean "
-            "'swivel'? otherwise add "
-            '{ name = "swivl", kind = "passive" } to "coordinates"',
-        ),
-        (
-            'value = "swivel"',
-            'value = "2 swivel"',
-            "v.toml:13: joints[0].value (joint 'fork'): "
-            "expected a formula of coordinates, '0' for a rigid joint, found formula '2 swivel'",
-        ),
-        (
-            'value = "swivel"',
-            'value = "0"',
-            "v.toml:4: coordinates[0] (coordinate 'swivel'): "
-            "expected a joint whose value uses the coordinate, found none",
-        ),
-        (
-            'name = "swivel"',
-            'name = "sin"',
-            "v.toml:5: coordinates[0].name (coordinate 'sin'): "
-            "expected a name other than those of functions, constants, states of the platform and "
-            "Python keywords, found 'sin'; rename it",
-        ),
-        (
-            'name = "swivel"',
-            'name = "2a"',
-            "v.toml:5: coordinates[0].name (coordinate '2a'): "
-            "expected a name of letters, digits and _ that does not begin with a digit, found",
-        ),
-        (
-            'kind = "passive"',
-            'kind = "passive"\nupper = 45',
-            "v.toml:7: coordinates[0].upper "
-            "(coordinate 'swivel'): expected radians (did you mean 45 degrees? write "
-            '"45 deg"), found '
-            "45",
-        ),
-        (
-            'kind = "passive"',
-            'kind = "passive"\nlower = 1.0\nupper = 0.5',
-            "v.toml:4: "
-            "coordinates[0] (coordinate 'swivel'): expected a valid coordinate, found "
-            "coordinate 'swivel': the lower stop must be below the upper one, found lower = 1.0 ",
-        ),
-        (
-            'value = "swivel"',
-            'value = "swivel"\nturned = [0, 90, 0]',
-            "v.toml:14: joints[0].turned "
-            "(joint 'fork'): expected radians (did you mean 90 degrees? write \"90 deg\"), found "
-            "[0, 90, 0]",
-        ),
-        (
-            'value = "swivel"',
-            'value = "swivel"\nmotion = "slide"\n[[joints]]\nname = "b"\n'
-            'parent = "platform"\naxis = "z"\nvalue = "swivel"',
-            "v.toml:4: coordinates[0] "
-            "(coordinate 'swivel'): expected only turning or only sliding joints "
-            "whose value uses the coordinate, found both",
-        ),
-        (
-            "at = [0, -0.25, 0]",
-            "at = [0, -250, 0]",
-            "v.toml:25: wheels[1].at (wheel 'right'): "
-            "expected metres, at least -100 (did you mean millimetres? write -0.25), found [0, "
-            "-250",
-        ),
-        (
-            "at = [0, -0.25, 0]",
-            "at = [0, -0.25, 0]\nmass = 1e200",
-            "v.toml:26: wheels[1].mass "
-            "(wheel 'right'): expected a number with an absolute value of at most 1e+100, found "
-            "1e+200",
-        ),
-        (
-            "at = [0, -0.25, 0]",
-            "at = [0, -0.25]",
-            "v.toml:25: wheels[1].at[2] (wheel 'right'): expected a number, found none",
-        ),
-        (
-            "radius = 0.1\n",
-            "radius = 100.5\n",
-            "v.toml:33: wheels[2].radius (wheel 'caster'): "
-            "expected metres, at most 100 (did you mean millimetres? write 0.1005), found 100.5",
-        ),
-        (
-            "radius = 0.1\n",
-            "radius = 0.1\ntube = 0.2",
-            "v.toml:34: wheels[2].tube (wheel "
-            "'caster'): expected at most the radius, 0.1 m (a ball), found 0.2",
-        ),
-        (
-            "radius = 0.1\n",
-            "radius = 0.1\ntubes = 0.2",
-            "v.toml:34: wheels[2].tubes (wheel "
-            "'caster'): did you mean 'tube'? expected one of name, parent, section, at, driven, "
-            "rollers, axle, grip, mass, static_depth, inertia, drive, radius, tube, found the "
-            "unknown key 'tubes'",
-        ),
-        (
-            'name = "right"',
-            'name = "on the right"',
-            "v.toml:23: wheels[1].name (wheel 'on the "
-            "right'): expected a name of letters, digits, _ and -, found 'on the right'",
-        ),
-        ('axis = "z"', f"axis = [{10**400}, 0, 0]", "v.toml:11: joints[0].axis (joint 'fork'): ex"),
-        (
-            'value = "swivel"',
-            f'value = "{"-" * 990}swivel"',
-            "v.toml:13: joints[0].value (joint 'fork'): expected a formula of coordinates",
-        ),
-        (
-            'frame = "rep103"',
-            'frame = "rep103"\nweight = 3',
-            "v.toml:3: weight: expected one of name, frame, mass, center_of_mass, inertia, couple, "
-            "planar, coordinates, joints, wheels, found the unknown key",
-        ),
+        (RIGHT, "", "v.toml:15: wheels: expected at least three wheels, so that the vehicle can"),
+        ('value = "swivel"\n', SLIDES, "expected only turning or only sliding joints whose value"),
+        ('axis = "z"', f"axis = [{10**400}, 0, 0]", "v.toml:11: joints[0].axis (joint 'fork'):"),
+        ('"swivel"\n\n', f'"{"-" * 990}swivel"\n\n', "v.toml:13: joints[0].value (joint 'fork'):"),
     ],
 )
 def test_one_fault(old, new, fault, tmp_path):
     assert LONG.count(old) == 1
-    (found,) = (each for each in faults(tmp_path, LONG.replace(old, new))[0] if fault in each)
-    assert found.startswith(fault)
+    assert any(fault in message for message in faults(tmp_path, LONG.replace(old, new))[0])
 
 
 def test_a_syntax_error_has_its_line(tmp_path):
@@ -469,11 +305,8 @@ def test_what_a_section_refuses_has_its_line(tmp_path, monkeypatch):
     monkeypatch.setitem(SECTIONS, "barrel", Barrel)
     text = LONG.replace("radius = 0.1\n", 'radius = 0.1\nsection = "barrel"\n')
     (found,), _ = faults(tmp_path, text)
-    assert found == (
-        "v.toml:34: wheels[2].section (wheel 'caster'): expected valid dimensions of a section, "
-        "found "
-        "barrel: too thin"
-    )
+    assert found.startswith("v.toml:34: wheels[2].section (wheel 'caster'): expected valid dimens")
+    assert found.endswith("of a section, found barrel: too thin")
 
 
 def test_a_ball_with_rollers_is_a_frictionless_caster(tmp_path):
@@ -614,22 +447,11 @@ def test_a_problem_drives_a_vehicle_file():
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        (
-            "vehicle.catalog=rocky7",
-            "vehicle.file: expected exactly one of catalog, file, found catalog and file",
-        ),
+        ("vehicle.catalog=rocky7", "expected exactly one of catalog, file, found catalog and file"),
         ("vehicle.file=", "p.toml:3: vehicle: expected exactly one of catalog, file, found none"),
-        (
-            "vehicle.mass=3",
-            "--set vehicle.mass: expected one of catalog, file, actuated, found the "
-            "unknown key 'mass'",
-        ),
+        ("vehicle.mass=3", "--set vehicle.mass: expected one of catalog, file, actuated, found th"),
         ("vehicle.file=w.toml", "w.toml: expected a vehicle file, found that it cannot be read"),
-        (
-            "vehicle.file=v.txt",
-            "p.toml:3: vehicle: v.txt: expected a vehicle file that ends in .toml, .urdf or "
-            ".xacro, found '.txt'; check the name",
-        ),
+        ("vehicle.file=v.txt", "expected a vehicle file that ends in .toml, .urdf or .xacro, foun"),
     ],
 )
 @pytest.mark.usefixtures("folder")
@@ -643,28 +465,14 @@ def test_faults_of_the_table(setting, words):
     ("keys", "words"),
     [
         (
-            'catalog = "rocky7"\nsteerd = "front"',
-            "p.toml:5: vehicle.steerd: did you mean 'steered'? expected one of "
-            "catalog, steered, r1, mass, center_of_mass, wheel_mass, grip, actuated, found the "
-            "unknown key 'steerd'",
+            'catalog = "rocky7"\nsteerd = 1',
+            "did you mean 'steered'? expected one of catalog, steer",
         ),
         ('catalog = "rocky7"\nhalf_track = 1', "vehicle.half_track: expected one of catalog, stee"),
-        (
-            'catalog = "rocky7"\nsteered = "rear"',
-            "p.toml:5: vehicle.steered: expected 'front' or 'corners', found 'rear'",
-        ),
-        (
-            'catalog = "ackermann"\nwheelbase = "long"',
-            "vehicle.wheelbase: expected a number, found",
-        ),
-        (
-            'catalog = "ackermann"\nwheelbase = 0',
-            "vehicle.wheelbase: expected a number greater than",
-        ),
-        (
-            'catalog = "rocky8"',
-            "p.toml:4: vehicle.catalog: expected 'ackermann', 'articulated",
-        ),
+        ('catalog = "rocky7"\nsteered = "rear"', "p.toml:5: vehicle.steered: expected 'front' or "),
+        ('catalog = "ackermann"\nwheelbase = "long"', "vehicle.wheelbase: expected a number, fou"),
+        ('catalog = "ackermann"\nwheelbase = 0', "vehicle.wheelbase: expected a number greater th"),
+        ('catalog = "rocky8"', "p.toml:4: vehicle.catalog: expected 'ackermann', 'articulated"),
     ],
 )
 def test_keys_of_the_catalogue_are_those_of_its_function(keys, words, folder):
@@ -719,29 +527,20 @@ def test_drives_of_coordinates_are_read(tmp_path):
         assert (swivel.drive, swivel.stiffness) == (drive, 3.0)
 
 
+WHEELS, SWIVEL = "radius = 0.1\n", 'kind = "passive"'
+
+
 @pytest.mark.parametrize(
     ("old", "line", "words"),
     [
-        (
-            'frame = "rep103"',
-            "inertia = [1, 2, -3, 0, 0, 0]",
-            "principal moments of inertia must be",
-        ),
-        ("radius = 0.1\n", "drive = { kind = 'steam' }", "'kind' is one of 'rate', 'torque', 'm"),
-        ("radius = 0.1\n", "drive = { kind = 'motor', stall = 2 }", "the key 'no_load' for kind"),
-        ("radius = 0.1\n", "drive = { kind = 'rate', kp = 2 }", "for kind = 'rate', not 'kp'"),
-        ("radius = 0.1\n", "drive = { kind = 'motor', stall = '', no_load = 1, kp = 1 }", "number"),
-        ("radius = 0.1\n", "inertia = [0.0, 1.0]", "greater than 0"),
-        (
-            'kind = "passive"',
-            "drive = { kind = 'steam' }",
-            "v.toml:7: coordinates[0].drive (coordinate 'swi",
-        ),
-        (
-            'kind = "passive"',
-            f"drive = {DRIVE}",
-            "expected a drive only for kind = 'commanded', found Motor",
-        ),
+        ('"rep103"', "inertia = [1, 2, -3, 0, 0, 0]", "principal moments of inertia must be"),
+        (WHEELS, "drive = { kind = 'steam' }", "'kind' is one of 'rate', 'torque', 'm"),
+        (WHEELS, "drive = { kind = 'motor', stall = 2 }", "the key 'no_load' for kind"),
+        (WHEELS, "drive = { kind = 'rate', kp = 2 }", "for kind = 'rate', not 'kp'"),
+        (WHEELS, "drive = { kind = 'motor', stall = '', no_load = 1, kp = 1 }", "number"),
+        (WHEELS, "inertia = [0.0, 1.0]", "greater than 0"),
+        (SWIVEL, "drive = { kind = 'steam' }", "v.toml:7: coordinates[0].drive (coordinate 'swi"),
+        (SWIVEL, f"drive = {DRIVE}", "expected a drive only for kind = 'commanded', found Motor"),
     ],
 )
 def test_wrong_inertia_and_drives_are_reported(old, line, words, tmp_path):

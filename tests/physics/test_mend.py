@@ -19,7 +19,7 @@ from slipfree.cli import app
 from slipfree.errors import DataError, ModelError
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import geographic_to_metric, read_map
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.lookups import LookupTable
 from slipfree.problem.build_ground import build_ground, ground_facts
 from slipfree.problem.result import motion_facts

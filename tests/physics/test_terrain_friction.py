@@ -22,7 +22,7 @@ from helpers.cases import hills
 from helpers.problem_files import VALID
 from slipfree.cli import app
 from slipfree.errors import DataError, ModelError
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.build_common import build_terrain
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build

@@ -22,7 +22,7 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.models.dynamic_guess import dynamic_guess
 from slipfree.problem.load import load_problem
 from slipfree.records import leaves

@@ -14,7 +14,7 @@ from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, set
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.files import netcdf
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.models.slip import measured_slip
 from slipfree.outcome import Outcome
 from slipfree.plan.plan import plan

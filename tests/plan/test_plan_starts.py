@@ -26,7 +26,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.dae import Limit
 from slipfree.files import netcdf
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.outcome import Outcome
 from slipfree.plan import plan as planning
 from slipfree.plan.plan import plan

@@ -41,7 +41,7 @@ def edit(
 
 def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
     """Serve the page of a problem until Ctrl-C."""
-    from slipfree.files.urdf.expansion import trusted_paths
+    from slipfree.files.urdf.xacro import trusted_paths
     from slipfree.problem.plan_document import read_document
     from slipfree.problem.plan_session import Desk, state_of
     from slipfree.show.guard import Gate

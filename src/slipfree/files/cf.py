@@ -1,15 +1,18 @@
-"""CF metadata of motions: time, position on the map, reference system."""
+"""Position on the map and CF metadata of motions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import json
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 from slipfree.errors import DataError
-from slipfree.files.map_coordinates import DEGREES, MAP_CRS, map_positions
-from slipfree.records import Label
+from slipfree.records import Array, Label
 from slipfree.trajectory import TIME, Column, Trajectory
 
+DEGREES = ("longitude", "latitude")
+MAP_TRANSFORM = "map_transform"  # attribute of a result: its map coordinates as JSON
+MAP_CRS = "map_crs"  # attribute of a result: EPSG code or WKT of the map file
 TIME_ATTRIBUTES = TIME | {
     "units": "seconds since 2000-01-01 00:00:00",
     "calendar": "standard",
@@ -20,7 +23,6 @@ FEATURE = {"featureType": "trajectory"}
 TRAJECTORY = "trajectory"  # variable that identifies the motion
 TRAJECTORY_ATTRIBUTES = {"long_name": "number of the motion", "cf_role": "trajectory_id"}
 CRS = "crs"  # variable with the reference system of the map
-POSITION = ("map_x", "map_y", "longitude", "latitude")  # variables with the position on the map
 STANDARD_NAMES = {
     "map_x": "projection_x_coordinate",
     "map_y": "projection_y_coordinate",
@@ -51,6 +53,53 @@ LONGITUDE, PARALLELS = 8802, (8823, 8824)
 UNITS = {"degree", "metre", "unity"}  # units of CF attributes
 
 
+class MapCoordinate(NamedTuple):
+    """A coordinate of the map file as a linear function of a coordinate of the motion.
+
+    Attributes
+    ----------
+    name : str
+        Name of the map coordinate: ``"x"``, ``"y"``, ``"z"``, ``"longitude"`` or ``"latitude"``.
+    offset : float
+        Value of the map coordinate at the origin of the motion's coordinates. [m] or [deg]
+    factor : float
+        Change of the map coordinate per metre of the motion. [1] or [deg/m]
+    axis : str
+        Coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``.
+    """
+
+    name: str
+    offset: float
+    factor: float
+    axis: str
+
+
+def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
+    """Return map coordinates as JSON text, for an attribute of a result file."""
+    return json.dumps([*coordinates])
+
+
+def map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
+    """Return units and values, shape (n,), of the map coordinates by name.
+
+    Without a transform in the attributes, they are the coordinates of the motion.
+    """
+    text = run.attributes.get(MAP_TRANSFORM)
+    coordinates = [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
+    try:
+        if text is not None:
+            coordinates = [MapCoordinate(*row) for row in json.loads(text)]
+    except (ValueError, TypeError, RecursionError) as error:
+        raise DataError(
+            f"attribute {MAP_TRANSFORM!r} of the result: expected rows of name, offset, factor and "
+            f"axis as JSON, found {text!r}; run the problem again"
+        ) from error
+    return {
+        name: ("degree" if name in DEGREES else "m", offset + factor * run[axis])
+        for name, offset, factor, axis in coordinates
+    }
+
+
 def is_trajectory(run: Trajectory) -> bool:
     """Return whether a motion has positions x, y, z in space."""
     return {"x", "y", "z"} <= {*run.columns}
@@ -78,14 +127,7 @@ def position_columns(run: Trajectory) -> dict[str, Column]:
 def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> dict[str, str]:
     """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    on_map : sequence of str
-        Names of the columns that `position_columns` returns.
-    name : str
-        Name of the variable.
+    ``on_map`` are the names of the columns that `position_columns` returns.
     """
     found = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
     if not is_trajectory(run):
@@ -104,17 +146,8 @@ def grid_mapping(crs: str) -> dict[str, Any]:
     """Return the attributes of the variable ``crs`` for a reference system.
 
     They are its WKT in ``crs_wkt``, for the CF conventions, and in ``spatial_ref``, for GDAL, and
-    the CF name and parameters of the projection if the conventions define them.
-
-    Parameters
-    ----------
-    crs : str
-        EPSG code or WKT of the reference system.
-
-    Raises
-    ------
-    DataError
-        If the reference system is unknown.
+    the CF name and parameters of the projection if the conventions define them. ``crs`` is an EPSG
+    code or WKT; DataError is raised if it is unknown.
     """
     import rasterio.crs
     from rasterio.errors import CRSError
@@ -133,11 +166,7 @@ def grid_mapping(crs: str) -> dict[str, Any]:
 
 
 def _projection(system: dict[str, Any]) -> dict[str, Any]:
-    """Return the CF attributes of a projection from PROJJSON.
-
-    The result is empty if CF does not define the projection, or if the unit of a parameter is not
-    in `UNITS`.
-    """
+    """Return the CF attributes of a projection from PROJJSON; empty if CF does not define them."""
     conversion = system.get("conversion", {})
     code = conversion.get("method", {}).get("id", {}).get("code")
     rows = conversion.get("parameters", ())

@@ -11,7 +11,7 @@ from typing import Any
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
-from slipfree.files.map_coordinates import map_positions
+from slipfree.files.cf import map_positions
 from slipfree.files.netcdf import read, write_csv
 from slipfree.records import Label
 from slipfree.regular_files import resolve_links
@@ -106,7 +106,6 @@ def check_name(out: Path, file: Path, endings: Iterable[str]) -> None:
 
 
 def _write_path(run: Trajectory, out: Path) -> None:
-    """Write the path and the attitude of the platform as CSV."""
     crs = run.attributes.get("map_crs", "no reference system given")
     columns = {
         name: Column(
@@ -119,7 +118,6 @@ def _write_path(run: Trajectory, out: Path) -> None:
 
 
 def _write_geojson(run: Trajectory, out: Path) -> None:
-    """Write the path of the platform as a GeoJSON LineString."""
     if run.t.size < 2:
         raise DataError(
             f"{out}: expected a motion of at least two samples for a LineString, found one; "
@@ -147,6 +145,5 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
 
 
 def _urn(crs: str) -> str:
-    """Return the name of a coordinate reference system, with an EPSG code written as URN."""
     code = re.fullmatch(r"EPSG:(\d+)", crs)
     return f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs

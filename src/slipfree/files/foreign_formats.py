@@ -30,28 +30,13 @@ Purpose = Literal["map", "table"]
 
 
 class Format(NamedTuple):
-    """A format that is not read.
-
-    Attributes
-    ----------
-    name : str
-        Name in messages.
-    endings : str
-        Usual endings of the names of such files, separated by blanks.
-    magic : tuple of bytes
-        First bytes of such files; empty if they are not characteristic.
-    map : str
-        Remedy where a map is expected, with ``{}`` for the name of the file; empty for formats
-        that GDAL reads.
-    table : str
-        Remedy where a table is expected.
-    """
+    """A format that is not read: remedies have ``{}`` for the name of the file."""
 
     name: str
-    endings: str
-    magic: tuple[bytes, ...]
-    map: str
-    table: str = TO_CSV
+    endings: str  # of the names of such files, separated by blanks
+    magic: tuple[bytes, ...]  # first bytes; empty if they are not characteristic
+    map: str  # remedy where a map is expected; empty for formats that GDAL reads
+    table: str = TO_CSV  # remedy where a table is expected
 
 
 PACKED = (  # name, endings, first bytes, and remedy
@@ -134,19 +119,7 @@ FORMATS = (
 
 
 def check_ending(path: Path, purpose: Purpose, expected: str, read: tuple[str, ...] = ()) -> None:
-    """Raise DataError if the ending of a file is that of a known format that is not read.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    purpose : {"map", "table"}
-        Contents that are expected.
-    expected : str
-        Description of the expected contents in messages.
-    read : tuple of str
-        Endings of files that are read.
-    """
+    """Raise DataError if a file ends as a known format; files with endings in ``read`` are read."""
     ending = path.suffix.lower()
     for known in FORMATS:
         remedy = getattr(known, purpose)

@@ -1,4 +1,4 @@
-"""Commands and paths in MCAP files of ROS 2 messages, as tables."""
+"""Commands, paths and joints in MCAP files of ROS 2 messages, as tables."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import atan2, nan
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from slipfree.errors import DataError
-from slipfree.files.ros_messages import ros_package
+from slipfree.errors import DataError, missing_package
 from slipfree.processes import bounded_read
 from slipfree.records import Array
 from slipfree.regular_files import read_bytes, regular_file
@@ -25,6 +25,40 @@ MESSAGES = {  # types of the messages from which a table is read, by the names o
     ("v_x", "v_y", "omega_z"): ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
     ("x", "y", "heading"): ("nav_msgs/msg/Path", "nav_msgs/msg/Odometry"),
 }
+
+
+class JointCommands(NamedTuple):
+    """Commands of a joint over time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times since the first message of the topic. [s]
+    positions, velocities : ndarray, shape (n,)
+        Commanded values and rates; NaN where a message does not contain them. [rad or m, rad/s or
+        m/s]
+    """
+
+    t: Array
+    positions: Array
+    velocities: Array
+
+
+class MotionLog(NamedTuple):
+    """Poses as in `read_mcap`, and joints by name, with times since the first pose [s]."""
+
+    pose: Rows
+    joints: dict[str, JointCommands]
+
+
+def ros_package() -> ModuleType:
+    """Return the package ``mcap_ros2``; raise DataError if it is not installed."""
+    try:
+        import mcap_ros2.decoder
+        import mcap_ros2.writer
+    except ImportError as error:
+        raise DataError(missing_package("mcap-ros2-support", "ros")) from error
+    return mcap_ros2
 
 
 def is_mcap(path: Path) -> bool:
@@ -59,51 +93,7 @@ def read_mcap(path: Path, name: str) -> Rows:
             f"{path}: expected a CSV file, found MCAP, from which only paths and commands are "
             "read; write the values as CSV"
         )
-    return _bounded(_table, path, names)
-
-
-def _bounded(read: Callable[..., T], path: Path, *arguments: Any) -> T:
-    """Return the result of a reader in a process with limits, since chunks may be bombs."""
-    with regular_file(path, "messages as MCAP"):
-        return bounded_read(read, path, *arguments)
-
-
-def _table(path: Path, names: tuple[str, str, str]) -> Rows:
-    """Return the table of `read_mcap` with the given columns."""
-    topic, rows = _only_topic(path, MESSAGES[names])
-    with _standard_fields(path, topic):
-        stamped = [*_rows(rows)]
-        table = np.array([((t - stamped[0][0]) / 1e9, *row) for t, *row in stamped], dtype=float)
-    if not table.size:
-        raise DataError(
-            f"{path}: expected poses in the last message of topic {topic!r}, found none; record "
-            "the topic again"
-        )
-    if not np.isfinite(table).all():
-        raise DataError(
-            f"{path}: expected finite numbers in topic {topic!r}, found infinite ones or NaN; "
-            "record the topic again"
-        )
-    if "heading" in names:
-        table[:, -1] = np.unwrap(table[:, -1])
-    return dict(zip(("t", *names), table.T, strict=True))
-
-
-class JointCommands(NamedTuple):
-    """Commands of a joint over time.
-
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times since the first message of the topic. [s]
-    positions, velocities : ndarray, shape (n,)
-        Commanded values and rates; NaN where a message does not contain them. [rad or m, rad/s or
-        m/s]
-    """
-
-    t: Array
-    positions: Array
-    velocities: Array
+    return _bounded(_table, path, names)[1]
 
 
 def read_joint_commands(path: Path) -> dict[str, JointCommands]:
@@ -118,29 +108,6 @@ def read_joint_commands(path: Path) -> dict[str, JointCommands]:
     return _bounded(_joint_commands, path)
 
 
-def _joint_commands(path: Path) -> dict[str, JointCommands]:
-    """Return the result of `read_joint_commands`."""
-    topic, messages = _only_topic(path, (JOINT_STATE,))
-    with _standard_fields(path, topic):
-        first = _time(messages[0][1], messages[0][0])
-    return _commands(path, topic, messages, first)
-
-
-class MotionLog(NamedTuple):
-    """Poses and joints of a robot over time, with times since the first pose.
-
-    Attributes
-    ----------
-    pose : mapping of str to ndarray, shape (n,)
-        ``t, x, y, heading`` of the poses, as in `read_mcap`. [s, m, rad]
-    joints : dict of str and JointCommands
-        Positions and velocities of the joints, by name.
-    """
-
-    pose: Rows
-    joints: dict[str, JointCommands]
-
-
 def read_motion_log(path: Path) -> MotionLog:
     """Return poses and joint states in an MCAP file: one topic of poses, and one of JointState.
 
@@ -152,43 +119,60 @@ def read_motion_log(path: Path) -> MotionLog:
     return _bounded(_motion_log, path)
 
 
+def _bounded(read: Callable[..., T], path: Path, *arguments: Any) -> T:
+    """Return the result of a reader in a process with limits, since chunks may be bombs."""
+    with regular_file(path, "messages as MCAP"):
+        return bounded_read(read, path, *arguments)
+
+
 def _motion_log(path: Path) -> MotionLog:
-    """Return the result of `read_motion_log`."""
-    names = "x", "y", "heading"
-    table = _table(path, names)
-    _, poses = _only_topic(path, MESSAGES[names])
-    first = next(_rows(poses))[0]
+    first, table = _table(path, ("x", "y", "heading"))
+    return MotionLog(table, _joint_commands(path, first))
+
+
+def _table(path: Path, names: tuple[str, str, str]) -> tuple[int, Rows]:
+    """Return the first time [ns] and the table of `read_mcap` with the given columns."""
+    topic, messages = _only_topic(path, MESSAGES[names])
+    with _standard_fields(path, topic):
+        stamped = [*_rows(messages)]
+        table = np.array([((t - stamped[0][0]) / 1e9, *row) for t, *row in stamped], dtype=float)
+    if not table.size:
+        raise DataError(
+            f"{path}: expected poses in the last message of topic {topic!r}, found none; record "
+            "the topic again"
+        )
+    if not np.isfinite(table).all():
+        raise DataError(
+            f"{path}: expected finite numbers in topic {topic!r}, found infinite ones or NaN; "
+            "record the topic again"
+        )
+    if "heading" in names:
+        table[:, -1] = np.unwrap(table[:, -1])
+    return stamped[0][0], dict(zip(("t", *names), table.T, strict=True))
+
+
+def _joint_commands(path: Path, first: int | None = None) -> dict[str, JointCommands]:
+    """Return the joints in messages JointState, with times since ``first``, or the first [ns]."""
     topic, messages = _only_topic(path, (JOINT_STATE,))
-    return MotionLog(table, _commands(path, topic, messages, first))
-
-
-def _commands(
-    path: Path, topic: str, messages: Sequence[tuple[int, Any]], first: int
-) -> dict[str, JointCommands]:
-    """Return the joints in messages JointState, with times since ``first`` [ns].
-
-    Raises
-    ------
-    DataError
-        If their times do not increase.
-    """
     rows: dict[str, list[tuple[float, float, float]]] = {}
     with _standard_fields(path, topic):
         for recorded, message in messages:
-            time = (_time(message, recorded) - first) / 1e9
+            absolute = _time(message, recorded)
+            first = absolute if first is None else first
             for k, name in enumerate(message.name):
                 position, velocity = (
                     float(values[k]) if k < len(values) else nan
                     for values in (message.position, message.velocity)
                 )
-                rows.setdefault(str(name), []).append((time, position, velocity))
-    found = {name: JointCommands(*np.array(table).T) for name, table in rows.items()}
-    if any(np.diff(each.t, prepend=-1.0).min() <= 0 for each in found.values()):
+                row = ((absolute - first) / 1e9, position, velocity)
+                rows.setdefault(str(name), []).append(row)
+    joints = {name: JointCommands(*np.array(table).T) for name, table in rows.items()}
+    if any(np.diff(joint.t, prepend=-1.0).min() <= 0 for joint in joints.values()):
         raise DataError(
             f"{path}: expected increasing times of each joint in topic {topic!r}, found equal or "
             "decreasing ones; sort the messages, and keep one per time"
         )
-    return found
+    return joints
 
 
 def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, Any]]]:
@@ -198,13 +182,13 @@ def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, 
     for topic, time, message in _messages(path, kinds, others):
         topics.setdefault(topic, []).append((time, message))
     if len(topics) != 1:
-        found = ", ".join(sorted(topics)) or "none"
+        listed = ", ".join(sorted(topics)) or "none"
         if others and not topics:
             some = [f"{topic} ({kind})" for topic, kind in sorted(others.items())[:MAX_LISTED]]
-            found += f" among {', '.join(some)}{', ...' * (len(others) > MAX_LISTED)}"
+            listed += f" among {', '.join(some)}{', ...' * (len(others) > MAX_LISTED)}"
         raise DataError(
             f"{path}: expected one topic with messages of type {' or '.join(kinds)}, found "
-            f"{found}; record or extract one such topic"
+            f"{listed}; record or extract one such topic"
         )
     return next(iter(topics.items()))
 
@@ -224,10 +208,7 @@ def _standard_fields(path: Path, topic: str) -> Iterator[None]:
 def _messages(
     path: Path, kinds: Sequence[str], others: dict[str, str]
 ) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, recording time [ns] and content of each message of the given types.
-
-    Types of messages of other types are added to ``others``, by topic.
-    """
+    """Yield topic, time [ns] and content of messages; add other topics and types to ``others``."""
     ros = ros_package()
     from mcap.reader import make_reader
 
@@ -236,15 +217,15 @@ def _messages(
         for schema, channel, record in make_reader(io.BytesIO(content), True).iter_messages():
             if schema is None or schema.name not in kinds:
                 others[channel.topic] = schema.name if schema else channel.message_encoding
-            else:
-                decode = factory.decoder_for(channel.message_encoding, schema)
-                if decode is None:
-                    raise DataError(
-                        f"{path}: expected messages of ROS 2 (CDR), found "
-                        f"{channel.message_encoding!r} with definitions in {schema.encoding!r} in "
-                        f"topic {channel.topic!r}; convert the file"
-                    )
-                yield channel.topic, record.log_time, decode(record.data)
+                continue
+            decode = factory.decoder_for(channel.message_encoding, schema)
+            if decode is None:
+                raise DataError(
+                    f"{path}: expected messages of ROS 2 (CDR), found {channel.message_encoding!r} "
+                    f"with definitions in {schema.encoding!r} in topic {channel.topic!r}; convert "
+                    "the file"
+                )
+            yield channel.topic, record.log_time, decode(record.data)
     except DataError:
         raise
     except Exception as error:  # also errors of its parsers and codecs
@@ -255,10 +236,9 @@ def _messages(
 
 
 def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, float]]:
-    """Yield the rows of a table, with absolute times [ns]."""
     last = messages[-1][1]
     if type(last).__name__ == "Path":
-        messages = [(_time(each, 0), each) for each in last.poses]
+        messages = [(_time(pose, 0), pose) for pose in last.poses]
     for recorded, message in messages:
         time = _time(message, recorded)
         kind = type(message).__name__
@@ -273,7 +253,6 @@ def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, 
 
 
 def _time(message: Any, recorded: int) -> int:
-    """Return the time in the header of a message, or of its recording if it has no header [ns]."""
     if not hasattr(message, "header"):
         return recorded
     stamp = message.header.stamp

@@ -2,22 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slipfree.atomic_files import replace_file
-from slipfree.files.ros_messages import definition, ros_package
-from slipfree.files.urdf.link_motion import joint_motion, platform_poses, to_rep103
-from slipfree.files.urdf.links import LinkPoses, Robot, link_poses
+from slipfree.files.mcap_reader import ros_package
+from slipfree.files.urdf.links import (
+    MAP,
+    LinkPoses,
+    Robot,
+    joint_motion,
+    link_poses,
+    platform_poses,
+    to_rep103,
+)
 from slipfree.models.poses import wheel_poses
+from slipfree.records import Array
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
-MAP, BASE = "map", "base_link"  # frames of REP 105
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+DEFINITIONS = {  # as in ROS 2, without comments
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
+    "geometry_msgs/Transform": (
+        "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation"
+    ),
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
+    ),
+    "geometry_msgs/Vector3Stamped": "std_msgs/Header header\ngeometry_msgs/Vector3 vector",
+    "nav_msgs/Path": "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses",
+    "sensor_msgs/JointState": (
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
+        "float64[] effort"
+    ),
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+}
+BASE = "base_link"  # frame of REP 105
 Message = tuple[str, str, dict[str, Any]]  # topic, type, content
 
 
@@ -51,11 +84,16 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
         If the motion lacks the pose, a coordinate, or the angles or the slip of the wheels.
     """
     ros, times = ros_package(), [round(t * 1e9) for t in run.t.tolist()]
-    tracks = [
-        _transforms(run, vehicle, robot),
-        _joint_states(run, vehicle, robot),
-        *(_slip(run, wheel, robot.tree.root if robot else BASE) for wheel in run.wheels),
-    ]
+    base = robot.tree.root if robot else BASE
+    origins, rotation = platform_poses(run, vehicle)
+    joints = joint_motion(run, vehicle, robot)
+    if robot is None:
+        frames = [LinkPoses(MAP, BASE, origins, rotation), *_wheel_frames(run, vehicle)]
+    else:
+        root = LinkPoses(MAP, base, origins, rotation * robot.root_turn)
+        frames = [root, *link_poses(robot, {name: value for name, (value, _) in joints.items()})]
+    slips = (_slip(run, wheel, base) for wheel in run.wheels)
+    tracks = [_transforms(frames), _joint_states(joints, base, run.t.size), *slips]
 
     def fill(part: Path) -> None:
         with part.open("wb") as stream:
@@ -67,13 +105,26 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
                     schemas[kind] = writer.register_msgdef(name, definition(kind))
                 writer.write_message(topic, schemas[kind], content, log_time=time)
 
-            write(times[0], *_path(run, vehicle, times))
+            write(times[0], *_path(origins, rotation, times))
             for time, *messages in zip(times, *tracks, strict=True):
                 for topic, kind, content in messages:
                     write(time, topic, kind, _stamped(content, time))
             writer.finish()
 
     replace_file(out, fill)
+
+
+def definition(name: str) -> str:
+    """Return the definition of a message, followed by those of the messages that it contains."""
+    others = [f"{'=' * 80}\nMSG: {part}\n{DEFINITIONS[part]}" for part in dict(_contained(name))]
+    return "\n".join([DEFINITIONS[name], *others])
+
+
+def _contained(name: str) -> Iterator[tuple[str, None]]:
+    """Yield the names of the messages that a message contains, at any depth."""
+    for part in re.findall(r"^\w+/\w+", DEFINITIONS[name], re.MULTILINE):
+        yield part, None
+        yield from _contained(part)
 
 
 def _header(time: int, frame: str) -> dict[str, Any]:
@@ -92,30 +143,19 @@ def _vector(values: Sequence[float], names: str = "xyz") -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
-def _path(run: Trajectory, vehicle: Vehicle, times: Sequence[int]) -> Message:
-    """Return the whole path of the platform."""
-    origins, rotation = platform_poses(run, vehicle)
+def _path(origins: Array, rotation: Rotation, times: Sequence[int]) -> Message:
+    rows = zip(times, origins.tolist(), rotation.as_quat().tolist(), strict=True)
     poses = [
         {
             "header": _header(time, MAP),
             "pose": {"position": _vector(place), "orientation": _vector(turn, "xyzw")},
         }
-        for time, place, turn in zip(
-            times, origins.tolist(), rotation.as_quat().tolist(), strict=True
-        )
+        for time, place, turn in rows
     ]
     return "/path", "nav_msgs/Path", {"header": _header(times[0], MAP), "poses": poses}
 
 
-def _transforms(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Iterator[Message]:
-    """Yield the poses of the platform, and of wheels or links, at each sample."""
-    base, turn = platform_poses(run, vehicle)
-    if robot is None:
-        frames = [LinkPoses(MAP, BASE, base, turn), *_wheel_frames(run, vehicle)]
-    else:
-        root = LinkPoses(MAP, robot.tree.root, base, turn * robot.root_turn)
-        values = {name: placed for name, (placed, _) in joint_motion(run, vehicle, robot).items()}
-        frames = [root, *link_poses(robot, values)]
+def _transforms(frames: Sequence[LinkPoses]) -> Iterator[Message]:
     places = np.stack([frame.origins for frame in frames], axis=1).tolist()
     quaternions = np.stack([frame.rotation.as_quat() for frame in frames], axis=1).tolist()
     for row in zip(places, quaternions, strict=True):
@@ -131,21 +171,20 @@ def _transforms(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Itera
 
 
 def _wheel_frames(run: Trajectory, vehicle: Vehicle) -> Iterator[LinkPoses]:
-    """Yield the poses of the wheels in the platform's frame."""
     base, turn = platform_poses(run, vehicle)
     origins, rotations = to_rep103(wheel_poses(vehicle, run))
-    turns = rotations.as_quat().reshape(*origins.shape[:2], 4)
     for k, name in enumerate(run.wheels):
         local = turn.inv().apply(origins[:, k] - base)
-        yield LinkPoses(BASE, name, local, turn.inv() * Rotation.from_quat(turns[:, k]))
+        yield LinkPoses(BASE, name, local, turn.inv() * rotations[k :: len(run.wheels)])
 
 
-def _joint_states(run: Trajectory, vehicle: Vehicle, robot: Robot | None) -> Iterator[Message]:
+def _joint_states(
+    joints: Mapping[str, tuple[Array, Array | None]], frame: str, size: int
+) -> Iterator[Message]:
     """Yield values [rad, m] of moving joints and wheels, and their rates."""
-    joints, frame = joint_motion(run, vehicle, robot), robot.tree.root if robot else BASE
-    positions = np.column_stack([place for place, _ in joints.values()]).tolist()
+    positions = np.column_stack([value for value, _ in joints.values()]).tolist()
     known = [rate for _, rate in joints.values() if rate is not None]
-    rates = np.column_stack(known).tolist() if known else [[]] * run.t.size
+    rates = np.column_stack(known).tolist() if known else [[]] * size
     for position, velocity in zip(positions, rates, strict=True):
         content = {"name": [*joints], "position": position, "velocity": velocity, "effort": []}
         yield "/joint_states", "sensor_msgs/JointState", {"frame_id": frame, **content}

@@ -32,6 +32,7 @@ from slipfree.errors import DataError, ModelError
 from slipfree.files.cf import (
     CRS,
     FEATURE,
+    MAP_CRS,
     TIME_ATTRIBUTES,
     TRAJECTORY,
     TRAJECTORY_ATTRIBUTES,
@@ -40,7 +41,6 @@ from slipfree.files.cf import (
     is_trajectory,
     position_columns,
 )
-from slipfree.files.map_coordinates import MAP_CRS
 from slipfree.files.tables import write_rows
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Label
@@ -279,21 +279,7 @@ def _attributes(run: Trajectory) -> dict[str, Attribute]:
 
 
 class _Variable(NamedTuple):
-    """Header of a variable in a netCDF file.
-
-    Attributes
-    ----------
-    dimensions : tuple of str
-        Names of the dimensions.
-    shape : tuple of int
-        Lengths of the dimensions.
-    dtype : dtype
-        Type of the values in the file.
-    start : int
-        Offset of the values in the file. [bytes]
-    attributes : dict of str to str or float
-        Attributes of the variable.
-    """
+    """Header of a variable in a netCDF file: offset of its values [bytes], attributes."""
 
     dimensions: tuple[str, ...]
     shape: tuple[int, ...]

@@ -8,6 +8,8 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,33 +21,82 @@ from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.mcap_reader import is_mcap, read_mcap
-from slipfree.files.table_layout import (
-    ALIASES,
-    LONG,
-    SHOWN,
-    Layout,
-    cell_number,
-    column_names,
-    has_width,
-    is_number,
-    known_unit,
-    line_body,
-    line_cells,
-    split_unit,
-    table_layout,
-)
 from slipfree.records import Array
 from slipfree.regular_files import read_bytes
 
+SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
+SAMPLE = 200, 200_000  # most lines and characters from which the layout is inferred
+SEPARATORS = (";", "|", "\t", ",", None)  # None: blanks
+COMMENTS = ("#", "%", "//")
+UNITS = {  # SI unit of a column, and factor to it
+    name: (unit, factor)
+    for names, unit, factor in (
+        ("s sec secs second seconds", "s", 1.0),
+        ("ms msec milliseconds", "s", 1e-3),
+        ("us µs μs usec microseconds", "s", 1e-6),
+        ("ns nsec nanosec nanoseconds", "s", 1e-9),
+        ("minutes", "s", 60.0),
+        ("rad radians", "rad", 1.0),
+        ("deg degree degrees °", "rad", math.pi / 180),
+        ("m metre metres meter meters", "m", 1.0),
+        ("km", "m", 1e3),
+        ("cm", "m", 1e-2),
+        ("mm", "m", 1e-3),
+        ("ft feet", "m", 0.3048),
+        ("m/s mps", "m/s", 1.0),
+        ("cm/s", "m/s", 1e-2),
+        ("mm/s", "m/s", 1e-3),
+        ("km/h kmh kph", "m/s", 1 / 3.6),
+        ("rad/s", "rad/s", 1.0),
+        ("deg/s °/s dps", "rad/s", math.pi / 180),
+        ("rpm 1/min min-1", "rad/s", math.pi / 30),
+        ("-", "1", 1.0),
+        ("%", "1", 1e-2),
+        ("N", "N", 1.0),
+        ("kN", "N", 1e3),
+        ("Nm N*m", "N m", 1.0),
+    )
+    for name in names.split()
+} | {"N m": ("N m", 1.0)}
+UNIT_IN_NAME = (  # "x [m]", "time(s)"; "t / s"; "yaw_deg"
+    re.compile(r"^(.*?)[\s_]*[\[(]\s*(.*?)\s*[\])]$"),
+    re.compile(r"^(.*?)\s*/\s*(\S+)$"),
+    re.compile(r"^(.*)_([^\W_]+)$"),
+)
+ALIASES = (  # names of the same quantity
+    {"t", "time", "timestamp", "stamp"},
+    {"x", "easting", "east", "e"},
+    {"y", "northing", "north", "n"},
+    {"z", "height", "elevation", "elev", "ele", "altitude", "alt", "up", "u"},
+    {"heading", "yaw"},
+    {"longitude", "long", "lon", "lng"},
+    {"latitude", "lat"},
+)
 HEAD = 1 << 16  # bytes from which the encoding is inferred
 COUNTS = {2: "two", 3: "three", 4: "four"}
 EPOCH = 1e8  # smallest time that counts from a fixed date, not from the start of a log [s]
 PART_OF_TIME = ("nsec", "nsecs", "nanosec")  # ends of names of columns beside seconds
-LARGE_TIMES = {
-    "nanoseconds": (1e17, "ns"),
-    "microseconds": (1e14, "us"),
-    "milliseconds": (1e11, "ms"),
-}
+LARGE_TIMES = (
+    ("nanoseconds", 1e17, "ns"),
+    ("microseconds", 1e14, "us"),
+    ("milliseconds", 1e11, "ms"),
+)
+
+
+class _Layout(NamedTuple):
+    """Layout of the text of a table."""
+
+    separator: str | None  # of the columns; None for blanks
+    first: int  # number of the first row's line
+    header: str  # line with the names; empty without one
+    names: list[str]  # of the columns as in the file; empty without such a line
+    units: list[str]  # in the line below the names; empty without such a line
+    row: list[str]  # first row; empty if there is none
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns, by default ``"1"``, ``"2"``, ..."""
+        return self.names or [str(k + 1) for k in range(len(self.row))]
 
 
 class Columns(NamedTuple):
@@ -64,7 +115,7 @@ class Columns(NamedTuple):
 
     def rows(self) -> list[tuple[float, ...]]:
         """Return the rows of the table."""
-        return [*zip(*(each.tolist() for each in self.values.values()), strict=True)]
+        return [*zip(*(column.tolist() for column in self.values.values()), strict=True)]
 
 
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -117,8 +168,8 @@ def read_names(path: Path, expected: str) -> list[str]:
     """
     if is_mcap(path):
         return [*read_mcap(path, "v_x")]
-    layout = table_layout(path, _opened(path, expected))
-    bases = [split_unit(name)[0] for name in column_names(layout)]
+    layout = _table_layout(path, _opened(path, expected))
+    bases = [split_unit(name)[0] for name in layout.columns]
     return ["t" if base.lower() in ALIASES[0] else base for base in bases]
 
 
@@ -163,7 +214,7 @@ def read_columns(
         table = read_mcap(path, [*names][-1])
         return Columns({key: table[name] for key, name in names.items()})
     file = _opened(path, expected)
-    layout = table_layout(path, file)
+    layout = _table_layout(path, file)
     width, count = len(layout.row), len(names)
     wanted = f"{COUNTS.get(count, count)} numbers {','.join(names)}"
     notes = []
@@ -175,36 +226,215 @@ def read_columns(
             notes = [f"{', '.join(names)} are the first {count} of {width} columns"]
         elif width != count and layout.row:
             text = (layout.separator or " ").join(layout.row)
-            raise _line_error(
-                path,
-                layout.first,
-                text,
-                wanted,
-                f"name the columns in {where}, or correct the line",
-            )
+            remedy = f"name the columns in {where}, or correct the line"
+            raise _line_error(path, layout.first, text, wanted, remedy)
     else:
         chosen = _choose(path, layout, names, where)
     if width > count:
         wanted = f"{width} values as in the first row, with numbers for {','.join(names)}"
     file.seek(0)
-    found = _read_numbers(path, file, layout, chosen, wanted)
+    numbers = _read_numbers(path, file, layout, chosen, wanted)
     values = {}
-    for column, (name, (index, unit)) in zip(found.T, chosen.items(), strict=True):
-        title = column_names(layout)[index] if layout.names else name
-        values[name], words = _converted(path, title, name, unit, column, where)
-        notes += words
+    for column, (name, (index, unit)) in zip(numbers.T, chosen.items(), strict=True):
+        title = layout.names[index] if layout.names else name
+        values[name], conversions = _converted(path, title, name, unit, column, where)
+        notes += conversions
     return Columns(values, tuple(notes))
 
 
-def _check_first_column(path: Path, file: TextIO, layout: Layout, wanted: str, where: str) -> None:
+def known_unit(text: str) -> tuple[str, float] | None:
+    """Return the SI unit and the factor of a unit, also in brackets; None if it is not known."""
+    text = text.strip("[]() ")
+    return UNITS.get(text, UNITS.get(text.lower()))
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return the name and the unit in the name of a column; the unit is empty if it has none."""
+    for pattern in UNIT_IN_NAME:
+        match = pattern.match(name)
+        if match and match[1] and known_unit(match[2]):
+            return match[1], match[2]
+    return name, ""
+
+
+def _opened(path: Path, expected: str) -> TextIO:
+    """Return the text of a file; raise DataError for formats that are not text."""
+    content = read_bytes(path, f"{expected} as text")
+    check_ending(path, "table", f"{expected} as text")
+    check_contents(path, "table", f"{expected} as text")
+    encoding = "utf-8-sig"
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        encoding = "utf-16"
+    else:
+        try:
+            content[:HEAD].decode()
+        except UnicodeDecodeError as error:
+            if error.start <= len(content[:HEAD]) - 4:  # else only the last character is cut
+                encoding = "cp1252"
+    return io.TextIOWrapper(io.BytesIO(content), encoding=encoding, errors="replace")
+
+
+def _line_body(line: str, separator: str | None) -> str:
+    """Return a line without comment and blanks at its ends; empty tab-separated cells remain."""
+    text = line.split("#", 1)[0].strip(" \r\n" if separator == "\t" else None)
+    return "" if text.startswith(COMMENTS) or (text[:1] == ";" != separator) else text
+
+
+def _line_cells(text: str, separator: str | None) -> list[str]:
+    if '"' in text:
+        cells = next(csv.reader([text], delimiter=separator or " ", skipinitialspace=True))
+        cells = [cell for cell in cells if cell or separator]
+    elif separator is None:  # a unit in brackets belongs to the name before it
+        cells = re.sub(r"\s+([\[(][^\])]*[\])])", r"\1", text).split()
+    else:
+        cells = text.split(separator)
+    return [cell.strip().strip("'").strip() for cell in cells]
+
+
+def _number(cell: str, separator: str | None) -> float:
+    """Return the number in a cell, in which a comma is a decimal point; raise ValueError."""
+    return float(cell if separator == "," else cell.replace(",", ".", 1))
+
+
+def _is_number(cell: str, separator: str | None) -> bool:
+    return _converts(_number, cell, separator)
+
+
+def _converts(convert: Callable[..., float], *arguments: str | None) -> bool:
+    try:
+        convert(*arguments)
+    except ValueError:
+        return False
+    return True
+
+
+def _table_layout(path: Path, file: TextIO) -> _Layout:
+    """Return the layout of a table, with the separator that divides most lines alike."""
+    lines: list[str] = []
+    while len(lines) < SAMPLE[0] and sum(map(len, lines)) < SAMPLE[1] and (line := file.readline()):
+        lines.append(line)
+    candidates: list[tuple[int, str | None, int]] = []
+    for separator in SEPARATORS:
+        texts = [text for line in lines if (text := _line_body(line, separator))]
+        rows = [_line_cells(text, separator) for text in texts]
+        widths = Counter(len(row) for row in rows if len(row) > 1)
+        width, count = max(widths.items(), key=lambda item: item[1], default=(0, 0))
+        cells = [cell for row in rows if len(row) == width for cell in row]
+        is_split = not any(_is_row(cell.split(), None) for cell in cells)
+        if is_split and any(_is_number(cell, separator) for cell in cells):
+            candidates.append((count, separator, width))
+    if not candidates:
+        return _layout_of_names(path, lines)
+    _, separator, width = max(candidates, key=lambda candidate: candidate[0])
+    return _layout_with(path, lines, separator, width)
+
+
+def _is_row(words: Sequence[str], separator: str | None) -> bool:
+    return len(words) > 1 and all(_is_number(word, separator) for word in words)
+
+
+def _layout_of_names(path: Path, lines: Sequence[str]) -> _Layout:
+    """Return the layout of a table without rows; raise DataError for rows that are not numbers."""
+    used = [(k, text) for k, line in enumerate(lines, 1) if (text := _line_body(line, None))]
+    number, text = used[-1] if used else (0, "")
+    if len(used) > 1 and re.search(r"\d", text):
+        raise DataError(
+            f"{path}:{number}: expected two or more numbers, found {text[:SHOWN]!r}; write numbers "
+            "as in 1.5 or 1.5e-3, separated by commas, semicolons, tabs or blanks"
+        )
+    text = used[0][1] if used else ""
+    separator = next((each for each in SEPARATORS[:-1] if each in text), None)
+    return _Layout(separator, 0, text, _line_cells(text, separator) if text else [], [], [])
+
+
+def _layout_with(path: Path, lines: Sequence[str], separator: str | None, width: int) -> _Layout:
+    """Return the layout of a table of known separator and width."""
+    heads: list[tuple[int, str, list[str]]] = []  # lines of words before the first row
+    comments: list[str] = []
+    rows: list[tuple[int, list[str]]] = []
+    for number, line in enumerate(lines, start=1):
+        text = _line_body(line, separator)
+        cells = _line_cells(text, separator)
+        if rows or (len(cells) == width and any(_is_number(cell, separator) for cell in cells)):
+            rows.append((number, cells))
+        elif not text:
+            comments.append(line.strip(" #%/;\r\n"))
+        elif _is_row(cells, separator):
+            raise DataError(
+                f"{path}:{number}: expected {width} values as in the lines below, found {text!r}; "
+                "correct the line"
+            )
+        elif len(cells) > 1 or not _is_number(text, separator):  # a number alone counts the rows
+            heads.append((number, text, cells))
+    if separator == "," and not any(len(cells) == width for _, _, cells in heads):
+        _check_commas(path, rows)
+    _check_decimals(path, rows, separator)
+    table = [cells for _, cells in rows if len(cells) == width]
+    while width > 2 and not any(cells[width - 1] for cells in table):  # separators at line ends
+        width -= 1
+    named = [head for head in heads if _has_width(head[2], width)]
+    units: list[str] = []
+    if len(named) > 1 and any(named[-1][2]) and all(not c or known_unit(c) for c in named[-1][2]):
+        units = named.pop()[2]
+    if heads and not named and len(heads[-1][2]) > 1:
+        number, text, cells = heads[-1]
+        raise DataError(
+            f"{path}:{number}: expected {width} names, one for each column, found {len(cells)}: "
+            f"{text[:SHOWN]!r}; correct the line, or begin it with '#'"
+        )
+    _, header, names = named[-1] if named else (0, "", _commented_names(comments, separator, width))
+    return _Layout(separator, rows[0][0], header, names[:width], units[:width], rows[0][1][:width])
+
+
+def _has_width(cells: Sequence[str], width: int) -> bool:
+    """Return whether cells are as many as columns, besides empty ones at the end."""
+    return len(cells) >= width and not any(cells[width:])
+
+
+def _commented_names(comments: Sequence[str], separator: str | None, width: int) -> list[str]:
+    """Return the names in the last comment that has one for each column; empty without one."""
+    known = set.union(*ALIASES)
+    for text in reversed(comments):
+        names = _line_cells(text, separator)
+        if len(names) == width and any(split_unit(name)[0].lower() in known for name in names):
+            return names
+    return []
+
+
+def _check_commas(path: Path, rows: Iterable[tuple[int, Sequence[str]]]) -> None:
+    """Raise DataError if commas that separate columns are probably also decimal signs."""
+    for number, cells in rows:
+        if cell := next((cell for cell in cells if re.fullmatch(r"0\d+", cell)), ""):
+            raise DataError(
+                f"{path}:{number}: expected numbers with decimal points, found {cell!r} between "
+                "commas, probably decimals of a number with a comma; write decimal points, or "
+                "separate the columns by semicolons, and give names in the first line"
+            )
+
+
+def _check_decimals(
+    path: Path, rows: Iterable[tuple[int, Sequence[str]]], separator: str | None
+) -> None:
+    used: dict[str, str] = {}
+    for number, cells in rows:
+        for cell in cells:
+            if separator != "," and _is_number(cell, separator):
+                used |= {sign: cell for sign in ".," if sign in cell}
+        if len(used) > 1:
+            raise DataError(
+                f"{path}:{number}: expected one decimal sign, found {' and '.join(used.values())}; "
+                "write all numbers with decimal points and without separators of thousands"
+            )
+
+
+def _check_first_column(path: Path, file: TextIO, layout: _Layout, wanted: str, where: str) -> None:
     """Raise DataError if the first column counts or names the rows of a table without names."""
     file.seek(0)
-    cells = [
-        line_cells(text, layout.separator)[0] for _, text in _lines(path, file, layout, wanted)
-    ]
+    lines = _lines(path, file, layout, wanted)
+    cells = [_line_cells(text, layout.separator)[0] for _, text in lines]
     first = cells[0]
     counts = [str(k) for k in range(int(first), int(first) + len(cells))] if first.isdigit() else []
-    if (len(cells) > 1 and cells == counts) or not is_number(first, layout.separator):
+    if (len(cells) > 1 and cells == counts) or not _is_number(first, layout.separator):
         raise DataError(
             f"{path}:{layout.first}: expected {wanted} in the first columns, found that the first "
             f"column counts or names the rows, from {first!r}; name the columns in {where}, as in "
@@ -212,108 +442,77 @@ def _check_first_column(path: Path, file: TextIO, layout: Layout, wanted: str, w
         )
 
 
-def _is_in_order(layout: Layout, names: Collection[str], others: bool) -> bool:
+def _is_in_order(layout: _Layout, names: Collection[str], others: bool) -> bool:
     """Return whether the columns are chosen by their order, not by their names."""
-    known = {base.lower() for base in (split_unit(name)[0] for name in layout.names)}
-    strange = not known & set.union({*names}, *ALIASES)
-    return not layout.names or (others and strange and len(layout.row) == len(names))
-
-
-def _opened(path: Path, expected: str) -> TextIO:
-    """Return the text of a file.
-
-    Raises
-    ------
-    DataError
-        If the file is not a regular file, or has a format that is not text.
-    """
-    content = read_bytes(path, f"{expected} as text")
-    check_ending(path, "table", f"{expected} as text")
-    check_contents(path, "table", f"{expected} as text")
-    encoding = "utf-8-sig" if _is_utf_8(content[:HEAD]) else "cp1252"
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        encoding = "utf-16"
-    return io.TextIOWrapper(io.BytesIO(content), encoding=encoding, errors="replace")
-
-
-def _is_utf_8(head: bytes) -> bool:
-    """Return whether the beginning of a file is UTF-8; its last character may be incomplete."""
-    try:
-        head.decode()
-    except UnicodeDecodeError as error:
-        return error.start > len(head) - 4
-    return True
+    bases = {split_unit(name)[0].lower() for name in layout.names}
+    is_strange = not bases & set.union({*names}, *ALIASES)
+    return not layout.names or (others and is_strange and len(layout.row) == len(names))
 
 
 def _choose(
-    path: Path, layout: Layout, requested: Mapping[str, str], where: str
+    path: Path, layout: _Layout, requested: Mapping[str, str], where: str
 ) -> dict[str, tuple[int, str]]:
-    """Return index and unit of the requested columns."""
-    names = column_names(layout)
+    names = layout.columns
     bases = [split_unit(name) for name in names]
     chosen = {}
     for key, name in requested.items():
         base, unit = (part.lower() for part in split_unit(name))
-        same = next((each for each in ALIASES if base in each), {base})
+        same = next((aliases for aliases in ALIASES if base in aliases), {base})
         ranks = (
-            [k for k, each in enumerate(names) if each == name],
-            [k for k, (each, _) in enumerate(bases) if each.lower() == base],
-            [k for k, (each, _) in enumerate(bases) if each.lower() in same],
+            [k for k, title in enumerate(names) if title == name],
+            [k for k, (title, _) in enumerate(bases) if title.lower() == base],
+            [k for k, (title, _) in enumerate(bases) if title.lower() in same],
         )
-        found = next((rank for rank in ranks if rank), [])
-        if len(found) != 1:
+        indices = next((rank for rank in ranks if rank), [])
+        if len(indices) != 1:
             columns = ", ".join(dict.fromkeys(requested.values()))
-            fault = f"no column {name!r}" if not found else f"{len(found)} columns {name!r}"
+            fault = f"{len(indices)} columns {name!r}" if indices else f"no column {name!r}"
             remedy = f"name the columns in {where}"
-            if key in ALIASES[0] and any(each.lower().endswith(PART_OF_TIME) for each in names):
+            if key in ALIASES[0] and any(title.lower().endswith(PART_OF_TIME) for title in names):
                 remedy = f"add a column {key!r} with seconds + 1e-9 nanoseconds"
             raise DataError(
                 f"{path}: expected the columns {columns}, found {fault} among "
                 f"{', '.join(names)[:LONG]}; {remedy}"
             )
-        k = found[0]
+        k = indices[0]
         chosen[key] = k, unit or bases[k][1] or (layout.units[k] if layout.units else "")
     return chosen
 
 
 def _read_numbers(
-    path: Path, file: TextIO, layout: Layout, chosen: Mapping[str, tuple[int, str]], wanted: str
+    path: Path, file: TextIO, layout: _Layout, chosen: Mapping[str, tuple[int, str]], wanted: str
 ) -> Array:
     """Return the numbers of the chosen columns, shape (n, n_chosen)."""
     if not layout.row:
         return np.empty((0, len(chosen)))
-    indices = [index for index, _ in chosen.values()]
+    separator, indices = layout.separator, [index for index, _ in chosen.values()]
     converters: dict[int | str, Callable[[str], float]] = {
-        index: _timestamp
-        for index in indices
-        if not is_number(layout.row[index], layout.separator) and _is_timestamp(layout.row[index])
+        k: _timestamp
+        for k in indices
+        if not _is_number(layout.row[k], separator) and _converts(_timestamp, layout.row[k])
     }
+    lines = (text for _, text in _lines(path, file, layout, wanted))
     try:
-        found: Array = np.loadtxt(
-            (
-                text if layout.separator == "," else text.replace(",", ".")
-                for _, text in _lines(path, file, layout, wanted)
-            ),
-            delimiter=layout.separator,
+        numbers: Array = np.loadtxt(
+            (text if separator == "," else text.replace(",", ".") for text in lines),
+            delimiter=separator,
             usecols=indices,
             quotechar='"',
             comments=None,
             converters=converters or None,
             ndmin=2,
         )
+        if np.isfinite(numbers).all():
+            return numbers
     except ValueError:
-        found = np.full((1, 1), np.nan)
-    if np.isfinite(found).all():
-        return found
-    file.seek(0)
+        pass
+    file.seek(0)  # read again, to name the line or to accept what numpy does not
     rows = []
     for number, text in _lines(path, file, layout, wanted):
-        cells = line_cells(text, layout.separator)
+        cells = _line_cells(text, separator)
         try:
             values = [
-                converters[k](cells[k])
-                if k in converters
-                else cell_number(cells[k], layout.separator)
+                converters[k](cells[k]) if k in converters else _number(cells[k], separator)
                 for k in indices
             ]
         except ValueError:
@@ -324,24 +523,15 @@ def _read_numbers(
     return np.array(rows)
 
 
-def _lines(path: Path, file: TextIO, layout: Layout, wanted: str) -> Iterator[tuple[int, str]]:
-    """Yield number and text of the rows of a table.
-
-    Raises
-    ------
-    DataError
-        If a row has too few or too many values.
-    """
+def _lines(path: Path, file: TextIO, layout: _Layout, wanted: str) -> Iterator[tuple[int, str]]:
+    """Yield number and text of the rows; raise DataError for too few or too many values."""
     separator, width = layout.separator, len(layout.row)
     for number, line in enumerate(file, start=1):
-        text = line_body(line, separator)
+        text = _line_body(line, separator)
         if not text or number < layout.first or text == layout.header:  # repeated in joined files
             continue
-        if separator is None or '"' in text:
-            count = len(line_cells(text, separator))
-        else:
-            count = text.count(separator) + 1
-        if count != width and not has_width(line_cells(text, separator), width):
+        count = 0 if separator is None or '"' in text else text.count(separator) + 1
+        if count != width and not _has_width(_line_cells(text, separator), width):
             raise _line_error(path, number, text, wanted)
         yield number, text
 
@@ -353,38 +543,21 @@ def _line_error(
 
 
 def _timestamp(text: str) -> float:
-    """Return the seconds since 1970 of a time such as ``2026-03-01T12:00:00.5``, in UTC.
-
-    Times of day, such as ``12:00:00.5``, have the same date.
-    """
-    text = text.strip(" \"'")
+    """Return the seconds since 1970 of a time such as ``2026-03-01T12:00:00.5``, in UTC."""
+    text = text.strip(" \"'")  # times of day have the same date
     time = datetime.fromisoformat(f"2000-01-01T{text}" if text[2:3] == ":" else text)
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
-
-
-def _is_timestamp(text: str) -> bool:
-    try:
-        _timestamp(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _converted(
     path: Path, title: str, name: str, unit: str, values: Array, where: str
 ) -> tuple[Array, list[str]]:
-    """Return a column in SI units, times from a date relative to the first one, and notes.
-
-    Raises
-    ------
-    DataError
-        If times without a unit are too large for seconds.
-    """
+    """Return a column in SI units, times from a date relative to the first one, and notes."""
     symbol, factor = (unit and known_unit(unit)) or ("", 1.0)
     notes = [f"{title} converted from {unit} to {symbol}"] if factor != 1 else []
     if name in ALIASES[0] and values.size:
         largest = float(np.abs(values).max())
-        for word, (smallest, short) in LARGE_TIMES.items():
+        for word, smallest, short in LARGE_TIMES:
             if not unit and largest >= smallest:
                 raise DataError(
                     f"{path}: expected times in s, found values up to {largest:.3g} in the column "

@@ -1,4 +1,4 @@
-"""Drafts of vehicles: parts read from a file, not yet validated as a vehicle."""
+"""Drafts of vehicles read from a file, and the text of vehicle files."""
 
 from __future__ import annotations
 
@@ -7,27 +7,30 @@ import keyword
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
+import tomlkit
 
-from slipfree.errors import DataError
-from slipfree.files.toml.angles import FULL_TURN
+from slipfree.errors import DataError, ModelError
+from slipfree.files.toml.types import FULL_TURN, WithUnit
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import in_axes
 from slipfree.records import Array
+from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.registry import SECTIONS
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
 NO_BODY = Body()
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 # rotation from axes x forward, y left (rep103) to axes x right, y forward
 FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-
 Value = float | bool | str | Mapping[str, Any]  # of a key in a vehicle file
 
 
@@ -131,15 +134,10 @@ class UnfitError(DataError):
 
 
 def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
-    """Yield an error if there are too few wheels or too many suspension coordinates.
+    """Yield expected and found numbers for too few wheels or too many suspension coordinates.
 
     With springs at all suspension coordinates, any number of them is valid, since the springs
     determine the pose of the vehicle.
-
-    Yields
-    ------
-    expected, found : str
-        Descriptions of the expected number, and of the found number with a remedy.
     """
     count, given = len(draft.wheels), [c.name for c in draft.of("suspension")]
     if draft.planar:
@@ -187,19 +185,9 @@ def degrees_words(angle: float) -> str:
 
 
 def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of a tree with parents before children.
+    """Return the names of a tree with parents before children, and those not connected to the root.
 
-    Parameters
-    ----------
-    parents : mapping of str to str
-        Parent of each name.
-    root : str
-        Name of the root.
-
-    Returns
-    -------
-    ordered, loose : tuple of str
-        Names connected to the root, without the root, and names not connected to it.
+    ``parents`` is the parent of each name; the root itself is in none of the results.
     """
     done, left = {root}, list(parents)
     ordered: list[str] = []
@@ -231,7 +219,9 @@ def from_rep103(draft: Draft) -> Draft:
                 joint,
                 axis=turned_right(unit_vector(joint.axis)),
                 at=turned_right(joint.at),
-                turned=_angles_right(joint.turned),
+                turned=angles_of(FORWARD_UP @ rotation_of(joint.turned) @ FORWARD_UP.T)
+                if any(joint.turned[:2])
+                else joint.turned,
                 body=_body(joint.body),
             )
             for joint in draft.joints
@@ -255,13 +245,6 @@ def _body(body: Body) -> Body:
     return Body(body.mass, turned_right(body.at), inertia)
 
 
-def _angles_right(turned: Vector) -> Vector:
-    """Return roll, pitch and yaw [rad], converted from axes x forward to axes x right."""
-    if not any(turned[:2]):
-        return turned
-    return angles_of(FORWARD_UP @ rotation_of(turned) @ FORWARD_UP.T)
-
-
 def angles_of(rotation: Array) -> Vector:
     """Return the angles about fixed x, then y, then z of a rotation matrix, shape (3, 3) [rad]."""
     z = math.atan2(rotation[1, 0], rotation[0, 0])
@@ -273,6 +256,12 @@ def angles_of(rotation: Array) -> Vector:
     return x, y, z
 
 
+def vector_of(array: Array) -> Vector:
+    """Return an array of shape (3,) as a tuple of floats."""
+    x, y, z = array.tolist()
+    return x, y, z
+
+
 def rotation_of(turned: Vector) -> Array:
     """Return the rotation matrix, shape (3, 3), of angles about fixed x, then y, then z [rad]."""
     (sx, sy, sz), (cx, cy, cz) = np.sin(turned), np.cos(turned)
@@ -280,3 +269,76 @@ def rotation_of(turned: Vector) -> Array:
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     return np.asarray(about_z @ about_y @ about_x)
+
+
+def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
+    """Return the text of a vehicle file, from which `read_vehicle` returns the vehicle.
+
+    Notes of the vehicle are left out; ``comments`` are lines at the beginning. ModelError is raised
+    if a wheel has a section without a name in files.
+    """
+    document = tomlkit.document()
+    for line in comments:
+        document.add(tomlkit.comment(line))
+    document.update({"name": vehicle.name, "frame": "paper", **_mass_keys(vehicle.body)})
+    if vehicle.planar:
+        document.add("planar", True)
+    tables = {
+        "coordinates": [{**_given(c, "drive"), **_drive(c.drive)} for c in vehicle.coordinates],
+        "joints": [{**_given(joint, "body"), **_mass_keys(joint.body)} for joint in vehicle.joints],
+        "wheels": [_wheel(wheel) for wheel in vehicle.wheels],
+    }
+    document.update({name: rows for name, rows in tables.items() if rows})
+    return tomlkit.dumps(document)
+
+
+def _mass_keys(body: Body) -> dict[str, Any]:
+    """Return the keys of mass, centre of mass and inertia that differ from their defaults."""
+    values = {"mass": body.mass, "center_of_mass": body.at, "inertia": body.inertia}
+    return {key: value for key, value in values.items() if value not in (0.0, ORIGIN, None)}
+
+
+def _given(record: Any, *left_out: str) -> dict[str, Any]:
+    """Return the fields of a record that differ from their defaults, and finite numbers only."""
+    values = {field: getattr(record, field.name) for field in fields(record)}
+    return {
+        field.name: _with_unit(value)
+        for field, value in values.items()
+        if field.name not in left_out
+        and value != field.default
+        and not (isinstance(value, float) and not isfinite(value))
+    }
+
+
+def _with_unit(value: Any) -> Any:
+    """Return a value with the unit that it had; without it, a large angle would be refused."""
+    if isinstance(value, tuple):
+        return tuple(map(_with_unit, value))
+    if not isinstance(value, WithUnit):
+        return value
+    return f"{float(value)!r} {value.unit.replace(' s-1', '/s')}"
+
+
+def _drive(drive: Drive) -> dict[str, Any]:
+    if drive == RATE:
+        return {}
+    kind = next(name for name, each in DRIVES.items() if isinstance(drive, each))
+    return {"drive": {"kind": kind, **_given(drive)}}
+
+
+def _wheel(wheel: Wheel) -> dict[str, Any]:
+    section = wheel.section
+    rollers = {"rollers": True} if isinstance(section, Omni) else {}
+    section = section.rim if isinstance(section, Omni) else section
+    tube, outer = section.torus_radii or (0.0, 0.0)
+    if outer and (tube + outer) - tube == outer:  # exact in the reader
+        shape: dict[str, Any] = {"radius": tube + outer, "tube": tube}
+    else:
+        kind = next((name for name, each in SECTIONS.items() if type(section) is each), None)
+        if kind is None:
+            raise ModelError(
+                f"wheel {wheel.name!r}: expected a section with a name in vehicle files, "
+                f"{', '.join(SECTIONS)}, found {section}"
+            )
+        shape = {"section": kind, **{f.name: getattr(section, f.name) for f in fields(section)}}
+    return {**_given(wheel, "section", "drive"), **shape, **rollers, **_drive(wheel.drive)}

@@ -18,32 +18,38 @@ from pydantic import (
     Field,
     PlainValidator,
     ValidationError,
-    ValidatorFunctionWrapHandler,
     WrapValidator,
     create_model,
 )
-from pydantic_core import PydanticCustomError
 
 from slipfree.errors import ModelError
-from slipfree.files.toml.angles import (
-    WITH_UNIT,
-    Angle,
-    Quantity,
-    bare_words,
-    in_radians,
-    unit_faults,
-)
-from slipfree.files.toml.errors import (
+from slipfree.files.toml.source import (
+    PIECE,
     Fault,
+    Place,
     ProblemError,
+    Source,
+    key_lines,
     listed,
     name_errors,
+    parse_toml,
+    read_text,
+    spelled,
     validation_fault,
     value_errors,
 )
-from slipfree.files.toml.reader import parse_toml, read_text
-from slipfree.files.toml.source_lines import PIECE, Place, Source, key_lines, spelled
-from slipfree.files.toml.types import NonNegative, Positive, Record
+from slipfree.files.toml.types import (
+    WITH_UNIT,
+    Angle,
+    NonNegative,
+    Positive,
+    Quantity,
+    Record,
+    bare_words,
+    expected_error,
+    in_radians,
+    unit_faults,
+)
 from slipfree.files.toml.types import Place as Place3
 from slipfree.files.vehicle_draft import (
     MAX_LENGTH,
@@ -85,85 +91,64 @@ class VehicleError(ProblemError):
         self.draft = draft
 
 
-def meters(value: float) -> float:
-    """Return a length unchanged; raise an error if its absolute value exceeds 100 m."""
+def _meters(value: float) -> float:
     if abs(value) > MAX_LENGTH:
-        raise _expected(length_words(value))
+        raise expected_error(length_words(value))
     return value
 
 
-def _place(value: Vector) -> Vector:
-    """Return a position unchanged; raise an error for components beyond -100 m or 100 m."""
-    for each in value:
-        meters(each)
-    return value
-
-
-def _radians(value: Vector) -> Vector:
-    """Return three angles unchanged; raise an error if one has no unit and exceeds a full turn."""
-    for each in value:
-        in_radians(each)
-    return value
-
-
-def _expected(words: str) -> PydanticCustomError:
-    """Return a validation error of pydantic with a description of the expected value."""
-    return PydanticCustomError("expected", "{words}", {"words": words})
+def _all(check: Callable[[float], float]) -> AfterValidator:
+    """Return a validator that checks the components of a vector."""
+    return AfterValidator(lambda vector: tuple(map(check, vector)))
 
 
 def _axis(value: Any) -> str | Vector:
-    """Return a valid axis: "x", "y", "z" or a nonzero vector; raise an error for others."""
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
-    numbers = value if isinstance(value, list) else []
-    good = [
-        isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < MAX_LENGTH
-        for n in numbers
-    ]
-    if len(good) == 3 and all(good) and math.hypot(*numbers) > 0:
-        return float(numbers[0]), float(numbers[1]), float(numbers[2])
-    raise _expected(
+    numbers = value if isinstance(value, list) and len(value) == 3 else [True]
+    if not any(isinstance(n, bool) or not isinstance(n, int | float) for n in numbers):
+        x, y, z = numbers
+        if max(map(abs, numbers)) < MAX_LENGTH and math.hypot(*numbers) > 0:
+            return float(x), float(y), float(z)
+    raise expected_error(
         "'x', 'y', 'z' or a vector [x, y, z] other than zero, with absolute values below "
         f"{MAX_LENGTH:g}"
     )
 
 
 def _known_section(_: Any) -> None:
-    """Raise a validation error with the names of the known sections."""
-    raise _expected(f"one of {', '.join(map(repr, SECTIONS))}")
+    raise expected_error(f"one of {', '.join(map(repr, SECTIONS))}")
 
 
 def _drive(value: Any) -> Drive:
-    """Return the drive that a table describes; raise an error for an invalid table."""
     given = dict(value) if isinstance(value, dict) else {}
     kind = given.pop("kind", None)
     if kind not in DRIVES:
-        raise _expected(f"a table whose 'kind' is one of {', '.join(map(repr, DRIVES))}")
-    keys = [each.name for each in fields(DRIVES[kind])]
-    needed = [each.name for each in fields(DRIVES[kind]) if each.default is MISSING]
+        raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, DRIVES))}")
+    keys = {field.name: field.default for field in fields(DRIVES[kind])}
     for name in given:
         if name not in keys:
             known = ", ".join(map(repr, ("kind", *keys)))
-            raise _expected(f"only the keys {known} for kind = {kind!r}, not {name!r}")
-    for name in needed:
-        if name not in given:
-            raise _expected(f"the key {name!r} for kind = {kind!r}")
-    for name, n in given.items():
-        if not isinstance(n, int | float) or isinstance(n, bool):
-            raise _expected(f"a number as {name!r} for kind = {kind!r}")
+            raise expected_error(f"only the keys {known} for kind = {kind!r}, not {name!r}")
+    for name, default in keys.items():
+        if default is MISSING and name not in given:
+            raise expected_error(f"the key {name!r} for kind = {kind!r}")
+    for name, number in given.items():
+        if not isinstance(number, int | float) or isinstance(number, bool):
+            raise expected_error(f"a number as {name!r} for kind = {kind!r}")
     try:
         return DRIVES[kind](**given)
     except ModelError as error:
-        raise _expected(f"a valid drive ({error})") from error
+        raise expected_error(f"a valid drive ({error})") from error
 
 
 Axis = Annotated[Any, PlainValidator(_axis)]
-At = Annotated[Place3, AfterValidator(_place)]
-Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), AfterValidator(_radians)]
+At = Annotated[Place3, _all(_meters)]
+Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), _all(in_radians)]
 Name = Annotated[str, Field(min_length=1)]
 Inertia = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
 WheelInertia = Annotated[tuple[Positive, Positive], Field(strict=False)]
-Length = Annotated[Positive, AfterValidator(meters)]
+Length = Annotated[Positive, AfterValidator(_meters)]
 DriveTable = Annotated[Any, PlainValidator(_drive)]
 
 
@@ -239,7 +224,6 @@ def wheel_table(data: Any) -> type[AnyWheelTable]:
 
 @cache
 def _section_table(section: type[Section]) -> type[AnyWheelTable]:
-    """Return the schema for wheels with a section; the fields of the section are keys."""
     hints = get_type_hints(section)
     keys: dict[str, Any] = {
         each.name: (
@@ -251,9 +235,7 @@ def _section_table(section: type[Section]) -> type[AnyWheelTable]:
     return create_model(f"{section.__name__}Table", __base__=AnyWheelTable, **keys)
 
 
-def _read_wheel(data: Any, _: ValidatorFunctionWrapHandler) -> AnyWheelTable:
-    """Return the table of a wheel, validated by the schema of its section."""
-    return wheel_table(data).model_validate(data)
+WHEEL_READER = WrapValidator(lambda data, _: wheel_table(data).model_validate(data))
 
 
 class VehicleTable(Record):
@@ -268,9 +250,7 @@ class VehicleTable(Record):
     planar: bool = False
     coordinates: Annotated[tuple[CoordinateTable, ...], Field(strict=False)] = ()
     joints: Annotated[tuple[JointTable, ...], Field(strict=False)] = ()
-    wheels: Annotated[
-        tuple[Annotated[AnyWheelTable, WrapValidator(_read_wheel)], ...], Field(strict=False)
-    ]
+    wheels: Annotated[tuple[Annotated[AnyWheelTable, WHEEL_READER], ...], Field(strict=False)]
 
 
 # function from the data of an element to its schema, by name of the array of tables
@@ -288,23 +268,19 @@ class File(NamedTuple):
     source: Source
     data: dict[str, Any]
 
-    def line(self, fault: Fault) -> str:
-        """Return the message of an error, with file, line, key and name of the element."""
-        where = f"{self.source.where(fault.place)}{self._who(fault.place)}"
-        return f"{where}: {fault.hint}expected {fault.expected}, found {fault.found}"
-
-    def _who(self, place: Place) -> str:
-        """Return the name of the element with a key, as in `` (joint 'boom')``; empty if none."""
-        if len(place) < 2 or not isinstance(place[1], int):
-            return ""
-        element = self.data[str(place[0])][place[1]]
-        name = element.get("name") if isinstance(element, dict) else None
-        return f" ({str(place[0])[:-1]} {name!r})" if name else ""
-
     def error(self, faults: list[Fault], draft: Draft | None = None) -> VehicleError:
         """Return an exception with the messages of all errors, in the order of their lines."""
+
+        def who(place: Place) -> str:  # name of the element, as in " (joint 'boom')"
+            if len(place) < 2 or not isinstance(place[1], int):
+                return ""
+            element = self.data[str(place[0])][place[1]]
+            name = element.get("name") if isinstance(element, dict) else None
+            return f" ({str(place[0])[:-1]} {name!r})" if name else ""
+
         ordered = sorted(faults, key=lambda fault: self.source.order(fault.place))
-        return VehicleError(*map(self.line, ordered), draft=draft)
+        lines = (f"{self.source.where(f.place)}{who(f.place)}: {f.message}" for f in ordered)
+        return VehicleError(*lines, draft=draft)
 
 
 def open_file(path: Path) -> File:
@@ -339,29 +315,18 @@ def _element_lines(text: str, start: int) -> Iterator[int]:
 def validated(model: type[Record], parts: Tables, file: File) -> Any:
     """Return the contents of a file as a record of type ``model``.
 
-    Parameters
-    ----------
-    model : type
-        Schema of the file.
-    parts : mapping of str to callable
-        Function from the data of an element to its schema, by name of the array of tables.
-    file : File
-        The file.
-
-    Raises
-    ------
-    VehicleError
-        If values are invalid; the message has a line for each.
+    ``parts`` are the functions from the data of an element to its schema, by name of the array of
+    tables. VehicleError is raised if values are invalid; its message has a line for each.
     """
     try:
-        found = model.model_validate(file.data)
+        table = model.model_validate(file.data)
     except ValidationError as error:
         errors = error.errors(include_url=False)
         faults = [_worded(model, parts, file.data, dict(each)) for each in errors]
         raise file.error(faults) from error
     if faults := [*value_errors(file.data)]:
         raise file.error(faults)
-    return found
+    return table
 
 
 def _worded(
@@ -402,7 +367,8 @@ def read_toml(file: File) -> Draft:
     draft = parts if table.frame == "paper" else from_rep103(parts)
     faults += wrong
     if len(draft.wheels) == len(table.wheels):
-        faults += [Fault((_counted(table),), *words) for words in misfits(draft)]
+        part = "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
+        faults += [Fault((part,), *words) for words in misfits(draft)]
     if faults:
         raise file.error(faults, draft)
     return draft
@@ -450,45 +416,38 @@ def _coupled(draft: Draft, couple: Mapping[str, float]) -> Draft:
     return replace(draft, joints=joints, coordinates=free)
 
 
-def _counted(table: VehicleTable) -> str:
-    """Return the name of the table to correct if there are too few wheels for the coordinates."""
-    return "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
-
-
 def _name_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield an error for each name that is not unique, is reserved, or has invalid characters."""
+    """Yield an error for row name that is not unique, is reserved, or has invalid characters."""
     seen: dict[str, str] = {}
     for part in ("coordinates", "wheels", "joints"):
         if part == "joints":
             seen = {"platform": "the platform"}
-        for index, each in enumerate(getattr(table, part)):
+        for index, row in enumerate(getattr(table, part)):
             place = (part, index, "name")
-            if each.name in seen:
-                remedy = "it" if seen[each.name] == "the platform" else "one of them"
-                found = f"{each.name!r}, also the name of {seen[each.name]}; rename {remedy}"
+            if row.name in seen:
+                remedy = "it" if seen[row.name] == "the platform" else "one of them"
+                found = f"{row.name!r}, also the name of {seen[row.name]}; rename {remedy}"
                 yield Fault(place, "a unique name", found)
-            seen.setdefault(each.name, spelled((part, index)))
-            if part == "wheels" and not re.fullmatch(r"[\w-]+", each.name):
-                yield Fault(
-                    place, "a name of letters, digits, _ and -", f"{each.name!r}; rename it"
-                )
-            if part == "coordinates" and not is_symbol(each.name):
+            seen.setdefault(row.name, spelled((part, index)))
+            if part == "wheels" and not re.fullmatch(r"[\w-]+", row.name):
+                yield Fault(place, "a name of letters, digits, _ and -", f"{row.name!r}; rename it")
+            if part == "coordinates" and not is_symbol(row.name):
                 expected = "a name of letters, digits and _ that does not begin with a digit"
-                if each.name.isidentifier():
+                if row.name.isidentifier():
                     expected = "a name other than those of functions, constants, states of the "
                     expected += "platform and Python keywords"
-                yield Fault(place, expected, f"{each.name!r}; rename it")
+                yield Fault(place, expected, f"{row.name!r}; rename it")
 
 
 def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield an error for each unknown parent and for each loop of parents."""
+    """Yield an error for row unknown parent and for row loop of parents."""
     parents = {joint.name: joint.parent for joint in table.joints}
     known = ["platform", *parents]
     for part in ("joints", "wheels"):
-        for index, each in enumerate(getattr(table, part)):
-            if each.parent not in known:
+        for index, row in enumerate(getattr(table, part)):
+            if row.parent not in known:
                 yield Fault(
-                    (part, index, "parent"), f"{PARENT}: {listed(known)}", _near(each.parent, known)
+                    (part, index, "parent"), f"{PARENT}: {listed(known)}", _near(row.parent, known)
                 )
     reported: set[str] = set()
     for index, joint in enumerate(table.joints):
@@ -500,7 +459,6 @@ def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
 
 
 def _near(name: str, known: list[str]) -> str:
-    """Return a name in quotes, with the most similar known name as a hint."""
     nearest = get_close_matches(name, known, n=1)
     return f"{name!r}" + (f"; did you mean {nearest[0]!r}?" if nearest else "")
 
@@ -562,7 +520,6 @@ def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
 
 
 def _names_in(formula: str) -> frozenset[str]:
-    """Return the names of coordinates in a formula; an empty set if the formula is invalid."""
     try:
         return names_in(formula)
     except ModelError:
@@ -585,10 +542,17 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
                 faults.append(Fault((part, index), f"a valid {part[:-1]}", str(error)))
         return tuple(made)
 
-    coordinates = build("coordinates", _coordinate)
-    bodies = [_body(each, faults, ("joints", k)) for k, each in enumerate(table.joints)]
-    made = iter(bodies)
-    joints = {joint.name: joint for joint in build("joints", lambda each: _joint(each, next(made)))}
+    def coordinate(table: CoordinateTable) -> Coordinate:
+        given = {key: value for key, value in table if value is not None}
+        return Coordinate(**{"words": table.name.replace("_", " "), **given})
+
+    def joint(table: JointTable) -> Joint:
+        keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia"})
+        return Joint(**keys, body=next(bodies))
+
+    coordinates = build("coordinates", coordinate)
+    bodies = iter([_body(part, faults, ("joints", k)) for k, part in enumerate(table.joints)])
+    joints = {joint.name: joint for joint in build("joints", joint)}
     parents = {name: joint.parent for name, joint in joints.items()}
     hung, loose = in_order(parents, "platform")
     wheels = build("wheels", lambda each: _wheel(each, SIDEWAYS[table.frame]))
@@ -607,27 +571,14 @@ def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -
         return Body(table.mass, table.center_of_mass)
 
 
-def _coordinate(table: CoordinateTable) -> Coordinate:
-    """Return the coordinate that a table describes."""
-    given = {key: value for key, value in table if value is not None}
-    return Coordinate(**{"words": table.name.replace("_", " "), **given})
-
-
-def _joint(table: JointTable, body: Body) -> Joint:
-    """Return the joint that a table describes, with its body."""
-    return Joint(**table.model_dump(exclude={"mass", "center_of_mass", "inertia"}), body=body)
-
-
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
     """Return the wheel that a table describes; its axle is ``sideways`` by default."""
-    names = {"name", "parent", "at", "driven", "grip", "mass", "static_depth", "inertia"}
+    given = table.model_dump(include={field.name for field in fields(Wheel)})
     axle = sideways if table.axle is None else table.axle
-    given = table.model_dump(include=names)
-    return Wheel(**given, section=_section_of(table), axle=axle, drive=table.drive)
+    return Wheel(**given | {"section": _section_of(table), "axle": axle, "drive": table.drive})
 
 
 def _section_of(table: AnyWheelTable) -> Section:
-    """Return the section of the wheel in a table; raise ModelError for invalid dimensions."""
     if isinstance(table, WheelTable):
         tube, rollers = table.tube, table.rollers
         return section_of_radii(tube, table.radius - tube, rollers=rollers)

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.files.toml.errors import Fault, ProblemError, name_errors, problem_error
-from slipfree.files.toml.source_lines import Place as KeyPath
+from slipfree.files.toml.source import Fault, ProblemError, name_errors, problem_error
+from slipfree.files.toml.source import Place as KeyPath
 from slipfree.problem import schema
 from slipfree.problem.build_ground import Ground, at, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle

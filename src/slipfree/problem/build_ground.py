@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
-from slipfree.files.map_coordinates import DEGREES, MapCoordinate
+from slipfree.files.cf import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import Frame, Map, jacksboro, read_map, takes_key
-from slipfree.files.toml.errors import ProblemError
-from slipfree.files.toml.source_lines import Place
+from slipfree.files.toml.source import Place, ProblemError
 from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S
 from slipfree.problem.sharing import shared

@@ -7,7 +7,7 @@ from inspect import signature
 from typing import Any, Protocol, TypeVar
 
 from slipfree.dae import Dae
-from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.files.toml.source import Fault, problem_error
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics

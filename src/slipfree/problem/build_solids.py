@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.files.toml.source import Fault, problem_error
 from slipfree.problem.build_common import heading_offset
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S

@@ -14,18 +14,22 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import BeforeValidator, Field
 
 from slipfree.errors import DataError, ModelError
-from slipfree.files.toml.errors import Fault, name_errors
-from slipfree.files.toml.source_lines import Place
+from slipfree.files.toml.source import Fault, Place, name_errors
 from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.urdf.elements import read_tree
-from slipfree.files.urdf.expansion import MAX_BYTES, expanded, is_trusted, trusted_paths
-from slipfree.files.urdf.forward import forward_guess
-from slipfree.files.urdf.leftovers import check_macro_calls
 from slipfree.files.urdf.links import Robot
-from slipfree.files.urdf.other_formats import check_ending, is_description, parse_robot
 from slipfree.files.urdf.reader import read_urdf
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, LinkRole, Roles, WheelRole, completed
 from slipfree.files.urdf.tree import Tree
+from slipfree.files.urdf.wheel_guesses import forward_guess
+from slipfree.files.urdf.xacro import (
+    MAX_BYTES,
+    check_macro_calls,
+    expanded,
+    is_trusted,
+    trusted_paths,
+)
+from slipfree.files.urdf.xml import check_ending, is_description, parse_robot
 from slipfree.files.vehicle_draft import Draft, Guess, UnfitError
 from slipfree.files.vehicle_toml import (
     PARTS,

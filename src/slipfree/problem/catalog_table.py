@@ -12,8 +12,8 @@ from pydantic import AfterValidator, BaseModel, Field, ValidationError, create_m
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from slipfree import catalog
-from slipfree.files.toml.angles import IN_RADIANS, in_radians
-from slipfree.files.toml.errors import similar_hint
+from slipfree.files.toml.source import similar_hint
+from slipfree.files.toml.types import IN_RADIANS, in_radians
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.tree import Vehicle
 

@@ -8,11 +8,11 @@ from math import degrees, isfinite
 from typing import Any
 
 from slipfree.errors import ModelError
-from slipfree.files.map_coordinates import DEGREES, MapCoordinate
+from slipfree.files.cf import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import Map
 from slipfree.files.maps.reference_systems import from_degrees
-from slipfree.files.toml.angles import AngleWithUnit
-from slipfree.files.toml.source_lines import Place as KeyPath
+from slipfree.files.toml.source import Place as KeyPath
+from slipfree.files.toml.types import AngleWithUnit
 from slipfree.problem.build_ground import at, read_source
 from slipfree.problem.problem import A, Problem
 from slipfree.problem.schema import Task

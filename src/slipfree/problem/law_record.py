@@ -9,8 +9,7 @@ from typing import Annotated, Any, get_type_hints
 from annotated_types import DocInfo, Unit
 from pydantic import Field, create_model
 
-from slipfree.files.toml.angles import IN_RADIANS, IN_RADIANS_PER_SECOND
-from slipfree.files.toml.types import Record
+from slipfree.files.toml.types import IN_RADIANS, IN_RADIANS_PER_SECOND, Record
 
 ANGULAR = {"rad": IN_RADIANS, "rad/s": IN_RADIANS_PER_SECOND}
 

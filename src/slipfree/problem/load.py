@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from slipfree.files.toml.errors import (
+from slipfree.files.toml.source import (
     Fault,
+    Source,
     format_value,
     problem_error,
+    read_text,
 )
-from slipfree.files.toml.reader import read_text
-from slipfree.files.toml.source_lines import Source
-from slipfree.files.urdf.expansion import trusted_paths
+from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.geographic_places import convert_places
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys, Runnable

@@ -15,7 +15,7 @@ import numpy as np
 
 from slipfree.core.facts import Fact
 from slipfree.errors import DataError, ModelError
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.outcome import Outcome
 from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
 from slipfree.plan.problem import costs_of

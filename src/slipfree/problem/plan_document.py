@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
-from slipfree.files.toml.reader import decode_text, read_raw
+from slipfree.files.toml.source import decode_text, read_raw
 from slipfree.problem.load import load_again
 from slipfree.problem.plan_edit import (
     DIGITS,

@@ -18,8 +18,8 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from slipfree.errors import DataError
-from slipfree.files.map_coordinates import DEGREES
-from slipfree.files.toml.angles import parse_unit
+from slipfree.files.cf import DEGREES
+from slipfree.files.toml.types import parse_unit
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.region_table import region_of

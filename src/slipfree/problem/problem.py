@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from slipfree.files.toml.source_lines import Source
+from slipfree.files.toml.source import Source
 from slipfree.problem.schema import CommonKeys, Task
 
 S = TypeVar("S", bound=Task)

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from slipfree.files.map_coordinates import MAP_TRANSFORM
+from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.input_files import digest
 from slipfree.problem.result import Result, motion_facts, open_result
 from slipfree.problem.stored_inputs import STORED

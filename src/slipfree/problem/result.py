@@ -15,7 +15,7 @@ from slipfree.core.facts import Fact
 from slipfree.errors import DataError, SlipfreeError
 from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.input_files import DRAWN, digest, files_read, input_names
 from slipfree.problem.load import load_problem
 from slipfree.problem.problem import Problem

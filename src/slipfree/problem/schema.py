@@ -11,10 +11,9 @@ from typing import Annotated, Any, ClassVar, Literal, cast
 
 from pydantic import AfterValidator, Field, ModelWrapValidatorHandler, model_validator
 
-from slipfree.files.toml.angles import Quantity
-from slipfree.files.toml.errors import Fault
-from slipfree.files.toml.source_lines import Place as KeyPath
-from slipfree.files.toml.types import Pair, not_zero
+from slipfree.files.toml.source import Fault
+from slipfree.files.toml.source import Place as KeyPath
+from slipfree.files.toml.types import Pair, Quantity, not_zero
 from slipfree.files.toml.types import Piecewise as Piecewise
 from slipfree.files.toml.types import Place as Place
 from slipfree.files.toml.types import Positive as Positive

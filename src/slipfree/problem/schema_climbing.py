@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from slipfree.control import sensor_noise, step_climbing
-from slipfree.files.toml.errors import Fault
+from slipfree.files.toml.source import Fault
 from slipfree.files.toml.types import Record
 from slipfree.problem.law_record import law_record
 from slipfree.problem.schema import Driver

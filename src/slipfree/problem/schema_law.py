@@ -14,7 +14,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from slipfree.files.toml.errors import record_at
+from slipfree.files.toml.source import record_at
 from slipfree.files.toml.types import Record
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.laws.soil import Soil

@@ -7,8 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from slipfree.files.toml.angles import IN_RADIANS, Angle
-from slipfree.files.toml.types import Pair, Positive, Record
+from slipfree.files.toml.types import IN_RADIANS, Angle, Pair, Positive, Record
 
 
 class Incline(Record):

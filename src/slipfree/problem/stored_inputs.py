@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from slipfree.errors import DataError, ModelError
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import find_mesh
+from slipfree.files.vehicle_draft import vehicle_text
 from slipfree.files.vehicle_toml import file_of, read_toml
-from slipfree.files.vehicle_writer import vehicle_text
 from slipfree.problem.build_vehicle import VehicleFile, vehicle_file
 from slipfree.problem.input_files import DRAWN, digest, input_names
 from slipfree.problem.problem import Problem

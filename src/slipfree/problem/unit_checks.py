@@ -8,8 +8,8 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import DataError
-from slipfree.files.toml.angles import FULL_TURN, unit_faults
-from slipfree.files.toml.errors import Fault
+from slipfree.files.toml.source import Fault
+from slipfree.files.toml.types import FULL_TURN, unit_faults
 from slipfree.problem import schema
 from slipfree.records import Array, leaves
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from slipfree.files.toml.source_lines import key_path
+from slipfree.files.toml.source import key_path
 from slipfree.problem.schema import CommonKeys
 
 UNIT = re.compile(r"\[([^\],]+)\]$")  # a single unit at the end of a description

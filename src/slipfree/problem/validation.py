@@ -9,10 +9,16 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from slipfree.files.toml.errors import Fault, problem_error, validation_fault, value_errors
-from slipfree.files.toml.reader import parse_toml
-from slipfree.files.toml.settings import replace_values
-from slipfree.files.toml.source_lines import Source, key_lines
+from slipfree.files.toml.source import (
+    Fault,
+    Source,
+    key_lines,
+    parse_toml,
+    problem_error,
+    replace_values,
+    validation_fault,
+    value_errors,
+)
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
 

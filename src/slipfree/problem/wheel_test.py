@@ -12,12 +12,18 @@ from pydantic import Field, ValidationError, create_model
 
 from slipfree.errors import DataError
 from slipfree.files.tables import read_columns, read_names
-from slipfree.files.toml.angles import Angle
-from slipfree.files.toml.errors import Fault, problem_error, validation_fault, value_errors
-from slipfree.files.toml.reader import parse_toml, read_text
-from slipfree.files.toml.settings import replace_values
-from slipfree.files.toml.source_lines import Source, key_lines
-from slipfree.files.toml.types import Positive, Record
+from slipfree.files.toml.source import (
+    Fault,
+    Source,
+    key_lines,
+    parse_toml,
+    problem_error,
+    read_text,
+    replace_values,
+    validation_fault,
+    value_errors,
+)
+from slipfree.files.toml.types import Angle, Positive, Record
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
 from slipfree.problem.law_record import given_values

@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.errors import ModelError
-from slipfree.files.urdf.link_motion import poses_on_map
-from slipfree.files.urdf.links import Robot, wheel_name
+from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.files.urdf.tree import UrdfJoint
 from slipfree.geometry.mesh import Mesh
 from slipfree.geometry.regions import Region

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.files.toml.source_lines import key_path, load_toml, shortened
-from slipfree.files.urdf.expansion import trusted_paths
+from slipfree.files.toml.source import key_path, load_toml, shortened
+from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.input_files import digest, input_files, input_names
 from slipfree.problem.load import load_variants
 from slipfree.problem.problem import Problem

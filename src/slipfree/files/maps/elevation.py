@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import lzma
-import struct
-import tokenize
 import warnings
 import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -17,10 +13,9 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps.missing_values import check_values
-from slipfree.files.maps.point_cloud import read_point_cloud
-from slipfree.files.maps.points import read_points
+from slipfree.files.maps.points import read_point_cloud, read_points
 from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
-from slipfree.files.maps.reference_systems import metric_system
+from slipfree.files.maps.reference_systems import metric_system, refuse
 from slipfree.records import Array, field_overview
 from slipfree.regular_files import regular_file
 from slipfree.terrain.base import Grid
@@ -39,24 +34,8 @@ HEADER = 1e4  # largest header of a numpy array [bytes]
 MAX_STRETCH = 0.01  # largest relative error of distances along x of a map in degrees
 # semi-major axis [m] and squared eccentricity [1] of the WGS84 ellipsoid
 SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
+TO_NPZ = "write it with np.savez(path, x=x, y=y, z=z)"
 MAX_MEDIAN_SLOPE = 50.0  # a steeper map is taken to be in degrees [1]
-UNREADABLE = (  # exceptions of numpy for a damaged archive
-    ValueError,
-    EOFError,
-    OSError,
-    RuntimeError,
-    NotImplementedError,
-    MemoryError,
-    SyntaxError,
-    KeyError,
-    TypeError,
-    OverflowError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-)
 Facts = tuple[tuple[str, str], ...]
 
 
@@ -105,17 +84,6 @@ class Map(NamedTuple):
 
     def __repr__(self) -> str:
         return field_overview(self)
-
-
-def read_grid(path: str | Path) -> Grid:
-    """Return the height grid in a map file, read by `read_map` with default arguments.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, or does not contain a complete uniform grid.
-    """
-    return read_map(path).grid
 
 
 def read_map(
@@ -169,7 +137,12 @@ def read_map(
     ending = path.suffix.lower()
     reading = Reading(window, cell, registration, spacing, vertical_scale)
     try:
-        _check_keys(ending, reading)
+        for key in KEYS:
+            value = getattr(reading, key)
+            if value is not None and not takes_key(ending, key):
+                kind = f"a {ending} file" if ending else "a file without an ending"
+                remedy = f"remove it ({key!r} is for {', '.join(_endings(key))})"
+                refuse(f"no {key!r} for {kind}", f"{value!r}", remedy)
         check_ending(path, "map", _expected_endings(), _endings())
         with regular_file(path, "a map"):
             found = _reader(ending).read(path, reading)
@@ -187,58 +160,43 @@ def takes_key(ending: str, key: str) -> bool:
 
 
 def _reader(ending: str) -> MapReader:
-    """Return the reader of files with an ending, by default that of rasters."""
     return next((each for each in READERS if ending in each.endings), RASTERS)
 
 
-def _endings() -> tuple[str, ...]:
-    return tuple(each for reader in READERS for each in reader.endings)
+def _endings(key: str = "") -> tuple[str, ...]:
+    """Return the endings of files that are read, or of those to which a key applies."""
+    return tuple(e for reader in READERS if not key or key in reader.keys for e in reader.endings)
 
 
 def _expected_endings() -> str:
-    """Return the description of the files that can be read."""
-    return (
-        f"a file ending in {', '.join(_endings())}, or another single-file raster that GDAL reads"
-    )
+    endings = ", ".join(_endings())
+    return f"a file ending in {endings}, or another single-file raster that GDAL reads"
 
 
-def _check_keys(ending: str, reading: Reading) -> None:
-    """Raise DataError for arguments that the file format does not use."""
-    for name in KEYS:
-        value = getattr(reading, name)
-        if value is not None and not takes_key(ending, name):
-            endings = [each for reader in READERS if name in reader.keys for each in reader.endings]
-            kind = f"a {ending} file" if ending else "a file without an ending"
-            raise DataError(
-                f"expected no {name!r} for {kind}, found {value!r}; remove it "
-                f"({name!r} is for {', '.join(endings)})"
-            )
-
-
-def _check_degrees(found: Heights, *, local: bool) -> None:
+def _check_degrees(heights: Heights, *, local: bool) -> None:
     """Raise DataError if degrees would be used as metres or metres as degrees."""
     reach = (
-        f"x from {found.x[0]:.9g} to {found.x[-1]:.9g}, y from {found.y[0]:.9g} to "
-        f"{found.y[-1]:.9g}"
+        f"x from {heights.x[0]:.9g} to {heights.x[-1]:.9g}, y from {heights.y[0]:.9g} to "
+        f"{heights.y[-1]:.9g}"
     )
-    fits = max(abs(found.x[[0, -1]])) <= 360 and max(abs(found.y[[0, -1]])) <= 90
-    if local and not (found.geographic or (found.placed and fits and not found.crs)):
+    fits = max(abs(heights.x[[0, -1]])) <= 360 and max(abs(heights.y[[0, -1]])) <= 90
+    if local and not (heights.geographic or (heights.placed and fits and not heights.crs)):
         raise DataError(
-            f"geographic: expected a map in degrees, found {found.crs or 'a map in metres'} with "
+            f"geographic: expected a map in degrees, found {heights.crs or 'a map in metres'} with "
             f"{reach}; remove geographic"
         )
-    new = metric_system(float(found.x.mean()), float(found.y.mean()))
+    new = metric_system(float(heights.x.mean()), float(heights.y.mean()))
     remedy = (
         f'; set geographic = "local", or reproject it to metres: gdalwarp -t_srs {new} in out.tif'
     )
-    system = f" ({found.crs})" if found.crs else ""
-    if found.geographic and not local:
+    system = f" ({heights.crs})" if heights.crs else ""
+    if heights.geographic and not local:
         raise DataError(f"expected a map in metres, found degrees{system}: {reach}{remedy}")
-    if local or found.crs or not (found.placed and fits):
+    if local or heights.crs or not (heights.placed and fits):
         return
-    rise = np.abs(np.diff(np.where(np.isinf(found.z), np.nan, found.z), axis=1))
+    rise = np.abs(np.diff(np.where(np.isinf(heights.z), np.nan, heights.z), axis=1))
     rise = rise[rise > 0]  # neither holes nor lakes
-    steep = float(np.median(rise)) / axes_of(found.x, found.y)[1].step if rise.size else 0.0
+    steep = float(np.median(rise)) / axes_of(heights.x, heights.y)[1].step if rise.size else 0.0
     if steep > MAX_MEDIAN_SLOPE:
         raise DataError(
             f"expected a map in metres, found one that seems to be in degrees: {reach}, with "
@@ -248,43 +206,38 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
 
 
 def _mapped(
-    found: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
+    heights: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
 ) -> Map:
-    """Return the map in metres, with holes filled if required."""
-    facts: Facts = found.facts
-    mask, missing = None, np.isnan(found.z)
+    facts: Facts = heights.facts
+    mask, missing = None, np.isnan(heights.z)
     if fill is not None:
-        filled = fill_holes(found)
+        filled = fill_holes(heights)
         unit = "m" if geographic is None else "deg"
         size = " x ".join(f"{each:.6g}" for each in filled.largest)
         words = f"{filled.nodes} nodes in {filled.holes} holes, the largest {size} {unit}, linearly"
         facts += (("ground holes filled", words if filled.nodes else "none found"),)
         left = np.isnan(filled.z)
         mask, missing = missing & ~left if filled.nodes else None, left
-        found = found._replace(z=filled.z)
+        heights = heights._replace(z=filled.z)
     holes = missing if missing.any() else None
     if holes is not None:
         count = f"{np.count_nonzero(holes)} of {holes.size} nodes"
         facts += (("ground holes", f"{count} have no height: wheels must not touch them"),)
-        found = found._replace(z=continue_over_holes(found.z))
+        heights = heights._replace(z=continue_over_holes(heights.z))
     if geographic is None:
-        return Map(
-            Grid(found.x, found.y, found.z, mask, holes),
-            crs=found.crs,
-            facts=facts,
-            gray=found.gray,
-        )
-    frame = local_frame(found.x, found.y) if geographic == "local" else geographic
-    x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
-    facts += (("ground degrees", _degrees_words(found.y, frame)),)
-    if (wrong := _stretch(found.y, frame)) > MAX_STRETCH:
+        grid = Grid(heights.x, heights.y, heights.z, mask, holes)
+        return Map(grid, crs=heights.crs, facts=facts, gray=heights.gray)
+    frame = local_frame(heights.x, heights.y) if geographic == "local" else geographic
+    x, y = (heights.x - frame.x0) / frame.kx, (heights.y - frame.y0) / frame.ky
+    facts += (("ground degrees", _degrees_words(heights.y, frame)),)
+    if (wrong := _stretch(heights.y, frame)) > MAX_STRETCH:
         raise DataError(
             "geographic: expected a map with errors of distances along x of at most "
             f"{100 * MAX_STRETCH:g} %, found {100 * wrong:.2g} % at its northern or southern "
             "border; set a window, or reproject it to metres: gdalwarp -t_srs "
-            f"{metric_system(float(found.x.mean()), float(found.y.mean()))} in out.tif"
+            f"{metric_system(float(heights.x.mean()), float(heights.y.mean()))} in out.tif"
         )
-    return Map(Grid(x, y, found.z, mask, holes), frame, found.crs, geographic=True, facts=facts)
+    return Map(Grid(x, y, heights.z, mask, holes), frame, heights.crs, geographic=True, facts=facts)
 
 
 def _degrees_words(latitude: Array, frame: Frame) -> str:
@@ -308,21 +261,11 @@ def _stretch(latitude: Array, frame: Frame) -> float:
 
 
 def local_frame(longitude: Array, latitude: Array) -> Frame:
-    """Return the frame of `geographic_to_metric`, with its origin at the first node.
-
-    Parameters
-    ----------
-    longitude, latitude : ndarray, shapes (n_x,) and (n_y,)
-        Ascending coordinates of the nodes. [deg]
-    """
+    """Return the frame of `geographic_to_metric`, with its origin at the first node [deg]."""
     middle = np.deg2rad(0.5 * (latitude[0] + latitude[-1]))
     degree = EARTH_RADIUS * np.deg2rad(1.0)
-    return Frame(
-        float(longitude[0]),
-        float(1 / (degree * np.cos(middle))),
-        float(latitude[0]),
-        float(1 / degree),
-    )
+    x0, kx = float(longitude[0]), float(1 / (degree * np.cos(middle)))
+    return Frame(x0, kx, float(latitude[0]), float(1 / degree))
 
 
 def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
@@ -380,7 +323,6 @@ def jacksboro(scale: float = 1.0) -> Grid:
 
 
 def _read_npz(path: Path, ask: Reading) -> Heights:
-    """Return the map in a numpy archive."""
     x, y, z = _arrays(path)
     grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes
     axes = axes_of(x, y)
@@ -394,16 +336,6 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
     )
     facts = (("ground map", "numpy archive, CRS not given, heights at nodes"),)
     return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), facts)
-
-
-def _read_points(path: Path, ask: Reading) -> Heights:
-    """Return the height map interpolated from the scattered points in a file."""
-    return read_points(path, ask)
-
-
-def _read_cloud(path: Path, ask: Reading) -> Heights:
-    """Return the height map of the point cloud in a file."""
-    return read_point_cloud(path, ask.spacing, ask.window)
 
 
 class MapReader(NamedTuple):
@@ -444,8 +376,8 @@ RASTERS = MapReader(tuple(FORMATS), _read_raster, ("cell", "registration"))
 READERS: tuple[MapReader, ...] = (
     MapReader((".npz",), _read_npz),
     RASTERS,
-    MapReader((".xyz", ".txt", ".csv"), _read_points, ("spacing",)),
-    MapReader((".las", ".laz"), _read_cloud, ("spacing",)),
+    MapReader((".xyz", ".txt", ".csv"), read_points, ("spacing",)),
+    MapReader((".las", ".laz"), read_point_cloud, ("spacing",)),
 )
 KEYS = ("cell", "registration", "spacing")  # arguments of some formats only
 
@@ -457,35 +389,26 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
             warnings.simplefilter("ignore", UserWarning)  # of files written by Python 2
             file = np.load(stream, allow_pickle=False)
             if not isinstance(file, np.lib.npyio.NpzFile):
-                raise DataError(
-                    f"{path}: expected an archive of arrays x, y, z, found a single array; write "
-                    "it with np.savez(path, x=x, y=y, z=z)"
-                )
+                refuse("an archive of arrays x, y, z", "a single array", TO_NPZ)
             largest = max((each.file_size for each in zipfile.ZipFile(path).infolist()), default=0)
             if largest > 8 * MAX_NODES + HEADER:
-                raise DataError(
-                    f"{path}: expected at most {MAX_NODES:g} nodes, found an array of "
-                    f"{largest / 1e9:.3g} GB; crop it, or convert it to GeoTIFF and set a window"
-                )
+                remedy = "crop it, or convert it to GeoTIFF and set a window"
+                size = f"an array of {largest / 1e9:.3g} GB"
+                refuse(f"at most {MAX_NODES:g} nodes", size, remedy)
             missing = sorted({"x", "y", "z"} - set(file.files))
             if missing:
-                raise DataError(
-                    f"{path}: expected the arrays x, y, z, found {sorted(file.files)} without "
-                    f"{missing}; write it with np.savez(path, x=x, y=y, z=z)"
-                )
+                refuse("the arrays x, y, z", f"{sorted(file.files)} without {missing}", TO_NPZ)
             arrays = {name: file[name] for name in ("x", "y", "z")}
-    except UNREADABLE as error:
-        if isinstance(error, DataError):
-            raise
+    except DataError:
+        raise
+    except Exception as error:  # numpy raises errors of many kinds for a damaged archive
         raise DataError(
-            f"{path}: expected a numpy archive, found a file that cannot be read "
-            f"({str(error).split(': ')[0]}); write it with np.savez(path, x=x, y=y, z=z)"
+            f"expected a numpy archive, found a file that cannot be read "
+            f"({str(error).split(': ')[0]}); {TO_NPZ}"
         ) from error
     for name, array in arrays.items():
         if array.dtype.kind not in "iuf":
-            raise DataError(
-                f"{path}: expected numbers in the array {name!r}, found {array.dtype}; convert it "
-                "to float"
-            )
+            expected = f"numbers in the array {name!r}"
+            refuse(expected, f"{array.dtype}", "convert it to float")
     x, y, z = (array.astype(np.float64) for array in arrays.values())
     return x, y, z

@@ -25,22 +25,12 @@ JUMP, SLOPE, STEEPER, PLAUSIBLE = 100.0, 10.0, 50.0, (-1000.0, 10000.0)
 
 
 class Marker(NamedTuple):
-    """A value that is probably a marker of missing heights.
+    """A value that is probably a marker of missing heights, in units of the file."""
 
-    Attributes
-    ----------
-    value : float
-        The value, in units of the file; the extreme one of interpolated markers.
-    low, high : float
-        Range of the other values.
-    is_exact : bool
-        Whether the value is repeated exactly, not interpolated between markers and heights.
-    """
-
-    value: float
-    low: float
+    value: float  # the extreme one of interpolated markers
+    low: float  # range of the other values
     high: float
-    is_exact: bool
+    is_exact: bool  # repeated exactly, not interpolated between markers and heights
 
 
 def check_values(
@@ -53,50 +43,36 @@ def check_values(
 ) -> None:
     """Raise DataError if heights contain markers of missing heights.
 
-    Parameters
-    ----------
-    z : ndarray
-        Heights at nodes, shape (n_x, n_y), or of points, shape (n,), in units of the file; NaN
-        where the file declares none.
-    place : callable
-        ``place(index)`` returns the position of a node or point as text.
-    remedy : callable
-        ``remedy(marker, text)`` returns what to do with a marker whose value is ``text``.
-    metres : float
-        Metres per unit of the file.
-    steps : tuple of 2 floats, optional
-        Distances of nodes; for None, markers that were interpolated are not found. [m]
+    Heights are those of nodes, shape (n_x, n_y), or points, shape (n,), NaN where the file declares
+    none; ``metres`` is their unit [m]. ``place(index)`` returns the position of one as text,
+    ``remedy(marker, text)`` what to do with a marker whose value is ``text``. ``steps`` are the
+    distances of nodes [m], without which markers that were interpolated are not found.
     """
     z = np.where(np.isfinite(z), z, np.nan)
     if np.isnan(z).all():
         return
     with np.errstate(over="ignore"):  # differences of the largest numbers
-        found = _repeated_marker(z, metres)
-        if found is None and steps is not None:
-            found = _interpolated_marker(z, metres, steps)
-    if found is None:
+        marker = _repeated_marker(z, metres)
+        if marker is None and steps is not None:
+            marker = _interpolated_marker(z, metres, steps)
+    if marker is None:
         return
-    beyond = z < found.low if found.value < found.low else z > found.high
-    if found.is_exact:
-        beyond = z == found.value
-    value = (
-        f"{found.value:.0f}"
-        if found.value.is_integer() and abs(found.value) < 1e15
-        else repr(found.value)
-    )
-    first = tuple(int(k[0]) for k in np.nonzero(beyond))
-    count = f"{np.count_nonzero(beyond)} of {z.size} {'nodes' if z.ndim > 1 else 'points'}"
+    value, low, high, is_exact = marker
+    marked = z == value if is_exact else z < low if value < low else z > high
+    text = f"{value:.0f}" if value.is_integer() and abs(value) < 1e15 else repr(value)
+    first = tuple(int(k[0]) for k in np.nonzero(marked))
+    count = f"{np.count_nonzero(marked)} of {z.size} {'nodes' if z.ndim > 1 else 'points'}"
     where = f"at {count}, first at {place(first)}"
-    others = f"the others are from {found.low:.6g} to {found.high:.6g}"
-    if not found.is_exact:
+    others = f"the others are from {low:.6g} to {high:.6g}"
+    if not is_exact:
         raise DataError(
-            f"expected heights, found steps of a cell that no ground has and values to {value} "
+            f"expected heights, found steps of a cell that no ground has and values to {text} "
             f"{where}, while {others}: probably markers of missing heights that were interpolated; "
             "declare their value before resampling, as in gdal_edit.py -a_nodata -9999 original.tif"
         )
     raise DataError(
-        f"expected heights, found the value {value} {where}, while {others}: probably missing "
-        f"heights that the file does not declare; {remedy(found, value)}"
+        f"expected heights, found the value {text} {where}, while {others}: probably missing "
+        f"heights that the file does not declare; {remedy(marker, text)}"
     )
 
 

@@ -1,60 +1,71 @@
-"""Maps from scattered points: text files with x, y and z of a point in each line."""
+"""Maps from scattered points in text files, and from point clouds (LAS, LAZ)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import os
+import struct
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from slipfree.errors import DataError
+from slipfree.errors import DataError, missing_package
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.raster import Reading
-from slipfree.files.table_layout import ALIASES
-from slipfree.files.tables import read_columns, read_names
-from slipfree.records import Array
-from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, parts
+from slipfree.files.maps.reference_systems import (
+    LENGTHS,
+    UNKNOWN_ZONE,
+    refuse,
+    reprojection,
+    scale_facts,
+    system_name,
+)
+from slipfree.files.tables import ALIASES, read_columns, read_names
+from slipfree.processes import bounded_read
+from slipfree.records import Array, Mask
+from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
 
 NAMES = ("x", "y", "z")
 BLOCK = 2**20  # number of nodes interpolated at once; limits the memory
+GROUND, NOISE = 2, (7, 18)  # classes of points in LAS files
+POINTS_PER_CELL = 4.0  # default mean number; with random points, one cell in 55 is empty
+COARSE = 64.0  # mean number of points in the cells that measure the covered area
+MARGIN = 4.0  # width of the border around a window that is also read, in cells
+CHUNK = 200_000  # number of points read at once
+MAX_POINTS = 1e8  # largest number of points in memory, 25 bytes each
+MAX_RECORD = 4096  # largest size of a point; points of the standard have up to 67 [bytes]
+VERTICAL_UNIT, VERTICAL_SYSTEM, LINEAR_UNIT = 4099, 4096, 3076  # keys of GeoTIFF
+UNITS = {9001: "metre", 9002: "foot", 9003: "US survey foot"}  # codes of EPSG
+TO_METRES = "pdal translate in.laz out.laz reprojection --filters.reprojection.out_srs={}"
+TO_METRIC_HEIGHTS = (
+    "convert them to metres and state the horizontal system alone: pdal translate in.laz out.laz "
+    "assign --filters.assign.value='Z = Z * METRES_PER_UNIT' --writers.las.a_srs=EPSG:326xx"
+)
 
 
 def read_points(path: Path, ask: Reading) -> Heights:
     """Return the height map interpolated from scattered points.
 
     Heights are interpolated linearly on a Delaunay triangulation; nodes outside the convex hull of
-    the points are holes. The first node is at the smallest x and y of all points.
+    the points are holes. The first node is at the smallest x and y of all points. The file has x, y
+    and z in each line, see `slipfree.files.tables.read_columns`; without these names, they are the
+    first three columns, and others, such as colours, are ignored [m].
 
-    Parameters
-    ----------
-    path : Path
-        Text file with x, y and z in each line, see `slipfree.files.tables.read_columns`. Without
-        the names x, y and z, they are the first three columns; others, such as colours, are
-        ignored. [m]
-    ask : Reading
-        Window, and the distance between nodes, for None of which the error message suggests a
-        value.
-
-    Raises
-    ------
-    DataError
-        If the file is not such a table, if a coordinate exceeds 1e12 m, if ``spacing`` is None, too
-        large or too small, if the window contains too few nodes, or if the points lie on a line or
-        have fewer than three different positions.
+    DataError is raised if the file is not such a table, if a coordinate exceeds 1e12 m, if
+    ``spacing`` is None (the message suggests a value), too large or too small, if the window
+    contains too few nodes, or if the points lie on a line or have fewer than three positions.
     """
     names = {name.lower() for name in read_names(path, "points")}
     geographic = any("longitude" in same and names & same for same in ALIASES)
     unit = "deg" if geographic else "m"
-    columns: Sequence[str] | dict[str, str] = NAMES
-    if geographic:
-        columns = {"x": "longitude", "y": "latitude", "z": "z"}
+    columns = {"x": "longitude", "y": "latitude", "z": "z"} if geographic else NAMES
     values, notes = read_columns(path, columns, "points", others=True)
     table = np.column_stack([values[name] for name in NAMES])
     if (farthest := float(np.abs(table).max(initial=0.0))) > MAX_COORDINATE:
-        raise DataError(
-            f"expected coordinates with absolute values of at most {MAX_COORDINATE:g} m, found "
-            f"{farthest:g}; correct the file"
-        )
+        wanted = f"coordinates with absolute values of at most {MAX_COORDINATE:g} m"
+        refuse(wanted, f"{farthest:g}", "correct the file")
     check_values(
         table[:, 2],
         lambda k: f"x = {table[k[0], 0]:.9g}, y = {table[k[0], 1]:.9g}",
@@ -65,53 +76,36 @@ def read_points(path: Path, ask: Reading) -> Heights:
     spacing = ask.spacing
     distance = _distance(points[:, :2])
     if spacing is None:
-        raise DataError(
-            f"expected spacing, the distance between grid nodes in {unit}, found none; "
-            f"the median distance of {len(points)} points from their nearest "
-            f"neighbours is {distance:.3g} {unit}: set spacing = {distance:.2g}"
+        refuse(
+            f"spacing, the distance between grid nodes in {unit}",
+            "none",
+            f"the median distance of {len(points)} points from their nearest neighbours is "
+            f"{distance:.3g} {unit}: set spacing = {distance:.2g}",
         )
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
     x, y = (Axis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
     if counts.min() < 4:
-        raise DataError(
-            f"expected points that span at least 4 by 4 nodes, found {counts[0]} by "
-            f"{counts[1]} at spacing = {spacing:g} {unit}; set a smaller spacing, such as "
-            f"{distance:.2g}"
-        )
+        size = f"{counts[0]} by {counts[1]} at spacing = {spacing:g} {unit}"
+        remedy = f"set a smaller spacing, such as {distance:.2g}"
+        refuse("points that span at least 4 by 4 nodes", size, remedy)
     i, j = parts(x, y, ask.window)
     z = interpolate_points(points, low, spacing, (i, j))
-    words = (
+    facts = [
         f"{len(points)}, a median of {distance:.3g} {unit} apart, for {z.size} nodes {spacing:g} "
         f"{unit} apart"
-    )
+    ]
     if repeated:
-        words += (
-            f"; {repeated} at repeated positions averaged, with height differences of at most "
+        facts.append(
+            f"{repeated} at repeated positions averaged, with height differences of at most "
             f"{apart:.3g} m"
         )
-    words = "; ".join([words, *notes])
-    return Heights(
-        x.nodes(i),
-        y.nodes(j),
-        z,
-        (("ground map", "scattered points"), ("ground points", words)),
-        geographic=geographic,
-    )
+    described = ("ground map", "scattered points"), ("ground points", "; ".join([*facts, *notes]))
+    return Heights(x.nodes(i), y.nodes(j), z, described, geographic=geographic)
 
 
 def _distinct(points: Array) -> tuple[Array, int, float]:
-    """Return points with distinct x and y, from points of shape (n, 3) [m].
-
-    Returns
-    -------
-    points : ndarray, shape (m, 3)
-        Distinct points; heights of points with equal x and y are averaged.
-    repeated : int
-        Number of points removed by averaging.
-    apart : float
-        Largest difference of heights at the same x and y. [m]
-    """
+    """Return points, shape (n, 3), averaged at equal x and y, repetitions and the largest rise."""
     places, which = np.unique(points[:, :2], axis=0, return_inverse=True)
     which = which.reshape(-1)
     z = np.bincount(which, points[:, 2]) / np.bincount(which)
@@ -129,9 +123,7 @@ def _distance(places: Array) -> float:
     from scipy.spatial import cKDTree  # imported here: the import takes 0.2 s
 
     if len(places) < 3:
-        raise DataError(
-            f"expected at least 3 points with different x, y, found {len(places)}; add points"
-        )
+        refuse("at least 3 points with different x, y", f"{len(places)}", "add points")
     return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
 
 
@@ -140,26 +132,8 @@ def interpolate_points(
 ) -> Array:
     """Return heights at nodes, interpolated linearly; NaN outside the convex hull of the points.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        Distinct points. [m]
-    low : ndarray, shape (2,)
-        Position of the first node. [m]
-    spacing : float
-        Distance between nodes. [m]
-    part : tuple of 2 slices
-        Indices of the nodes along x and y.
-
-    Returns
-    -------
-    ndarray, shape (n_x, n_y)
-        Heights. [m]
-
-    Raises
-    ------
-    DataError
-        If the points lie on a line in x and y.
+    The first node is at ``low``; ``part`` are the indices of the wanted nodes along x and y. Points
+    have the shape (n, 3), heights (n_x, n_y) [m]. Points on a line raise DataError.
     """
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
     from scipy.spatial import QhullError
@@ -179,3 +153,210 @@ def interpolate_points(
     step = max(BLOCK // j.size, 1)
     rows = [surface(i[k : k + step, None], j[None]) for k in range(0, i.size, step)]
     return np.concatenate(rows)
+
+
+class _Cloud(NamedTuple):
+    points: Array  # shape (n, 3), heights in the unit of the file [m]
+    ground: Mask  # whether a point is classified as ground
+    version: str  # of the format, such as "1.2"
+    crs: Any  # horizontal reference system, rasterio.crs.CRS or None
+    unit: str  # of the heights; empty if unknown
+
+
+def read_point_cloud(path: Path, ask: Reading) -> Heights:
+    """Return the height map of a point cloud.
+
+    Points classified as ground are used if there are any, otherwise all points except noise and
+    withheld points. The points of a cell are averaged in x, y and z, and heights are interpolated
+    linearly between these averages: a plane is exact. Cells without points, and nodes outside the
+    convex hull, are holes.
+
+    Nodes are at multiples of ``spacing``, by default such that cells have 4 points on average [m].
+    DataError is raised if laspy, lazrs or pyproj is not installed, if the file is damaged or not in
+    metres, if its points are too few or too many or lie on a line, or if the window contains too
+    few nodes.
+    """
+    for name in ("laspy", "lazrs", "pyproj"):
+        if find_spec(name) is None:
+            raise DataError(missing_package(name, "points"))
+    # lazrs aborts the process for some damaged files; gridding there keeps the points there
+    return bounded_read(_heights, path, ask.spacing, ask.window, rate=1e5, growth=50.0)
+
+
+def _heights(path: Path, spacing: float | None, window: Window | None) -> Heights:
+    """Return the height map of a point cloud; see `read_point_cloud`."""
+    near = None
+    if window is not None and spacing is not None:  # its border also depends on points outside
+        margin = MARGIN * spacing
+        near = window[0] - margin, window[1] + margin, window[2] - margin, window[3] + margin
+    cloud = _read(path, near)
+    middle = np.mean(cloud.points[:, :2], axis=0) if len(cloud.points) else (math.nan, math.nan)
+    name, geographic = system_name(cloud.crs, TO_METRES, *middle)
+    if geographic:
+        remedy = reprojection(cloud.crs, TO_METRES, *middle)
+        refuse("a point cloud in metres", f"degrees ({name})", remedy)
+    points = cloud.points[cloud.ground] if cloud.ground.any() else cloud.points
+    if len(points) < 3:
+        remedy = "use another file" if near is None else "enlarge or move the window"
+        refuse("at least 3 points", f"{len(points)}", remedy)
+    check_values(
+        points[:, 2],
+        lambda k: f"x = {points[k][0]:.9g}, y = {points[k][1]:.9g}",
+        lambda marker, _: (
+            f"remove these points: pdal translate in.laz out.laz range "
+            f"--filters.range.limits='Z[{marker.low:.9g}:{marker.high:.9g}]'"
+        ),
+    )
+    density = _density(points)
+    cell = spacing or float(f"{math.sqrt(POINTS_PER_CELL / density):.2g}")
+    first, last = (
+        np.rint(ends / cell).astype(np.int64).tolist()
+        for ends in (points[:, :2].min(axis=0), points[:, :2].max(axis=0))
+    )
+    x, y = (Axis(a * cell, cell, b - a + 1) for a, b in zip(first, last, strict=True))
+    i, j = parts(x, y, window)
+    z, occupied = _gridded(points, x, y, (i, j))
+    chosen = ""
+    if not spacing:
+        chosen = f", chosen for {POINTS_PER_CELL:g} points in each (override with spacing)"
+    used = f"{len(points)} classified as ground, of" if cloud.ground.any() else "all"
+    words = (
+        f"{used} {len(cloud.points)} points, {density:.3g} per m2; cells of {cell:g} m{chosen}; "
+        f"{occupied} of {z.size} cells have points"
+    )
+    unit = LENGTHS[cloud.unit.lower()]
+    heights = "in metres" if cloud.unit else "unit not stated: taken as metres"
+    if unit != 1:
+        heights = f"converted from {cloud.unit} ({unit:.9g} m)"
+    nodes = x.nodes(i), y.nodes(j)
+    facts = (
+        ("ground map", f"LAS {cloud.version} point cloud, {name or 'CRS not given'}"),
+        ("ground points", words),
+        ("ground map heights", heights),
+        *scale_facts(cloud.crs, nodes[0].mean(), nodes[1].mean(), TO_METRES),
+    )
+    return Heights(*nodes, unit * z, facts, name)
+
+
+def _read(path: Path, near: Window | None) -> _Cloud:
+    """Return the points of a file in ``near`` (default all), except noise and withheld points."""
+    import laspy
+
+    points, ground = [np.empty((0, 3))], [np.empty(0, bool)]
+    try:
+        with path.open("rb") as stream:
+            _check_header(stream)
+            file = laspy.open(stream, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
+            count = file.header.point_count
+            for chunk in file.chunk_iterator(CHUNK):
+                kind = np.asarray(chunk.classification)
+                good = ~np.isin(kind, NOISE) & ~np.asarray(chunk.withheld, bool)
+                x, y = np.asarray(chunk.x), np.asarray(chunk.y)
+                if near is not None:
+                    good &= (x >= near[0]) & (x <= near[1]) & (y >= near[2]) & (y <= near[3])
+                points.append(np.column_stack([x, y, np.asarray(chunk.z)])[good])
+                ground.append(kind[good] == GROUND)
+                if sum(map(len, ground)) > MAX_POINTS:
+                    remedy = "set spacing and window, or thin the points"
+                    found_words = f"more, of {count} in the file"
+                    refuse(f"at most {MAX_POINTS:g} points", found_words, remedy)
+            found = np.concatenate(points)
+            if not (np.abs(found) <= MAX_COORDINATE).all():
+                raise ValueError(f"coordinates that are not finite or exceed {MAX_COORDINATE:g}")
+            version = str(file.header.version)
+            return _Cloud(found, np.concatenate(ground), version, *_system(file.header))
+    except (DataError, OSError):
+        raise
+    except Exception as error:  # laspy, lazrs and pyproj raise many kinds for damaged files
+        raise DataError(
+            f"expected a readable LAS or LAZ file, found {str(error).rstrip('.')}; copy or "
+            "download it again: it may be truncated or damaged"
+        ) from error
+
+
+def _check_header(stream: BinaryIO) -> None:
+    """Raise ValueError if the header announces more records than the file can contain.
+
+    laspy reads as many records as are announced, which may take minutes.
+    """
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(0)
+    head = stream.read(247)
+    stream.seek(0)
+    if len(head) < 227 or head[:4] != b"LASF":
+        raise ValueError("no header of such a file")
+    start, records = struct.unpack_from("<II", head, 96)
+    if not 54 * records <= start <= size:
+        raise ValueError(f"{records} records before the points, which begin at byte {start}")
+    if (length := struct.unpack_from("<H", head, 105)[0]) > MAX_RECORD:
+        raise ValueError(f"{length} bytes for each point")
+    if head[24:26] >= b"\x01\x04" and len(head) == 247:
+        start, records = struct.unpack_from("<QI", head, 235)
+        if records and not start + 60 * records <= size:
+            raise ValueError(f"{records} records from byte {start}, beyond the end of the file")
+
+
+def _system(header: Any) -> tuple[Any, str]:
+    """Return the horizontal reference system of a file, and the unit of its heights."""
+    import pyproj
+    import rasterio
+
+    keys = {
+        key.id: key.value_offset
+        for record in header.vlrs.get("GeoKeyDirectoryVlr")
+        for key in record.geo_keys
+        if key.tiff_tag_location == 0
+    }
+    crs = header.parse_crs()
+    if crs is None:
+        if (code := keys.get(LINEAR_UNIT, 9001)) != 9001:
+            remedy = f"reproject it to metres: {TO_METRES.format(UNKNOWN_ZONE)}"
+            refuse("coordinates in metres", f"the unit {UNITS.get(code, code)!r}", remedy)
+        return None, _vertical_unit(keys, None)
+    flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
+    vertical = crs.sub_crs_list[1] if crs.is_compound else crs
+    if (code := keys.get(VERTICAL_SYSTEM)) is not None and not crs.is_compound:
+        vertical = pyproj.CRS.from_epsg(code)
+    return rasterio.CRS.from_wkt(flat.to_wkt()), _vertical_unit(keys, vertical)
+
+
+def _vertical_unit(keys: dict[int, int], vertical: Any) -> str:
+    """Return the unit of heights of a file by its GeoTIFF keys or its vertical system."""
+    code = keys.get(VERTICAL_UNIT)
+    name = UNITS.get(code, f"EPSG unit {code}") if code is not None else ""
+    if not name and vertical is not None:
+        axes = [axis for axis in vertical.axis_info if axis.direction in ("up", "down")]
+        name = axes[0].unit_name if axes else ""
+    if name.lower() not in LENGTHS:
+        refuse("heights in a unit of length", f"the unit {name!r}", TO_METRIC_HEIGHTS)
+    return name
+
+
+def _density(points: Array) -> float:
+    """Return the number of points per area, excluding areas without points [1/m2]."""
+    low, extent = points[:, :2].min(axis=0), np.ptp(points[:, :2], axis=0)
+    if not extent.prod() > 0:
+        refuse("points that span a surface", "that they lie on a line in x and y", "check the file")
+    cells = np.maximum(np.rint(extent / math.sqrt(COARSE * extent.prod() / len(points))), 1)
+    i, j = np.minimum((points[:, :2] - low) / extent * cells, cells - 1).astype(np.int64).T
+    covered = np.unique(i * int(cells[1]) + j).size / cells.prod()
+    return float(len(points) / (covered * extent.prod()))
+
+
+def _gridded(points: Array, x: Axis, y: Axis, part: tuple[slice, slice]) -> tuple[Array, int]:
+    """Return heights at nodes, NaN in cells without points, and the number of cells with points."""
+    first = np.array([x.first, y.first])
+    i, j = np.rint((points[:, :2] - first) / x.step).astype(np.int64).T
+    cells, which = np.unique(i * y.size + j, return_inverse=True)
+    count = np.bincount(which)
+    # relative to the first node: sums of coordinates such as northings would lose digits
+    means = [np.bincount(which, column) / count for column in (points[:, :2] - first).T]
+    z = np.bincount(which, points[:, 2]) / count
+    found = interpolate_points(np.column_stack([*means, z]), np.zeros(2), x.step, part)
+    rows, columns = (
+        each - nodes.start for each, nodes in zip(np.divmod(cells, y.size), part, strict=True)
+    )
+    inside = (rows >= 0) & (rows < found.shape[0]) & (columns >= 0) & (columns < found.shape[1])
+    occupied = np.zeros(found.shape, bool)
+    occupied[rows[inside], columns[inside]] = True
+    return np.where(occupied, found, np.nan), int(occupied.sum())

@@ -16,13 +16,15 @@ from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
+import scipy  # scipy.io is imported when it is used, since this takes 0.2 s
 
 from slipfree.errors import DataError
 from slipfree.files.maps.missing_values import Marker, check_values
-from slipfree.files.maps.netcdf_header import check_header
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
 
+CLASSIC = (b"CDF\1", b"CDF\2")
+DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
 DRIVERS = (  # GDAL drivers that read one file, and follow no references to others
     *("GTiff", "AAIGrid", "SRTMHGT", "DTED", "HFA", "GPKG", "PNG", "GSBG", "GS7BG", "GSAG", "BT"),
     *("NWT_GRD", "Terragen", "HF2", "GRIB", "JP2OpenJPEG", "NITF", "PCIDSK", "SIGDEM"),
@@ -92,6 +94,20 @@ WORDS = {
 }
 
 
+def _check_header(path: Path) -> None:
+    """Raise DataError for a damaged header of a classic netCDF file.
+
+    The netCDF library allocates as much memory as a header claims, up to gigabytes.
+    """
+    try:
+        with path.open("rb") as stream, scipy.io.netcdf_file(stream, mmap=True):
+            pass
+    except DAMAGED as error:
+        raise DataError(
+            "expected a readable netCDF file, found a damaged header; copy or download it again"
+        ) from error.with_traceback(None)
+
+
 class Reading(NamedTuple):
     """Information that the user gives about a map file.
 
@@ -120,50 +136,26 @@ class Reading(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Georeferencing of a raster: positions of its nodes.
+    """Georeferencing of a raster: positions of its nodes."""
 
-    Attributes
-    ----------
-    x, y : Axis
-        Uniform coordinates of the nodes. [m] or [deg]
-    upward : bool
-        Whether the first row of the raster is the southernmost.
-    registration : {"area", "point"}
-        Position of the values, as in `Reading`.
-    crs : str
-        Name of the coordinate reference system; empty if unknown.
-    geographic : bool
-        Whether the coordinates are degrees.
-    placed : bool
-        Whether the file contains the coordinates; otherwise the user gives cell and registration.
-    """
-
-    x: Axis
+    x: Axis  # uniform coordinates of the nodes [m or deg]
     y: Axis
-    upward: bool
-    registration: str
-    crs: str
-    geographic: bool
-    placed: bool
+    upward: bool  # whether the first row of the raster is the southernmost
+    registration: str  # as in `Reading`
+    crs: str  # name of the coordinate reference system; empty if unknown
+    geographic: bool  # whether the coordinates are degrees
+    placed: (
+        bool  # whether the file contains the coordinates; else the user gives cell, registration
+    )
 
 
 def read_raster(path: Path, ask: Reading) -> Heights:
-    """Return the heights in a raster file.
+    """Return the heights in a raster file of a format that GDAL reads from one file.
 
-    Parameters
-    ----------
-    path : Path
-        File of a format that GDAL reads from one file.
-    ask : Reading
-        Window, and cell and registration for a raster without coordinates.
-
-    Raises
-    ------
-    DataError
-        If the file is damaged, if it does not have one band of heights on a grid along x and y in
-        metres or degrees, if it has no coordinates and cell or registration is missing, if it has
-        coordinates and one of them is given, or if the window is empty or contains too few or too
-        many nodes.
+    DataError is raised if the file is damaged, if it does not have one band of heights on a grid
+    along x and y in metres or degrees, if it has no coordinates and cell or registration is
+    missing, if it has coordinates and one of them is given, or if the window is empty or contains
+    too few or too many nodes.
     """
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
@@ -180,15 +172,12 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     name = path.name if ending == ".hgt" else f"raster{ending if ending.isascii() else ''}"
     try:
         # the stack closes the streams of files that GDAL cannot read
-        with (
-            ExitStack() as opened,
-            _quiet_log(),
-            rasterio.Env(GDAL_CACHEMAX=CACHE),
-        ):
+        with ExitStack() as opened, _quiet_log(), rasterio.Env(GDAL_CACHEMAX=CACHE):
             noted = opened.enter_context(warnings.catch_warnings(record=True))
             warnings.simplefilter("always", NotGeoreferencedWarning)
             if head in BY_NAME:  # link it in a folder without other files, which GDAL would read
-                check_header(path)
+                if head in CLASSIC:
+                    _check_header(path)
                 folder = Path(opened.enter_context(TemporaryDirectory()))
                 (folder / name).symlink_to(path.resolve())
                 dataset = rasterio.open(folder / name, driver=BY_NAME[head])
@@ -211,13 +200,7 @@ def read_raster(path: Path, ask: Reading) -> Heights:
 
 
 def _open_alone(name: str, opener: Callable[..., BinaryIO]) -> Any:
-    """Return the open dataset of the first driver that can read a file.
-
-    Raises
-    ------
-    RasterioIOError
-        The error of the driver that recognizes the file, or that of unknown formats.
-    """
+    """Return the open dataset of the first driver that can read a file, or raise its error."""
     import rasterio
     from rasterio.errors import RasterioIOError
 
@@ -296,7 +279,6 @@ def _raw_pgm(content: bytes) -> bytes:
 
 
 def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heights:
-    """Return the heights in an open raster."""
     _check_band(file)
     place = _place(file, ask, is_placed)
     i, j = parts(place.x, place.y, ask.window)
@@ -315,12 +297,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
         *_scale_facts(file),
         *scale_facts(file.crs, x.mean(), y.mean(), TO_METRES),
     )
-    values = file.read(
-        1,
-        window=window,
-        masked=True,
-        out_dtype=np.float64,
-    )
+    values = file.read(1, window=window, masked=True, out_dtype=np.float64)
     is_picture = _is_picture(file, is_placed)
     if is_picture and OCCUPANCY[0] in values and not np.setdiff1d(values, OCCUPANCY).size:
         refuse(
@@ -402,7 +379,6 @@ def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
 
 
 def _wrong_word(words: list[bytes]) -> bytes | None:
-    """Return the first word that is not a number; None if all words are numbers."""
     word = b""
     try:
         for word in words:
@@ -423,8 +399,7 @@ def _scale_facts(file: Any) -> tuple[tuple[str, str], ...]:
     return (("ground map heights", words),)
 
 
-def _unit(file: Any) -> float:
-    """Return the unit of the heights of a raster [m]."""
+def _unit(file: Any) -> float:  # of the heights [m]
     return LENGTHS[(file.units[0] or "").lower()]
 
 
@@ -441,12 +416,14 @@ def _is_picture(file: Any, is_placed: bool) -> bool:
 
 def _check_band(file: Any) -> None:
     """Raise DataError unless the file has a single band of heights in a known unit of length."""
-    if file.count != 1 and not _is_coloured(file):
+    colours = [band.name for band in file.colorinterp[:3]]
+    if file.count != 1 and colours != ["red", "green", "blue"]:
         refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
     if kind not in "iuf":
         refuse("heights that are real numbers", f"the type {file.dtypes[0]}", TO_REAL)
-    if file.colorinterp[0].name == "palette" and not _is_gray(file.colormap(1)):
+    palette = file.colormap(1) if colours[0] == "palette" else {}
+    if any((k, k, k) != colour[:3] for k, colour in palette.items()):
         refuse("heights", "colours of a palette", TO_LEVELS.format("-expand gray"))
     if not math.isfinite(file.offsets[0]) or not 0 < abs(file.scales[0]) < math.inf:
         refuse(
@@ -460,16 +437,6 @@ def _check_band(file: Any) -> None:
             f"the unit {file.units[0]!r}",
             f"correct it with gdal_edit.py -units; known units: {', '.join(sorted(LENGTHS)[1:])}",
         )
-
-
-def _is_coloured(file: Any) -> bool:
-    """Return whether the bands are the colours of a picture, with or without transparency."""
-    return [each.name for each in file.colorinterp[:3]] == ["red", "green", "blue"]
-
-
-def _is_gray(palette: dict[int, tuple[int, ...]]) -> bool:
-    """Return whether the colours of a palette are gray levels equal to their indices."""
-    return all((k, k, k) == colour[:3] for k, colour in palette.items())
 
 
 def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
@@ -496,23 +463,16 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
     crs = None if file.driver == "BT" and file.crs and file.crs.is_projected else file.crs
     registration = file.tags().get("AREA_OR_POINT", "Area").lower()
     x, y, upward = _axes(file)
-    return _Place(
-        x, y, upward, registration, *system_name(crs, TO_METRES, *_middle(x, y)), placed=True
-    )
-
-
-def _middle(x: Axis, y: Axis) -> tuple[float, float]:
-    """Return the centre of a map, in its units."""
-    return x.first + x.step * (x.size - 1) / 2, y.first + y.step * (y.size - 1) / 2
+    middle = (axis.first + axis.step * (axis.size - 1) / 2 for axis in (x, y))
+    name, geographic = system_name(crs, TO_METRES, *middle)
+    return _Place(x, y, upward, registration, name, geographic, placed=True)
 
 
 def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
-    """Return the positions of the nodes of a raster without coordinates."""
     if ask.cell is None or ask.registration is None:
-        given = {"cell": ask.cell, "registration": ask.registration}
+        missing = [key for key in ("cell", "registration") if getattr(ask, key) is None]
         refuse(
-            f"{' and '.join(name for name, value in given.items() if value is None)} for a raster "
-            "without coordinates",
+            f"{' and '.join(missing)} for a raster without coordinates",
             "none",
             'set cell, the width of a cell in metres, and registration: "area" if the values '
             'belong to the centres of cells, "point" if the outermost values are on the border; '

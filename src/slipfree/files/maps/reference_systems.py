@@ -38,20 +38,9 @@ def refuse(expected: str, found: str, remedy: str) -> NoReturn:
 def system_name(crs: Any, command: str, x: float, y: float) -> tuple[str, bool]:
     """Return the name of a coordinate reference system, and whether its unit is the degree.
 
-    Parameters
-    ----------
-    crs : rasterio.crs.CRS or None
-        Reference system of a file.
-    command : str
-        Command that reprojects such a file, with ``{}`` for the new system, for messages.
-    x, y : float
-        Centre of the map, in units of the system.
-
-    Raises
-    ------
-    DataError
-        If the system is neither projected, geographic nor local, or if its coordinates are neither
-        metres nor degrees on the earth.
+    Arguments are those of `reprojection`, with None for an unknown system. DataError is raised for
+    a system that is neither projected, geographic nor local, or whose coordinates are neither
+    metres nor degrees on the earth.
     """
     if crs is None:
         return "", False
@@ -90,14 +79,8 @@ def metric_system(longitude: float, latitude: float) -> str:
 def reprojection(crs: Any, command: str, x: float, y: float) -> str:
     """Return the advice to project a map to metres of its own body.
 
-    Parameters
-    ----------
-    crs : rasterio.crs.CRS
-        Reference system of the map.
-    command : str
-        Command that reprojects such a file, with ``{}`` for the new system.
-    x, y : float
-        Centre of the map, in units of the system; NaN if unknown.
+    ``command`` has ``{}`` for the new system; the centre (x, y) of the map is in units of the
+    system, NaN if unknown.
     """
     longitude, latitude = (float(each[0]) for each in _degrees(crs, [x], [y]))
     system = metric_system(longitude, latitude)
@@ -141,19 +124,9 @@ def _degrees(crs: Any, x: list[float], y: list[float]) -> Array:
 
 
 def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, float]:
-    """Return a position in coordinates of a reference system [m or deg].
+    """Return a WGS 84 position [deg] in a reference system, given by EPSG code or WKT [m or deg].
 
-    Parameters
-    ----------
-    crs : str
-        EPSG code or WKT of the system.
-    longitude, latitude : float
-        WGS 84 coordinates. [deg]
-
-    Returns
-    -------
-    tuple of 2 floats
-        Coordinates to the east and to the north; not finite outside the domain of the projection.
+    The coordinates to the east and north are not finite outside the domain of the projection.
     """
     from rasterio.crs import CRS
     from rasterio.warp import transform
@@ -168,22 +141,9 @@ def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, fl
 def scale_facts(crs: Any, x: float, y: float, command: str) -> tuple[tuple[str, str], ...]:
     """Return the scale of a projected map as facts for summaries.
 
-    In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres.
-
-    Parameters
-    ----------
-    crs : rasterio.crs.CRS or None
-        Reference system of the map; without one, or with degrees, there are no facts.
-    x, y : float
-        Position where the scale is computed. [m]
-    command : str
-        Command that reprojects such a file, with ``{}`` for the new system, for messages.
-
-    Raises
-    ------
-    DataError
-        If the scale in any direction differs from 1 by more than 1 %, or the position is outside
-        the domain of the projection.
+    In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres. DataError
+    is raised if the scale at (x, y) [m] in any direction differs from 1 by more than 1 %, or if the
+    position is outside the domain of the projection. ``command`` is that of `reprojection`.
     """
     if crs is None or not crs.is_projected:
         return ()
@@ -204,13 +164,8 @@ def scale_facts(crs: Any, x: float, y: float, command: str) -> tuple[tuple[str, 
             f"directions ({crs.to_string()})",
             reprojection(crs, command, x, y),
         )
-    return (
-        (
-            "ground map scale",
-            f"1 m of the map is {along_x:.7f} m along x and {along_y:.7f} m along y on the "
-            "ellipsoid",
-        ),
-    )
+    scale = f"{along_x:.7f} m along x and {along_y:.7f} m along y"
+    return (("ground map scale", f"1 m of the map is {scale} on the ellipsoid"),)
 
 
 def _steps(crs: Any, x: float, y: float) -> Array:
@@ -224,12 +179,6 @@ def _steps(crs: Any, x: float, y: float) -> Array:
     longitude, latitude = np.radians(places)
     a, b = _ellipsoid(crs)
     normal = a**2 / np.hypot(a * np.cos(latitude), b * np.sin(latitude))
-    positions = np.column_stack(
-        [
-            normal * np.cos(latitude) * np.cos(longitude),
-            normal * np.cos(latitude) * np.sin(longitude),
-            (b / a) ** 2 * normal * np.sin(latitude),
-        ]
-    )
-    steps: Array = (positions[1::2] - positions[::2]) / SPAN
-    return steps
+    radius, height = normal * np.cos(latitude), (b / a) ** 2 * normal * np.sin(latitude)
+    positions = np.column_stack([radius * np.cos(longitude), radius * np.sin(longitude), height])
+    return np.asarray((positions[1::2] - positions[::2]) / SPAN)

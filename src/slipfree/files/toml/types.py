@@ -1,27 +1,110 @@
-"""Types of the values in problem files, and the base class of their tables."""
+"""Types of the values in TOML files, and the base class of their tables.
+
+Angles and their rates are numbers in radians, or text with a unit as in "30 deg".
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
-from typing import Annotated, Any
+from math import pi
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 from pydantic_core import PydanticCustomError
 
-from slipfree.files.toml.angles import (
-    IN_RADIANS,
-    IN_RADIANS_PER_SECOND,
-    Angle,
-    WithUnit,
-    parse_unit,
-)
+from slipfree.files.toml.source import Fault, format_value
+from slipfree.files.toml.source import Place as KeyPath
 
+FULL_TURN = 2 * pi * 1.001  # larger bare angles are probably degrees; the margin allows rounding
+EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'
+PAIRS = "a number, or an array of [time, value] pairs"
+TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|rad)(/s2?)?\s*")
 MAX_NUMBER = 1e300  # largest accepted number
 Piecewise = tuple[tuple[float, float], ...]
+
+
+class Record(BaseModel):
+    """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def expected_error(text: str) -> PydanticCustomError:
+    """Return a validation error of pydantic with a description of the expected value."""
+    return PydanticCustomError("expected", "{words}", {"words": text})
+
+
+class WithUnit(float):
+    """A number that was written with a unit, converted to SI units."""
+
+    unit: ClassVar[str]
+    words: ClassVar[str]
+
+
+class AngleWithUnit(WithUnit):
+    """An angle [rad]."""
+
+    unit, words = "rad", "an angle"
+
+
+class RateWithUnit(WithUnit):
+    """An angular rate [rad/s]."""
+
+    unit, words = "rad s-1", "an angular rate"
+
+
+class _AccelerationWithUnit(WithUnit):
+    """An angular acceleration [rad/s2]."""
+
+    unit, words = "rad s-2", "an angular acceleration"
+
+
+KINDS = {None: AngleWithUnit, "/s": RateWithUnit, "/s2": _AccelerationWithUnit}
+
+
+def parse_unit(value: Any) -> Any:
+    """Return the number of a text such as "30 deg" in SI units; return other values unchanged."""
+    match = TEXT.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
+    if match is None:
+        return value
+    number = float(match[1])
+    return KINDS[match[3]](number * pi / 180 if match[2] == "deg" else number)
+
+
+def _reader(unit: type[WithUnit], text: str) -> WrapValidator:
+    """Return a validator that accepts numbers, and texts with the given unit."""
+
+    def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
+        parsed = parse_unit(value)
+        if not isinstance(parsed, WithUnit):
+            if isinstance(parsed, str):
+                raise expected_error(text)
+            number: float = validate(parsed)
+            return number
+        if not isinstance(parsed, unit):
+            raise expected_error(text)
+        validate(float(parsed))
+        return parsed
+
+    return WrapValidator(read)
+
+
+WITH_UNIT = _reader(WithUnit, EXAMPLE)
+Quantity = Annotated[float, WITH_UNIT]  # `unit_faults` checks the unit, which depends on the key
+IN_RADIANS = _reader(AngleWithUnit, 'a number, or text as in "30 deg"')
+IN_RADIANS_PER_SECOND = _reader(RateWithUnit, 'a number, or text as in "5 deg/s"')
+Angle = Annotated[float, IN_RADIANS]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-NonNegativeAngle = Annotated[NonNegative, IN_RADIANS]
-NonNegativeRate = Annotated[NonNegative, IN_RADIANS_PER_SECOND]
 Count = Annotated[int, Field(ge=0)]
 # arrays are read as tuples; types of elements are not converted
 Pair = Annotated[tuple[float, float], Field(strict=False)]
@@ -32,10 +115,58 @@ Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
 Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
-class Record(BaseModel):
-    """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
+def unit_faults(
+    place: KeyPath, values: Mapping[str, Any], units: Mapping[str, str], *, bare: bool = False
+) -> Iterator[Fault]:
+    """Yield an error for each value with a unit other than the expected one.
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    Parameters
+    ----------
+    place : tuple of str or int
+        Keys of the table in its file, for the location in messages.
+    values : mapping
+        Numbers, ranges, or piecewise constants by name of the key.
+    units : mapping of str to str
+        Expected units by name, as in ``rad s-1``; values without an entry are not checked.
+    bare : bool
+        Whether an angle of more than a full turn without a unit is an error too.
+    """
+    for name, value in values.items():
+        unit = units.get(name, "")
+        for number in _numbers(value) if unit else ():
+            if isinstance(number, WithUnit) and number.unit != unit:
+                wanted = unit.replace(" s-", "/s").replace("/s1", "/s")
+                found = f"{number.words}; correct the unit"
+                yield Fault((*place, name), f"a number in {wanted}", found)
+                break
+            if bare and unit == "rad" and (hint := bare_words(number)):
+                yield Fault((*place, name), hint, format_value(number))
+                break
+
+
+def bare_words(value: float) -> str:
+    """Return the expected value, in words, for an angle that is probably given in degrees.
+
+    Such an angle has no unit and exceeds a full turn. The result is empty for other values.
+    """
+    if isinstance(value, WithUnit) or abs(value) <= FULL_TURN:
+        return ""
+    return f'radians (did you mean {value:.6g} degrees? write "{value:.6g} deg")'
+
+
+def in_radians(value: float) -> float:
+    """Return an angle unchanged; raise an error if it has no unit and exceeds a full turn."""
+    if hint := bare_words(value):
+        raise expected_error(hint)
+    return value
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from _numbers(part)
 
 
 def _is_number(value: Any) -> bool:
@@ -46,7 +177,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _number(value: Any) -> float:
-    """Return a number as float; return a `WithUnit` unchanged."""
     return value if isinstance(value, WithUnit) else float(value)
 
 
@@ -57,43 +187,40 @@ def _piecewise_constant(value: Any) -> float | Piecewise:
         return _number(value)
     pairs = value if isinstance(value, list) else []
     if not pairs or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
-        raise PydanticCustomError("expected", "a number, or an array of [time, value] pairs")
+        raise expected_error(PAIRS)
     pairs = [(time, parse_unit(rate)) for time, rate in pairs]
     if not all(map(_is_number, (number for pair in pairs for number in pair))):
-        raise PydanticCustomError("expected", "a number, or an array of [time, value] pairs")
-    times = [pair[0] for pair in pairs]
+        raise expected_error(PAIRS)
+    times = [time for time, _ in pairs]
     if times[0] != 0 or any(b <= a for a, b in pairwise(times)):
-        raise PydanticCustomError("expected", "[time, value] pairs whose times ascend from 0")
+        raise expected_error("[time, value] pairs whose times ascend from 0")
     return tuple((float(t), _number(rate)) for t, rate in pairs)
 
 
 def _piecewise_constant_or_file(value: Any) -> float | Piecewise | str:
-    """Return a number, the pairs of a piecewise-constant function, or the name of a file."""
     value = parse_unit(value)
     return value if isinstance(value, str) and value else _piecewise_constant(value)
 
 
 def _time_function(value: Any) -> float | Piecewise | str:
-    """Return a number, the pairs of a piecewise-constant function, or a formula of time."""
     value = parse_unit(value)
-    if isinstance(value, str) and value:
-        return value
-    if not _is_number(value) and not isinstance(value, list):
-        expected = "a number, an array of [time, value] pairs, or a formula of t in quotes"
-        raise PydanticCustomError("expected", expected)
-    return _piecewise_constant(value)
+    is_formula = isinstance(value, str) and value
+    if not (is_formula or _is_number(value) or isinstance(value, list)):
+        raise expected_error(
+            "a number, an array of [time, value] pairs, or a formula of t in quotes"
+        )
+    return _piecewise_constant_or_file(value)
 
 
 def _range(value: Any) -> tuple[float, float]:
     """Return the range (low, high) of a pair in ascending order, or of a number (low = high)."""
     value = [*map(parse_unit, value)] if isinstance(value, list) else parse_unit(value)
-    if _is_number(value):
-        return _number(value), _number(value)
-    if isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)):
-        low, high = map(_number, value)
+    ends = value if isinstance(value, list) else [value, value]
+    if len(ends) == 2 and all(map(_is_number, ends)):
+        low, high = map(_number, ends)
         if low <= high:
             return low, high
-    raise PydanticCustomError("expected", "a number, or [low, high] in ascending order")
+    raise expected_error("a number, or [low, high] in ascending order")
 
 
 def coefficient(value: Any) -> float | str:
@@ -102,15 +229,13 @@ def coefficient(value: Any) -> float | str:
         return value
     if _is_number(value) and value > 0:
         return float(value)
-    raise PydanticCustomError(
-        "expected", "a number greater than 0, or the name of a file in quotes"
-    )
+    raise expected_error("a number greater than 0, or the name of a file in quotes")
 
 
 def not_zero(value: float) -> float:
     """Return a speed unchanged; raise an error for zero."""
     if value == 0:
-        raise PydanticCustomError("expected", "a speed other than zero")
+        raise expected_error("a speed other than zero")
     return value
 
 

@@ -9,26 +9,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from slipfree.files.urdf.casters import with_separate_balls
-from slipfree.files.urdf.leftovers import (
+from slipfree.files.urdf.joint_guesses import with_separate_balls
+from slipfree.files.urdf.tree import Box, Findings, Link, Mesh, Mimic, Shape, Tree, UrdfJoint
+from slipfree.files.urdf.xacro import (
     check_macro_calls,
     link_at,
     substitute,
     unknown_elements,
     without_xacro,
 )
-from slipfree.files.urdf.other_formats import parse_robot
-from slipfree.files.urdf.tree import (
-    Box,
-    Faults,
-    Link,
-    Mesh,
-    Mimic,
-    Shape,
-    Tree,
-    UrdfJoint,
-)
-from slipfree.files.urdf.xml import Element
+from slipfree.files.urdf.xml import Element, parse_robot
 from slipfree.files.vehicle_draft import MAX_LENGTH, degrees_words, in_order, rotation_of
 from slipfree.geometry.frame import Vector
 from slipfree.geometry.tensor import Elements, in_axes, tensor
@@ -39,7 +29,6 @@ TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 DUMMY_MASS = 0.01  # largest mass of links that only place the robot, in masses of the robot
 MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
-UNIT_SCALE = (1.0, 1.0, 1.0)
 NOTHING: Mapping[str, str] = {}
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 T = TypeVar("T")
@@ -70,18 +59,20 @@ def read_tree(
     DataError
         If the file is not XML; an `UnfitError` with all errors if its elements are not valid.
     """
-    robot, faults = parse_robot(data, file), Faults(file)
+    robot, findings = parse_robot(data, file), Findings(file)
     check_macro_calls(robot, file, macros)
     notes = substitute(robot, arguments)
     actuated = frozenset(_actuated(robot))
-    robot, omitted = without_xacro(robot, file, faults)
+    robot, omitted = without_xacro(robot, file, findings)
     for tag in ("link", "joint"):
-        _check_names(robot, tag, faults)
-    links = {link.name: link for link in (_link(each, faults) for each in robot.all("link"))}
-    joints = {joint.name: joint for joint in (_joint(each, faults) for each in robot.all("joint"))}
-    root = _root(links, joints, faults) if not faults.found else ""
-    if faults.found:
-        faults.stop()
+        _check_names(robot, tag, findings)
+    links = {link.name: link for link in (_link(each, findings) for each in robot.all("link"))}
+    joints = {
+        joint.name: joint for joint in (_joint(each, findings) for each in robot.all("joint"))
+    }
+    root = _root(links, joints, findings) if not findings.errors else ""
+    if findings.errors:
+        findings.stop()
     world = _world(links, joints, root)
     for joint in world:
         root = joint.child
@@ -118,56 +109,50 @@ def _world(links: dict[str, Link], joints: dict[str, UrdfJoint], root: str) -> l
     return chain
 
 
-def _check_names(robot: Element, tag: str, faults: Faults) -> None:
-    """Add an error for each name that several elements with the same tag have."""
+def _check_names(robot: Element, tag: str, findings: Findings) -> None:
     lines: dict[str, list[int]] = {}
     for element in robot.all(tag):
         lines.setdefault(element.attributes.get("name", ""), []).append(element.line)
-    for name, found in lines.items():
-        if len(found) > 1:
-            words = (
-                f"{tag} {name!r}: expected a unique name, found {len(found)} {tag}s with it; "
-                "give each a different name"
+    for name, places in lines.items():
+        if len(places) > 1:
+            findings.add(
+                places[1],
+                f"{tag} {name!r}: expected a unique name, found {len(places)} {tag}s with it; "
+                "give each a different name",
             )
-            faults.add(found[1], words)
 
 
-def _link(element: Element, faults: Faults) -> Link:
-    """Return the link of an element."""
-    name = _text(element, "name", faults, "link")
-    inertial = element.first("inertial")
+def _link(element: Element, findings: Findings) -> Link:
+    name = _text(element, "name", findings, "link")
+    inertial, who = element.first("inertial"), f"link {name!r}"
     mass, center, inertia = None, ORIGIN, None
     if inertial is not None:
-        center, turned = _origin(inertial, faults, f"link {name!r}")
-        inertia = _inertia(inertial, turned, faults, f"link {name!r}: inertia")
+        center, turned = _origin(inertial, findings, who)
+        inertia = _inertia(inertial, turned, findings, f"{who}: inertia")
         weighed = inertial.first("mass")
         if weighed is not None:
-            mass = _number(weighed, "value", None, faults, f"link {name!r}: mass")
+            mass = _number(weighed, "value", None, findings, f"{who}: mass")
             if mass < 0:
-                faults.add(
-                    weighed.line,
-                    f"link {name!r}: expected a mass of at least 0 kg, found {mass:g}; correct it",
-                )
-    shapes = _of_geometry(element, _shape, faults, name)
-    meshes = _of_geometry(element, _mesh, faults, name)
-    boxes = _of_geometry(element, _box, faults, name)
-    seen = (_mesh(each, faults, name) for each in element.all("visual"))
-    visuals = tuple(each for each in seen if each is not None)
-    return Link(name, mass, center, shapes, meshes, boxes, inertia, visuals)
+                message = f"{who}: expected a mass of at least 0 kg, found {mass:g}; correct it"
+                findings.add(weighed.line, message)
+
+    def shapes_of(read: Callable[[Element, Findings, str], T | None], *tags: str) -> tuple[T, ...]:
+        for tag in tags:
+            read_shapes = [read(shape, findings, who) for shape in element.all(tag)]
+            if shapes := tuple(shape for shape in read_shapes if shape is not None):
+                return shapes
+        return ()
+
+    tags = "collision", "visual"
+    shapes, meshes, boxes = (
+        shapes_of(_shape, *tags),
+        shapes_of(_mesh, *tags),
+        shapes_of(_box, *tags),
+    )
+    return Link(name, mass, center, shapes, meshes, boxes, inertia, shapes_of(_mesh, "visual"))
 
 
-def _of_geometry(
-    element: Element, read: Callable[[Element, Faults, str], T | None], faults: Faults, link: str
-) -> tuple[T, ...]:
-    """Return the shapes that ``read`` finds in a link's collision elements, else in visual ones."""
-    for tag in ("collision", "visual"):
-        found = (read(each, faults, link) for each in element.all(tag))
-        if known := tuple(each for each in found if each is not None):
-            return known
-    return ()
-
-
-def _inertia(inertial: Element, turned: Vector, faults: Faults, who: str) -> Elements | None:
+def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) -> Elements | None:
     """Return the inertia tensor of an element in the axes of its link [kg m^2].
 
     The result is None without the element ``inertia``, or for impossible moments: principal
@@ -176,108 +161,98 @@ def _inertia(inertial: Element, turned: Vector, faults: Faults, who: str) -> Ele
     element = inertial.first("inertia")
     if element is None:
         return None
-    xx, yy, zz, xy, xz, yz = (_number(element, key, 0.0, faults, who) for key in MOMENTS)
-    found = (xx, yy, zz, xy, xz, yz)
-    least, middle, most = np.linalg.eigvalsh(tensor(found))
+    xx, yy, zz, xy, xz, yz = (_number(element, key, 0.0, findings, who) for key in MOMENTS)
+    moments = (xx, yy, zz, xy, xz, yz)
+    least, middle, most = np.linalg.eigvalsh(tensor(moments))
     if least <= 0 or most > (1 + TRIANGLE) * (least + middle):
         return None
-    return in_axes(rotation_of(turned), found)
+    return in_axes(rotation_of(turned), moments)
 
 
-def _mesh(element: Element, faults: Faults, link: str) -> Mesh | None:
-    """Return the mesh of a collision or visual element; None for other shapes."""
+def _solid(element: Element, kind: str) -> Element | None:
+    """Return the element of a kind in the geometry of a collision or visual element."""
     geometry = element.first("geometry")
-    found = geometry.first("mesh") if geometry is not None else None
-    if found is None:
+    return None if geometry is None else geometry.first(kind)
+
+
+def _mesh(element: Element, findings: Findings, who: str) -> Mesh | None:
+    mesh = _solid(element, "mesh")
+    if mesh is None:
         return None
-    who = f"link {link!r}"
-    at, turned = _origin(element, faults, f"{who}: {element.tag}")
-    scale = _scale(found, faults, f"{who}: mesh")
-    return Mesh(found.attributes.get("filename", ""), scale, at, turned)
+    at, turned = _origin(element, findings, f"{who}: {element.tag}")
+    # three factors, one for all axes, or a fourth that is ignored
+    factors = mesh.attributes.get("scale", "1").replace(",", " ").split()
+    factors = factors * 3 if len(factors) == 1 else factors[:3] if len(factors) == 4 else factors
+    scaled = Element("mesh", {"scale": " ".join(factors)}, mesh.line)
+    scale = _vector(scaled, "scale", (1.0, 1.0, 1.0), findings, f"{who}: mesh")
+    if not all(scale):
+        text = mesh.attributes["scale"]
+        message = f"expected factors other than zero in 'scale', found {text!r}; correct them"
+        findings.add(mesh.line, f"{who}: mesh: {message}")
+    return Mesh(mesh.attributes.get("filename", ""), scale, at, turned)
 
 
-def _scale(element: Element, faults: Faults, who: str) -> Vector:
-    """Return the scale of a mesh: three numbers, one for all axes, or a fourth that is ignored."""
-    values = element.attributes.get("scale", "1").replace(",", " ").split()
-    values = values * 3 if len(values) == 1 else values[:3] if len(values) == 4 else values
-    scale = Element("mesh", {"scale": " ".join(values)}, element.line)
-    found = _vector(scale, "scale", UNIT_SCALE, faults, who)
-    if not all(found):
-        text = element.attributes["scale"]
-        faults.add(
-            element.line,
-            f"{who}: expected factors other than zero in 'scale', found {text!r}; correct them",
-        )
-    return found
-
-
-def _box(element: Element, faults: Faults, link: str) -> Box | None:
-    """Return the box of a collision or visual element; None for other shapes."""
-    geometry = element.first("geometry")
-    found = geometry.first("box") if geometry is not None else None
-    if found is None:
+def _box(element: Element, findings: Findings, who: str) -> Box | None:
+    box = _solid(element, "box")
+    if box is None:
         return None
-    who = f"link {link!r}"
-    at, turned = _origin(element, faults, f"{who}: {element.tag}")
-    return Box(_vector(found, "size", ORIGIN, faults, f"{who}: box"), at, turned)
+    at, turned = _origin(element, findings, f"{who}: {element.tag}")
+    return Box(_vector(box, "size", ORIGIN, findings, f"{who}: box"), at, turned)
 
 
-def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
-    """Return the cylinder or sphere of a collision or visual element; None for other shapes."""
-    geometry = element.first("geometry")
-    at, turned = _origin(element, faults, f"link {link!r}: {element.tag}")
+def _shape(element: Element, findings: Findings, who: str) -> Shape | None:
+    at, turned = _origin(element, findings, f"{who}: {element.tag}")
     for kind in ("cylinder", "sphere"):
-        found = geometry.first(kind) if geometry is not None else None
-        if found is not None:
-            radius = _number(found, "radius", None, faults, f"link {link!r}: {kind}")
+        solid = _solid(element, kind)
+        if solid is not None:
+            radius = _number(solid, "radius", None, findings, f"{who}: {kind}")
             if not 0 < radius <= MAX_LENGTH:
-                faults.add(
-                    found.line,
-                    f"link {link!r}: expected the radius of a {kind} in metres, greater than 0 and "
-                    f"at most {MAX_LENGTH:g}, found {radius:g}; correct it",
+                findings.add(
+                    solid.line,
+                    f"{who}: expected the radius of a {kind} in metres, greater than 0 and at most "
+                    f"{MAX_LENGTH:g}, found {radius:g}; correct it",
                 )
             return Shape("cylinder" if kind == "cylinder" else "sphere", radius, at, turned)
     return None
 
 
-def _joint(element: Element, faults: Faults) -> UrdfJoint:
-    """Return the joint of an element."""
-    name = _text(element, "name", faults, "joint")
+def _joint(element: Element, findings: Findings) -> UrdfJoint:
+    name = _text(element, "name", findings, "joint")
     who, kind = f"joint {name!r}", element.attributes.get("type", "")
     if kind not in TYPES:
         expected = f"one of the types {', '.join(TYPES)}"
-        found = repr(kind) if kind else "none"
-        faults.add(element.line, f"{who}: expected {expected}, found {found}; choose one")
-    ends = []
+        wrong = repr(kind) if kind else "none"
+        findings.add(element.line, f"{who}: expected {expected}, found {wrong}; choose one")
+    ends: list[str] = []
     for tag in ("parent", "child"):
         link = link_at(element, tag)
         if not link:
-            faults.add(element.line, f'{who}: expected <{tag} link="..."/>, found none; add it')
+            findings.add(element.line, f'{who}: expected <{tag} link="..."/>, found none; add it')
         ends.append(link)
-    at, turned = _origin(element, faults, who)
+    at, turned = _origin(element, findings, who)
     pointed, axis = element.first("axis"), ORIGIN if kind == "fixed" else FORWARD
     if pointed is not None:
-        axis = _vector(pointed, "xyz", FORWARD, faults, f"{who}: axis")
+        axis = _vector(pointed, "xyz", FORWARD, findings, f"{who}: axis")
         if not math.hypot(*axis) > 0 and kind not in ("fixed", "floating"):
-            faults.add(
+            findings.add(
                 pointed.line,
                 f"{who}: expected an axis other than zero, found 0 0 0; "
                 'write <axis xyz="0 1 0"/> for an axis to the left',
             )
-    lower, upper = _limits(element, kind, faults, who)
+    lower, upper = _limits(element, kind, findings, f"{who}: limit")
     if kind == "revolute" and math.isinf(lower) and math.isinf(upper):
         kind = "continuous"
-    max_rate = _max_rate(element, faults, who)
-    mimic = element.first("mimic")
-    follows = (
-        None
-        if mimic is None
-        else Mimic(
-            _text(mimic, "joint", faults, f"{who}: mimic"),
-            _number(mimic, "multiplier", 1.0, faults, f"{who}: mimic"),
-            _number(mimic, "offset", 0.0, faults, f"{who}: mimic"),
+    limit = element.first("limit")
+    rate = 0.0 if limit is None else _number(limit, "velocity", 0.0, findings, f"{who}: limit")
+    max_rate = rate if 0 < rate < MAX_LIMIT else math.inf
+    mimic, follows = element.first("mimic"), None
+    if mimic is not None:
+        who = f"{who}: mimic"
+        follows = Mimic(
+            _text(mimic, "joint", findings, who),
+            _number(mimic, "multiplier", 1.0, findings, who),
+            _number(mimic, "offset", 0.0, findings, who),
         )
-    )
     return UrdfJoint(
         name,
         kind,
@@ -294,148 +269,125 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
     )
 
 
-def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[float, float]:
-    """Return the lower and upper limit of a joint [rad or m].
+def _limits(element: Element, kind: str, findings: Findings, who: str) -> tuple[float, float]:
+    """Return the limits of a joint, infinite from an absolute value of 1000 [rad, m].
 
-    A limit is infinite if its absolute value is at least 1000. Both are infinite if the joint is of
-    a type without limits, or has neither ``lower`` nor ``upper``. If one of these attributes is
-    missing, its limit is zero, as in URDF. The values are checked later, since a vehicle file may
-    override them.
+    Both are infinite if the joint is of a type without limits, or has neither ``lower`` nor
+    ``upper``; one that is missing is zero, as in URDF. The values are checked later, since a
+    vehicle file may override them.
     """
     limit = element.first("limit")
-    if kind not in ("revolute", "prismatic", "fixed") or limit is None:
+    has_limits = limit is not None and {"lower", "upper"} & set(limit.attributes)
+    if kind not in ("revolute", "prismatic", "fixed") or limit is None or not has_limits:
         return -math.inf, math.inf
-    if not {"lower", "upper"} & set(limit.attributes):
-        return -math.inf, math.inf
-    found = []
-    for key, sign in (("lower", -1), ("upper", 1)):
-        value = _number(limit, key, 0.0, faults, f"{who}: limit")
-        found.append(sign * math.inf if abs(value) >= MAX_LIMIT else value)
-    return found[0], found[1]
+    lower, upper = (_number(limit, key, 0.0, findings, who) for key in ("lower", "upper"))
+    return (
+        lower if abs(lower) < MAX_LIMIT else -math.inf,
+        upper if abs(upper) < MAX_LIMIT else math.inf,
+    )
 
 
-def _max_rate(element: Element, faults: Faults, who: str) -> float:
-    """Return the rate limit of a joint [rad/s, m/s]; infinite if absent, zero or at least 1000."""
-    limit = element.first("limit")
-    found = 0.0 if limit is None else _number(limit, "velocity", 0.0, faults, f"{who}: limit")
-    return found if 0 < found < MAX_LIMIT else math.inf
-
-
-def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]:
+def _origin(element: Element, findings: Findings, who: str) -> tuple[Vector, Vector]:
     """Return position [m] and roll, pitch, yaw [rad] in ``origin``; zeros without an origin."""
     origin = element.first("origin")
     if origin is None:
         return ORIGIN, ORIGIN
-    at = _vector(origin, "xyz", ORIGIN, faults, f"{who}: origin")
-    turned = _vector(origin, "rpy", ORIGIN, faults, f"{who}: origin")
+    at = _vector(origin, "xyz", ORIGIN, findings, f"{who}: origin")
+    turned = _vector(origin, "rpy", ORIGIN, findings, f"{who}: origin")
     if max(map(abs, at)) > MAX_LENGTH:
-        faults.add(
+        findings.add(
             origin.line,
             f"{who}: expected xyz in metres, from {-MAX_LENGTH:g} to {MAX_LENGTH:g} (did you mean "
             f"millimetres?), found {origin.attributes['xyz']}; correct it",
         )
     for angle in turned:
-        if words := degrees_words(angle):
-            faults.add(origin.line, f"{who}: expected rpy in radians ({words}), found {angle:g}")
+        if hint := degrees_words(angle):
+            findings.add(origin.line, f"{who}: expected rpy in radians ({hint}), found {angle:g}")
     return at, turned
 
 
-def _vector(element: Element, key: str, default: Vector, faults: Faults, who: str) -> Vector:
-    """Return three numbers of an attribute; add an error if they are invalid."""
+def _vector(element: Element, key: str, default: Vector, findings: Findings, who: str) -> Vector:
     text = element.attributes.get(key)
     if text is None:
         return default
-    values = [_float(part) for part in text.replace(",", " ").split()]
+    values = [_float(number) for number in text.replace(",", " ").split()]
     if len(values) != 3 or not all(map(math.isfinite, values)):
-        faults.add(
-            element.line, f"{who}: expected three numbers in {key!r}, found {text!r}; correct them"
-        )
+        message = f"{who}: expected three numbers in {key!r}, found {text!r}; correct them"
+        findings.add(element.line, message)
         return default
     return values[0], values[1], values[2]
 
 
-def _number(element: Element, key: str, default: float | None, faults: Faults, who: str) -> float:
-    """Return the number in an attribute, or ``default`` if the attribute is missing.
-
-    An error is added to ``faults`` if the number is invalid, or if it is missing and ``default`` is
-    None.
-    """
+def _number(
+    element: Element, key: str, default: float | None, findings: Findings, who: str
+) -> float:
+    """Return the number in an attribute; one without a default is required."""
     text = element.attributes.get(key)
     if text is None and default is not None:
         return default
     value = _float(text or "")
     if not math.isfinite(value):
-        found = "none" if text is None else repr(text)
-        remedy = "add it" if text is None else "correct it"
-        faults.add(element.line, f"{who}: expected a number in {key!r}, found {found}; {remedy}")
+        wrong = "none; add it" if text is None else f"{text!r}; correct it"
+        findings.add(element.line, f"{who}: expected a number in {key!r}, found {wrong}")
         return default or 1.0
     return value
 
 
 def _float(text: str) -> float:
-    """Return the number in a text; NaN without a number."""
     try:
         return float(text)
     except ValueError:
         return math.nan
 
 
-def _text(element: Element, key: str, faults: Faults, who: str) -> str:
-    """Return the name in an attribute; add an error if it is missing."""
+def _text(element: Element, key: str, findings: Findings, who: str) -> str:
     if not element.attributes.get(key):
-        words = f"{who}: expected a name in the attribute {key!r}, found none; add it"
-        faults.add(element.line, words)
+        message = f"{who}: expected a name in the attribute {key!r}, found none; add it"
+        findings.add(element.line, message)
     return element.attributes.get(key, "")
 
 
-def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) -> str:
+def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], findings: Findings) -> str:
     """Return the name of the root link; add errors if the links and joints do not form a tree."""
     parent_of: dict[str, UrdfJoint] = {}
     for joint in joints.values():
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
-                faults.add(
-                    joint.line,
-                    f"joint {joint.name!r}: expected a link of this file as {role}, found "
-                    f"{link!r}; correct the name or add the link",
-                )
+                message = f"expected a link of this file as {role}, found {link!r}"
+                findings.wrong(joint, f"{message}; correct the name or add the link")
         if joint.child in parent_of:
-            other = parent_of[joint.child].name
-            faults.add(
-                joint.line,
-                f"joint {joint.name!r}: expected a tree, found a closed loop: "
-                f"link {joint.child!r} is also the child of joint {other!r}; cut the loop at "
-                "one of these joints",
+            findings.wrong(
+                joint,
+                f"expected a tree, found a closed loop: link {joint.child!r} is also the child of "
+                f"joint {parent_of[joint.child].name!r}; cut the loop at one of these joints",
             )
         parent_of[joint.child] = joint
-    if faults.found:
+    if findings.errors:
         return ""
     roots = [name for name in links if name not in parent_of]
     if len(roots) > 1:
-        faults.add(
-            1,
-            f"expected one root link, found {', '.join(map(repr, roots))}; connect them by joints",
-        )
+        names = ", ".join(map(repr, roots))
+        findings.add(1, f"expected one root link, found {names}; connect them by joints")
         return ""
     root = roots[0] if roots else ""
     _, loose = in_order({child: joint.parent for child, joint in parent_of.items()}, root)
     if not links or loose:
         line = parent_of[loose[0]].line if loose else 1
-        found = f"links in a loop: {', '.join(map(repr, loose))}" if loose else "no link"
-        faults.add(line, f"expected a tree of links, found {found}; correct the joints")
+        wrong = f"links in a loop: {', '.join(map(repr, loose))}" if loose else "no link"
+        findings.add(line, f"expected a tree of links, found {wrong}; correct the joints")
     return root
 
 
 def _actuated(robot: Element) -> Iterator[str]:
     """Yield the names of the joints with a transmission, a command interface or a Gazebo drive."""
-    for each in robot.all("transmission"):
-        yield from (joint.attributes.get("name", "") for joint in each.all("joint"))
-    for each in robot.all("ros2_control"):
-        for joint in each.all("joint"):
+    for transmission in robot.all("transmission"):
+        yield from (joint.attributes.get("name", "") for joint in transmission.all("joint"))
+    for control in robot.all("ros2_control"):
+        for joint in control.all("joint"):
             if joint.first("command_interface") is not None:
                 yield joint.attributes.get("name", "")
-    for each in robot.all("gazebo"):
-        for plugin in each.all("plugin"):
+    for gazebo in robot.all("gazebo"):
+        for plugin in gazebo.all("plugin"):
             if DRIVE.search(plugin.attributes.get("filename", "")):
                 parts = (part for part in plugin.everything() if "encoder" not in part.tag.lower())
                 yield from ("".join(part.texts).strip() for part in parts)

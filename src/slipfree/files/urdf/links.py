@@ -10,27 +10,25 @@ import casadi as ca
 import numpy as np
 import scipy  # scipy.spatial is imported when it is used, since this takes 0.1 s
 
-from slipfree.files.urdf.frames import FORWARD_YAW, facing_forward
-from slipfree.files.urdf.tree import Tree, UrdfJoint
-from slipfree.files.vehicle_draft import rotation_of, turned_right
+from slipfree.files.urdf.tree import FORWARD_YAW, Tree, UrdfJoint, facing_forward
+from slipfree.files.vehicle_draft import rotation_of, turned_right, vector_of
 from slipfree.geometry.frame import unit_vector
+from slipfree.models.poses import FramePoses, part_poses
 from slipfree.records import Array
+from slipfree.trajectory import Trajectory
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
+MAP = "map"  # frame of REP 105
+
 
 class Robot(NamedTuple):
-    """A URDF from which a vehicle was read.
+    """A URDF from which a vehicle was read, and the axis of its root link that points forward.
 
-    Attributes
-    ----------
-    tree : Tree
-        Links and joints, completed by a vehicle file.
-    forward : {"x", "-x", "y", "-y"}
-        Axis of the root link that points forward.
+    The URDF is completed by a vehicle file; ``forward`` is ``"x"``, ``"-x"``, ``"y"`` or ``"-y"``.
     """
 
     tree: Tree
@@ -43,17 +41,7 @@ class Robot(NamedTuple):
 
 
 class LinkPoses(NamedTuple):
-    """Poses of a link in its parent's frame over time.
-
-    Attributes
-    ----------
-    parent, child : str
-        Names of the frames.
-    origins : ndarray, shape (n, 3)
-        Origins. [m]
-    rotation : Rotation
-        Rotations of n samples.
-    """
+    """Poses of a link in its parent's frame over time: origins, shape (n, 3) [m], and rotations."""
 
     parent: str
     child: str
@@ -83,19 +71,18 @@ def joint_values(
         Values of the coordinates, and angles of the wheels, by name. [rad or m]
     """
     own = {joint.name: evaluate(joint.value, values) for joint in vehicle.joints}
-    if robot is None:
-        moving = {joint.name: own[joint.name] for joint in vehicle.joints if joint.coordinates}
-        return moving | dict(angles)
     released = {joint.name for joint in vehicle.joints if joint.coordinates}
+    if robot is None:
+        return {name: value for name, value in own.items() if name in released} | dict(angles)
     signs, joints = _wheel_signs(vehicle, robot), robot.tree.joints
 
     def value(joint: UrdfJoint) -> ca.SX:
         factor, offset = 1.0, 0.0
         for _ in joints:  # mimics may form a loop, or a chain too long for recursion
             mimic = joint.mimic
-            if joint.name in own or joint.name in signs or mimic is None:
+            if joint.name in own or joint.name in signs:
                 break
-            if mimic.joint not in joints:
+            if mimic is None or mimic.joint not in joints:
                 break
             offset, factor = offset + factor * mimic.offset, factor * mimic.multiplier
             joint = joints[mimic.joint]
@@ -130,7 +117,60 @@ def _wheel_signs(vehicle: Vehicle, robot: Robot) -> dict[str, float]:
     for joint in facing_forward(robot.tree, robot.forward).joints.values():
         wheel = wheels.get(wheel_name(joint.name))
         if wheel is not None and joint.moves:
-            x, y, z = (rotation_of(joint.turned) @ unit_vector(joint.axis)).tolist()
-            along = np.dot(turned_right((x, y, z)), unit_vector(wheel.axle))
+            axis = vector_of(rotation_of(joint.turned) @ unit_vector(joint.axis))
+            along = np.dot(turned_right(axis), unit_vector(wheel.axle))
             signs[joint.name] = -float(np.sign(along))
     return signs
+
+
+def to_rep103(poses: FramePoses) -> tuple[Array, Rotation]:
+    """Return origins [m] and rotations of frames with axes x forward, y left.
+
+    The rotations of all samples and frames are in one dimension.
+    """
+    right, forward, up = np.moveaxis(poses.rotations, -1, 0)
+    turned = np.stack([forward, -right, up], axis=-1)
+    return poses.origins, scipy.spatial.transform.Rotation.from_matrix(turned.reshape(-1, 3, 3))
+
+
+def platform_poses(run: Trajectory, vehicle: Vehicle) -> tuple[Array, Rotation]:
+    """Return origins, shape (n, 3) [m], and rotations of the platform."""
+    poses = part_poses(vehicle, run)
+    origins, rotation = to_rep103(FramePoses(poses.origins[:, :1], poses.rotations[:, :1]))
+    return origins[:, 0], rotation
+
+
+def joint_motion(
+    run: Trajectory, vehicle: Vehicle, robot: Robot | None
+) -> dict[str, tuple[Array, Array | None]]:
+    """Return values [rad, m] of moving joints and wheels, and their rates, None if unknown."""
+    names, wheels = [c.name for c in vehicle.coordinates], [w.name for w in vehicle.wheels]
+    size = len(names) + len(wheels)
+    q, rates = ca.SX.sym("q", size), ca.SX.sym("rates", size)
+    coordinates = dict(zip(names, ca.vertsplit(q)[: len(names)], strict=True))
+    angles = dict(zip(wheels, ca.vertsplit(q)[len(names) :], strict=True))
+    values = joint_values(vehicle, robot, coordinates, angles)
+    joints = ca.vertcat(*values.values())
+    function = ca.Function("joints", [q, rates], [joints, ca.jtimes(joints, q, rates)])
+    is_known = all(f"{name}_rate" in run.columns for name in names)
+    columns = np.array([*(run[name] for name in names), *run["wheel_angle"].T])
+    speeds = np.zeros((size, run.t.size))
+    if is_known:
+        speeds = np.array([*(run[f"{name}_rate"] for name in names), *run["wheel_rate"].T])
+    rows = zip(*(np.array(out) for out in function.map(run.t.size)(columns, speeds)), strict=True)
+    return {
+        name: (value, rate if is_known else None)
+        for name, (value, rate) in zip(values, rows, strict=True)
+    }
+
+
+def poses_on_map(run: Trajectory, vehicle: Vehicle, robot: Robot) -> Iterator[LinkPoses]:
+    """Yield the poses of all links of a URDF on the map, the root link first."""
+    origins, turn = platform_poses(run, vehicle)
+    poses = {robot.tree.root: (origins, turn * robot.root_turn)}
+    yield LinkPoses(MAP, robot.tree.root, *poses[robot.tree.root])
+    values = {name: value for name, (value, _) in joint_motion(run, vehicle, robot).items()}
+    for link in link_poses(robot, values):
+        at, rotation = poses[link.parent]
+        poses[link.child] = at + rotation.apply(link.origins), rotation * link.rotation
+        yield LinkPoses(MAP, link.child, *poses[link.child])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,9 @@ from urllib.parse import unquote
 import numpy as np
 
 from slipfree.errors import DataError, missing_package
-from slipfree.files.urdf.packages import package_folders
 from slipfree.files.urdf.tree import Mesh, Shape
-from slipfree.files.vehicle_draft import MAX_LENGTH, rotation_of
+from slipfree.files.urdf.xacro import package_folders
+from slipfree.files.vehicle_draft import MAX_LENGTH, rotation_of, vector_of
 from slipfree.geometry.mesh import Mesh as Triangles
 from slipfree.processes import ProcessDiedError, bounded_call, bounded_read
 from slipfree.records import Array
@@ -42,26 +42,14 @@ FIT = 0.01  # largest error of a circle fitted to a rounded tread, in radii
 def mesh_shape(meshes: Sequence[Mesh], axis: Array, files: MeshFiles) -> Shape | None:
     """Return the body of revolution that encloses the meshes of a link, about an axis.
 
-    The axis goes through the link's origin. The radius is the largest distance of a point from the
-    axis. The centre is on the axis, in the middle of the tread. The tube radius is that of a circle
-    fitted to the outline of the tread; it is zero if the outline is not such a circle, or if the
-    circle is larger than the tread's width or the radius. The result is None for meshes that are
-    not round about the axis.
+    The axis, a unit vector in the link's frame, goes through the link's origin. The radius is the
+    largest distance of a point from it. The centre is on the axis, in the middle of the tread. The
+    tube radius is that of a circle fitted to the outline of the tread; it is zero if the outline is
+    not such a circle, or if the circle is larger than the tread's width or the radius. The result
+    is None for meshes that are not round about the axis.
 
-    Parameters
-    ----------
-    meshes : sequence of Mesh
-        Meshes of a link.
-    axis : ndarray, shape (3,)
-        Unit vector of the axis in the link's frame.
-    files : MeshFiles
-        The files of the meshes.
-
-    Raises
-    ------
-    DataError
-        If a mesh cannot be read, if the package ``trimesh`` is not installed, or if the radius is
-        zero or too large.
+    DataError is raised if a mesh cannot be read, if the package ``trimesh`` is not installed, or if
+    the radius is zero or too large.
     """
     points = np.vstack([files.triangles(mesh).vertices for mesh in meshes])
     along = points @ axis
@@ -83,19 +71,13 @@ def mesh_shape(meshes: Sequence[Mesh], axis: Array, files: MeshFiles) -> Shape |
         return None
     tread = distance > radius / 2
     middle, tube = _tread(along[tread], distance[tread])
-    x, y, z = (middle * axis).tolist()
-    return Shape("mesh", radius, (x, y, z), angles_to(axis), tube)
+    return Shape("mesh", radius, vector_of(middle * axis), angles_to(axis), tube)
 
 
 class MeshFiles:
     """Files of meshes, read in one process with limits, since damaged files may hang or crash.
 
-    Parameters
-    ----------
-    meshes : iterable of Mesh
-        Meshes of links.
-    folder : Path
-        Folder of the URDF.
+    Their names are relative to the folder of the URDF.
     """
 
     def __init__(self, meshes: Iterable[Mesh], folder: Path) -> None:
@@ -110,13 +92,7 @@ class MeshFiles:
             self._read |= zip(files, _read_files([*files.values()]), strict=True)
 
     def triangles(self, mesh: Mesh) -> Triangles:
-        """Return the triangles of a mesh in the frame of its link.
-
-        Raises
-        ------
-        DataError
-            If the mesh cannot be read, or if the package ``trimesh`` is not installed.
-        """
+        """Return the triangles of a mesh in the frame of its link, or raise its DataError."""
         read = self._read[mesh.name]
         if isinstance(read, DataError):
             raise read
@@ -139,16 +115,8 @@ def unit_factor(radii: Array, centers: Array, axle: Array, own: int) -> float | 
     0.002 of this distance, or if the wheel overlaps another one in its plane, not larger than
     itself, by more than a tenth. The factor is that of a unit in `UNITS`, or 1 if none suits.
 
-    Parameters
-    ----------
-    radii : ndarray, shape (n,)
-        Radii of all wheels; zero if unknown. [m]
-    centers : ndarray, shape (n, 3)
-        Centres of all wheels. [m]
-    axle : ndarray, shape (3,)
-        Unit vector of the axle of the wheel.
-    own : int
-        Index of the wheel.
+    Radii have the shape (n,), zero if unknown, and centres (n, 3) [m]; ``axle`` is the unit vector
+    of the wheel with the index ``own``.
     """
     radius, offsets = float(radii[own]), centers - centers[own]
     extent = float(np.linalg.norm(centers[:, None] - centers, axis=2).max())
@@ -163,33 +131,24 @@ def unit_factor(radii: Array, centers: Array, axle: Array, own: int) -> float | 
 
 
 def _read_files(paths: Sequence[Path]) -> list[Triangles | DataError]:
-    """Return the triangles of files, or the errors of those that cannot be read."""
     if find_spec("trimesh") is None:
         return [DataError(missing_package("trimesh", "urdf")) for _ in paths]
     size = sum(path.stat().st_size for path in paths)
     try:
         return bounded_call(_read_each, paths, seconds=10 + size / 1e6, memory=3e9 + 20 * size)
     except ProcessDiedError:
-        return [_read_alone(path) for path in paths]
+        return [_attempt(bounded_read, _read_file, path) for path in paths]
 
 
-def _read_alone(path: Path) -> Triangles | DataError:
-    """Return the triangles of a file that is read in a process of its own."""
+def _attempt(read: Callable[..., Triangles], *arguments: Any) -> Triangles | DataError:
     try:
-        return bounded_read(_read_file, path)
+        return read(*arguments)
     except DataError as error:
         return error
 
 
 def _read_each(paths: Sequence[Path]) -> list[Triangles | DataError]:
-    """Return the triangles of files, or the errors of those that cannot be read."""
-    found: list[Triangles | DataError] = []
-    for path in paths:
-        try:
-            found.append(_read_file(path))
-        except DataError as error:
-            found.append(error)
-    return found
+    return [_attempt(_read_file, path) for path in paths]
 
 
 def _read_file(path: Path) -> Triangles:
@@ -231,7 +190,7 @@ def find_mesh(name: str, folder: Path) -> Path:
             f"expected the mesh in a local file, found {name!r}; download it, and name the file"
         )
     plain = unquote(inside) if separator else name
-    if "\\" in plain and not _is_file(folder / plain):
+    if "\\" in plain and not os.path.isfile(folder / plain):  # noqa: PTH113
         plain = plain.replace("\\", "/")  # of Windows
     if scheme in PACKAGES and separator:
         package, _, rest = plain.partition("/")
@@ -241,14 +200,9 @@ def find_mesh(name: str, folder: Path) -> Path:
         tried = [folder / plain.removeprefix("localhost" if separator else "")]
         remedy = f"correct the name, which is relative to {str(folder)!r}"
     for path in tried:
-        if _is_file(path):
+        if os.path.isfile(path):  # noqa: PTH113 - False for names that are too long, too
             return path
     raise DataError(f"expected the mesh {name!r}, found no such file; {remedy}")
-
-
-def _is_file(path: Path) -> bool:
-    """Return whether a path is a file; False for names that are too long, too."""
-    return os.path.isfile(path)  # noqa: PTH113
 
 
 def _largest_gap(across: Array, axis: Array) -> float:
@@ -259,13 +213,7 @@ def _largest_gap(across: Array, axis: Array) -> float:
 
 
 def _tread(along: Array, distance: Array) -> tuple[float, float]:
-    """Return the middle of a tread along the axis, and its tube radius, zero if it is flat [m].
-
-    Parameters
-    ----------
-    along, distance : ndarray, shape (n,)
-        Coordinate of points along the axis, and their distance from it. [m]
-    """
+    """Return the middle of a tread along the axis, and its tube radius, zero if it is flat [m]."""
     low, high = float(along.min()), float(along.max())
     middle, width, radius = (low + high) / 2, high - low, float(distance.max())
     central = np.abs(along - middle) <= 0.4 * width
@@ -284,20 +232,15 @@ def _tread(along: Array, distance: Array) -> tuple[float, float]:
 
 def _outline(along: Array, distance: Array) -> Array:
     """Return the points of the upper convex outline of a profile, shape (m, 2), in order [m]."""
-    found: list[tuple[float, float]] = []
-    for a, d in sorted(zip(along.tolist(), distance.tolist(), strict=True)):
-        while len(found) > 1 and _is_below(found[-2], found[-1], (a, d)):
-            found.pop()
-        found.append((a, d))
-    return np.array(found)
-
-
-def _is_below(
-    first: tuple[float, float], middle: tuple[float, float], last: tuple[float, float]
-) -> bool:
-    """Return whether a point is not above the line between two others."""
-    (a0, d0), (a1, d1), (a2, d2) = first, middle, last
-    return (a1 - a0) * (d2 - d0) - (d1 - d0) * (a2 - a0) >= 0
+    outline: list[tuple[float, float]] = []
+    for a2, d2 in sorted(zip(along.tolist(), distance.tolist(), strict=True)):
+        while len(outline) > 1:
+            (a0, d0), (a1, d1) = outline[-2:]
+            if (a1 - a0) * (d2 - d0) < (d1 - d0) * (a2 - a0):  # the middle point is above the line
+                break
+            outline.pop()
+        outline.append((a2, d2))
+    return np.array(outline)
 
 
 def angles_to(axis: Array) -> tuple[float, float, float]:

@@ -1,27 +1,33 @@
-"""Conversion of URDF to vehicles: joints, wheels from round links, masses from inertial data."""
+"""Conversion of a URDF to a vehicle: coordinates, joints, wheels and masses."""
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
-from slipfree.files.urdf.coordinates import Coordinates
-from slipfree.files.urdf.forward import forward_guess
-from slipfree.files.urdf.frames import facing_forward, is_last
-from slipfree.files.urdf.kinds import Joints, coupled
-from slipfree.files.urdf.roles import NO_ROLES, JointRole, Roles, completed
-from slipfree.files.urdf.tree import Findings, Tree, UrdfJoint
+from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints, KindGuess
+from slipfree.files.urdf.roles import NO_ROLES, JointRole, Roles, completed, coupled
+from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
+from slipfree.files.urdf.wheel_guesses import forward_guess
 from slipfree.files.urdf.wheels import Wheels
 from slipfree.files.vehicle_draft import (
+    MAX_LENGTH,
     Draft,
     UnfitError,
+    degrees_words,
     from_rep103,
+    is_symbol,
+    length_words,
     misfits,
+    toml_key,
     toml_line,
     toml_value,
 )
-from slipfree.geometry.frame import Vector, unit_vector
-from slipfree.vehicle.tree import Body, Joint
+from slipfree.geometry.frame import unit_vector
+from slipfree.vehicle.tree import Body, Coordinate, Joint
 
 MIN_WHEELS = 3
 MAX_NAMES = 12  # more joints are not listed
@@ -52,53 +58,57 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     """
     findings = Findings(tree.file)
     draft = from_rep103(_draft(tree, roles, findings))
-    if findings.faults.found:
-        raise UnfitError(findings.faults.lines, draft)
-    remedy = _wheel_words(tree, draft) if len(draft.wheels) < MIN_WHEELS else ""
+    if findings.errors:
+        raise UnfitError(findings.lines, draft)
+    remedy = _wheel_remedy(tree, draft) if len(draft.wheels) < MIN_WHEELS else ""
     wrong = [f"{tree.file}:1: expected {e}, found {f}{remedy}" for e, f in misfits(draft)]
-    wrong += [f"{tree.file}:{each}" for each in tree.unknown if wrong]
+    wrong += [f"{tree.file}:{element}" for element in tree.unknown if wrong]
     if wrong:
         raise UnfitError(wrong, draft)
     return draft
 
 
-def _wheel_words(tree: Tree, draft: Draft) -> str:
+def _wheel_remedy(tree: Tree, draft: Draft) -> str:
     """Return how to declare wheels, with the names of the last joints that carry none."""
     known = [wheel.name for wheel in draft.wheels]
-    ends = [j.name for j in tree.joints.values() if is_last(tree, j) and j.name not in known]
+    ends = [j.name for j in tree.joints.values() if tree.is_last(j) and j.name not in known]
     names = ", ".join(ends[:MAX_NAMES]) + (", ..." if len(ends) > MAX_NAMES else "")
     if not ends:
         return ", such as a link with a sphere at a fixed joint, as of a caster"
-    return (
-        f" in a vehicle file with urdf = {toml_value(Path(tree.file).name)}, such as "
-        f"{toml_line('wheels', ends[0], radius=0.1)}; joints without a wheel: {names}"
-    )
+    line = toml_line("wheels", ends[0], radius=0.1)
+    return f" {tree.completion}, such as {line}; joints without a wheel: {names}"
 
 
 def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
-    """Return the draft of the vehicle of a URDF, in axes x forward, y left."""
     tree = coupled(completed(file, roles), roles.couple)
     forward = roles.forward or _forward(tree, roles, findings)
     wheels = Wheels(facing_forward(tree, forward), roles, findings)
-    tree = wheels.tree
     for name, (table, values, reason) in wheels.gears.items():
-        if tree.joints[name].moves:
+        if wheels.tree.joints[name].moves:
             other = toml_line(table, name, **values)
             findings.guess("joints", name, {"kind": "fixed"}, reason, other)
     fixed = dict.fromkeys(wheels.gears, JointRole("fixed"))
     roles = replace(roles, joints={**roles.joints, **fixed})
-    tree, roles = _with_differential(wheels, roles, findings)
-    wheels.tree = tree
-    _check_axes(tree, roles, findings)
+    wheels.tree, roles = _with_differential(wheels, roles, findings)
+    tree = wheels.tree
+    for joint in tree.joints.values():
+        role = roles.joints.get(joint.name)
+        if not joint.moves and role is not None and role.kind != "fixed":
+            findings.wrong(
+                joint,
+                f"expected a joint with an axis, so that it can be {role.kind}, found one of type "
+                "'fixed' without an axis; add the axis in the vehicle file, as in "
+                f'{{ kind = "{role.kind}", axis = [0, 1, 0] }}, or remove the joint from "joints"',
+            )
     kept = _used_joints(wheels, findings)
     part_of = {tree.root: "platform"} | {joint.child: joint.name for joint in kept}
     kinds = Joints(tree, wheels.joints, wheels.balls, roles).kinds()
-    coordinates = Coordinates(tree, roles, wheels.joints, kinds, findings)
+    coordinates = _Coordinates(tree, roles, wheels.joints, kinds, findings)
     joints = tuple(
         Joint(
             joint.name,
             part_of[joint.parent],
-            _axis(joint),
+            unit_vector(joint.axis) if joint.moves and any(joint.axis) else (0.0, 0.0, 1.0),
             joint.at,
             coordinates.value(joint),
             "slide" if joint.type == "prismatic" else "turn",
@@ -107,14 +117,13 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
         )
         for joint in kept
     )
-    found = (wheels.wheel(joint, part_of) for joint in wheels.joints)
-    placed = tuple(wheel for wheel in found if wheel is not None)
+    built = [wheels.wheel(joint, part_of) for joint in wheels.joints]
     _add_notes(file, wheels, kept, findings)
     return Draft(
         tree.name,
-        tuple(coordinates.found.values()),
+        tuple(coordinates.known.values()),
         joints,
-        placed,
+        tuple(wheel for wheel in built if wheel is not None),
         _body(tree, tree.root),
         tuple(findings.notes),
         tuple(findings.guesses),
@@ -126,12 +135,11 @@ def _forward(tree: Tree, roles: Roles, findings: Findings) -> str:
     guess = forward_guess(tree, roles.joints)
     if guess.is_open:
         axes = "correct the axes of the wheels, or " if "along the axles" in guess.reason else ""
-        findings.faults.add(
+        findings.add(
             1,
             "expected names or axles that determine the forward direction, found that "
             f'{guess.reason}; {axes}write forward = "{guess.direction}" or forward = '
-            f'"{guess.other}", the axis of the root link that points forward, in a vehicle file '
-            f'with urdf = "{Path(tree.file).name}"',
+            f'"{guess.other}", the axis of the root link that points forward, {tree.completion}',
         )
     elif guess.reason:
         reason = f"forward along {guess.direction}: {guess.reason}"
@@ -147,22 +155,19 @@ def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tupl
     """
     tree, couple = wheels.tree, dict(roles.couple)
     for name in {*couple} & {wheel.name for wheel in wheels.joints}:
-        findings.faults.add(
-            tree.joints[name].line,
-            f'joint {name!r}: expected a joint without a wheel in "couple", found one that '
-            "carries a wheel; remove it",
-        )
-    found = Joints(tree, wheels.joints, wheels.balls, roles).differential()
-    if found is not None:
-        follower, mimic = found
+        message = 'expected a joint without a wheel in "couple", found one that carries a wheel'
+        findings.wrong(tree.joints[name], f"{message}; remove it")
+    differential = Joints(tree, wheels.joints, wheels.balls, roles).differential()
+    if differential is not None:
+        follower, mimic = differential
         old = couple or [n for n in (follower, mimic.joint) if tree.joints[n].mimic]
         couple = {mimic.joint: 1.0, follower: -mimic.multiplier}
         if old:
-            findings.faults.add(
-                tree.joints[follower].line,
-                f"joint {follower!r}: expected opposite angles of it and {mimic.joint!r}, since "
-                "otherwise nothing determines the pitch, found that other joints are coupled, or "
-                f"these with another sign; write couple = {toml_value(couple)}{wheels.in_file}",
+            findings.wrong(
+                tree.joints[follower],
+                f"expected opposite angles of it and {mimic.joint!r}, since otherwise nothing "
+                "determines the pitch, found that other joints are coupled, or these with another "
+                f"sign; write couple = {toml_value(couple)}, {tree.completion}",
             )
             return tree, roles
         tree = coupled(tree, couple)
@@ -176,29 +181,15 @@ def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tupl
     return tree, replace(roles, joints=independent)
 
 
-def _check_axes(tree: Tree, roles: Roles, findings: Findings) -> None:
-    """Add an error for each fixed joint without an axis whose role needs one."""
-    for joint in tree.joints.values():
-        role = roles.joints.get(joint.name)
-        if not joint.moves and role is not None and role.kind != "fixed":
-            findings.faults.add(
-                joint.line,
-                f"joint {joint.name!r}: expected a joint with an axis, so that it can be "
-                f"{role.kind}, found one of type 'fixed' without an axis; add the axis in the "
-                f'vehicle file, as in {{ kind = "{role.kind}", axis = [0, 1, 0] }}, or remove the '
-                'joint from "joints"',
-            )
-
-
 def _used_joints(wheels: Wheels, findings: Findings) -> list[UrdfJoint]:
     """Return the joints that carry a wheel or a mass, parents before children."""
-    tree, names = wheels.tree, {wheel.name for wheel in wheels.joints}
-    on_wheels = {j.name for wheel in wheels.joints for j in tree.below(wheel.child)}
+    tree = wheels.tree
+    on_wheels = {j.name for wheel in wheels.joints for j in [wheel, *tree.below(wheel.child)]}
     carrying = {wheel.parent for wheel in wheels.joints}
     kept: list[UrdfJoint] = []
     left: list[str] = []
     for joint in reversed(tree.joints.values()):
-        if joint.name in names | on_wheels:
+        if joint.name in on_wheels:
             continue
         if joint.child in carrying or tree.links[joint.child].mass:
             kept.append(joint)
@@ -206,59 +197,167 @@ def _used_joints(wheels: Wheels, findings: Findings) -> list[UrdfJoint]:
         else:
             left.append(joint.name)
     if left:
-        words = ", ".join(reversed(left))
-        findings.notes.append(f"omitted, since they carry no wheel and no mass: {words}")
+        names = ", ".join(reversed(left))
+        findings.notes.append(f"omitted, since they carry no wheel and no mass: {names}")
     return kept[::-1]
 
 
 def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Findings) -> None:
-    """Add notes on the assumptions made in the conversion.
-
-    Parameters
-    ----------
-    file : Tree
-        The URDF as in its file.
-    wheels : Wheels
-        Wheels, with the completed URDF.
-    kept : list of UrdfJoint
-        Joints that carry a wheel or a mass.
-    findings : Findings
-        Collection to which the notes are added.
-    """
     links, notes = wheels.tree.links, findings.notes
-    notes.extend([*file.notes, *(f"not read: line {each}" for each in file.unknown)])
-    if file.omitted:
-        notes.append(
-            "omitted, since they or links above them contain xacro that is not expanded: "
-            f"{', '.join(file.omitted)}"
-        )
+    notes.extend([*file.notes, *(f"not read: line {element}" for element in file.unknown)])
     used = [links[wheels.tree.root], *(links[j.child] for j in (*kept, *wheels.joints))]
-    bare = [link.name for link in used if link.mass is None and link.name in file.links]
-    if bare:
-        notes.append(f"without mass, since the URDF does not contain it: {', '.join(bare)}")
-    estimated = [link.name for link in used if link.mass and link.inertia is None]
-    if estimated:
-        notes.append(
-            "moments of inertia of a box or a cylinder, since those in the file are missing or "
-            f"impossible: {', '.join(estimated)}"
-        )
-    released = [j.name for j in kept if j.moves and not file.joints.get(j.name, j).moves]
-    if released:
-        notes.append(
-            "of type fixed in the URDF, but treated as moving joints, since they or the joints "
-            f'that they mimic are in "joints": {", ".join(released)}'
-        )
+    named = {
+        "omitted, since they or links above them contain xacro that is not expanded": file.omitted,
+        "without mass, since the URDF does not contain it": [
+            link.name for link in used if link.mass is None and link.name in file.links
+        ],
+        "moments of inertia of a box or a cylinder, since those in the file are missing or "
+        "impossible": [link.name for link in used if link.mass and link.inertia is None],
+        "of type fixed in the URDF, but treated as moving joints, since they or the joints that "
+        'they mimic are in "joints"': [
+            j.name for j in kept if j.moves and not file.joints.get(j.name, j).moves
+        ],
+    }
+    notes.extend(f"{note}: {', '.join(names)}" for note, names in named.items() if names)
     for reason in dict.fromkeys(guess.reason for guess in findings.guesses):
         alike = [guess for guess in findings.guesses if guess.reason == reason]
-        names = ": " + ", ".join(guess.name for guess in alike) if alike[0].table else ""
-        notes.append(f"guessed {reason}{names}; otherwise write {alike[0].other}")
+        listed = ": " + ", ".join(guess.name for guess in alike) if alike[0].table else ""
+        notes.append(f"guessed {reason}{listed}; otherwise write {alike[0].other}")
     wheels.add_notes()
 
 
-def _axis(joint: UrdfJoint) -> Vector:
-    return unit_vector(joint.axis) if joint.moves and any(joint.axis) else (0.0, 0.0, 1.0)
+def _body(tree: Tree, name: str) -> Body:
+    link = tree.links[name]
+    return Body(link.mass or 0.0, link.center, link.inertia)
 
 
-def _body(tree: Tree, link: str) -> Body:
-    found = tree.links[link]
-    return Body(found.mass or 0.0, found.center, found.inertia)
+class _Coordinates:
+    """Conversion of the values of a URDF's joints to formulas of coordinates, in ``known``."""
+
+    def __init__(
+        self,
+        tree: Tree,
+        roles: Roles,
+        wheels: Sequence[UrdfJoint],
+        kinds: Mapping[str, KindGuess],
+        findings: Findings,
+    ) -> None:
+        self._tree, self._roles, self._kinds = tree, roles, kinds
+        self._wheels, self._findings = frozenset(wheel.name for wheel in wheels), findings
+        self.known: dict[str, Coordinate] = {}
+
+    def value(self, joint: UrdfJoint) -> str:
+        """Return the formula of a joint's value; create its coordinate if it is new."""
+        if joint.type in ("floating", "planar"):
+            message = "expected the type 'fixed', 'revolute', 'continuous' or 'prismatic', found"
+            self._findings.wrong(joint, f"{message} {joint.type!r}; replace it with such joints")
+            return "0"
+        leader, multiplier, offset = self._leader(joint)
+        role = self._roles.joints.get(leader.name)
+        if role is None and leader.moves and leader.lower == leader.upper:
+            values, reason = {"kind": "fixed"}, "fixed: its limits are equal"
+            other = toml_line("joints", leader.name, kind="commanded", lower=-1.5, upper=1.5)
+            self._findings.guess("joints", leader.name, values, reason, other)
+            return repr(offset + multiplier * leader.lower)
+        if role is None and leader.moves and leader.name not in self._tree.actuated:
+            guess = self._kinds.get(leader.name, NO_WHEEL)
+            role = JointRole(guess.kind or "fixed")
+            other = toml_line("joints", leader.name, kind=guess.other)
+            reason = f"{role.kind}: {guess.reason}"
+            self._findings.guess("joints", leader.name, {"kind": role.kind}, reason, other)
+        if not leader.moves or (role is not None and role.kind == "fixed"):
+            return repr(offset)
+        name = self._coordinate(leader, role)
+        self._restrict(name, joint, leader, multiplier, offset)
+        if (multiplier, offset) == (1.0, 0.0):
+            return name
+        scaled = f"-{name}" if multiplier == -1 else f"{multiplier!r}*{name}"
+        return scaled + (f" + {offset!r}" if offset else "")
+
+    def _leader(self, joint: UrdfJoint) -> tuple[UrdfJoint, float, float]:
+        """Return the joint that a joint follows through its mimics, with factor and offset."""
+        chain, multiplier, offset = [joint], 1.0, 0.0
+        while (mimic := self._mimic(chain[-1])) is not None:
+            leader, wrong = self._tree.joints.get(mimic.joint), ""
+            if leader is None:
+                wrong = "no joint of that name; correct the name"
+            elif leader.name in self._wheels:
+                wrong = "a wheel; choose another joint, or remove the mimic"
+            elif leader in chain:
+                wrong = "a joint that follows this one; remove one of the mimics"
+            if leader is None or wrong:
+                message = f"expected a mimic of an independent joint, found {mimic.joint!r}"
+                self._findings.wrong(chain[-1], f"{message}, {wrong}")
+                break
+            offset += multiplier * mimic.offset
+            multiplier *= mimic.multiplier
+            chain.append(leader)
+        return chain[-1], multiplier, offset
+
+    def _mimic(self, joint: UrdfJoint) -> Mimic | None:
+        return None if joint.name in self._roles.joints or not joint.moves else joint.mimic
+
+    def _coordinate(self, joint: UrdfJoint, given: JointRole | None) -> str:
+        """Return the name of a joint's coordinate; create the coordinate if it is new."""
+        name = re.sub(r"\W", "_", joint.name)
+        name = name if name.isidentifier() else f"_{name}"
+        while not is_symbol(name) or (name != joint.name and name in self._tree.joints):
+            name += "_"
+        if name in self.known:
+            return name
+        role = given or JointRole("commanded")
+        if name != joint.name:
+            self._findings.notes.append(f"joint {joint.name} is the coordinate {name}")
+        for key in ("lower", "upper", "rest"):
+            value = role.keywords.get(key, 0.0)
+            if joint.type != "prismatic" and (hint := degrees_words(value)):
+                message = f"{key}: expected radians ({hint}), found {value:g}"
+                self._findings.wrong(joint, message)
+        kind: Any = role.kind
+        words = {"words": f"joint {joint.name} of the URDF"}
+        self.known[name] = Coordinate(name, kind, **{**words, **role.keywords})
+        return name
+
+    def _restrict(
+        self, name: str, joint: UrdfJoint, leader: UrdfJoint, multiplier: float, offset: float
+    ) -> None:
+        """Restrict the stops and the rate of a coordinate to the limits of a joint that it moves.
+
+        Limits in the role of the leading joint take precedence. The value of the joint is
+        ``offset + multiplier * coordinate`` [rad or m].
+        """
+        c, role = self.known[name], self._roles.joints.get(leader.name)
+        given = {} if role is None else role.keywords
+        if multiplier == 0:
+            return
+        ends = {"lower": -math.inf, "upper": math.inf}
+        sides = ("lower", "upper") if multiplier > 0 else ("upper", "lower")
+        for key, side in zip(("lower", "upper"), sides, strict=True):
+            if side not in given:
+                ends[side] = (self._limit(joint, key) - offset) / multiplier
+        lower, upper = max(c.lower, ends["lower"]), min(c.upper, ends["upper"])
+        if not lower < upper:
+            self._findings.wrong(
+                joint,
+                f"expected a lower limit of {name} below the upper one, found {lower:g} and "
+                f'{upper:g}; {self._tree.completion}, write {toml_key(leader.name)} = "fixed" in '
+                '"joints" if it does not move, else its "lower" and "upper", which override '
+                "those of the URDF",
+            )
+            return
+        rate = (
+            c.max_rate if "max_rate" in given else min(c.max_rate, joint.max_rate / abs(multiplier))
+        )
+        self.known[name] = replace(c, lower=lower, upper=upper, max_rate=rate)
+
+    def _limit(self, joint: UrdfJoint, key: str) -> float:
+        """Return a limit of a joint in the URDF; add an error if its unit looks wrong."""
+        value: float = getattr(joint, key)
+        expected = ""
+        if not math.isinf(value) and joint.type == "prismatic" and abs(value) > MAX_LENGTH:
+            expected = length_words(value)
+        elif not math.isinf(value) and joint.type != "prismatic" and degrees_words(value):
+            expected = f"radians ({degrees_words(value)})"
+        if expected:
+            self._findings.wrong(joint, f"expected {key} in {expected}, found {value:g}")
+        return value

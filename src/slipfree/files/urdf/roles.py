@@ -8,14 +8,13 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from slipfree.files.urdf.tree import Link, Tree, UrdfJoint
+from slipfree.files.urdf.tree import Link, Mimic, Tree, UrdfJoint
+from slipfree.files.vehicle_draft import vector_of
 from slipfree.geometry.frame import Vector
 from slipfree.geometry.tensor import Elements
 from slipfree.vehicle.drives import RATE, Drive
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN
-
-INFINITE = float("inf")
 
 
 class JointRole(NamedTuple):
@@ -47,25 +46,23 @@ class JointRole(NamedTuple):
 
 @dataclass(frozen=True)
 class WheelRole:
-    """Properties of a wheel that complete or override those in the URDF.
+    """Properties of a wheel that complete or override those in the URDF; None keeps them.
 
     Attributes
     ----------
     driven : bool or None
         Whether the wheel is driven; None to derive it from the actuators in the URDF, or to guess
         it if there are none.
-    radius : float or None
-        Rolling radius; None for that of the shape in the URDF, or ``Roles.radius`` for a mesh. [m]
-    tube : float or None
-        Tube radius; None for that of a sphere or a rounded mesh in the URDF, or ``Roles.tube``. [m]
+    radius, tube : float or None
+        Rolling radius and tube radius; None for those of the shape in the URDF, or of `Roles`. [m]
     grip : float
         Factor that multiplies the ground's coefficient of friction. [1]
     rollers : bool or None
         Whether the wheel has rollers (omnidirectional wheel); None for a guess.
     mass : float or None
-        Mass; None for that of the URDF. [kg]
+        Mass. [kg]
     inertia : tuple of 2 floats or None
-        Moments of inertia about the axle and across it; None for those of the URDF. [kg m^2]
+        Moments of inertia about the axle and across it. [kg m^2]
     static_depth : float or None
         Depth in the ground under an equal share of the weight; None for the default of
         `slipfree.vehicle.wheel.Wheel`. [m]
@@ -85,18 +82,7 @@ class WheelRole:
 
 
 class LinkRole(NamedTuple):
-    """Mass properties of a link that override those in the URDF; None keeps them.
-
-    Attributes
-    ----------
-    mass : float or None
-        Mass. [kg]
-    center_of_mass : tuple of 3 floats or None
-        Centre of mass in the frame of the link. [m]
-    inertia : tuple of 6 floats or None
-        ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre of mass, in the axes of the link.
-        [kg m^2]
-    """
+    """Mass properties of a link as in `Link` that override those in the URDF; None keeps them."""
 
     mass: float | None = None
     center_of_mass: Vector | None = None
@@ -151,43 +137,38 @@ def completed(tree: Tree, roles: Roles) -> Tree:
             tree = _with_joint(tree, name, role)
     joints = {name: _with_role(joint, roles) for name, joint in tree.joints.items()}
     freed = {name for name, joint in joints.items() if joint.moves > tree.joints[name].moves}
-    followers = _followers(joints, freed, roles)
-    joints = {
-        name: joint._replace(type="revolute") if name in followers else joint
+    fixed = [
+        joint
         for name, joint in joints.items()
-    }
-    links = {
-        name: _weighed(link, roles.links[name]) if name in roles.links else link
-        for name, link in tree.links.items()
-    }
+        if not joint.moves and any(joint.axis) and name not in {*roles.joints, *roles.wheels}
+    ]
+    while more := {j.name for j in fixed if j.mimic and j.mimic.joint in freed} - freed:
+        freed |= more
+        joints |= {name: joints[name]._replace(type="revolute") for name in more}
+    links = dict(tree.links)
+    for name, mass_role in roles.links.items():
+        link = links[name]
+        links[name] = link._replace(
+            mass=link.mass if mass_role.mass is None else mass_role.mass,
+            center=mass_role.center_of_mass or link.center,
+            inertia=mass_role.inertia or link.inertia,
+        )
     return replace(tree, joints=joints, links=links)
 
 
 def _with_joint(tree: Tree, name: str, role: JointRole) -> Tree:
     """Return a URDF with a new joint and a new link of the same name, which carry other joints."""
     first = tree.joints[role.carries[0]]
-    new = UrdfJoint(
-        name,
-        "prismatic" if role.motion == "slide" else "revolute",
-        first.parent,
-        name,
-        role.at,
-        ORIGIN,
-        role.axis or ORIGIN,
-        -INFINITE,
-        INFINITE,
-        INFINITE,
-        None,
-        first.line,
-    )
+    kind = "prismatic" if role.motion == "slide" else "revolute"
+    axis = role.axis or ORIGIN
+    new = UrdfJoint(name, kind, first.parent, name, role.at, axis=axis, line=first.line)
     joints: dict[str, UrdfJoint] = {}
     for joint in tree.joints.values():
         if joint.name in role.carries:
             joints.setdefault(name, new)
-            x, y, z = (np.asarray(joint.at) - role.at).tolist()
-            joint = joint._replace(parent=name, at=(x, y, z))
+            joint = joint._replace(parent=name, at=vector_of(np.asarray(joint.at) - role.at))
         joints[joint.name] = joint
-    return replace(tree, links=tree.links | {name: Link(name, None, ORIGIN)}, joints=joints)
+    return replace(tree, links=tree.links | {name: Link(name)}, joints=joints)
 
 
 def _with_role(joint: UrdfJoint, roles: Roles) -> UrdfJoint:
@@ -204,23 +185,13 @@ def _with_role(joint: UrdfJoint, roles: Roles) -> UrdfJoint:
     )
 
 
-def _followers(joints: Mapping[str, UrdfJoint], freed: set[str], roles: Roles) -> set[str]:
-    """Return the names of fixed joints that have an axis and mimic a released joint."""
-    fixed = [
-        joint
-        for name, joint in joints.items()
-        if not joint.moves and any(joint.axis) and not {name} & {*roles.joints, *roles.wheels}
-    ]
-    found: set[str] = set()
-    while more := {j.name for j in fixed if j.mimic and j.mimic.joint in freed | found} - found:
-        found |= more
-    return found
+def coupled(tree: Tree, couple: Mapping[str, float]) -> Tree:
+    """Return a URDF in which the second of two joints mimics the first.
 
-
-def _weighed(link: Link, role: LinkRole) -> Link:
-    """Return a link with the mass properties of its role."""
-    return link._replace(
-        mass=link.mass if role.mass is None else role.mass,
-        center=role.center_of_mass or link.center,
-        inertia=role.inertia or link.inertia,
-    )
+    The sum of the joints' values with the coefficients in ``couple`` is zero; it is empty for none.
+    """
+    if not couple:
+        return tree
+    (first, ahead), (second, behind) = couple.items()
+    mimic = Mimic(first, -ahead / behind, 0.0)
+    return replace(tree, joints=tree.joints | {second: tree.joints[second]._replace(mimic=mimic)})

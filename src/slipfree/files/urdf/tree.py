@@ -1,35 +1,35 @@
-"""Links and joints of a URDF, and the errors, notes and guesses of their conversion."""
+"""Links and joints of a URDF with their frames, and the findings of its conversion."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import PurePath
 from typing import Literal, NamedTuple, NoReturn
 
 import numpy as np
 
-from slipfree.files.vehicle_draft import Guess, UnfitError, Value, rotation_of
-from slipfree.geometry.frame import Vector
-from slipfree.geometry.tensor import Elements
+from slipfree.files.vehicle_draft import Guess, UnfitError, Value, rotation_of, vector_of
+from slipfree.geometry.frame import Vector, unit_vector
+from slipfree.geometry.tensor import Elements, in_axes
 from slipfree.records import Array
+from slipfree.vehicle.wheel import ORIGIN
+
+WHEEL = re.compile("wheel|tire|tyre", re.IGNORECASE)
+MIRROR = 0.05  # largest distance from a mirror image, in distances from the root's origin
+MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its axis, in radii
+STEEP = 0.5  # largest vertical component of a level axis, such as an axle
+FORWARD_YAW = {"x": 0.0, "y": np.pi / 2, "-x": np.pi, "-y": -np.pi / 2}  # of the axes [rad]
 
 
 class Shape(NamedTuple):
     """A round shape in the frame of its link: a sphere, or a body of revolution about its z axis.
 
-    Attributes
-    ----------
-    kind : {"cylinder", "sphere", "mesh"}
-        Kind of the shape.
-    radius : float
-        Radius; of a mesh, the largest distance of its points from the axis. [m]
-    at : tuple of 3 floats
-        Position of the centre in the frame of the link. [m]
-    turned : tuple of 3 floats
-        Roll, pitch and yaw of the shape in the frame of the link. [rad]
-    tube : float
-        Radius of the tube of a mesh with a rounded tread; zero for other shapes. [m]
+    The radius of a mesh is the largest distance of its points from the axis; ``tube`` is the radius
+    of its rounded tread. Position [m], roll, pitch, yaw [rad] and radii [m].
     """
 
     kind: Literal["cylinder", "sphere", "mesh"]
@@ -40,15 +40,7 @@ class Shape(NamedTuple):
 
 
 class Box(NamedTuple):
-    """A box in the frame of its link.
-
-    Attributes
-    ----------
-    size : tuple of 3 floats
-        Lengths of the edges. [m]
-    at, turned : tuple of 3 floats
-        Position of the centre, and roll, pitch, yaw. [m, rad]
-    """
+    """A box in the frame of its link: edges [m], position [m] and roll, pitch, yaw [rad]."""
 
     size: Vector
     at: Vector
@@ -56,17 +48,7 @@ class Box(NamedTuple):
 
 
 class Mesh(NamedTuple):
-    """A mesh in the frame of its link.
-
-    Attributes
-    ----------
-    name : str
-        Name of its file, as in the URDF.
-    scale : tuple of 3 floats
-        Factors of the coordinates in the file.
-    at, turned : tuple of 3 floats
-        Position of its origin, and roll, pitch, yaw. [m, rad]
-    """
+    """A mesh in the frame of its link: name and scale as in the URDF, and the pose [m, rad]."""
 
     name: str
     scale: Vector
@@ -85,13 +67,9 @@ class Link(NamedTuple):
         Mass; None if the URDF does not contain it. [kg]
     center : tuple of 3 floats
         Centre of mass in the frame of the link. [m]
-    shapes : tuple of Shape
-        Cylinders and spheres among the collision shapes; if there are none, among the visual
-        shapes.
-    meshes : tuple of Mesh
-        Meshes among the collision shapes; if there are none, among the visual shapes.
-    boxes : tuple of Box
-        Boxes among the collision shapes; if there are none, among the visual shapes.
+    shapes, meshes, boxes : tuple of Shape, Mesh and Box
+        Cylinders and spheres, meshes, and boxes among the collision shapes; if there are none of
+        the kind, among the visual shapes.
     inertia : tuple of 6 floats or None
         ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre of mass, in the axes of the link; None if
         they are missing, or impossible for a body. [kg m^2]
@@ -100,8 +78,8 @@ class Link(NamedTuple):
     """
 
     name: str
-    mass: float | None
-    center: Vector
+    mass: float | None = None
+    center: Vector = ORIGIN
     shapes: tuple[Shape, ...] = ()
     meshes: tuple[Mesh, ...] = ()
     boxes: tuple[Box, ...] = ()
@@ -110,15 +88,7 @@ class Link(NamedTuple):
 
 
 class Mimic(NamedTuple):
-    """Dependence of a joint's value on another joint: ``offset + multiplier * other``.
-
-    Attributes
-    ----------
-    joint : str
-        Name of the other joint.
-    multiplier, offset : float
-        Coefficients of the other joint's value. [1, rad or m]
-    """
+    """Dependence of a joint's value on another joint: ``offset + multiplier * other``."""
 
     joint: str
     multiplier: float
@@ -153,18 +123,23 @@ class UrdfJoint(NamedTuple):
     parent: str
     child: str
     at: Vector
-    turned: Vector
-    axis: Vector
-    lower: float
-    upper: float
-    max_rate: float
-    mimic: Mimic | None
-    line: int
+    turned: Vector = ORIGIN
+    axis: Vector = ORIGIN
+    lower: float = -math.inf
+    upper: float = math.inf
+    max_rate: float = math.inf
+    mimic: Mimic | None = None
+    line: int = 1
 
     @property
     def moves(self) -> bool:
         """Whether the joint is not of type ``fixed``."""
         return self.type != "fixed"
+
+    @property
+    def names(self) -> str:
+        """Names of the joint and of its child link, to search for words such as "wheel"."""
+        return f"{self.name} {self.child}"
 
 
 @dataclass(frozen=True)
@@ -205,62 +180,105 @@ class Tree:
         frames = {self.root: (np.eye(3), np.zeros(3))}
         for joint in self.joints.values():
             rotation, origin = frames[joint.parent]
-            frames[joint.child] = (
-                rotation @ rotation_of(joint.turned),
-                origin + rotation @ np.asarray(joint.at),
-            )
+            at = origin + rotation @ np.asarray(joint.at)
+            frames[joint.child] = rotation @ rotation_of(joint.turned), at
         return frames
+
+    @property
+    def completion(self) -> str:
+        """Where to write keys that complete the URDF, for messages."""
+        return f'in a vehicle file with urdf = "{PurePath(self.file).name}"'
 
     def below(self, link: str) -> list[UrdfJoint]:
         """Return all joints below a link: its joints, those of their child links, and so on."""
-        found, known = [], {link}
+        below, links = [], {link}
         for joint in self.joints.values():
-            if joint.parent in known:
-                found.append(joint)
-                known.add(joint.child)
-        return found
+            if joint.parent in links:
+                below.append(joint)
+                links.add(joint.child)
+        return below
 
+    def axis(self, joint: UrdfJoint) -> Array:
+        """Return the unit vector of a joint's axis in the root's frame."""
+        return np.asarray(self.frames[joint.child][0] @ unit_vector(joint.axis))
 
-class Faults:
-    """Collection of the errors in a file, with their lines.
+    def is_level(self, joint: UrdfJoint) -> bool:
+        """Return whether the axis of a joint is nearly level, with all joints at zero."""
+        return abs(float(self.axis(joint)[2])) <= STEEP
 
-    Parameters
-    ----------
-    file : str
-        Name of the file in messages.
-    """
+    def is_last(self, joint: UrdfJoint) -> bool:
+        """Return whether no joint below a joint moves."""
+        return not any(below.moves for below in self.below(joint.child))
 
-    def __init__(self, file: str) -> None:
-        self.file = file
-        self.found: list[tuple[int, str]] = []
+    @cached_property
+    def steered(self) -> frozenset[str]:
+        """Names of the joints below joints that turn about steep axes."""
+        return frozenset(
+            below.name
+            for joint in self.joints.values()
+            if joint.type in ("continuous", "revolute") and not self.is_level(joint)
+            for below in self.below(joint.child)
+        )
 
-    def add(self, line: int, words: str) -> None:
-        """Add an error with its line of the file and its message."""
-        self.found.append((line, words))
+    @cached_property
+    def fixed_to_wheels(self) -> frozenset[str]:
+        """Names of the joints below joints that turn about a level axis, if none moves.
 
-    @property
-    def lines(self) -> list[str]:
-        """Messages of all errors in the order of their lines, as ``file:line: words``."""
-        return [f"{self.file}:{line}: {words}" for line, words in sorted(self.found)]
+        A round shape whose axis is beside that of the joint above does not turn with it, as a wheel
+        beside the gear that drives it.
+        """
+        frames, fixed = self.frames, set()
+        for joint in self.joints.values():
+            if joint.type != "continuous" or not self.is_last(joint) or not self.is_level(joint):
+                continue
+            axis, hub = self.axis(joint), self.radius_of(joint)
+            for below in self.below(joint.child):
+                offset = frames[below.child][1] - frames[joint.child][1]
+                reach = max(hub, self.radius_of(below) / 2)
+                is_beside = np.linalg.norm(np.cross(offset, axis)) > reach
+                if not (is_beside and self.links[below.child].shapes and WHEEL.search(below.names)):
+                    fixed.add(below.name)
+        return frozenset(fixed)
 
-    def stop(self) -> NoReturn:
-        """Raise UnfitError with all errors."""
-        raise UnfitError(self.lines)
+    def radius_of(self, joint: UrdfJoint) -> float:
+        """Return the largest radius of the round shapes of a joint's link; zero without any [m]."""
+        return max((shape.radius for shape in self.links[joint.child].shapes), default=0.0)
+
+    def mirror_image(self, joint: UrdfJoint, others: Iterable[UrdfJoint]) -> UrdfJoint | None:
+        """Return the joint whose link is at the mirror image of a joint's link, on the other side.
+
+        The root faces forward along x. The plane is midway between the outermost links that turn
+        about level axes. The result is None without such a joint, and for links in the plane; of
+        several joints it is the last.
+        """
+        frames = self.frames
+        turning = [j for j in self.joints.values() if j.type == "continuous" and self.is_level(j)]
+        sides = [float(frames[j.child][1][1]) for j in turning] or [0.0]
+        x, y, z = frames[joint.child][1] - (0, (max(sides) + min(sides)) / 2, 0)
+        near = MIRROR * float(np.linalg.norm((x, y, z)))
+        image = frames[joint.child][1] - (0, 2 * y, 0)
+        images = [
+            other for other in others if np.linalg.norm(frames[other.child][1] - image) <= near
+        ]
+        return images[-1] if images and abs(y) > near else None
 
 
 class Findings:
-    """Errors, notes and guesses that the conversion of a URDF collects.
-
-    Parameters
-    ----------
-    file : str
-        Name of the file in messages.
-    """
+    """Errors, notes and guesses of the conversion of a URDF; ``file`` is its name in messages."""
 
     def __init__(self, file: str) -> None:
-        self.faults = Faults(file)
+        self.file = file
+        self.errors: list[tuple[int, str]] = []
         self.notes: list[str] = []
         self.guesses: list[Guess] = []
+
+    def add(self, line: int, message: str) -> None:
+        """Add an error with its line of the file."""
+        self.errors.append((line, message))
+
+    def wrong(self, joint: UrdfJoint, message: str) -> None:
+        """Add an error of a joint."""
+        self.add(joint.line, f"joint {joint.name!r}: {message}")
 
     def guess(
         self, table: str, name: str, values: Mapping[str, Value], reason: str, other: str
@@ -269,3 +287,47 @@ class Findings:
         guess = Guess(table, name, values, reason, other)
         if guess not in self.guesses:
             self.guesses.append(guess)
+
+    @property
+    def lines(self) -> list[str]:
+        """Messages of all errors in the order of their lines, as ``file:line: message``."""
+        return [f"{self.file}:{line}: {message}" for line, message in sorted(self.errors)]
+
+    def stop(self) -> NoReturn:
+        """Raise UnfitError with all errors."""
+        raise UnfitError(self.lines)
+
+
+def lowest(shape: Shape, rotation: Array) -> float:
+    """Return the height of a shape's lowest point above its link's origin [m]."""
+    upward = 0.0
+    if shape.kind != "sphere":
+        upward = min(1.0, abs(float((rotation @ rotation_of(shape.turned))[2, 2])))
+    return float(rotation[2] @ shape.at) - shape.radius * math.sqrt(1 - upward**2)
+
+
+def eccentricity(shape: Shape, axis: Vector) -> float:
+    """Return the distance of a shape's centre from an axis through its link's origin [radii]."""
+    return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
+
+
+def is_about(shape: Shape, axis: Vector) -> bool:
+    """Return whether a shape is rotationally symmetric about an axis through its link's origin."""
+    along = float(rotation_of(shape.turned)[:, 2] @ axis)
+    parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=MAX_ECCENTRICITY)
+    return parallel and eccentricity(shape, axis) <= MAX_ECCENTRICITY
+
+
+def facing_forward(tree: Tree, forward: str) -> Tree:
+    """Return a URDF with its root rotated so that the forward axis, such as ``"-y"``, becomes x."""
+    yaw = FORWARD_YAW[forward]
+    back = rotation_of((0.0, 0.0, -yaw))
+    joints = dict(tree.joints)
+    for name, joint in joints.items():
+        if joint.parent == tree.root:
+            turned = (joint.turned[0], joint.turned[1], joint.turned[2] - yaw)
+            joints[name] = joint._replace(at=vector_of(back @ joint.at), turned=turned)
+    root = tree.links[tree.root]
+    inertia = None if root.inertia is None else in_axes(back, root.inertia)
+    root = root._replace(center=vector_of(back @ root.center), inertia=inertia)
+    return replace(tree, links=tree.links | {tree.root: root}, joints=joints)

@@ -13,30 +13,38 @@ from typing import TypeVar
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.files.urdf.casters import CASTER, caster_wheels
-from slipfree.files.urdf.frames import (
+from slipfree.files.urdf.joint_guesses import CASTER, caster_wheels
+from slipfree.files.urdf.links import wheel_name
+from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
+from slipfree.files.urdf.roles import Roles, WheelRole
+from slipfree.files.urdf.tree import (
     MAX_ECCENTRICITY,
     STEEP,
     WHEEL,
+    Findings,
+    Mesh,
+    Shape,
+    Tree,
+    UrdfJoint,
     eccentricity,
-    fixed_to_wheels,
     is_about,
-    is_last,
-    is_level,
     lowest,
 )
-from slipfree.files.urdf.guesses import (
+from slipfree.files.urdf.wheel_guesses import (
     WheelGuess,
     sliding_wheels,
     unused_wheel_names,
     wheel_guesses,
     with_fixed_rollers,
 )
-from slipfree.files.urdf.links import wheel_name
-from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
-from slipfree.files.urdf.roles import Roles, WheelRole
-from slipfree.files.urdf.tree import Findings, Mesh, Shape, Tree, UrdfJoint
-from slipfree.files.vehicle_draft import Value, angles_of, rotation_of, toml_key, toml_line
+from slipfree.files.vehicle_draft import (
+    Value,
+    angles_of,
+    rotation_of,
+    toml_key,
+    toml_line,
+    vector_of,
+)
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import tensor
 from slipfree.records import Array
@@ -52,36 +60,19 @@ T = TypeVar("T", Shape, Mesh)
 
 
 class Wheels:
-    """Recognition and conversion of the wheels of a URDF.
+    """Recognition and conversion of the wheels of a URDF that faces forward along x.
 
-    Parameters
-    ----------
-    tree : Tree
-        The URDF, facing forward along x.
-    roles : Roles
-        Information that completes the URDF.
-    findings : Findings
-        Collection to which errors, notes and guesses are added.
-
-    Attributes
-    ----------
-    tree : Tree
-        The URDF with the round shapes of meshes.
-    joints : list of UrdfJoint
-        Joints that carry wheels.
-    gears : dict of str
-        Table and values of the other choice, and the reason why a joint with a round shape carries
-        no wheel, by name of the joint.
-    balls : set of str
-        Names of joints whose wheels slide freely in all directions.
+    Attributes are the URDF with the round shapes of meshes (``tree``), the joints that carry wheels
+    (``joints``), the names of those that slide freely in all directions (``balls``), and by joint
+    of a round shape that carries no wheel (``gears``) the table and values of the other choice with
+    the reason.
     """
 
     def __init__(self, tree: Tree, roles: Roles, findings: Findings) -> None:
         self._roles, self._findings = roles, findings
         tree, rollers = with_fixed_rollers(tree)
-        self._frames = tree.frames
         self._unread: dict[str, str] = {}
-        self.tree = self._with_mesh_shapes(self._with_fixed_shapes(tree))
+        self.tree = self._with_mesh_shapes(_with_fixed_shapes(tree))
         self._given = dict(roles.wheels)
         shaped = [j for j in self.tree.joints.values() if self._has_wheel_shape(j)]
         guesses = dict(wheel_guesses(self.tree, shaped, self._unread, roles)) | rollers
@@ -90,13 +81,17 @@ class Wheels:
             for joint in self.tree.joints.values()
             if joint in shaped or joint.name in {*guesses, *roles.wheels}
         ]
-        above = self._high([joint for joint in joints if joint.name not in roles.wheels])
+        high = self._high([joint for joint in joints if joint.name not in roles.wheels])
         reason = "no wheel but fixed: its shape ends far above the lowest wheel"
-        others: dict[str, tuple[str, dict[str, Value], str]]
-        others = {name: ("wheels", {"driven": True}, reason) for name in above}
-        reason = "fixed: a gear, with wheels beside its axis"
-        others |= {n: ("joints", {"kind": "commanded"}, reason) for n in _gears(self.tree, joints)}
-        self.gears = {name: each for name, each in others.items() if name not in roles.joints}
+        gears: dict[str, tuple[str, dict[str, Value], str]]
+        gears = {name: ("wheels", {"driven": True}, reason) for name in high}
+        for joint in self.tree.joints.values():
+            if joint.type == "continuous" and self.tree.is_level(joint):
+                beside = [wheel for wheel in joints if wheel in self.tree.below(joint.child)]
+                if beside and self.tree.is_last(joint):
+                    reason = "fixed: a gear, with wheels beside its axis"
+                    gears[joint.name] = "joints", {"kind": "commanded"}, reason
+        self.gears = {name: gear for name, gear in gears.items() if name not in roles.joints}
         self.joints = [joint for joint in joints if joint.name not in self.gears]
         for joint in self.joints:
             if joint.name in guesses:
@@ -104,41 +99,39 @@ class Wheels:
         self._add_mesh_findings()
         for name, guess in sliding_wheels(self.tree, self.joints):
             self._add_guess(self.tree.joints[name], guess)
-        given = self._given.items()
-        self.balls = {name for name, role in given if role.rollers and role.driven is False}
+        self.balls = {
+            name for name, role in self._given.items() if role.rollers and role.driven is False
+        }
         self._casters = caster_wheels(
             self.tree, [wheel for wheel in self.joints if wheel.name not in self.balls]
         )
         self._check_guessed_radii()
 
+    def _role(self, joint: UrdfJoint) -> WheelRole:
+        return self._given.get(joint.name, WheelRole())
+
     def wheel(self, joint: UrdfJoint, part_of: Mapping[str, str]) -> Wheel | None:
         """Return the wheel of a joint, in axes x forward, y left; None with an error if invalid.
 
-        Parameters
-        ----------
-        joint : UrdfJoint
-            Joint that carries the wheel.
-        part_of : mapping of str to str
-            Name of the vehicle's part for each link that belongs to one.
+        ``part_of`` is the name of the vehicle's part for each link that belongs to one.
         """
-        faults = self._findings.faults
         if joint.parent not in part_of:
-            faults.add(
-                joint.line,
-                f"joint {joint.name!r}: expected the parent of a wheel to be the "
-                "platform or a joint, found another wheel; remove one of the wheels",
+            self._findings.wrong(
+                joint,
+                "expected the parent of a wheel to be the platform or a joint, found another "
+                "wheel; remove one of the wheels",
             )
             return None
-        role = self._given.get(joint.name, WheelRole())
+        role = self._role(joint)
         size = self._size(joint, role)
         if size is None:
             return None
-        below = [repr(each.name) for each in self.tree.below(joint.child) if each.moves]
+        below = [repr(part.name) for part in self.tree.below(joint.child) if part.moves]
         if below:
-            faults.add(
-                joint.line,
-                f"joint {joint.name!r}: expected a wheel without moving joints below it, found "
-                f"{', '.join(below)}; remove {'them' if len(below) > 1 else 'it'} or the wheel",
+            self._findings.wrong(
+                joint,
+                f"expected a wheel without moving joints below it, found {', '.join(below)}; "
+                f"remove {'them' if len(below) > 1 else 'it'} or the wheel",
             )
             return None
         radius, tube, at = size
@@ -149,7 +142,7 @@ class Wheels:
         return Wheel(
             name,
             part_of[joint.parent],
-            _vector(np.asarray(joint.at) + rotation_of(joint.turned) @ at),
+            vector_of(np.asarray(joint.at) + rotation_of(joint.turned) @ at),
             section_of_radii(tube, radius - tube, rollers=bool(role.rollers)),
             self._is_driven(joint) if role.driven is None else role.driven,
             role.grip,
@@ -170,67 +163,41 @@ class Wheels:
                 "centre of mass moved from the inertial's origin to the wheel's centre: "
                 f"{', '.join(away)}"
             )
-        named = [joint.name for joint in self.joints if OMNI.search(f"{joint.name} {joint.child}")]
-        bare = [name for name in named if self._given.get(name, WheelRole()).rollers is None]
+        omni = [joint for joint in self.joints if OMNI.search(joint.names)]
+        bare = [joint.name for joint in omni if self._role(joint).rollers is None]
         if bare:
             notes.append(
                 f"without rollers, in spite of their names: {', '.join(bare)}; otherwise write "
                 f"{toml_line('wheels', bare[0], rollers=True)}"
             )
+        radii = [shape.radius for shape in map(self._shape, self.joints) if shape is not None]
         known = {*self._roles.joints, *self.gears}
         if unused := unused_wheel_names(self.tree, self.joints, known):
-            shapes = [shape for shape in map(self._shape, self.joints) if shape is not None]
-            radius = max((shape.radius for shape in shapes), default=0.1)
+            line = toml_line("wheels", unused[0], radius=max(radii, default=0.1))
             notes.append(
-                f"no wheels in spite of their names: {', '.join(unused)}; otherwise write "
-                f"{toml_line('wheels', unused[0], radius=radius)}"
+                f"no wheels in spite of their names: {', '.join(unused)}; otherwise write {line}"
             )
         thin = [joint.name for joint in self.joints if self._is_thin(joint)]
         if thin:
-            shapes = [shape for shape in map(self._shape, self.joints) if shape is not None]
-            tube = min((shape.radius for shape in shapes), default=0.1) / 5
             notes.append(
                 f"treated as thin discs, since their treads are flat: {', '.join(thin)}; otherwise "
-                f"write tube = {tube:.2g}"
+                f"write tube = {min(radii, default=0.1) / 5:.2g}"
             )
 
-    def _with_fixed_shapes(self, tree: Tree) -> Tree:
-        """Return a URDF with the shapes of tyres on their hubs.
-
-        Child links of continuous joints without moving joints below them, and without a shape or a
-        mesh of their own, get the shapes and meshes of the links fixed to them.
-        """
-        links, turning = dict(tree.links), fixed_to_wheels(tree)
-        for joint in tree.joints.values():
-            hub = links[joint.child]
-            if hub.shapes or hub.meshes or joint.type != "continuous" or not is_last(tree, joint):
-                continue
-            rotation, origin = self._frames[joint.child]
-            shapes: list[Shape] = []
-            meshes: list[Mesh] = []
-            for below in (each for each in tree.below(joint.child) if each.name in turning):
-                turn, at = self._frames[below.child]
-                pose = rotation.T @ turn, rotation.T @ (at - origin)
-                shapes += [_moved(shape, *pose) for shape in links[below.child].shapes]
-                meshes += [_moved(mesh, *pose) for mesh in links[below.child].meshes]
-            links[joint.child] = hub._replace(shapes=tuple(shapes), meshes=tuple(meshes))
-        return replace(tree, links=links)
-
     def _with_mesh_shapes(self, tree: Tree) -> Tree:
-        """Return a URDF with the round shapes of meshes on the links that may be wheels."""
         links = dict(tree.links)
         joints = [
             joint
             for joint in tree.joints.values()
-            if not links[joint.child].shapes and links[joint.child].meshes
+            if not links[joint.child].shapes
+            and links[joint.child].meshes
+            and self._may_be_wheel(tree, joint)
         ]
-        joints = [joint for joint in joints if self._may_be_wheel(tree, joint)]
         meshes = (mesh for joint in joints for mesh in links[joint.child].meshes)
         files = MeshFiles(meshes, Path(tree.file).parent)
         for joint in joints:
             link = links[joint.child]
-            rotation, _ = self._frames[joint.child]
-            axis = unit_vector(joint.axis) if joint.moves else rotation.T @ RIGHT
+            axis = unit_vector(joint.axis) if joint.moves else tree.frames[link.name][0].T @ RIGHT
             try:
                 shape = mesh_shape(link.meshes, np.asarray(axis), files)
             except DataError as error:
@@ -238,7 +205,7 @@ class Wheels:
                 continue
             if shape is not None:
                 links[joint.child] = link._replace(shapes=(shape,))
-            elif WHEEL.search(f"{joint.name} {joint.child}"):
+            elif WHEEL.search(joint.names):
                 self._unread[joint.name] = (
                     "expected a mesh that is round about the axis of its joint, found "
                     f"{link.meshes[0].name!r}, which is not"
@@ -249,22 +216,21 @@ class Wheels:
         """Return whether a joint carries a wheel if its mesh is round."""
         if joint.name in self._roles.wheels:
             return True
-        if joint.name in self._roles.joints or not is_last(tree, joint):
+        if joint.name in self._roles.joints or not tree.is_last(joint):
             return False
         if joint.type == "continuous":
-            return is_level(tree, joint)
-        if joint.moves or joint.name in fixed_to_wheels(tree):
-            return False
-        return bool(WHEEL.search(f"{joint.name} {joint.child}"))
+            return tree.is_level(joint)
+        is_free = joint.moves or joint.name in tree.fixed_to_wheels
+        return not is_free and bool(WHEEL.search(joint.names))
 
     def _add_guess(self, joint: UrdfJoint, guess: WheelGuess) -> None:
         """Complete the given properties of a wheel by guessed ones, and record these."""
-        name, shape, role = joint.name, self._shape(joint), guess.role
-        given = self._given.get(name, WheelRole())
+        name, shape, role, given = joint.name, self._shape(joint), guess.role, self._role(joint)
         if given.radius and role.tube is not None and role.tube == role.radius:
             role = replace(role, tube=given.radius)
-        keys = [key for key in ("radius", "tube", "driven", "rollers") if _lacks(given, key)]
-        values = {key: getattr(role, key) for key in keys if not _lacks(role, key)}
+        every = "radius", "tube", "driven", "rollers"
+        keys = [key for key in every if getattr(given, key) is None]
+        values = {key: getattr(role, key) for key in keys if getattr(role, key) is not None}
         self._given[name] = replace(given, **values)
         if shape is not None and "radius" in keys:
             values = {"radius": shape.radius, **values}
@@ -284,63 +250,60 @@ class Wheels:
                 values = {"radius": shape.radius, "tube": shape.tube or self._roles.tube}
                 other = toml_line("joints", joint.name, kind="fixed")
                 self._findings.guess("wheels", joint.name, values, "a wheel: a round mesh", other)
-        for name, words in self._unread.items():
+        for name, message in self._unread.items():
             joint = self.tree.joints[name]
             if joint not in self.joints and joint.moves:
-                self._findings.faults.add(
-                    joint.line,
-                    f"joint {name!r}: {words}; or write radius = ... for all wheels that are "
-                    f'meshes, or the kind of the joint in "joints" if it carries no wheel'
-                    f"{self.in_file}",
+                self._findings.wrong(
+                    joint,
+                    f"{message}; or write radius = ... for all wheels that are meshes, or the kind "
+                    f'of the joint in "joints" if it carries no wheel, {self.tree.completion}',
                 )
 
     def _check_guessed_radii(self) -> None:
         """Add an error for each guessed radius that does not suit the distances of the wheels."""
         radii = np.array([self._rolling_radius(joint) or 0.0 for joint in self.joints])
-        centers = np.array([self._frames[joint.child][1] for joint in self.joints])
+        centers = np.array([self.tree.frames[joint.child][1] for joint in self.joints])
         for k, joint in enumerate(self.joints):
             shape, role = self._shape(joint), self._roles.wheels.get(joint.name, WheelRole())
             is_mesh = shape is not None and shape.kind == "mesh"
             is_guess = is_mesh or joint.name in self._given
             if not is_guess or role.radius or self._roles.radius or not radii[k]:
                 continue
-            axle = self._lateral(joint)
-            if joint.moves and is_level(self.tree, joint):
-                axle = self._frames[joint.child][0] @ unit_vector(joint.axis)
+            turns = joint.moves and self.tree.is_level(joint)
+            axle = self.tree.axis(joint) if turns else self._lateral(joint)
             factor = unit_factor(radii, centers, axle, k)
             if factor is None:
                 continue
             mesh = self.tree.links[joint.child].meshes[0] if is_mesh else None
             unit = f"mesh {mesh.name!r}: {unit_words(mesh, factor)}, or " if mesh else ""
-            self._findings.faults.add(
-                joint.line,
-                f"joint {joint.name!r}: expected a wheel that suits the distances between the "
-                f"wheels, found a radius of {radii[k]:.3g} m in link {joint.child!r}; {unit}write "
-                f"wheels = {{ {toml_key(joint.name)} = {{ radius = ... }} }}{self.in_file}",
+            self._findings.wrong(
+                joint,
+                "expected a wheel that suits the distances between the wheels, found a radius of "
+                f"{radii[k]:.3g} m in link {joint.child!r}; {unit}{self._write_radius(joint)}",
             )
 
-    def _rolling_radius(self, joint: UrdfJoint) -> float | None:
-        """Return the rolling radius of a wheel; None if unknown [m]."""
-        given = self._given.get(joint.name, WheelRole()).radius
-        return given or self._radius(self._shape(joint))
+    def _write_radius(self, joint: UrdfJoint) -> str:
+        key = toml_key(joint.name)
+        return f"write wheels = {{ {key} = {{ radius = ... }} }}, {self.tree.completion}"
 
-    @property
-    def in_file(self) -> str:
-        """Where to write keys that complete the URDF, for messages."""
-        return f', in a vehicle file with urdf = "{Path(self.tree.file).name}"'
+    def _rolling_radius(self, joint: UrdfJoint) -> float | None:
+        shape, radius = self._shape(joint), self._role(joint).radius
+        if radius or shape is None:
+            return radius
+        return (shape.kind == "mesh" and self._roles.radius) or shape.radius
 
     def _has_wheel_shape(self, joint: UrdfJoint) -> bool:
         """Return whether a joint carries a wheel by its type and its shape."""
         if joint.type != "continuous" or joint.name in self._roles.joints:
             return False
-        shape, name = self._shape(joint), f"{joint.name} {joint.child}"
+        shape = self._shape(joint)
         if shape is not None and shape.kind == "sphere":  # of a caster, or with two axes
             above = [j for j in self.tree.joints.values() if j.child == joint.parent and j.moves]
-            if CASTER.search(name) or (above and not any(joint.at)):
+            if CASTER.search(joint.names) or (above and not any(joint.at)):
                 return False
         return (
-            is_last(self.tree, joint)
-            and is_level(self.tree, joint)
+            self.tree.is_last(joint)
+            and self.tree.is_level(joint)
             and shape is not None
             and is_about(shape, unit_vector(joint.axis))
         )
@@ -350,14 +313,15 @@ class Wheels:
 
         Such a shape ends above the lowest one by more than half of the largest radius.
         """
-        lows: dict[str, tuple[float, float]] = {}
+        lows: dict[str, float] = {}
+        radius = 0.0
         for joint in joints:
-            shape, (rotation, origin) = self._shape(joint), self._frames[joint.child]
+            shape, (rotation, origin) = self._shape(joint), self.tree.frames[joint.child]
             if shape is not None:
-                lows[joint.name] = (float(origin[2]) + lowest(shape, rotation), shape.radius)
-        ground = min((low for low, _ in lows.values()), default=0.0)
-        most = ground + max((radius for _, radius in lows.values()), default=0.0) / 2
-        return [name for name, (low, _) in lows.items() if low > most]
+                lows[joint.name] = float(origin[2]) + lowest(shape, rotation)
+                radius = max(radius, shape.radius)
+        most = min(lows.values(), default=0.0) + radius / 2
+        return [name for name, low in lows.items() if low > most]
 
     def _shape(self, joint: UrdfJoint) -> Shape | None:
         """Return the lowest round shape of a wheel's link; None if it has none.
@@ -365,56 +329,40 @@ class Wheels:
         Shapes about the axis of a moving joint take precedence. The width of cylinders is ignored,
         since the wheel becomes a disc or torus at the centre of the cylinder.
         """
-        shapes, (rotation, _) = self.tree.links[joint.child].shapes, self._frames[joint.child]
+        shapes, (rotation, _) = self.tree.links[joint.child].shapes, self.tree.frames[joint.child]
         if joint.moves:
             axis = unit_vector(joint.axis)
             shapes = tuple(shape for shape in shapes if is_about(shape, axis)) or shapes
         return min(shapes, key=lambda shape: lowest(shape, rotation), default=None)
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
-        """Return rolling radius and tube radius of a wheel, and its position in its link [m].
-
-        The result is None, with an error added, if they are invalid.
-        """
-        faults, shape = self._findings.faults, self._shape(joint)
-        radius = self._rolling_radius(joint)
+        """Return radius, tube radius and position in the link [m]; None with an error."""
+        shape, radius = self._shape(joint), self._rolling_radius(joint)
         if radius is None:
-            reason = self._unread.get(joint.name, "expected a cylinder, a sphere or a mesh as its ")
-            words = reason if joint.name in self._unread else f"{reason}wheel, found none"
-            faults.add(
-                joint.line,
-                f"joint {joint.name!r}: {words}; write wheels = {{ {toml_key(joint.name)} = {{ "
-                f"radius = ... }} }}{self.in_file}",
-            )
+            wanted = "expected a cylinder, a sphere or a mesh as its wheel, found none"
+            message = self._unread.get(joint.name, wanted)
+            self._findings.wrong(joint, f"{message}; {self._write_radius(joint)}")
             return None
-        ball = shape is not None and shape.kind == "sphere"
-        mesh_tube = shape.tube if shape is not None else 0.0
-        default = radius if ball else mesh_tube or self._roles.tube
+        default = self._roles.tube
+        if shape is not None:
+            default = radius if shape.kind == "sphere" else shape.tube or default
         tube = default if role.tube is None else role.tube
         if tube > radius:
-            faults.add(
-                joint.line,
-                f"joint {joint.name!r}: expected a tube of at most the "
-                f"radius, {radius:g} m, found {tube:g}; reduce it",
-            )
+            message = f"expected a tube of at most the radius, {radius:g} m, found {tube:g}"
+            self._findings.wrong(joint, f"{message}; reduce it")
             return None
         if shape is None:
             return radius, tube, ORIGIN
-        turns = joint.moves and is_level(self.tree, joint)
+        turns = joint.moves and self.tree.is_level(joint)
         if turns and eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
-            faults.add(
-                joint.line,
-                f"joint {joint.name!r}: expected a wheel shape centred on its axis, found a "
-                f"{shape.kind} at {_spelled(shape.at)} m; move the shape or the axis",
+            at = ", ".join(f"{x:g}" for x in shape.at)
+            self._findings.wrong(
+                joint,
+                f"expected a wheel shape centred on its axis, found a {shape.kind} at ({at}) m; "
+                "move the shape or the axis",
             )
             return None
         return radius, tube, shape.at
-
-    def _radius(self, shape: Shape | None) -> float | None:
-        """Return the rolling radius of a wheel whose role has no radius; None if unknown [m]."""
-        if shape is None:
-            return None
-        return (shape.kind == "mesh" and self._roles.radius) or shape.radius
 
     def _mass(self, joint: UrdfJoint) -> tuple[float, tuple[float, float] | None]:
         """Return the mass of a wheel and its moments of inertia about and across the axle.
@@ -423,23 +371,19 @@ class Wheels:
         about the links' centres of mass, since these centres are moved to the centre of the wheel.
         They are None if no link has a mass, or if a link has a mass without moments.
         """
-        links, frames = [joint.child], {joint.child: np.eye(3)}
-        for below in self.tree.below(joint.child):
-            frames[below.child] = frames[below.parent] @ rotation_of(below.turned)
-            links.append(below.child)
+        frames = self.tree.frames
+        rotation, _ = frames[joint.child]
+        links = [joint.child, *(below.child for below in self.tree.below(joint.child))]
         heavy = [self.tree.links[link] for link in links if self.tree.links[link].mass]
-        mass = sum(link.mass or 0.0 for link in heavy)
-        if not heavy or any(link.inertia is None for link in heavy):
-            return mass, None
-        total = sum(
-            frames[link.name] @ tensor(link.inertia) @ frames[link.name].T
-            for link in heavy
-            if link.inertia is not None
-        )
-        rotation, _ = self._frames[joint.child]
+        mass, total = sum(link.mass or 0.0 for link in heavy), np.zeros((3, 3))
+        for link in heavy:
+            if link.inertia is None:
+                return mass, None
+            turn = rotation.T @ frames[link.name][0]
+            total += turn @ tensor(link.inertia) @ turn.T
         axis = np.asarray(unit_vector(joint.axis)) if joint.moves else rotation.T @ RIGHT
         axial = float(axis @ total @ axis)
-        return mass, (axial, float(np.trace(total) - axial) / 2)
+        return mass, (axial, float(np.trace(total) - axial) / 2) if heavy else None
 
     def _is_driven(self, joint: UrdfJoint) -> bool:
         """Return whether a wheel is driven, and record a guess if the URDF does not specify it.
@@ -447,22 +391,16 @@ class Wheels:
         If a wheel of the URDF has an actuator, the wheels with actuators are driven; otherwise all
         wheels but casters and those with names such as "passive".
         """
-        name = joint.name
-        if any(map(self._has_actuator, self.joints)):
-            is_driven = self._has_actuator(joint)
-            if not is_driven:
-                other, reason = (
-                    toml_line("wheels", name, driven=True),
-                    "other wheels have an actuator",
-                )
-                self._findings.guess("wheels", name, {"driven": False}, f"free: {reason}", other)
-            return is_driven
-        is_passive = PASSIVE.search(f"{name} {joint.child}")
-        is_driven = name not in self._casters and not is_passive
-        reason = "free: its name" if is_passive else "free: a caster"
-        reason = "driven: no wheel has an actuator" if is_driven else reason
-        other = toml_line("wheels", name, driven=not is_driven)
-        self._findings.guess("wheels", name, {"driven": is_driven}, reason, other)
+        is_driven, reason = self._has_actuator(joint), "free: other wheels have an actuator"
+        if is_driven:
+            return True
+        if not any(map(self._has_actuator, self.joints)):
+            is_passive = PASSIVE.search(joint.names)
+            is_driven = joint.name not in self._casters and not is_passive
+            reason = "free: its name" if is_passive else "free: a caster"
+            reason = "driven: no wheel has an actuator" if is_driven else reason
+        other = toml_line("wheels", joint.name, driven=not is_driven)
+        self._findings.guess("wheels", joint.name, {"driven": is_driven}, reason, other)
         return is_driven
 
     def _has_actuator(self, joint: UrdfJoint) -> bool:
@@ -477,9 +415,9 @@ class Wheels:
         Add a note if the rate of the wheel has another sign than that of the joint, or if the wheel
         rolls sideways.
         """
-        parent, _ = self._frames[joint.parent]
-        if not joint.moves or not is_level(self.tree, joint):
-            return _vector(parent.T @ self._lateral(joint))
+        parent, _ = self.tree.frames[joint.parent]
+        if not joint.moves or not self.tree.is_level(joint):
+            return vector_of(parent.T @ self._lateral(joint))
         axis = rotation_of(joint.turned) @ unit_vector(joint.axis)
         left = float((parent @ axis)[1])
         if left < -MIN_AXLE_LEFT:
@@ -487,17 +425,17 @@ class Wheels:
                 f"wheel {joint.name}: its rate is positive forward, opposite to the sign of "
                 "its joint in the URDF"
             )
-            return _vector(axis)
-        if left < MIN_AXLE_LEFT and not self._given.get(joint.name, WheelRole()).rollers:
+            return vector_of(axis)
+        if left < MIN_AXLE_LEFT and not self._role(joint).rollers:
             self._findings.notes.append(
                 f"wheel {joint.name} rolls sideways; its rate has the sign of its joint; if the "
                 'robot drives this way, write forward = "y"'
             )
-        return _vector(-axis)
+        return vector_of(-axis)
 
     def _lateral(self, joint: UrdfJoint) -> Array:
         """Return the axle of a wheel that no joint turns: that of its shape, or to the right."""
-        shape, (rotation, _) = self._shape(joint), self._frames[joint.child]
+        shape, (rotation, _) = self._shape(joint), self.tree.frames[joint.child]
         if shape is None or shape.kind == "sphere":
             return np.asarray(RIGHT)
         axis = (rotation @ rotation_of(shape.turned))[:, 2]
@@ -510,30 +448,30 @@ class Wheels:
         alike: dict[str, list[tuple[str, float]]] = {}
         for joint in self.joints:
             shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
-            given = self._given.get(joint.name, WheelRole()).radius
-            if chosen is None or given is not None or all(s == chosen for s in shapes):
+            is_given = self._role(joint).radius is not None
+            if chosen is None or is_given or all(shape == chosen for shape in shapes):
                 continue
-            counts = Counter((s.kind, s.radius) for s in shapes)
-            found = ", ".join(
+            counts = Counter((shape.kind, shape.radius) for shape in shapes)
+            listed = ", ".join(
                 f"{n} {kind}{'s' * (n > 1)} of {radius:g} m" for (kind, radius), n in counts.items()
             )
-            words = (
-                f"several shapes ({found}), of which the one about the axle that touches level "
+            note = (
+                f"several shapes ({listed}), of which the one about the axle that touches level "
                 f"ground first gives the radius, {chosen.radius:g} m"
             )
             radius = max((s.radius for s in shapes if s.radius != chosen.radius), default=0.0)
-            alike.setdefault(words, []).append((joint.name, radius))
-        for words, wheels in alike.items():
+            alike.setdefault(note, []).append((joint.name, radius))
+        for note, wheels in alike.items():
             name, radius = wheels[0]
             names = ", ".join(name for name, _ in wheels)
             other = f"; otherwise write {toml_line('wheels', name, radius=radius)}"
-            self._findings.notes.append(f"{words}: {names}{other if radius else ''}")
+            self._findings.notes.append(f"{note}: {names}{other if radius else ''}")
 
     def _is_thin(self, joint: UrdfJoint) -> bool:
         """Return whether a wheel with a flat tread becomes a disc, since no tube is given."""
-        shape, given = self._shape(joint), self._given.get(joint.name, WheelRole())
-        flat = shape is not None and shape.kind != "sphere" and not shape.tube
-        return flat and given.tube is None and not self._roles.tube
+        shape = self._shape(joint)
+        is_flat = shape is not None and shape.kind != "sphere" and not shape.tube
+        return is_flat and self._role(joint).tube is None and not self._roles.tube
 
     def _hangs_off(self, joint: UrdfJoint) -> bool:
         """Return whether a wheel's centre of mass is more than 1 mm from its centre."""
@@ -542,42 +480,26 @@ class Wheels:
         return bool(link.mass) and math.dist(link.center, at) > MASS_OFFSET
 
 
-def _lacks(role: WheelRole, key: str) -> bool:
-    return getattr(role, key) is None
-
-
-def _gears(tree: Tree, wheels: Sequence[UrdfJoint]) -> list[str]:
-    """Return the names of the joints that turn about level axes with wheels fixed beside them."""
-    return [
-        joint.name
-        for joint in tree.joints.values()
-        if joint.type == "continuous"
-        and is_level(tree, joint)
-        and is_last(tree, joint)
-        and any(wheel in tree.below(joint.child) for wheel in wheels)
-    ]
+def _with_fixed_shapes(tree: Tree) -> Tree:
+    """Return a URDF in which hubs without a shape or mesh have those of the links fixed to them."""
+    links, turning = dict(tree.links), tree.fixed_to_wheels
+    for joint in tree.joints.values():
+        hub = links[joint.child]
+        if hub.shapes or hub.meshes or joint.type != "continuous" or not tree.is_last(joint):
+            continue
+        rotation, origin = tree.frames[joint.child]
+        shapes: list[Shape] = []
+        meshes: list[Mesh] = []
+        for below in (part for part in tree.below(joint.child) if part.name in turning):
+            turn, at = tree.frames[below.child]
+            pose = rotation.T @ turn, rotation.T @ (at - origin)
+            shapes += [_moved(shape, *pose) for shape in links[below.child].shapes]
+            meshes += [_moved(mesh, *pose) for mesh in links[below.child].meshes]
+        links[joint.child] = hub._replace(shapes=tuple(shapes), meshes=tuple(meshes))
+    return replace(tree, links=links)
 
 
 def _moved(shape: T, turn: Array, at: Array) -> T:
-    """Return a shape or mesh of a link in the frame of another link.
-
-    Parameters
-    ----------
-    shape : Shape or Mesh
-        The shape in the frame of its link.
-    turn : ndarray, shape (3, 3)
-        Rotation matrix from this frame to the other.
-    at : ndarray, shape (3,)
-        Origin of this frame in the other. [m]
-    """
-    angles = angles_of(turn @ rotation_of(shape.turned))
-    return shape._replace(at=_vector(turn @ shape.at + at), turned=angles)
-
-
-def _vector(array: Array) -> Vector:
-    x, y, z = (float(each) for each in array)
-    return x, y, z
-
-
-def _spelled(at: Vector) -> str:
-    return f"({', '.join(f'{each:g}' for each in at)})"
+    """Return a shape or mesh in another frame, in which its frame has a rotation and position."""
+    turned = angles_of(turn @ rotation_of(shape.turned))
+    return shape._replace(at=vector_of(turn @ shape.at + at), turned=turned)

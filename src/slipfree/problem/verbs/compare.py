@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from slipfree.dae import Dae
-from slipfree.files.toml.angles import Quantity
+from slipfree.files.toml.types import Quantity
 from slipfree.interrupt import interrupt_requested
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.slip import measured_slip

@@ -11,8 +11,8 @@ from pydantic import Field
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.files.netcdf import NOTHING
-from slipfree.files.toml.errors import Fault, format_value
-from slipfree.files.toml.source_lines import Place as KeyPath
+from slipfree.files.toml.source import Fault, format_value
+from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import PiecewiseConstantOrFile, Positive
 from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.problem.build_common import (

@@ -14,7 +14,7 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.facts import Fact
 from slipfree.errors import DataError
-from slipfree.files.map_coordinates import MAP_TRANSFORM, encode_map_coordinates
+from slipfree.files.cf import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.files.urdf.meshes import FORMATS, MeshFiles, find_mesh
 from slipfree.geometry.mesh import Mesh
 from slipfree.laws.soil import Soil

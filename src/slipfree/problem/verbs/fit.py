@@ -14,11 +14,9 @@ from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.files.mcap_reader import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
-from slipfree.files.table_layout import split_unit
-from slipfree.files.tables import Columns, read_columns
-from slipfree.files.toml.angles import Quantity
-from slipfree.files.toml.errors import name_errors, problem_error
-from slipfree.files.toml.types import Positive, Record
+from slipfree.files.tables import Columns, read_columns, split_unit
+from slipfree.files.toml.source import name_errors, problem_error
+from slipfree.files.toml.types import Positive, Quantity, Record
 from slipfree.fit.body_motion import body_motion
 from slipfree.fit.calibration import (
     Calibration,

@@ -17,8 +17,8 @@ from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.files.mcap_reader import is_mcap
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_columns
-from slipfree.files.toml.angles import unit_faults
-from slipfree.files.toml.errors import Fault, name_errors, problem_error
+from slipfree.files.toml.source import Fault, name_errors, problem_error
+from slipfree.files.toml.types import unit_faults
 from slipfree.models.given_rates import COMMANDS, EULER, OMEGA, PLANAR, VELOCITY
 from slipfree.models.inverse import (
     LEAST_MARGIN,

@@ -12,7 +12,7 @@ import numpy as np
 
 from slipfree.errors import DataError, ModelError
 from slipfree.files.tables import read_columns, read_names
-from slipfree.files.toml.errors import Fault, format_value, problem_error
+from slipfree.files.toml.source import Fault, format_value, problem_error
 from slipfree.files.toml.types import Piecewise
 from slipfree.models.given_rates import COMMANDS
 from slipfree.problem.build_common import samples

@@ -7,10 +7,9 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from slipfree.files.toml.angles import bare_words
-from slipfree.files.toml.errors import Fault, format_value
-from slipfree.files.toml.source_lines import Place as KeyPath
-from slipfree.files.toml.types import Angles, Column, Record, TimeFunction
+from slipfree.files.toml.source import Fault, format_value
+from slipfree.files.toml.source import Place as KeyPath
+from slipfree.files.toml.types import Angles, Column, Record, TimeFunction, bare_words
 from slipfree.problem.schema import FILE, VERB, Motion, Task
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from slipfree.errors import ModelError
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.geometry.regions import Region
 from slipfree.problem.build_common import heading_offset
 from slipfree.problem.build_driver import path_points

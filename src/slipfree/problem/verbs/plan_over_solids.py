@@ -15,7 +15,7 @@ from slipfree.control.step_climbing import climbing
 from slipfree.core.facts import Fact
 from slipfree.errors import ModelError
 from slipfree.files.netcdf import NOTHING
-from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.files.toml.source import Fault, problem_error
 from slipfree.outcome import Outcome
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.plan.messages import missed_words

@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from slipfree.files.toml.errors import Fault
-from slipfree.files.toml.source_lines import Place as KeyPath
+from slipfree.files.toml.source import Fault
+from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import (
     NonNegative,
     Pair,

@@ -14,7 +14,7 @@ from slipfree.control.arc_driving import arc_inputs, turning_axis_offset
 from slipfree.control.path_following import follow
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.geometry.path import Path
 from slipfree.geometry.regions import Region
 from slipfree.laws.coulomb import Coulomb

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Runnable
 from slipfree.problem.verbs.base import MotionVerb, Verb

@@ -1,0 +1,521 @@
+"""TOML files: lines of values, settings of the command line, error messages."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import sys
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from math import inf
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+from pydantic import BaseModel
+
+from slipfree.errors import DataError
+from slipfree.regular_files import escape_name, read_bytes, regular_file
+
+Place = tuple[str | int, ...]
+PIECE = re.compile(
+    r'"""(?:\\.|[^\\])*?"{3,5}'  # strings; those of several lines first
+    r"|'''.*?'{3,5}"
+    r'|"(?:\\.|[^"\\\n])*"'
+    r"|'[^'\n]*'"
+    r"|\#[^\n]*"
+    r"|.",
+    re.DOTALL,
+)
+# keys with at least 64 parts: tomllib takes hours for thousands of them
+LONG_KEY = re.compile(
+    r"""(?m)(?:^|[\[{,])[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
+)
+MAX_SHOWN = 200  # characters of a setting in a message
+MAX_DEPTH = 100  # accepted levels of nested arrays and tables
+KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
+MAX_ERRORS = 50  # largest number of errors in a message
+MAX_SHOWN_NUMBER = 1e300  # larger integers are described by their number of bits
+MAX_VALUE = 1e100  # largest quantity; its squares and cubes are finite
+MAX_LISTED = 60  # largest number of names in a message
+MAX_SHOWN_DEPTH = 3  # nesting up to which arrays are shown
+EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "string_type": "text in quotes",
+    "string_too_short": "text that is not empty",
+    "bool_type": "true or false",
+    "model_type": "a table",
+    "dict_type": "a table",
+    "tuple_type": "an array",
+    "finite_number": "a finite number",
+    "greater_than": "a number greater than {gt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than": "a number less than {lt:g}",
+    "less_than_equal": "a number of at most {le:g}",
+    "literal_error": "{expected}",
+    "too_long": "an array of {max_length} elements",
+}
+MAX_BYTES = 10_000_000  # size of the largest accepted TOML file
+BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
+
+
+@dataclass(frozen=True)
+class Source:
+    """Text of a problem file, and the origin of its values.
+
+    Attributes
+    ----------
+    path : Path
+        Path of the file.
+    text : str
+        Text of the file.
+    lines : mapping of tuple to int
+        Line number of every key and table. A key is a tuple of names, and of indices for elements
+        of arrays of tables.
+    settings : mapping of tuple to str
+        Settings ``key=value`` of the command line, by the keys that they set.
+    varied : frozenset of tuple
+        Keys of `settings` that the option ``--vary`` sets; the other keys are set by ``--set``.
+    """
+
+    path: Path
+    text: str
+    lines: Mapping[Place, int]
+    settings: Mapping[Place, str] = field(default_factory=dict)
+    varied: frozenset[Place] = frozenset()
+
+    def where(self, place: Place) -> str:
+        """Return the location ``file:line: key``, ``--set key`` or ``--vary key`` of a value."""
+        key = spelled(place)
+        if (part := _longest(place, self.settings)) is not None:
+            option = "--vary" if part in self.varied else "--set"
+            return f"{option} {spelled(part)}" + (f": {key}" if part != place else "")
+        line = f"{self.path}:{self._line(place)}"
+        return f"{line}: {key}" if key else line
+
+    def is_set(self, place: Place) -> bool:
+        """Return whether the command line sets a value or its table."""
+        return _longest(place, self.settings) is not None
+
+    def order(self, place: Place) -> int:
+        """Return the line of a value, as sort key; values of the command line are last."""
+        if self.is_set(place):
+            return self.text.count("\n") + 2
+        return self._line(place)
+
+    def _line(self, place: Place) -> int:
+        part = _longest(place, self.lines)
+        return 1 if part is None else self.lines[part]
+
+
+def _longest(place: Place, known: Mapping[Place, object]) -> Place | None:
+    parts = (place[:end] for end in range(len(place), 0, -1))
+    return next((part for part in parts if part in known), None)
+
+
+def spelled(place: Place) -> str:
+    """Return a sequence of keys in the user's spelling, such as ``inputs.right_rate[2]``."""
+    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in place).removeprefix(".")
+
+
+def load_toml(text: str) -> dict[str, Any]:
+    """Return the values of a TOML text from a user.
+
+    ValueError is raised if the text is not TOML, is nested deeply, or contains an integer of
+    thousands of digits. The message may end with ``(at line L, column C)``.
+    """
+    if (found := LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(f"a key of more than 60 dotted parts (at line {line}, column 1)")
+    try:
+        values = tomllib.loads(text)
+    except RecursionError:
+        values = None
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError as error:  # Python limits the length of integers
+        most = sys.get_int_max_str_digits()
+        raise ValueError(f"an integer of more than {most} digits") from error
+    if values is None or _is_deep(values):
+        raise ValueError(f"arrays or tables of more than {MAX_DEPTH} nested levels")
+    return values
+
+
+def shortened(text: str) -> str:
+    """Return a text, or the first characters of a long text and dots, for a message."""
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+
+
+def _is_deep(values: dict[str, Any]) -> bool:
+    level: list[Any] = [values]
+    for _ in range(MAX_DEPTH):
+        tables = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [v for each in tables for v in each if isinstance(v, dict | list)]
+    return bool(level)
+
+
+@lru_cache(maxsize=64)
+def key_path(text: str) -> tuple[str, ...]:
+    """Return the parts of a dotted key; raise ValueError if the text is not a key."""
+    node, parts = load_toml(f"{text} = 0"), []
+    while isinstance(node, dict):
+        ((part, node),) = node.items()
+        parts.append(part)
+    return tuple(parts)
+
+
+@lru_cache(maxsize=1)
+def key_lines(text: str) -> Mapping[Place, int]:
+    """Return the line of every key and table of a valid TOML text.
+
+    Keys inside an inline table or an array are not included; their line is that of the key to which
+    the table or array belongs.
+    """
+    found: dict[Place, int] = {}
+    counts: dict[Place, int] = {}
+    table: Place = ()
+    for line, statement in _statements(text):
+        opening = re.match(r"\s*(\[{0,2})", statement)
+        depth = len(opening[1]) if opening else 0
+        match = KEY.match(statement, opening.end() if opening else 0)
+        if match is None:
+            continue
+        key = key_path(match[1])
+        if depth:
+            table = _resolved(key[: len(key) - (depth == 2)], counts)
+            if depth == 2:
+                table = (*table, key[-1])
+                found.setdefault(table, line)
+                counts[table] = counts.get(table, -1) + 1
+                table = (*table, counts[table])
+        place = table if depth else (*table, *key)
+        for end in range(1, len(place) + 1):
+            found.setdefault(place[:end], line)
+    return found
+
+
+def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
+    """Return the keys of a table, with the index of the last element after each array of tables."""
+    place: Place = ()
+    for part in key:
+        place = (*place, part)
+        if place in counts:
+            place = (*place, counts[place])
+    return place
+
+
+def _statements(text: str) -> Iterator[tuple[int, str]]:
+    """Yield the first line number and the text of every statement, which may span lines."""
+    line, start, depth = 1, 1, 0
+    pieces: list[str] = []
+    for piece in PIECE.findall(text.replace("\r\n", "\n") + "\n"):
+        if piece == "\n" and depth == 0:
+            if statement := "".join(pieces).strip():
+                yield start, statement
+            pieces, start = [], line + 1
+        elif not piece.startswith("#"):
+            pieces.append(piece)
+            depth += (piece in "[{") - (piece in "]}")
+        line += piece.count("\n")
+
+
+class ProblemError(DataError):
+    """Error in a TOML file, with one message per invalid value.
+
+    Attributes
+    ----------
+    faults : tuple of str
+        One line per error: location, expected and found value.
+    """
+
+    def __init__(self, *faults: str) -> None:
+        shown, rest = faults[:MAX_ERRORS], len(faults) - MAX_ERRORS
+        more = [f"and {rest} more error{'s' * (rest > 1)}"] if rest > 0 else []
+        super().__init__("\n".join((*shown, *more)))
+        self.faults = faults
+
+
+class Fault(NamedTuple):
+    """One error in a TOML file.
+
+    Attributes
+    ----------
+    place : tuple of str or int
+        Location of the value: names of nested keys, and indices of array elements.
+    expected, found : str
+        Descriptions of the expected and the found value.
+    hint : str
+        Suggestion at the start of the message, such as a similar key; empty without one.
+    """
+
+    place: Place
+    expected: str
+    found: str
+    hint: str = ""
+
+    @property
+    def message(self) -> str:
+        """Message without the location."""
+        return f"{self.hint}expected {self.expected}, found {self.found}"
+
+
+def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
+    """Return an exception with the messages of all errors, in the order of their lines."""
+    ordered = sorted(faults, key=lambda fault: source.order(fault.place))
+    return ProblemError(*(f"{source.where(fault.place)}: {fault.message}" for fault in ordered))
+
+
+def name_errors(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
+    """Yield an error for each unknown name, with the most similar known name."""
+    for name in given:
+        if name not in known:
+            yield _unknown((*place, name), known)
+
+
+def value_errors(value: Any, place: Place = ()) -> Iterator[Fault]:
+    """Yield an error for each finite number with an absolute value above 1e100."""
+    if isinstance(value, Mapping | list):
+        parts = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for key, part in parts:
+            yield from value_errors(part, (*place, key))
+    elif isinstance(value, float | int) and MAX_VALUE < abs(value) < inf:
+        expected = f"a number with an absolute value of at most {MAX_VALUE:g}"
+        yield Fault(place, expected, format_value(value))
+
+
+def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
+    """Return a validation error of pydantic as a `Fault`: key, expected and found value."""
+    place, kind = tuple(error["loc"]), error["type"]
+    found = "none" if kind == "missing" else format_value(error["input"])
+    if kind == "extra_forbidden":
+        model = record_at(schema, place[:-1])
+        return _unknown(place, list(model.model_fields))
+    if kind == "missing" and isinstance(place[-1], int):
+        return Fault(place, "a number", found)
+    if kind == "missing":
+        wanted = record_at(schema, place[:-1]).model_fields[place[-1]].annotation
+        table = isinstance(wanted, type) and issubclass(wanted, BaseModel)
+        table |= str(wanted).startswith("dict")
+        return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
+    words = EXPECTED.get(kind)
+    details = error.get("ctx", {})
+    expected = words.format(**details) if words else error["msg"]
+    return Fault(place, expected, found, details.get("hint", ""))
+
+
+def _unknown(place: Place, known: Sequence[str]) -> Fault:
+    name = str(place[-1])
+    expected = f"one of {listed(known)}" if known else "no key"
+    return Fault(place, expected, f"the unknown key {_cut(name)!r}", similar_hint(name, known))
+
+
+def similar_hint(name: str, known: Sequence[str]) -> str:
+    """Return a suggestion of the most similar known name; empty without a similar one."""
+    nearest = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean {nearest[0]!r}? " if nearest else ""
+
+
+def listed(known: Sequence[str]) -> str:
+    """Return names separated by commas: at most 60, then the number of further names."""
+    more = len(known) - MAX_LISTED
+    return ", ".join(known[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def record_at(schema: type[BaseModel], place: Place) -> type[BaseModel]:
+    """Return the schema of the nested table at ``place`` in the schema of a file."""
+    model = schema
+    for part in place:
+        if isinstance(part, int):
+            continue  # index in an array of tables
+        model = next(_records(model.model_fields[str(part)].annotation))
+    return model
+
+
+def _records(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the record types in an annotation, such as an optional array of records."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _records(part)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) < 40 else text[:37] + "..."
+
+
+def format_value(value: Any, deepest: int = MAX_SHOWN_DEPTH) -> str:
+    """Return a shortened text of a value for messages."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return repr(_cut(value))
+    if isinstance(value, int) and abs(value) >= MAX_SHOWN_NUMBER:
+        return f"a whole number of {value.bit_length()} bits"
+    if isinstance(value, float | int):
+        return f"{value:.12g}"
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, list):
+        parts = [format_value(each, deepest - 1) for each in value[:4] if deepest]
+        return f"[{', '.join([*parts, *['...'] * (len(value) > len(parts))])}]"
+    return str(value)
+
+
+def parse_toml(path: Path, text: str) -> dict[str, Any]:
+    """Return the values of a TOML text; raise ProblemError for invalid or deeply nested text."""
+    try:
+        return load_toml(text)
+    except ValueError as error:
+        raise ProblemError(_syntax(path, text, str(error))) from error
+
+
+def read_text(path: Path, expected: str = "a problem file") -> str:
+    """Return the text of a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    expected : str
+        Description of the file in messages.
+
+    Raises
+    ------
+    ProblemError
+        If the file cannot be read, is not UTF-8, or is larger than 10 MB.
+    """
+    return decode_text(path, read_raw(path, expected))
+
+
+def read_raw(path: Path, expected: str = "a problem file") -> bytes:
+    """Return the bytes of a TOML file; parameters and errors are those of `read_text`."""
+    try:
+        with regular_file(path, expected) as size:
+            if size <= MAX_BYTES:
+                return read_bytes(path, expected)
+    except DataError as error:
+        raise ProblemError(str(error)) from error
+    raise ProblemError(
+        f"{path}: expected a TOML file of at most {MAX_BYTES / 1e6:g} MB, found "
+        f"{size / 1e6:.3g} MB; check the name"
+    )
+
+
+def decode_text(path: Path, raw: bytes) -> str:
+    """Return the text of a TOML file without its byte order mark; errors as in `read_text`."""
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ProblemError(
+            f"{path}:{line}: expected text in UTF-8, found the byte {raw[error.start]:#04x}; save "
+            "the file as UTF-8"
+        ) from error
+
+
+def _syntax(path: Path, text: str, message: str) -> str:
+    """Return the message of an error of `load_toml`, with file, line and column if it has them."""
+    found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
+    if found is not None:
+        return f"{path}:{found[2]}: expected TOML, found an error in column {found[3]}: {found[1]}"
+    if message.endswith("(at end of document)"):
+        last = len(text.splitlines()) or 1
+        return f"{path}:{last}: expected TOML, found an error at the end: {message}"
+    return f"{path}: expected TOML as of a problem file, found {message}; simplify it"
+
+
+def replace_values(
+    data: dict[str, Any], settings: Sequence[str], option: str = "--set"
+) -> dict[Place, str]:
+    """Replace values in the tables of a file by settings; ``data`` is modified in place.
+
+    Parameters
+    ----------
+    data : dict
+        Contents of the file.
+    settings : sequence of str
+        Texts ``key=value`` with a dotted key and a value in TOML or a bare word; ``key=`` removes
+        the key.
+    option : str
+        Name of the command-line option in error messages.
+
+    Returns
+    -------
+    dict of tuple to str
+        The setting that changed, added or removed a value or table, by the keys of the value.
+
+    Raises
+    ------
+    ProblemError
+        If a setting is not UTF-8 or not ``key=value``, if it sets a key inside a value that is not
+        a table, or if it removes a key that does not exist.
+    """
+    places: dict[Place, str] = {}
+    faults = []
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if (readable := escape_name(setting)) != setting:
+            faults.append(
+                f"{option} {escape_name(key.strip())}: expected text in UTF-8, as in a problem "
+                f"file, found {readable}; rename the file if the value is a file name"
+            )
+            continue
+        try:
+            path = key_path(key)
+            if not equals:
+                raise ValueError
+            new = _insert(data, path, _value(text)) if text.strip() else _remove(data, path)
+        except _KeyPlaceError as error:
+            faults.append(f"{option} {key.strip()}: {error}")
+        except ValueError:
+            faults.append(
+                f"{option} {shortened(key.strip())}: expected key=value with a value in TOML or a "
+                f"bare word, or key= to remove a key, found {shortened(setting)!r}"
+            )
+        else:
+            places |= dict.fromkeys(new, setting)
+    if faults:
+        raise ProblemError(*faults)
+    return places
+
+
+class _KeyPlaceError(ValueError):
+    """Error for a valid key that cannot be set or removed in the given tables."""
+
+
+def _value(text: str) -> Any:
+    """Return the value of a text, which is TOML or a bare word; raise ValueError otherwise."""
+    try:
+        (value,) = load_toml(f"value = {text}").values()
+    except ValueError:
+        if BARE.fullmatch(text.strip()):
+            return text.strip()
+        raise
+    return value
+
+
+def _insert(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
+    places: list[Place] = [path]
+    *tables, last = path
+    for depth, name in enumerate(tables, start=1):
+        if name not in data:
+            places.append(path[:depth])
+        data = data.setdefault(name, {})
+        if not isinstance(data, dict):
+            raise _KeyPlaceError(
+                f"expected a key of a table, found that {'.'.join(path[:depth])!r} is not a table; "
+                "correct the key"
+            )
+    data[last] = value
+    return places
+
+
+def _remove(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
+    for name in path[:-1]:
+        data = data.get(name, {}) if isinstance(data, dict) else {}
+    if not isinstance(data, dict) or path[-1] not in data:
+        raise _KeyPlaceError("expected a key to remove, found no such key; correct the key")
+    del data[path[-1]]
+    return [path]

@@ -1,0 +1,379 @@
+"""Guesses for a URDF: casters, and kinds of joints (steering, swivel, suspension, differential)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.files.urdf.meshes import MeshFiles
+from slipfree.files.urdf.roles import Roles
+from slipfree.files.urdf.tree import (
+    Link,
+    Mimic,
+    Shape,
+    Tree,
+    UrdfJoint,
+    lowest,
+)
+from slipfree.files.vehicle_draft import rotation_of
+from slipfree.records import Array
+from slipfree.vehicle.tree import Kind
+from slipfree.vehicle.wheel import ORIGIN
+
+CASTER = re.compile("cast[eo]r|ball_?wheel|omni_?ball", re.IGNORECASE)
+TRAILER = re.compile("cast[eo]r|trailer|hitch|drawbar|swivel", re.IGNORECASE)
+STEERING = re.compile("steer|ackerman|knuckle", re.IGNORECASE)
+TRAIL, MAX_TRAIL = 0.2, 2.0  # trail of wheels that swivel freely [radii]; longer ones articulate
+SMALL = 0.8  # largest radius of casters without a name or a swivel [radii of the other wheels]
+PARALLEL = 0.9  # least cosine of the angle between parallel axles
+TOUCH = 0.1  # a ball touches the ground of the wheels within this part of its radius
+LATERAL = 0.9  # axes of opposite rockers have at least this component to the left, or to the right
+
+
+class Caster(NamedTuple):
+    """A caster: links that belong together, of which one touches the ground.
+
+    Attributes
+    ----------
+    joint : str
+        Joint of the link that touches the ground.
+    parts : frozenset of str
+        Joints of all its links.
+    radius : float
+        Radius of the ball or wheel. [m]
+    is_ball : bool
+        Whether it slides freely as a ball; else it is a wheel that trails the axis of a swivel.
+    reason : str
+        Reason for the radius.
+    """
+
+    joint: str
+    parts: frozenset[str]
+    radius: float
+    is_ball: bool
+    reason: str
+
+
+def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) -> Iterator[Caster]:
+    """Yield the casters whose wheels do not turn about a level axis of a joint.
+
+    A caster is a joint with "caster" in a name, with the links below it; the lowest of them touches
+    the ground. A sphere that touches the ground of the wheels is one without a name. The URDF faces
+    forward along x; ``wheels`` are joints of wheels that roll, and ``excluded`` names of joints
+    that carry no wheel.
+    """
+    frames = tree.frames
+    bottoms = [_bottom(tree.links[wheel.child].shapes, frames[wheel.child]) for wheel in wheels]
+    ground = min(bottoms, default=np.inf)
+    known = tree.fixed_to_wheels | {wheel.name for wheel in wheels}
+    for joint in tree.joints.values():
+        if joint.name in known or joint.name in excluded:
+            continue
+        parts = [joint, *tree.below(joint.child)]
+        names = frozenset(part.name for part in parts)
+        shapes = tree.links[joint.child].shapes
+        if CASTER.search(joint.names):
+            parts = [part for part in parts if part.name not in excluded]
+            if known.isdisjoint(names) and (contact := _lowest_part(tree, parts, ground)):
+                part, radius, reason = contact
+                yield Caster(part.name, names, radius, not _trails(tree, joint, part), reason)
+            known |= names
+        elif tree.is_last(joint) and [shape.kind for shape in shapes] == ["sphere"]:
+            radius = shapes[0].radius
+            if abs(_bottom(shapes, frames[joint.child]) - ground) <= TOUCH * radius:
+                reason = "it is a sphere that touches the ground of the wheels"
+                yield Caster(joint.name, names, radius, True, reason)
+
+
+def _bottom(shapes: Sequence[Shape], frame: tuple[Array, Array]) -> float:
+    """Return the height of the lowest point of round shapes of a link; infinite without any [m]."""
+    return min((lowest(shape, frame[0]) + float(frame[1][2]) for shape in shapes), default=np.inf)
+
+
+def _lowest_part(
+    tree: Tree, parts: Sequence[UrdfJoint], ground: float
+) -> tuple[UrdfJoint, float, str] | None:
+    """Return the part of a caster that touches the ground, its radius [m], and its reason."""
+    bottoms: list[tuple[float, int, float, str]] = []  # height, index, radius, reason
+    for index, joint in enumerate(parts):
+        link, (rotation, origin) = tree.links[joint.child], tree.frames[joint.child]
+        for shape in link.shapes:
+            bottom = _bottom([shape], (rotation, origin))
+            bottoms.append((bottom, index, shape.radius, "radius of its shape"))
+        depth = 0.0  # of the lowest point below the origin
+        for box in link.boxes:
+            half = np.abs((rotation @ rotation_of(box.turned))[2]) @ np.asarray(box.size) / 2
+            depth = max(depth, float(half - rotation[2] @ np.asarray(box.at)))
+        if not link.shapes and not link.boxes:
+            depth = _mesh_depth(tree, link, rotation)
+        if depth > 0:
+            bottoms.append((float(origin[2]) - depth, index, depth, "radius to its lowest point"))
+    if bottoms:
+        _, index, radius, reason = min(bottoms)
+        return parts[index], radius, reason
+    height = float(tree.frames[parts[-1].child][1][2]) - ground
+    return (parts[-1], height, "radius to the ground of the wheels") if height > 0 else None
+
+
+def _mesh_depth(tree: Tree, link: Link, rotation: Array) -> float:
+    """Return the depth of a link's meshes below its origin; zero if they are unreadable [m]."""
+    files = MeshFiles(link.meshes, Path(tree.file).parent)
+    try:
+        points = [files.triangles(mesh).vertices for mesh in link.meshes]
+    except DataError:  # the ground of the wheels gives the radius
+        return 0.0
+    return max((float(-(rotation @ each.T)[2].min()) for each in points), default=0.0)
+
+
+def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
+    """Return whether a part of a caster is a disc beside the axis of the swivel above it."""
+    shapes = tree.links[part.child].shapes
+    if not head.moves or tree.is_level(head) or not shapes or shapes[0].kind == "sphere":
+        return False
+    offset = (tree.frames[part.child][1] - tree.frames[head.child][1])[:2]
+    return float(np.hypot(*offset)) > TRAIL * shapes[0].radius
+
+
+def with_separate_balls(tree: Tree) -> Tree:
+    """Return a URDF with links of their own for spheres of the chassis that touch the ground.
+
+    Simple robots have the ball of their caster in the link that carries the wheels.
+    """
+    frames, links, joints = tree.frames, dict(tree.links), dict(tree.joints)
+    bottoms = {name: _bottom(link.shapes, frames[name]) for name, link in links.items()}
+    moving = [joint for joint in tree.joints.values() if joint.moves]
+    for name in sorted({joint.parent for joint in moving} - {joint.child for joint in moving}):
+        ground = min((z for other, z in bottoms.items() if other != name), default=np.inf)
+        for k, ball in enumerate(tree.links[name].shapes):
+            height = abs(_bottom([ball], frames[name]) - ground)
+            new, above = f"{name}_ball_{k + 1}", TOUCH * ball.radius < height < np.inf
+            if ball.kind != "sphere" or above or new in joints or new in links:
+                continue
+            rest = tuple(shape for shape in links[name].shapes if shape != ball)
+            links[name] = links[name]._replace(shapes=rest)
+            links[new] = Link(new, shapes=(ball._replace(at=ORIGIN, turned=ORIGIN),))
+            joints[new] = UrdfJoint(new, "fixed", name, new, ball.at)
+    return replace(tree, links=links, joints=joints)
+
+
+def _swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
+    """Return the names of the joints about steep axes that swivel freely, as those of casters."""
+    swivelling: dict[str, set[str]] = {}
+    for joint in tree.joints.values():
+        below = {part.name for part in tree.below(joint.child)}
+        carried = [wheel for wheel in wheels if wheel.name in below]
+        if not carried or not joint.moves or joint.type == "prismatic" or tree.is_level(joint):
+            continue
+        trails = not STEERING.search(joint.names) and (
+            TRAIL < _trail(tree, joint, carried) < MAX_TRAIL
+        )
+        is_free = joint.name not in tree.actuated and joint.mimic is None
+        if is_free and (TRAILER.search(joint.names) or trails):
+            swivelling[joint.name] = {wheel.name for wheel in carried}
+    names = {wheel.name for wheel in wheels}  # if each wheel swivels, none does so freely
+    return frozenset() if names == set().union(*swivelling.values()) else frozenset(swivelling)
+
+
+def caster_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
+    """Return the names of the joints of wheels that belong to casters or trailers.
+
+    They are below joints that swivel freely, or have "caster" in a name, or are in the middle of a
+    vehicle that turns only if they slide. If all wheels do, none belongs to a caster.
+    """
+    heads = [tree.joints[name].child for name in _swivels(tree, wheels)]
+    swivelling = {below.name for head in heads for below in tree.below(head)}
+    above = {joint.child for joint in tree.joints.values() if CASTER.search(joint.name)}
+    names = {
+        wheel.name
+        for wheel in wheels
+        if wheel.name in swivelling or wheel.parent in above or CASTER.search(wheel.names)
+    }
+    names |= _middle_wheels(tree, [wheel for wheel in wheels if wheel.name not in names])
+    return frozenset() if len(names) == len(wheels) else frozenset(names)
+
+
+def _middle_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> set[str]:
+    """Return the names of small wheels in the middle, with one pair of wheels and no steering."""
+    places = np.array([tree.frames[wheel.child][1] for wheel in wheels]).reshape(-1, 3)
+    axles = [axle_of(tree, wheel) for wheel in wheels]
+    if len(wheels) < 3 or any(abs(axle @ axles[0]) < PARALLEL for axle in axles):
+        return set()
+    along, left = places @ np.cross(axles[0], (0, 0, 1)), places @ axles[0]
+    near = TRAIL * max(float(np.ptp(left)), float(np.ptp(along)))
+    pairs = [
+        sorted((float(left[i]), float(left[j])))
+        for i, j in combinations(range(len(wheels)), 2)
+        if abs(along[i] - along[j]) < near < abs(left[i] - left[j])
+    ]
+    if len(pairs) != 1 or tree.steered & {wheel.name for wheel in wheels}:
+        return set()
+    ends = pairs[0][0] + near, pairs[0][1] - near
+    radii = np.array([tree.radius_of(wheel) for wheel in wheels])
+    inside = (ends[0] < left) & (left < ends[1]) & (radii > 0) & (radii < SMALL * max(radii))
+    middle = {wheel.name for wheel, is_small in zip(wheels, inside, strict=True) if is_small}
+    return middle if len(middle) == len(wheels) - 2 and not middle & tree.actuated else set()
+
+
+def axle_of(tree: Tree, wheel: UrdfJoint) -> Array:
+    """Return the axle of a wheel in the root's frame; to the left for one that no joint turns."""
+    if wheel.type not in ("continuous", "revolute") or not tree.is_level(wheel):
+        return np.array([0.0, 1.0, 0.0])
+    return tree.axis(wheel)
+
+
+def _trail(tree: Tree, joint: UrdfJoint, wheels: Sequence[UrdfJoint]) -> float:
+    """Return the least distance of wheels from an axis, across their axles [radii]."""
+    trails = []
+    for wheel in wheels:
+        axle = axle_of(tree, wheel)
+        offset = tree.frames[wheel.child][1] - tree.frames[joint.child][1]
+        across = abs(float(offset[0] * axle[1] - offset[1] * axle[0]))
+        trails.append(across / (tree.radius_of(wheel) or np.inf))
+    return min(trails)
+
+
+class KindGuess(NamedTuple):
+    """Probable kind of a joint (None if it does not move), the reason, and the other choice."""
+
+    kind: Kind | None
+    reason: str
+    other: str
+
+
+NO_WHEEL = KindGuess(None, "it carries no wheel", "commanded")
+BALLS = KindGuess(None, "it carries only balls, which slide freely", "commanded")
+SWIVEL = KindGuess("passive", "a caster or a trailer swivels", "commanded")
+STEERS = KindGuess("commanded", "a steep axis above a wheel steers it", "passive")
+SLIDES = KindGuess("commanded", "it slides a wheel sideways", "fixed")
+FOLLOWS = KindGuess("suspension", "it lets wheels follow the ground", "fixed")
+TOO_MANY = KindGuess(
+    None, "with so few wheels, it and its counterpart cannot follow the ground", "commanded"
+)
+
+
+class Joints:
+    """Joints of a URDF whose values are unknown, with the wheels that they carry.
+
+    The URDF faces forward along x. ``balls`` are the names of wheels that slide freely.
+    """
+
+    def __init__(
+        self, tree: Tree, wheels: Sequence[UrdfJoint], balls: set[str], roles: Roles
+    ) -> None:
+        self._tree, self._roles, self._balls = tree, roles, balls
+        self._wheels = [*wheels]
+        names = {wheel.name for wheel in wheels}
+        on_wheels = {below.name for wheel in wheels for below in tree.below(wheel.child)}
+        self._free = {
+            name: joint
+            for name, joint in tree.joints.items()
+            if joint.moves
+            and name not in {*names, *on_wheels, *tree.actuated}
+            and joint.type not in ("floating", "planar")
+            and joint.lower != joint.upper
+        }
+        self._own = {
+            name: names & {below.name for below in tree.below(joint.child)}
+            for name, joint in tree.joints.items()
+        }
+        self._carried = dict(self._own)
+        for name in tree.joints:  # a joint also moves the wheels of the joints that mimic it
+            for leader in self._leaders(name):
+                self._carried[leader] = self._carried[leader] | self._carried[name]
+
+    def _leaders(self, name: str) -> list[str]:
+        """Return the joints that a joint follows through its mimics."""
+        chain = {name: None}  # a set in order, since chains may be long
+        while True:
+            mimic = None if name in self._roles.joints else self._tree.joints[name].mimic
+            if mimic is None or mimic.joint not in self._tree.joints or mimic.joint in chain:
+                return [*chain][1:]
+            name = mimic.joint
+            chain[name] = None
+
+    def _rocks(self, joint: UrdfJoint) -> bool:
+        """Return whether a joint that carries wheels lets them follow the ground."""
+        followers = [
+            follower
+            for name, follower in self._tree.joints.items()
+            if joint.name in self._leaders(name) and self._carried[name]
+        ]
+        return any(
+            self._tree.is_level(mover) != (mover.type == "prismatic")
+            for mover in followers or [joint]
+        )
+
+    def kinds(self) -> dict[str, KindGuess]:
+        """Return the probable kinds of the joints without a role and without an actuator."""
+        swivelling = _swivels(self._tree, [w for w in self._wheels if w.name not in self._balls])
+        declared = [role.kind for role in self._roles.joints.values()].count("suspension")
+        left = len(self._wheels) - 3 - declared
+        kinds: dict[str, KindGuess] = {}
+        candidates: dict[str, UrdfJoint] = {}
+        for name, joint in self._free.items():
+            if name in self._roles.joints or self._leaders(name):
+                continue
+            if not self._carried[name]:
+                kinds[name] = NO_WHEEL
+            elif self._carried[name] <= self._balls:
+                kinds[name] = BALLS
+            elif self._rocks(joint):
+                candidates[name] = joint
+            elif joint.type == "prismatic":
+                kinds[name] = SLIDES
+            else:
+                kinds[name] = SWIVEL if name in swivelling else STEERS
+        for name, joint in candidates.items():
+            other = self._tree.mirror_image(joint, candidates.values())
+            pair = {name} if other is None else {name, other.name}
+            if name not in kinds:
+                kinds |= dict.fromkeys(pair, FOLLOWS if len(pair) <= left else TOO_MANY)
+                left -= len(pair) if len(pair) <= left else 0
+        return kinds
+
+    def differential(self) -> tuple[str, Mimic] | None:
+        """Return the name of a rocker, and the opposite rocker that it follows; None without them.
+
+        Two opposite rockers that carry all wheels leave the pitch of the platform free, unless a
+        differential joins them: relative to the platform they turn by opposite angles. The result
+        is None if they do.
+        """
+        rockers = [
+            joint
+            for name, joint in self._free.items()
+            if self._own[name]
+            and self._rocks(joint)
+            and joint.type != "prismatic"
+            and self._may_follow(name)
+        ]
+        everything = {wheel.name for wheel in self._wheels}
+        for first in rockers:
+            second = self._tree.mirror_image(first, rockers)
+            if second is None or self._own[first.name] & self._own[second.name]:
+                continue
+            if self._own[first.name] | self._own[second.name] != everything:
+                continue
+            ahead, behind = (float(self._tree.axis(rocker)[1]) for rocker in (first, second))
+            multiplier = -float(np.sign(ahead * behind))
+            is_joined = any(
+                one.mimic and one.mimic.joint == two.name and one.mimic.multiplier * multiplier > 0
+                for one, two in ((first, second), (second, first))
+            )
+            if min(abs(ahead), abs(behind)) > LATERAL and not is_joined:
+                leader, follower = (second, first) if first.mimic else (first, second)
+                return follower.name, Mimic(leader.name, multiplier, 0.0)
+        return None
+
+    def _may_follow(self, name: str) -> bool:
+        """Return whether a joint has no role but suspension, and follows only such joints."""
+        role = self._roles.joints.get(name)
+        if not all(self._own[leader] and leader in self._free for leader in self._leaders(name)):
+            return False
+        return role is None or (role.kind == "suspension" and not role.keywords)

@@ -1,0 +1,346 @@
+"""Xacro: expansion of trusted files in a process of its own, and values in files not expanded."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shlex
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from slipfree.errors import DataError, ModelError, missing_package
+from slipfree.files.urdf.tree import Findings
+from slipfree.files.urdf.xml import Element
+from slipfree.processes import ProcessDiedError, bounded_call
+from slipfree.regular_files import regular_file, resolve_links
+from slipfree.vehicle.formula import evaluate
+
+FINDER = "ament_index_python"  # package of ROS that xacro asks for the folders of packages
+MAX_SECONDS = 6.0  # largest duration of an expansion [s]
+MAX_BYTES = 20_000_000  # size of the largest accepted URDF
+PREFIX = "xacro:"
+NAMESPACE = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+# tags without links or joints
+IGNORED = ("gazebo", "material", "xacro:property", "xacro:arg", "xacro:macro")
+# further elements of robots in URDF files and in extensions of it
+KNOWN = {
+    *("link", "joint", "transmission", "ros2_control", "sensor", "mujoco", "loop_joint"),
+    *IGNORED,
+}
+PARTS = {  # elements in links and joints
+    *("inertial", "visual", "collision", "geometry", "origin", "mass", "inertia", "axis", "limit"),
+    *("parent", "child", "mimic", "dynamics", "calibration", "safety_controller", "box"),
+    *("cylinder", "sphere", "mesh", "color", "texture"),
+}
+PACKAGE = re.compile(r"^(?:file://)?\$\(find\s+([\w-]+)\)")
+COMMAND = re.compile(r"(?<!\$)\$\(([^()$]*)\)")
+EXPRESSION = re.compile(r"(?<!\$)\$\{([^{}$]*)\}")
+MAX_SHOWN = 60  # characters of an attribute in a message
+
+
+def package_folders(package: str, folder: Path) -> Iterator[Path]:
+    """Yield the possible folders of a ROS package to which a file in ``folder`` refers.
+
+    They are in ``folder`` and the folders above it, and in those of the environment variables
+    AMENT_PREFIX_PATH and ROS_PACKAGE_PATH.
+    """
+    for above in (folder.resolve(), *folder.resolve().parents):
+        if above.name == package:
+            yield above
+        yield above / package
+    for variable, inside in (("AMENT_PREFIX_PATH", "share"), ("ROS_PACKAGE_PATH", "")):
+        for root in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+            yield Path(root) / inside / package
+
+
+class Expansion(NamedTuple):
+    """Result of an expansion: the URDF, and the names of all macros in the files."""
+
+    data: bytes
+    macros: frozenset[str]
+
+
+def trusted_paths(files: Iterable[str | os.PathLike[str]]) -> frozenset[str]:
+    """Return the resolved paths of xacro files that the user trusts; they must be regular files."""
+    for file in files:
+        with regular_file(Path(file), "a xacro file to trust"):
+            pass
+    return frozenset(str(resolve_links(Path(file).absolute())) for file in files)
+
+
+def is_trusted(path: Path, trusted: frozenset[str]) -> bool:
+    """Return whether a file is one of those that `trusted_paths` returned."""
+    return str(resolve_links(path.absolute())) in trusted
+
+
+def ways(file: str) -> str:
+    """Return the two ways to use a xacro file, for messages."""
+    name = shlex.quote(file)
+    return (
+        "xacro is a program, which runs only if you trust it: expand it yourself with xacro "
+        f"{name} > robot.urdf, or add --trust {name} to the command (Python: trust=...)"
+    )
+
+
+def expanded(path: Path, arguments: Mapping[str, str]) -> Expansion:
+    """Return the URDF that a xacro file describes; the caller checks that the user trusts it.
+
+    Where ROS is not installed, packages in ``$(find ...)`` are searched in the folders of
+    `package_folders`. The expansion may take 6 s, 2 GB of memory, and 20 MB for the URDF; what it
+    prints is discarded.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    arguments : mapping of str to str
+        Values of its arguments, which override their defaults.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read or expanded within the limits, if a package in ``$(find ...)`` is
+        not found, or if the package ``xacro`` is not installed.
+    """
+    with regular_file(path, "xacro"):
+        pass
+    if find_spec("xacro") is None:
+        hint = f"; or expand the file elsewhere: xacro {shlex.quote(str(path))} > robot.urdf"
+        raise DataError(f"{path}: {missing_package('xacro', 'urdf')}{hint}")
+    try:
+        return bounded_call(_expand, path, dict(arguments), seconds=MAX_SECONDS)
+    except ProcessDiedError as error:
+        raise DataError(
+            f"{path}: expected xacro that can be expanded in {MAX_SECONDS:g} s, found that "
+            f"{error}; correct macros that call themselves, large powers and endless loops"
+        ) from error
+
+
+def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
+    """Expand a xacro file in this process; parameters and errors are those of `expanded`."""
+    import xacro
+
+    if find_spec(FINDER) is None:
+        _find_packages_above(path)
+    macros: set[str] = set()
+    parse, grab = xacro.parse, xacro.grab_macro
+
+    def parse_regular(document: Any, filename: str | None = None) -> Any:
+        if filename is not None:  # not a pipe, whose reading may never end
+            with regular_file(Path(filename), "xacro"):
+                pass
+        return parse(document, filename)
+
+    def record(element: Any, known: Any) -> None:
+        macros.add(element.getAttribute("name").removeprefix("xacro:"))
+        grab(element, known)
+
+    xacro.parse, xacro.grab_macro = parse_regular, record
+    try:
+        document: Any = xacro.process_file(str(path), mappings=dict(arguments), verbosity=0)
+        data: bytes = document.toprettyxml(indent="  ").encode()
+    except Exception as error:  # xacro raises errors of many kinds
+        cause = getattr(error, "exc", None) or error
+        if isinstance(cause, DataError | MemoryError):
+            raise cause from None
+        message = " ".join(str(error).split())[:500] or type(error).__name__
+        if (inside := xacro.filestack[-1:]) not in ([], [str(path)]):
+            message += f" (in {inside[0]})"
+        raise DataError(
+            f"{path}: expected xacro that can be expanded, found: {message}; correct it, or give "
+            'its arguments in a vehicle file, as in arguments = { name = "value" }'
+        ) from None
+    if len(data) > MAX_BYTES:
+        raise DataError(
+            f"{path}: expected xacro that expands to at most {MAX_BYTES / 1e6:g} MB, found "
+            f"{len(data) / 1e6:.3g} MB; correct macros that multiply"
+        )
+    return Expansion(data, frozenset(macros))
+
+
+def _find_packages_above(path: Path) -> None:
+    """Let xacro find packages without ROS, in the folders of `package_folders`."""
+
+    def folder_of(package: str) -> str:
+        for folder in package_folders(package, path.parent):
+            if folder.is_dir():
+                return str(folder)
+        raise DataError(
+            f"{path}: expected the package {package!r} in a folder above this file or in "
+            "ROS_PACKAGE_PATH, found none; put it there, or add its parent folder to "
+            "ROS_PACKAGE_PATH"
+        )
+
+    finder, packages = ModuleType(FINDER), ModuleType(f"{FINDER}.packages")
+    packages.__dict__["get_package_share_directory"] = folder_of
+    sys.modules.update({FINDER: finder, f"{FINDER}.packages": packages})
+
+
+class _Values:
+    """Values of the properties and arguments of a robot, and variables of the environment."""
+
+    def __init__(self, arguments: Mapping[str, str]) -> None:
+        self.arguments = dict(arguments)
+        self.given = frozenset(arguments)
+        self.properties: dict[str, str] = {}
+        self.variables: dict[str, str] = {}
+
+    def text(self, text: str) -> str:
+        """Return a text with the expressions replaced that have a value."""
+        if "$" not in text:
+            return text
+        text = PACKAGE.sub(r"package://\1", text)
+        return EXPRESSION.sub(self._expression, COMMAND.sub(self._command, text))
+
+    def define(self, element: Element) -> None:
+        """Add a property or an argument; a property with several values has none."""
+        name, default = (element.attributes.get(key, "") for key in ("name", "default"))
+        if element.tag == "xacro:arg" and name not in self.given:
+            self.arguments[name] = self.text(default)
+        if element.tag == "xacro:property":
+            value = self.text(element.attributes.get("value", "${}"))
+            same = self.properties.setdefault(name, value) == value
+            self.properties[name] = value if same else "${}"
+
+    def _command(self, match: re.Match[str]) -> str:
+        name, *words = match[1].split() or [""]
+        if name == "optenv" and words:
+            self.variables[words[0]] = default = " ".join(words[1:])
+            return default
+        if name == "arg" and len(words) == 1:
+            return self.arguments.get(words[0], match[0])
+        return "." if name == "dirname" and not words else match[0]
+
+    def _expression(self, match: re.Match[str]) -> str:
+        text = match[1].strip().replace("math.pi", "pi")
+        if text in self.properties and "$" not in self.properties[text]:
+            return self.properties[text]
+        values = {}
+        for name, value in self.properties.items():
+            with suppress(ValueError):
+                if math.isfinite(number := float(value)):
+                    values[name] = ca.SX(number)
+        try:
+            number = float(ca.evalf(evaluate(text, values)))
+        except ModelError:
+            return match[0]
+        if not math.isfinite(number):
+            return match[0]
+        is_whole = number.is_integer() and not re.search(r"[./e]", text)
+        return str(int(number)) if is_whole and abs(number) < 1e15 else repr(number)
+
+
+def substitute(robot: Element, arguments: Mapping[str, str]) -> tuple[str, ...]:
+    """Replace simple expressions of xacro in a robot by their values; return notes on them.
+
+    ``$(arg NAME)`` takes the value of ``arguments`` or the default in the file; ``$(optenv NAME
+    DEFAULT)`` takes its default, since variables of the environment are not read; ``$(find NAME)``
+    at the beginning becomes ``package://NAME``; ``${...}`` is replaced if it is a property, or a
+    formula (`slipfree.vehicle.formula`) of properties that are numbers. Nothing is executed.
+    """
+    values = _Values(arguments)
+    for part in robot.children:
+        values.define(part)
+        if part.tag.startswith(PREFIX):
+            continue
+        for element in part.everything():
+            for key, text in element.attributes.items():
+                element.attributes[key] = values.text(text)
+    pairs = ", ".join(f"{name} = {value!r}" for name, value in values.variables.items())
+    words = "variables of the environment are not read, $(optenv ...) takes its default"
+    return (f"{words}: {pairs}",) if pairs else ()
+
+
+def check_macro_calls(robot: Element, file: str, macros: frozenset[str] = frozenset()) -> None:
+    """Raise UnfitError for calls of macros without the prefix ``xacro:``, and for its absence.
+
+    ``macros`` are names of macros in addition to those that the robot defines.
+    """
+    findings, parts = Findings(file), [*robot.everything()]
+    own = {part.attributes.get("name", "") for part in parts if part.tag == "xacro:macro"}
+    called = (own | macros) - KNOWN - PARTS
+    for part in parts:
+        if part.tag in called:
+            findings.add(
+                part.line,
+                "expected calls of macros with the prefix 'xacro:', found the call "
+                f"<{part.tag}> of the macro {part.tag!r}; write <{PREFIX}{part.tag} ...>",
+            )
+    if findings.errors:
+        findings.stop()
+
+
+def unknown_elements(robot: Element) -> tuple[str, ...]:
+    """Return messages on elements that are not known in URDF, such as calls of macros."""
+    return tuple(
+        f"{each.line}: <{each.tag}> is not an element of URDF; a macro of xacro is called with the "
+        f"prefix 'xacro:', as in <{PREFIX}{each.tag} ...>, and the file is then expanded"
+        for each in robot.children
+        if each.tag not in KNOWN and ":" not in each.tag
+    )
+
+
+def without_xacro(robot: Element, file: str, findings: Findings) -> tuple[Element, tuple[str, ...]]:
+    """Return a robot without its links that have unexpanded xacro, and the names of these links.
+
+    UnfitError is raised if the xacro may belong to the drive train: it is not in a link or a joint,
+    or a continuous joint is at or below it.
+    """
+    parts = [part for part in robot.children if part.tag not in IGNORED]
+    raw = [part for part in parts if any(map(_xacro_in, part.everything()))]
+    joints = [part for part in parts if part.tag == "joint"]
+    left_out = {_link_of(part) for part in raw}
+    while more := {_link_of(j) for j in joints if link_at(j, "parent") in left_out} - left_out:
+        left_out |= more
+    dropped = [each for each in joints if _link_of(each) in left_out]
+    turning = any(each.attributes.get("type") == "continuous" for each in dropped)
+    if raw and (turning or "" in left_out or len(dropped) < len(left_out)):
+        element = next(each for part in raw for each in part.everything() if _xacro_in(each))
+        findings.add(
+            element.line,
+            f"expected plain URDF, found xacro, {_xacro_in(element)}, which may belong to the "
+            f"drive train; {ways(file)}",
+        )
+        every = [*robot.everything()]
+        has_prefix = any(each.tag.startswith(PREFIX) for each in every)
+        if has_prefix and not any("xmlns:xacro" in each.attributes for each in every):
+            findings.add(
+                robot.line,
+                "expected a declaration of the prefix 'xacro' in <robot>, found none; write "
+                f"<robot {NAMESPACE} ...>",
+            )
+        findings.stop()
+    kept = [part for part in parts if _link_of(part) not in left_out]
+    return replace(robot, children=kept), tuple(sorted(left_out))
+
+
+def _xacro_in(element: Element) -> str:
+    """Return the description of xacro in an element: its tag or an attribute; empty without any."""
+    if element.tag.startswith(PREFIX):
+        return f"<{element.tag}>"
+    for key, text in element.attributes.items():
+        if "${" in text or "$(" in text:
+            shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+            return f"{shown!r} in the attribute {key!r} of <{element.tag}>"
+    return ""
+
+
+def _link_of(part: Element) -> str:
+    if part.tag == "joint":
+        return link_at(part, "child")
+    return part.attributes.get("name", "") if part.tag == "link" else ""
+
+
+def link_at(joint: Element, tag: str) -> str:
+    """Return the name of the parent or child link of a joint; empty without one."""
+    end = joint.first(tag)
+    return "" if end is None else end.attributes.get("link", "")
