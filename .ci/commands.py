@@ -78,7 +78,6 @@ AFTER = {
 }
 ALSO = [  # of --few as well: a library that is compiled and kept, a file written by tomlkit
     ["run problems/paper_direct.toml --set solver.compiled=true --no-draw -o compiled.nc"],
-    ["migrate problems/traction_hills.toml"],
 ]
 OTHERS = [
     ["--version"],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,6 @@ from slipfree.models import friction_feasibility
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import problem_of, shown
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs import driving as runner
 from slipfree.trajectory import SolverError
@@ -173,39 +171,6 @@ def test_a_motion_that_ends_where_the_model_is_singular_is_explained():
     assert "coefficient of friction" in found.trajectory.stop.words
 
 
-OLD = (
-    PROBLEM.replace('model = "quasi-static"', 'slip = "traction"') + "\n[traction]\ncreep = 1e-3\n"
-)
-
-
-@pytest.mark.usefixtures("file")
-def test_old_keys_are_errors_that_name_the_new_ones():
-    Path("p.toml").write_text(OLD)
-    error = called("run", code=2).stderr
-    assert "p.toml:2: slip: expected model = 'quasi-static', which replaces slip = 'tr" in error
-    assert (
-        "p.toml:33: traction: expected [law.coulomb] with model = 'quasi-static', which r" in error
-    )
-    assert error.count("; rewrite the file: slipfree migrate p.toml") == 2
-
-
-@pytest.mark.usefixtures("file")
-def test_results_with_old_keys_are_read():
-    called("run", "law.coulomb.creep=2e-3")
-    new = netcdf.read(Path("p.nc"))
-    attributes = {**new.attributes, "problem": OLD, "settings": "traction.creep=2e-3"}
-    attributes["slipfree_version"] = "0.1.0"
-    for name in ("verb", "model", "law"):
-        del attributes[name]
-    netcdf.write(Path("old.nc"), replace(new, attributes=attributes))
-    assert problem_of(Path("old.nc"), netcdf.read(Path("old.nc"))).spec.law.coulomb.creep == 2e-3
-    assert shown(Path("old.nc"), "old").vehicle == shown(Path("p.nc"), "new").vehicle
-    for name in ("old.nc", "p.nc"):
-        result = CliRunner().invoke(app, ["info", name])
-        assert result.exit_code == 0, result.stderr
-        assert "a quasi-static prediction by the wheel-ground law 'coulomb'" in result.stdout
-
-
 @pytest.mark.usefixtures("file")
 def test_no_equilibrium_tells_how_far_a_wheel_leans():
     settings = (
@@ -248,14 +213,7 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
         (["law=3"], "law: expected a table, found 3"),
         (["slip=least"], "slip: expected no slip law with model = 'quasi-static', where"),
         (["model=kinematics", "slip=lest"], "--set slip: expected one of least, rolling, found"),
-        (
-            ["slip=traction"],
-            "--set slip: expected model = 'quasi-static', which replaces slip = 'traction', found",
-        ),
-        (
-            ["model=", "traction.creep=1e-3"],
-            "--set traction: expected [law.coulomb] with model = 'quasi-static', which replaces",
-        ),
+        (["model=", "traction.creep=1e-3"], "--set traction: did you mean 'terrain'?"),
         (["vehicle.stiffness=60"], "the fixed axle has no free joint for a spring"),
         (
             ["vehicle.actuated=['tilt_right']"],

@@ -14,17 +14,13 @@ import pytest
 import xarray
 from scipy.io import netcdf_file
 
-from helpers.cases import DATA
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
 from slipfree.outcome import Outcome
-from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
 from slipfree.records import Label
 from slipfree.show.thinning import thin
 from slipfree.trajectory import Column, Stop, Trajectory
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 N = 7
 
 
@@ -249,7 +245,7 @@ def test_a_foreign_netcdf_file(tmp_path: Path) -> None:
 
 
 def test_a_file_changed_by_others(motion: Trajectory, tmp_path: Path) -> None:
-    path = _foreign(tmp_path / "a.nc", slipfree_version=b"0.1.0")
+    path = _foreign(tmp_path / "a.nc", slipfree_version=b"0.2.0")
     with pytest.raises(DataError, match="the empty or unlimited dimension 'time'"):
         netcdf.read(path)
     netcdf.write(path, motion)
@@ -281,19 +277,38 @@ def test_any_damaged_byte_of_the_header_gives_no_other_error(
             continue
 
 
-def test_results_of_earlier_versions_are_read() -> None:
-    """``slipfree run problems/paper_direct.toml --set time.duration=0.5 --set time.step=0.1``."""
-    old = netcdf.read(DATA / "result-0.1.0.nc")
-    assert old.attributes["problem"].startswith("# ")
-    assert old.wheels == ("right", "left", "front")
-    assert old.outcome is Outcome.COMPLETE
-    np.testing.assert_allclose(old.t, 0.1 * np.arange(6), atol=1e-15)
-    assert old.columns["force_normal"].label.unit == "N"
-    assert np.isinf(old["clearance"]).all()  # stored as 1 m
-    problem = load_problem(PROBLEMS / "paper_direct.toml", ["time.duration=0.5", "time.step=0.1"])
-    new = run_problem(problem).trajectory
-    for name in ("x", "y", "z", "heading", "tilt_right", "contact_x", "wheel_angle", "work"):
-        np.testing.assert_allclose(new[name], old[name], atol=1e-6, err_msg=name)
+@pytest.fixture
+def outcome_files(tmp_path: Path) -> list[Path]:
+    """Return a result for each outcome."""
+    x = {"x": Column(Label("x", "m", "position"), np.zeros(2))}
+    motions = [
+        Trajectory(np.arange(2.0), x, stop=Stop("a", 1.0, "b", outcome)) for outcome in Outcome
+    ]
+    for outcome, motion in zip(Outcome, motions, strict=True):
+        netcdf.write(tmp_path / f"{outcome.name}.nc", motion)
+    return [tmp_path / f"{outcome.name}.nc" for outcome in Outcome]
+
+
+def test_outcomes_are_stored(outcome_files: list[Path]) -> None:
+    assert [netcdf.read(file).outcome for file in outcome_files] == list(Outcome)
+    assert {outcome.name: outcome.exit_code for outcome in Outcome if outcome.exit_code != 1} == {
+        "COMPLETE": 0,
+        "INTERRUPTED": 130,
+    }
+
+
+def test_unknown_outcomes_are_refused(outcome_files: list[Path]) -> None:
+    data = outcome_files[1].read_bytes()
+    assert b"limit\0\0\0" in data
+    outcome_files[1].write_bytes(data.replace(b"limit\0\0\0", b"limbo\0\0\0"))
+    with pytest.raises(DataError, match="the unknown outcome 'limbo'"):
+        netcdf.read(outcome_files[1])
+
+
+def test_motions_without_a_stop_are_complete() -> None:
+    motion = Trajectory(np.zeros(1), {})
+    assert motion.outcome is Outcome.COMPLETE
+    assert motion.metadata["outcome"] == "complete"
 
 
 def test_quantities_read_one_by_one_are_the_same(tmp_path: Path, motion: Trajectory) -> None:

@@ -407,13 +407,13 @@ def _branches(rng: Random) -> str:
 
 @cache
 def results() -> tuple[bytes, ...]:
-    """Return result files: of a short motion, of other columns, and of an old version."""
+    """Return result files: of short motions, and of other columns."""
     import tempfile
 
     from slipfree.problem.load import load_problem
     from slipfree.problem.solve import run_problem
 
-    found = [(DATA / "result-0.1.0.nc").read_bytes()]
+    found = []
     with tempfile.TemporaryDirectory() as folder:
         problem, file = Path(folder) / "p.toml", Path(folder) / "p.nc"
         for kind in ("direct", "climb"):

@@ -34,7 +34,6 @@ from slipfree.cli.messages import (
     visible,
     with_output_options,
 )
-from slipfree.cli.migrate import migrate
 from slipfree.cli.new import new
 from slipfree.cli.pareto import pareto
 from slipfree.cli.report import report
@@ -90,7 +89,6 @@ app = typer.Typer(
 COMMANDS = (
     new,
     examples,
-    migrate,
     run,
     check,
     vehicle,

@@ -41,7 +41,6 @@ from slipfree.files.cf import (
 )
 from slipfree.files.map_coordinates import MAP_CRS
 from slipfree.files.tables import write_rows
-from slipfree.files.upgrade import sums_0_1, upgrade_0_1, upgrade_column_0_1
 from slipfree.frames import to_problem_frame
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Label
@@ -59,7 +58,6 @@ from slipfree.version import __version__
 
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # attribute that identifies a result file
-OLD = "0.1."  # prefix of versions whose results are upgraded
 ORDER = "quantities"  # attribute with the names of the quantities in their order
 RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP, *FEATURE, CRS, TRAJECTORY}
 REMEDY = "run the problem again to write a complete file"
@@ -141,8 +139,7 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
 def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
     """Return the trajectory in a result file.
 
-    Values, names, units and attributes are those of the written trajectory. Results of version 0.1
-    are converted to the current attributes and values.
+    Values, names, units and attributes are those of the written trajectory.
 
     Parameters
     ----------
@@ -356,8 +353,6 @@ def _open(path: Path) -> _File:
     if ORIGIN not in attributes:
         remedy = "give a file that slipfree run wrote"
         raise _fault(path, "a netCDF file of another program", remedy)
-    if str(attributes[ORIGIN]).startswith(OLD):
-        attributes = upgrade_0_1(attributes)
     if not all(dimensions.values()):
         name = next(name for name, size in dimensions.items() if not size)
         raise _fault(path, f"the empty or unlimited dimension {name!r}")
@@ -454,19 +449,9 @@ class _Columns(Mapping[str, Column]):
 
     def __init__(self, file: _File, labels: Mapping[str, Label]) -> None:
         self._file, self._labels = file, labels
-        self._is_old = str(file.attributes[ORIGIN]).startswith(OLD)
-        self._sums = sums_0_1(labels) if self._is_old else {name: {} for name in labels}
 
     def __getitem__(self, name: str) -> Column:
-        if not self._is_old:
-            return Column(self._labels[name], self._stored(name))
-        parts = self._sums[name]
-        label = replace(self._labels[next(iter(parts))], name=name)
-        values = np.sum([factor * self._stored(part) for part, factor in parts.items()], axis=0)
-        return upgrade_column_0_1(Column(label, values), self._labels, self._stored)
-
-    def _stored(self, name: str) -> Array:
-        """Return the values of a stored quantity, shape (n,) or (n, n_wheels)."""
+        label = self._labels[name]
         found = self._file.values(name)
         found = found.T if self._file.variables[name].dimensions[0] == "wheel" else found
         values = np.empty(found.shape)
@@ -476,13 +461,13 @@ class _Columns(Mapping[str, Column]):
                 raise _fault(
                     self._file.path, f"absolute values above {MAX_VALUE:g} in the variable {name!r}"
                 )
-        return values
+        return Column(label, values)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._sums
+        return name in self._labels
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._sums)
+        return iter(self._labels)
 
     def __len__(self) -> int:
-        return len(self._sums)
+        return len(self._labels)

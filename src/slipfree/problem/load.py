@@ -54,7 +54,8 @@ def load_problem(
     DataError
         If a file of ``trust`` does not exist.
     """
-    problem = _load(verbs_of(command), path, settings)
+    path = Path(path)
+    problem = _from_text(verbs_of(command), path, read_text(path), settings)
     return replace(problem, trusted=trusted_paths(trust))
 
 
@@ -92,34 +93,12 @@ def load_again(
     return replace(_from_text(verbs_of("run"), path, text, settings), trusted=trusted)
 
 
-def load_earlier(path: str | Path, settings: Sequence[str] = ()) -> Problem[Any]:
-    """Return the problem in a file of this or an earlier version; errors as in `load_problem`."""
-    return _load(verbs_of("run"), path, settings, earlier=True)
-
-
-def _load(
-    verbs: Sequence[Verb],
-    path: str | Path,
-    settings: Sequence[str],
-    *,
-    earlier: bool = False,
-) -> Problem[Any]:
-    """Return the problem in a TOML file, by the schema of its verb.
-
-    Keys of earlier versions are errors, unless ``earlier`` accepts them.
-    """
-    path = Path(path)
-    return _from_text(verbs, path, read_text(path), settings, earlier=earlier)
-
-
 def _from_text(
     verbs: Sequence[Verb],
     path: Path,
     text: str,
     settings: Sequence[str],
     varied: Sequence[str] = (),
-    *,
-    earlier: bool = False,
 ) -> Problem[Any]:
     """Return the problem in the text of a TOML file, by the schema of its verb.
 
@@ -129,9 +108,7 @@ def _from_text(
     def schema_of(data: Mapping[str, Any], source: Source) -> type[CommonKeys]:
         return _by_verb(verbs, data, source).schema
 
-    return convert_places(
-        validated_problem(schema_of, path, text, settings, varied, earlier=earlier)
-    )
+    return convert_places(validated_problem(schema_of, path, text, settings, varied))
 
 
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:

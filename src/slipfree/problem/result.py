@@ -16,7 +16,7 @@ from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.input_files import DRAWN, digest, files_read, input_names
-from slipfree.problem.load import load_earlier
+from slipfree.problem.load import load_problem
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Runnable
 from slipfree.problem.stored_inputs import STORED, read_stored, restored_vehicle
@@ -153,8 +153,8 @@ def problem_of(
         copy = Path(scratch) / "problem.toml"  # a name from a file is not trusted
         copy.write_text(text, encoding="utf-8")
         try:
-            original = load_earlier(copy, settings)
-            problem = load_earlier(copy, [*settings, *changes]) if changes else original
+            original = load_problem(copy, settings)
+            problem = load_problem(copy, [*settings, *changes]) if changes else original
         except ProblemError as error:
             faults = (fault.replace(str(copy), name) for fault in error.faults)
             raise ProblemError(

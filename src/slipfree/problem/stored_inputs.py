@@ -155,5 +155,5 @@ def _is_tree(robot: Robot) -> bool:
 def _incomplete(file: Path) -> DataError:
     return DataError(
         f"{file}: expected a result that contains its vehicle and digests of its maps, found one "
-        "of an earlier version or a damaged one; run the problem again"
+        "without them; run the problem again"
     )

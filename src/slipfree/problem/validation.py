@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -14,7 +13,6 @@ from slipfree.files.toml.errors import Fault, problem_error, validation_fault, v
 from slipfree.files.toml.reader import parse_toml
 from slipfree.files.toml.settings import replace_values
 from slipfree.files.toml.source_lines import Source, key_lines
-from slipfree.problem.old_keys import upgrade_keys
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
 
@@ -25,8 +23,6 @@ def validated_problem(
     text: str,
     settings: Sequence[str],
     varied: Sequence[str] = (),
-    *,
-    earlier: bool = False,
 ) -> Problem[Any]:
     """Return the problem in the text of a TOML file.
 
@@ -38,8 +34,6 @@ def validated_problem(
         Path and text of the file.
     settings, varied : sequence of str
         Settings of the options ``--set`` and ``--vary``.
-    earlier : bool
-        Whether keys of earlier versions are accepted.
 
     Raises
     ------
@@ -52,8 +46,7 @@ def validated_problem(
     varied_places = replace_values(data, varied, "--vary")
     source = Source(path, text, key_lines(text), places | varied_places, frozenset(varied_places))
     schema = schema_of(data, source)
-    data, replaced = upgrade_keys(data)
-    faults = [*_alternatives(schema, data), *([] if earlier else _with_remedy(source, replaced))]
+    faults = [*_alternatives(schema, data)]
     try:
         spec = schema.model_validate(data)
     except ValidationError as error:
@@ -76,16 +69,6 @@ def _copy(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _copy(each) for key, each in value.items()}
     return [*map(_copy, value)] if isinstance(value, list) else value
-
-
-def _with_remedy(source: Source, faults: Sequence[Fault]) -> Iterator[Fault]:
-    """Yield the errors about keys of earlier versions, with the command that rewrites the file.
-
-    Errors about keys from the command line remain unchanged.
-    """
-    remedy = f"; rewrite the file: slipfree migrate {shlex.quote(str(source.path))}"
-    for fault in faults:
-        yield fault if source.is_set(fault.place) else fault._replace(found=fault.found + remedy)
 
 
 def _alternatives(schema: type[CommonKeys], data: dict[str, Any]) -> Iterator[Fault]:
