@@ -28,8 +28,7 @@ def to_problem_frame(run: Trajectory) -> Trajectory:
     ----------
     run : Trajectory
         The motion. It is returned unchanged if it has no heading, if it has no attribute
-        ``problem_frame`` (climbs and results of version 0.1), or if its heading is already in that
-        frame.
+        ``problem_frame``, or if its heading is already in that frame.
     """
     stored = run.attributes.get(STORED, "paper")
     wanted = run.attributes.get(WANTED, stored)

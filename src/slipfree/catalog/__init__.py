@@ -8,7 +8,7 @@ from slipfree.catalog.carts import (
     skid_steer,
 )
 from slipfree.catalog.rovers import open_source_rover, rocky7
-from slipfree.catalog.step_climber import seven_wheels
+from slipfree.catalog.step_climber import seven_wheels, step_climber
 from slipfree.catalog.three_wheelers import three_wheeler
 
 __all__ = [
@@ -20,5 +20,6 @@ __all__ = [
     "rocky7",
     "seven_wheels",
     "skid_steer",
+    "step_climber",
     "three_wheeler",
 ]

@@ -7,10 +7,10 @@ from math import inf
 from slipfree.catalog.carts import SIDES, _positive
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Vector
-from slipfree.vehicle import climber
+from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.tree import GRAVITY, Body, Coordinate, Joint, Vehicle, planar
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 FRONT_MASS, REAR_MASS = 7.8, 13.8  # of the bodies, wheels included [kg]
@@ -128,38 +128,59 @@ def seven_wheels(
     )
 
 
-def step_climber(joint: float = 0.0, torque: float = inf) -> climber.Climber:
-    """Return the step climber of Chugo et al. (2009), in the plane.
+def step_climber(*, joint: float = 0.0, stiffness: float = 1.5e5) -> Vehicle:
+    """Return the step climber of Chugo et al. (2009), locked to the plane of its motion.
 
-    It is the side view of `seven_wheels`. The paper gives no moments of inertia: those of the
-    bodies are assumed to be those of boxes 250 mm high; those of the wheels with their rotors are
-    estimates.
+    It is the side view of `seven_wheels`, with one driven disc for the wheels of an axle; the
+    inputs in dynamics are the total torques of the axles. The platform is the rear body; its origin
+    is the joint. The paper gives no moments of inertia: those of the bodies are assumed to be those
+    of boxes 250 mm high; those of the wheels with their rotors are estimates.
 
     Parameters
     ----------
     joint : float
         Distance of the joint ahead of the middle axle. [m]
-    torque : float
-        Largest torque of a wheel's motor. [N m]
+    stiffness : float
+        Stiffness of the contacts of an axle's wheels with the ground. [N/m]
+
+    Raises
+    ------
+    ModelError
+        If the stiffness is not positive.
     """
+    _positive("step_climber", stiffness=stiffness)
     height, lengths = 0.25, (0.400, 0.195)
     whole = seven_wheels(joint=joint)
     front = next(each.body for each in whole.joints if each.name == "twist")
     wheels = {wheel.name: wheel for wheel in whole.wheels}
-    # the platform's origin is the middle wheel, that of the front body the joint
-    origins = joint, 0.0
-    rear_body, front_body = (
-        climber.Body(
-            each.mass, each.at[1] - origin, each.at[2], each.mass * (length**2 + height**2) / 12
+    # the platform's origin is the middle wheel there, that of the front body the joint
+    bodies = [
+        Body(
+            each.mass,
+            (0.0, each.at[1] - origin, each.at[2]),
+            3 * (each.mass * (length**2 + height**2) / 12,) + 3 * (0.0,),
         )
-        for each, origin, length in zip((whole.body, front), origins, lengths, strict=True)
+        for each, origin, length in zip((whole.body, front), (joint, 0.0), lengths, strict=True)
+    ]
+    depth = (FRONT_MASS + REAR_MASS) * GRAVITY / 3 / stiffness
+    axles = (
+        ("rear", "platform", wheels["rear_left"].at[1] - joint, 0.010),
+        ("middle", "platform", -joint, 0.005),
+        ("front", "front_body", wheels["front_left"].at[1], 0.010),
     )
-    return climber.Climber(
-        wheels["middle"].radius,
-        rear_body,
-        front_body,
-        climber.Axle(wheels["rear_left"].at[1] - joint, 2, 0.010),
-        climber.Axle(-joint, 1, 0.005),
-        climber.Axle(wheels["front_left"].at[1], 2, 0.010),
-        torque,
+    discs = tuple(
+        Wheel(
+            name,
+            part,
+            (0.0, ahead, 0.0),
+            Disc(wheels["middle"].radius),
+            driven=True,
+            drive=Torque(),
+            static_depth=depth,
+            inertia=(inertia, inertia),  # the second has no effect in the plane
+        )
+        for name, part, ahead, inertia in axles
     )
+    fold = Coordinate("fold", "suspension", "pitch of the front body relative to the rear body")
+    hinge = Joint("front_body", "platform", "x", ORIGIN, "fold", body=bodies[1])
+    return planar(Vehicle("step_climber", (fold,), (hinge,), discs, bodies[0]))

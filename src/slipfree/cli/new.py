@@ -24,13 +24,12 @@ class Kind(StrEnum):
     direct = "direct"
     inverse = "inverse"
     plan = "plan"
-    climb = "climb"
 
 
 def new(
     kind: Annotated[
         Kind,
-        typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse, plan or climb."),
+        typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse or plan."),
     ],
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,

@@ -31,7 +31,7 @@ from slipfree.cli.messages import (
 from slipfree.cli.outcomes import print_incomplete, resume_command
 from slipfree.cli.outputs import OUTPUT, check_default_outputs, check_outputs, save
 from slipfree.cli.progress import reporting
-from slipfree.errors import DataError, SlipfreeError, WriteError
+from slipfree.errors import SlipfreeError, WriteError
 from slipfree.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
@@ -79,9 +79,6 @@ Resume = Annotated[
         help="Start the search from the plan in a result file; mesh, ground or goal may differ.",
     ),
 ]
-Animation = Annotated[
-    Path | None, typer.Option(metavar="OUT.gif", help="Write an animation (climbs only).")
-]
 
 
 def run(
@@ -94,7 +91,6 @@ def run(
     figures_all: DrawAll = False,
     cross_check: CrossCheck = False,
     resume: Resume = None,
-    animation: Animation = None,
     trust: Trust = None,
 ) -> None:
     """Solve a problem and write the result.
@@ -112,9 +108,9 @@ def run(
         options += [word for each in trust or () for word in ("--trust", str(each))]
         out, folder = _output_paths(problem, out, figures, draw=draw)
         # the search may go on in the file from which it resumes
-        check_outputs([csv, animation], [*files_read(problem), *([resume] if resume else [])])
-        check_outputs([out, csv, animation], files_read(problem), folder=folder)
-        _check_options(problem, cross_check, resume, animation)
+        check_outputs([csv], [*files_read(problem), *([resume] if resume else [])])
+        check_outputs([out, csv], files_read(problem), folder=folder)
+        _check_options(problem, cross_check, resume)
         former = _resumed_plan(resume)
         with reporting(problem.spec.time.duration if verb.is_timed else None) as reports:
             result = _solve(problem, reports, former, out)
@@ -129,11 +125,6 @@ def run(
         if folder is not None and not is_interrupted:
             with _after(files[0], "figures"):
                 _draw(verb.figures(result), folder, every=figures_all)
-        if animation is not None and not is_interrupted:
-            with _after(files[0], "animation"):
-                verb.animate(result, animation)
-                add_json_file(animation)
-                _print_written(animation)
         _exit(result, files[0], options, is_interrupted=is_interrupted)
 
 
@@ -155,21 +146,15 @@ def _output_paths(
     return out, folder
 
 
-def _check_options(
-    problem: Problem[Any], cross_check: bool, resume: Path | None, animation: Path | None
-) -> None:
-    """Raise DataError for options that the verb does not support, or animations not in .gif."""
-    from slipfree.problem.verbs.base import ANIMATION, CROSS_CHECK, RESUME
+def _check_options(problem: Problem[Any], cross_check: bool, resume: Path | None) -> None:
+    """Raise DataError for options that the verb does not support."""
+    from slipfree.problem.verbs.base import CROSS_CHECK, RESUME
     from slipfree.problem.verbs.registry import check_option
 
-    given = {CROSS_CHECK: cross_check, RESUME: resume, ANIMATION: animation}
+    given = {CROSS_CHECK: cross_check, RESUME: resume}
     for option, value in given.items():
         if value:
             check_option(problem, option)
-    if animation is not None and animation.suffix != ".gif":
-        raise DataError(
-            f"{animation}: expected a name that ends in .gif for an animation; choose another name"
-        )
 
 
 def output_of(problem: Problem[Any]) -> str:

@@ -99,7 +99,7 @@ def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]
     Raises
     ------
     DataError
-        If the results are of different kinds, such as drives and climbs.
+        If the results are of different kinds, such as motions and fits.
     """
     from slipfree.problem.result import open_result
     from slipfree.problem.verbs.registry import verb_of

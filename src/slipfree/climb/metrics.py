@@ -14,7 +14,7 @@ from slipfree.errors import ModelError
 from slipfree.records import Array, Mask
 from slipfree.terrain.solids import Profile
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.climber import AXLES, FOLD, Climber
+from slipfree.vehicle.tree import Vehicle
 
 LEAD_TIME, TRAIL_TIME = 0.05, 0.1  # parts of the window before first contact and after climb [s]
 EDGE_MARGIN, MAX_SINKAGE = 0.02, 0.003  # distance behind the edge, depth below the top level [m]
@@ -76,45 +76,44 @@ class Metrics(NamedTuple):
     limited: float
 
 
-def metrics(run: Trajectory, climber: Climber, profile: Profile) -> Metrics:
+def climb_metrics(run: Trajectory, vehicle: Vehicle, section: Profile) -> Metrics:
     """Return the averages over a climb.
 
     Parameters
     ----------
     run : Trajectory
-        A motion of `slipfree.climb.dynamics.climbing`.
-    climber : Climber
-        Its vehicle.
-    profile : Profile
-        Its ground.
+        A motion of `slipfree.control.step_climbing.climbing`.
+    vehicle : Vehicle
+        Its vehicle, see `slipfree.vehicle.climber.climber_of`.
+    section : Profile
+        Its ground, see `slipfree.terrain.solids.section_of`.
 
     Raises
     ------
     ModelError
         If the front wheel touches only the floor.
     """
-    window = climb_window(run, climber, profile)
+    window, radius = climb_window(run, vehicle, section), vehicle.wheels[0].radius
     span = window.span
-    rim = climber.radius * run["spin"][span]
-    slip, loads = most_loaded(run, profile, "slip")[span], _at_solids(run, profile, "load")[:, span]
-    motors = np.abs(run["motor_torque"][span]) * [axle.wheels for axle in climber.axles]
+    slip, loads = most_loaded(run, section, "slip")[span], _at_solids(run, section, "load")[:, span]
+    torques = np.abs(run["drive_torque"][span]).sum(axis=0)
     return Metrics(
         window,
-        _mean_size(slip_ratio(run, climber)[span]),
+        _mean_size(slip_ratio(run, vehicle)[span]),
         _mean_size(disturbance_ratio(run)[span]),
-        np.nansum(np.abs(slip), axis=0) / np.abs(rim).sum(axis=0),
-        motors.sum(axis=0) / motors.sum(),
+        np.nansum(np.abs(slip), axis=0) / np.abs(radius * run["spin"][span]).sum(axis=0),
+        torques / torques.sum(),
         loads.sum(axis=(0, 1)) / loads.sum(),
         float(np.mean(run["torque_scale"][span] < 1)),
     )
 
 
-def most_loaded(run: Trajectory, profile: Profile, name: str) -> Array:
+def most_loaded(run: Trajectory, section: Profile, name: str) -> Array:
     """Return a quantity of each axle's wheels at the solid with the largest load.
 
     Parameters
     ----------
-    run, profile : Trajectory, Profile
+    run, section : Trajectory, Profile
         The motion and its ground.
     name : {"load", "friction", "slip"}
         Normal force, tangential force, or slip velocity at a solid.
@@ -124,17 +123,17 @@ def most_loaded(run: Trajectory, profile: Profile, name: str) -> Array:
     ndarray, shape (n, 3)
         The quantity; NaN for wheels with a normal force below 1 N. [N or m/s]
     """
-    loads, values = (_at_solids(run, profile, each) for each in ("load", name))
+    loads, values = (_at_solids(run, section, each) for each in ("load", name))
     found = np.take_along_axis(values, loads.argmax(axis=0)[None], axis=0)[0]
     return np.where(loads.max(axis=0) > MIN_LOAD, found, np.nan)
 
 
-def _at_solids(run: Trajectory, profile: Profile, name: str) -> Array:
+def _at_solids(run: Trajectory, section: Profile, name: str) -> Array:
     """Return a quantity of each axle's wheels at each solid, shape (n_solids, n, 3)."""
-    return np.stack([run[f"solid_{name}_{k + 1}"] for k in range(len(profile.solids))])
+    return np.stack([run[f"solid_{name}_{k}"] for k in range(len(section.solids))])
 
 
-def climb_window(run: Trajectory, climber: Climber, profile: Profile) -> Window:
+def climb_window(run: Trajectory, vehicle: Vehicle, section: Profile) -> Window:
     """Return the window of a climb.
 
     It begins 50 ms before the front wheel first touches an obstacle and ends 100 ms after the rear
@@ -146,13 +145,13 @@ def climb_window(run: Trajectory, climber: Climber, profile: Profile) -> Window:
     ModelError
         If the front wheel touches only the floor.
     """
-    touching = touches_obstacle(run, profile)
+    touching = touches_obstacle(run, section)
     if not touching.any():
         raise ModelError(
-            "metrics: the front wheel touches only the floor until "
+            "climb: the front wheel touches only the floor until "
             f"t = {run.t[-1]:g} s; simulate longer or start nearer to the obstacle"
         )
-    up = has_reached_top(run, climber, profile)
+    up = has_reached_top(run, vehicle, section)
     climbed = bool(up.any())
     end = float(run.t[up.argmax()]) if climbed else float(run.t[-1])
     begin = float(run.t[touching.argmax()])
@@ -160,35 +159,36 @@ def climb_window(run: Trajectory, climber: Climber, profile: Profile) -> Window:
     return Window(slice(int(ends[0]), int(ends[1])), climbed, end)
 
 
-def touches_obstacle(run: Trajectory, profile: Profile) -> Mask:
+def touches_obstacle(run: Trajectory, section: Profile) -> Mask:
     """Return the mask of samples at which the front wheel touches an obstacle, shape (n,)."""
     touching = np.zeros(run.t.size, dtype=bool)
-    for k in range(2, len(profile.solids) + 1):  # the first is the floor
-        touching |= run[f"solid_gap_{k}", "front"] < 0
+    for k in range(1, len(section.solids)):  # the first is the ground
+        touching |= run[f"solid_gap_{k}", run.wheels[-1]] < 0
     return touching
 
 
-def has_reached_top(run: Trajectory, climber: Climber, profile: Profile) -> Mask:
+def has_reached_top(run: Trajectory, vehicle: Vehicle, section: Profile) -> Mask:
     """Return the mask of samples with the rear axle on top, as in `climb_window`, shape (n,)."""
-    edge, top = profile.summit
-    x, z = run["center_y", "rear"], run["center_z", "rear"]
-    up: Mask = (x > edge + EDGE_MARGIN) & (z > top + climber.radius - MAX_SINKAGE)
-    return up | (x > profile.end + EDGE_MARGIN)
+    edge, top = section.summit
+    x, z = (run[f"center_{axis}"][:, 0] for axis in "yz")
+    up: Mask = (x > edge + EDGE_MARGIN) & (z > top + vehicle.wheels[0].radius - MAX_SINKAGE)
+    return up | (x > section.end + EDGE_MARGIN)
 
 
-def slip_ratio(run: Trajectory, climber: Climber) -> Array:
+def slip_ratio(run: Trajectory, vehicle: Vehicle) -> Array:
     """Return the slip ratios ``(r w - v) / (r w)`` by (20), shape (n, 3); NaN for wheels near rest.
 
     ``r`` and ``w`` are the radius and the rate of a wheel, ``v`` is the speed of the middle axle.
     """
-    speed = axle_speeds(run)[:, AXLES.index("middle")]
+    speed = axle_speeds(run, vehicle)[:, 1]
     rate = _turning_rates(run)
-    return np.asarray(1 - speed[:, None] / (climber.radius * rate))
+    return np.asarray(1 - speed[:, None] / (vehicle.wheels[0].radius * rate))
 
 
-def axle_speeds(run: Trajectory) -> Array:
+def axle_speeds(run: Trajectory, vehicle: Vehicle) -> Array:
     """Return the speeds of the axles, shape (n, 3) [m/s]."""
-    turning = np.stack([run["omega_x"]] * 2 + [run["omega_x"] + run[f"{FOLD}_rate"]], axis=1)
+    front = run["omega_x"] + run[f"{vehicle.coordinates[0].name}_rate"]
+    turning = np.stack([run["omega_x"], run["omega_x"], front], axis=1)
     arm_y, arm_z = (run[f"center_{axis}"] - run[axis][:, None] for axis in "yz")
     velocity_y = run["velocity_y"][:, None] - turning * arm_z
     return np.asarray(np.hypot(velocity_y, run["velocity_z"][:, None] + turning * arm_y))

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from math import inf
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,7 +25,7 @@ import numpy as np
 from slipfree.climb.contact_path import axle_arms
 from slipfree.climb.time_scaling import Climb, history
 from slipfree.control.reference_speeds import PerAxle
-from slipfree.control.step_climbing import Commands, limited
+from slipfree.control.step_climbing import Commands, ControlState, Motors, Sensed, limited
 from slipfree.errors import ModelError
 from slipfree.records import Array
 from slipfree.vehicle.climber import Climber
@@ -49,7 +50,7 @@ class TrackedPlan:
     directions : ndarray, shape (n, 3)
         Directions of the axles' motion, upward from the horizontal. [rad]
     torques : ndarray, shape (n, 3)
-        Torques of a wheel's motor. [N m]
+        Total torques of the axles' motors. [N m]
     """
 
     p: Array
@@ -71,7 +72,7 @@ class _PlanPoint(NamedTuple):
     directions : PerAxle of SX
         Directions of the axles' motion, upward from the horizontal. [rad]
     torques : PerAxle of SX
-        Torque of each wheel's motor. [N m]
+        Total torques of the axles' motors. [N m]
     before, behind : SX
         One if the progress is below the first, or above the last point of the plan, else zero.
     """
@@ -86,7 +87,7 @@ class _PlanPoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """Controller that tracks a planned climb, for `slipfree.climb.dynamics.climbing`.
+    """Controller that tracks a planned climb, for `slipfree.control.step_climbing.climbing`.
 
     It uses true positions and speeds of the axles, which are known only in simulations.
 
@@ -102,6 +103,10 @@ class Tracking:
     lead : float
         Distance added to the progress when the plan is evaluated. It must exceed the depth of the
         contacts; otherwise the plan stops a wheel before it touches the next solid. [m]
+    torque : float
+        Largest torque of a motor. [N m]
+    motors : tuple of 3 int
+        Numbers of motors of the axles.
 
     Raises
     ------
@@ -113,11 +118,8 @@ class Tracking:
     proportional: float = 20.0
     spare: float = 3e-3
     lead: float = 1e-3
-    # the controller has no states
-    senses: ClassVar[bool] = False
-    integral: ClassVar[float] = 0.0
-    derivative: ClassVar[float] = 0.0
-    lag: ClassVar[float] = 1.0
+    torque: float = inf
+    motors: Motors = (2, 1, 2)
 
     def __post_init__(self) -> None:
         for name in ("proportional", "spare", "lead"):
@@ -126,6 +128,34 @@ class Tracking:
                     f"tracking: expected a positive number for {name!r}, found "
                     f"{getattr(self, name)}; increase it"
                 )
+
+    def labels(self, wheels: Sequence[str]) -> ControlState:  # noqa: ARG002 - of the protocol
+        """Return the labels of the states, of which there are none."""
+        return ControlState()
+
+    def commands(
+        self,
+        climber: Climber,
+        at: Sensed,
+        x: ControlState,  # noqa: ARG002 - of the protocol
+        speed: ca.SX,
+    ) -> Commands:
+        """Return reference rates of the wheels and motor torques.
+
+        The plan is evaluated at the progress p of the vehicle. Below the first and above the last p
+        of the plan, all wheels have the same reference speed, at most ``speed`` [m/s]. Below the
+        first p, it decreases to zero towards the plan's start, since plans begin at rest.
+        """
+        p = sum(place[0] + place[1] for place in at.axles) / 3 + self.lead
+        point = _plan_at(self.plan, p)
+        pace = _reference_speed(self.plan, p, point, speed)
+        references, wanted = [], []
+        columns = (*point[1:4], at.velocities, at.spins, self.motors)
+        for ratio, angle, torque, velocity, spin, count in zip(*columns, strict=True):
+            actual = velocity[0] * ca.cos(angle) + velocity[1] * ca.sin(angle)
+            references.append(ca.fmin(pace * ratio, actual + self.spare) / climber.radius)
+            wanted.append(torque / count + self.proportional * (references[-1] - spin))
+        return Commands(PerAxle(*references), limited(self.torque, PerAxle(*wanted)), ())
 
 
 def tracked_plan(plans: Sequence[tuple[Climb, Array]]) -> TrackedPlan:
@@ -171,46 +201,6 @@ def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
         parts.append((progress, squares, path.speeds, directions, torques))
     order = np.argsort(np.concatenate([nodes.s, middles.s]))
     return tuple(np.concatenate(pair)[order] for pair in zip(*parts, strict=True))
-
-
-def tracked(
-    control: Tracking,
-    climber: Climber,
-    spins: PerAxle,
-    axles: PerAxle,
-    velocities: PerAxle,
-    speed: ca.SX,
-) -> Commands:
-    """Return reference rates of the wheels and motor torques that track a planned climb.
-
-    The plan is evaluated at the progress p of the vehicle. Below the first and above the last p of
-    the plan, all wheels have the same reference speed. Below the first p, this speed decreases to
-    zero towards the plan's start, since plans begin at rest.
-
-    Parameters
-    ----------
-    control : Tracking
-        The controller with its plan.
-    climber : Climber
-        The vehicle.
-    spins : PerAxle of SX
-        Rates of the wheels. [rad/s]
-    axles, velocities : PerAxle of SX, shape (2, 1)
-        Positions and velocities of the axles. [m, m/s]
-    speed : SX
-        Largest speed of the vehicle before the start and after the end of the plan. [m/s]
-    """
-    p = sum(place[0] + place[1] for place in axles) / 3 + control.lead
-    at = _plan_at(control.plan, p)
-    pace = _reference_speed(control.plan, p, at, speed)
-    references, wanted = [], []
-    for ratio, angle, torque, velocity, spin in zip(
-        at.speeds, at.directions, at.torques, velocities, spins, strict=True
-    ):
-        actual = velocity[0] * ca.cos(angle) + velocity[1] * ca.sin(angle)
-        references.append(ca.fmin(pace * ratio, actual + control.spare) / climber.radius)
-        wanted.append(torque + control.proportional * (references[-1] - spin))
-    return Commands(PerAxle(*references), limited(climber.torque, PerAxle(*wanted)), ())
 
 
 def _plan_at(plan: TrackedPlan, p: ca.SX) -> _PlanPoint:

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import inf
 
 import casadi as ca
 import numpy as np
@@ -57,7 +58,7 @@ LABELS = (
     Label("tilt_rear", "rad", "tilt of the rear body, positive with the nose up"),
     Label("tilt_front", "rad", "tilt of the front body, positive with the nose up"),
     Label("wheel_rate", "rad s-1", "rate of the wheels over the ground, positive forward"),
-    Label("torque", "N m", "torque of a wheel's motor"),
+    Label("torque", "N m", "total torque of the axle's motors"),
     Label("load", "N", "normal force of the ground on the axle's wheels"),
     Label("friction", "N", "tangential force of the ground on the axle's wheels, forward"),
 )
@@ -125,6 +126,7 @@ def climb(
     *,
     mu: float | None = None,
     speed: float = 0.25,
+    torques: Sequence[float] = (inf, inf, inf),
     s: int | npt.ArrayLike = 60,
     halt: bool = False,
 ) -> Climb:
@@ -143,6 +145,8 @@ def climb(
         Coefficient of friction; an unknown for the cost "friction", required for the others. [1]
     speed : float
         Largest speed of an axle. [m/s]
+    torques : sequence of 3 floats
+        Largest total torques of the motors of the axles. [N m]
     s : int or array_like, shape (n + 1,)
         Nodes on the leg, the ends of the intervals [m], or the number of nodes. With a number, the
         last node is ``leg.top`` or, with ``halt``, the end of the leg. The vehicle is at rest at
@@ -182,7 +186,7 @@ def climb(
         )
     nodes = sample(climber, profile, leg, ends)
     middles = sample(climber, profile, leg, (ends[:-1] + ends[1:]) / 2)
-    nlp = _program(climber, nodes, middles, cost, mu, speed, halt=halt)
+    nlp = _program(climber, nodes, middles, cost, mu, speed, torques, halt=halt)
     return Climb(climber, nodes, middles, nlp)
 
 
@@ -202,6 +206,7 @@ def _program(
     cost: str,
     mu: float | None,
     speed: float,
+    torques: Sequence[float],
     *,
     halt: bool,
 ) -> Nlp:
@@ -212,8 +217,9 @@ def _program(
     scale = np.repeat([fastest, weight / 3, weight / 3, 1.0], np.diff(ends))
     x = ca.MX.sym("x", ends[-1])
     b, normal, tangential, friction = ca.vertsplit(x * scale, ends)
-    rows, low, high = _constraint_rows(climber, middles, steps, (b, normal, tangential, friction))
-    f = _cost(cost, (b, normal, tangential, friction), steps, fastest, weight)
+    unknowns = b, normal, tangential, friction
+    rows, low, high = _constraint_rows(climber, middles, steps, unknowns, torques)
+    f = _cost(cost, unknowns, steps, fastest, weight)
     lower, upper = np.full((2, ends[-1]), [[-np.inf], [np.inf]])
     lower[b_at], upper[b_at] = _speeds(nodes, fastest, halt=halt)
     lower[n_at] = 0.0
@@ -290,7 +296,11 @@ def _speeds(nodes: PathSamples, fastest: float, *, halt: bool) -> tuple[Array, A
 
 
 def _constraint_rows(
-    climber: Climber, middles: PathSamples, steps: Array, unknowns: Sequence[ca.MX]
+    climber: Climber,
+    middles: PathSamples,
+    steps: Array,
+    unknowns: Sequence[ca.MX],
+    torques: Sequence[float],
 ) -> tuple[list[ca.MX], list[Array], list[Array]]:
     """Return the blocks of constraints, and their lower and upper bounds.
 
@@ -307,11 +317,11 @@ def _constraint_rows(
         + _sparse(_diagonal(matrix[:, :, 3:]) / weight) @ tangential
     )
     torque = _torques(climber, middles, steps, b, tangential)
-    most = np.tile([climber.torque * axle.wheels for axle in climber.axles], count)
+    most = np.tile(torques, count)
     cone, nothing, above = 3 / weight, np.zeros(3 * count), np.full(3 * count, np.inf)
     rows = [held - moving, *(cone * (mu * normal + sign * tangential) for sign in (1, -1))]
     low, high = [(load / weight).ravel(), nothing, nothing], [(load / weight).ravel(), above, above]
-    if np.isfinite(climber.torque):
+    if np.isfinite(most).all():
         rows, low, high = [*rows, torque], [*low, -most], [*high, most]
     return rows, low, high
 
@@ -370,13 +380,12 @@ def history(plan: Climb, unknowns: Array) -> Trajectory:
     t = np.cumsum(durations) - durations + steps / (np.sqrt(b[:-1]) + speed)
     friction = unknowns[where["tangential"]]
     spinning = middles.speeds * acceleration[:, None] + middles.slopes * means[:, None]
-    wheels = np.array([axle.wheels for axle in climber.axles])
     values = dict(zip(("y", "z", "tilt_rear", "tilt_front"), middles.q.T, strict=True)) | {
         "s": middles.s,
         "path_speed": speed,
         "path_acceleration": acceleration,
         "wheel_rate": middles.speeds * speed[:, None] / climber.radius,
-        "torque": (climber.radius * friction + spin_inertia(climber) * spinning) / wheels,
+        "torque": climber.radius * friction + spin_inertia(climber) * spinning,
         "load": unknowns[where["normal"]],
         "friction": friction,
     }

@@ -155,16 +155,20 @@ def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Fun
         converge, the result is NaN, or, for a wheel clearly above the ground, the ground point
         below it with a zero inverse Jacobian.
     """
-    radii = section.torus_radii
+    radii, plane = section.torus_radii, plane_of(terrain)
+    if plane is not None:
+        return plane
     if isinstance(terrain, Bicubic) and radii is not None:
         compiled = terrain.nearest_point(*radii, radius)
         if compiled is not None:
             return compiled
-    return plane_of(terrain) or _search_graph(terrain, section, radius)
+    return _search_graph(terrain, section, radius)
 
 
 def plane_of(terrain: Terrain) -> Plane | None:
-    """Return a ground as a plane; None if it is not a plane."""
+    """Return a ground as a plane; None if it is not a plane, or an inclined one on a map."""
+    if isinstance(terrain, Bicubic) and terrain.is_level:
+        return Plane(ca.DM(terrain.grid.values.flat[0] - terrain.origin[2]), ca.DM.zeros(2))
     spot, lookups = ca.SX.sym("spot", 2), LookupTable()
     jet = terrain.jet(spot[0], spot[1], lookups)
     if lookups.lookups or ca.sparsify(jet.hessian).nnz():

@@ -94,7 +94,9 @@ def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> 
     pairs = zip(model.limits, driven([each.expression for each in model.limits]), strict=True)
     limits: tuple[Limit, ...] = tuple(limit._replace(expression=each) for limit, each in pairs)
     rates = ca.vertcat(ca.SX(0, 1), *controller.rates)
-    labels, own = model.labels, np.zeros(rates.numel())
+    labels, own, standing = model.labels, np.zeros(rates.numel()), model.standing
+    if standing is not None:  # the controller starts with states of zero
+        standing = standing._replace(x=ca.vertcat(standing.x, ca.SX.zeros(rates.shape)))
     held = model.held
     if held is not None:
         held = held._replace(ode=ca.vertcat(*driven([held.ode]), rates))
@@ -117,6 +119,6 @@ def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> 
         limits=limits,
         pace=driven([model.pace])[0],
         shift=(np.concatenate([model.shift[0], own]), model.shift[1]),
-        standing=None,
+        standing=standing,
         held=held,
     )

@@ -1,57 +1,121 @@
-"""Motor torques: PID control of every wheel's rate, and a common scale factor.
+"""Driving law of a step climber: wheel rates that follow from the configuration of its bodies.
 
-Equations (17) to (19) of Chugo et al. (2009); see `slipfree.control.reference_speeds`.
+PID control of every wheel's rate, and a common factor that limits the torques: equations (17) to
+(19) of Chugo et al. (2009). The references are those of `slipfree.control.reference_speeds`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, get_args
 
 import casadi as ca
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.bounds import check_bounds
-from slipfree.control.reference_speeds import Law, PerAxle
-from slipfree.control.sensor_noise import Noise
+from slipfree.control.controlled import Controller, controlled
+from slipfree.control.reference_speeds import (
+    Law,
+    PerAxle,
+    Tilts,
+    directions,
+    estimated_directions,
+    reference,
+)
+from slipfree.control.sensor_noise import Noise, measured
+from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
-from slipfree.vehicle.climber import AXLES, Climber
+from slipfree.models.limits import UPRIGHT
+from slipfree.records import Label, leaves, symbols
+from slipfree.terrain.solids import Profile
+from slipfree.vehicle.climber import Climber, climber_of
+from slipfree.vehicle.tree import Vehicle
 
+MAX_TILT = 1.4  # a body with a larger tilt has overturned [rad]
 Directions = Literal["contact", "sensors"]
+Motors = tuple[int, int, int]
+
+
+class Sensed(NamedTuple):
+    """Quantities of a model that a controller may use.
+
+    Attributes
+    ----------
+    t : SX
+        Time. [s]
+    tilts, rates : Tilts
+        Tilts of the bodies, nose up, and their rates. [rad, rad/s]
+    spins : PerAxle
+        Rates of the wheels, forward positive. [rad/s]
+    axles, velocities : PerAxle of SX, shape (2, 1)
+        Positions and velocities of the axles. [m, m/s]
+    directions : callable
+        Function without arguments that returns the true directions in which the axles can move,
+        upward from the horizontal. [rad]
+    """
+
+    t: ca.SX
+    tilts: Tilts
+    rates: Tilts
+    spins: PerAxle
+    axles: PerAxle
+    velocities: PerAxle
+    directions: Callable[[], PerAxle]
+
+
+class ControlState(NamedTuple):
+    """States of the controller.
+
+    Attributes
+    ----------
+    integrals : PerAxle or ()
+        Integrals of the errors of the wheel rates. [rad]
+    directions : PerAxle or ()
+        Smoothed estimates of the axles' directions. [rad]
+    lagging : PerAxle or ()
+        Filtered errors of the wheel rates, for the derivative gain. [rad/s]
+    """
+
+    integrals: Any = ()
+    directions: Any = ()
+    lagging: Any = ()
+
+
+class ControlInputs(NamedTuple):
+    """Input of the controller: the reference speed of the vehicle [m/s]."""
+
+    speed: Any
+
+
+class ControlOutputs(NamedTuple):
+    """Outputs: reference rates [rad/s], torques of the motors [N m], factor of the limit [1]."""
+
+    references: PerAxle
+    torques: PerAxle
+    scale: Any
+
+
+INPUTS = ControlInputs(Label("reference_speed", "m s-1", "reference speed of the vehicle"))
 
 
 class Driver(Protocol):
-    """Protocol of the controllers of a climb.
-
-    The properties determine which states the controller adds to the model.
-
-    `Control` and `slipfree.climb.plan_tracking.Tracking` implement it.
-    """
+    """Protocol of the controllers of a step climber."""
 
     @property
-    def senses(self) -> bool:
-        """Whether the controller estimates directions from sensors; the estimates are states."""
+    def motors(self) -> Motors:
+        """Numbers of motors of the axles."""
 
-    @property
-    def proportional(self) -> float:
-        """Proportional gain of the wheel-rate control [N m s/rad]."""
+    def labels(self, wheels: Sequence[str]) -> ControlState:
+        """Return the labels of the states for the names of the wheels."""
 
-    @property
-    def integral(self) -> float:
-        """Integral gain [N m/rad]; if it is not zero, the integrated errors are states."""
-
-    @property
-    def derivative(self) -> float:
-        """Derivative gain [N m s2/rad]; if it is not zero, the filtered errors are states."""
-
-    @property
-    def lag(self) -> float:
-        """Time constant of the low-pass filter of the errors, for the derivative gain [s]."""
+    def commands(self, climber: Climber, at: Sensed, x: ControlState, speed: ca.SX) -> Commands:
+        """Return reference rates, torques and the rates of the states for a speed [m/s]."""
 
 
 @dataclass(frozen=True)
-class Control:
+class StepClimbing:
     """PID controller of the wheel rates, whose references follow from axle speeds without slip.
 
     Attributes
@@ -75,6 +139,10 @@ class Control:
     unwinding : float
         Anti-windup gain: decay rate of the part of the integral term that exceeds the torque limit;
         zero, as in the paper, for no anti-windup. [1/s]
+    torque : float
+        Largest torque of a motor. [N m]
+    motors : tuple of 3 int
+        Numbers of wheels on the rear, middle and front axle, with one motor each.
     noise : Noise or None
         Noise of the measured tilts, tilt rates and wheel rates; None for exact measurements.
 
@@ -126,21 +194,63 @@ class Control:
         Unit("1/s"),
         doc("anti-windup: rate at which torque above the limit is removed from the integral term"),
     ] = 0.0
+    torque: Annotated[float, Gt(0), Unit("N m"), doc("largest torque of a motor")] = math.inf
+    motors: Annotated[
+        Motors, doc("numbers of wheels on the rear, middle and front axle, with one motor each")
+    ] = (2, 1, 2)
     noise: Noise | None = None
 
     def __post_init__(self) -> None:
         for name, known in (("law", Law), ("directions", Directions)):
             if getattr(self, name) not in get_args(known):
                 raise ModelError(
-                    f"control: expected one of {', '.join(get_args(known))} for {name!r}, "
+                    f"step-climbing: expected one of {', '.join(get_args(known))} for {name!r}, "
                     f"found {getattr(self, name)!r}; choose one of these names"
                 )
         check_bounds(self)
+        check_motors(self.motors)
 
     @property
     def senses(self) -> bool:
         """Whether the law needs directions estimated from sensors."""
         return self.law != "fixed" and self.directions == "sensors"
+
+    def labels(self, wheels: Sequence[str]) -> ControlState:
+        """Return the labels of the states for the names of the wheels."""
+
+        def each(name: str, unit: str, words: str) -> PerAxle:
+            return PerAxle(*(Label(name, unit, words, wheel) for wheel in wheels))
+
+        words = "smoothed estimate of the axle's direction from sensors"
+        filtered = "filtered wheel-rate error, for the derivative gain"
+        return ControlState(
+            each("error_sum", "rad", "integral of the wheel-rate error"),
+            each("direction_seen", "rad", words) if self.senses else (),
+            each("error_lag", "rad s-1", filtered) if self.derivative else (),
+        )
+
+    def commands(self, climber: Climber, at: Sensed, x: ControlState, speed: ca.SX) -> Commands:
+        """Return reference rates, torques and the rates of the states for a speed [m/s]."""
+        tilts, rates, spins = at.tilts, at.rates, at.spins
+        if self.noise is not None:
+            tilts, rates, spins = measured(self.noise, at.t, tilts, rates, spins)
+        used = x.directions if self.senses else [self.share * each for each in at.directions()]
+        relative = reference(climber, tilts, PerAxle(*used), self.law, self.cap)
+        wanted = PerAxle(*(speed / climber.radius * each for each in relative))
+        errors = PerAxle(*(aim - spin for aim, spin in zip(wanted, spins, strict=True)))
+        rises = [(now - late) / self.lag for now, late in zip(errors, x.lagging, strict=False)]
+        motors = torques(self, errors, x.integrals, rises)
+        unwinding = self.unwinding / self.integral
+        changes = [
+            error - unwinding * (torque - out)
+            for error, torque, out in zip(errors, motors.wanted, motors.out, strict=True)
+        ]
+        if self.senses:
+            raw = estimated_directions(climber, tilts, rates, spins)
+            changes += [
+                (new - old) / self.smoothing for new, old in zip(raw, x.directions, strict=True)
+            ]
+        return Commands(wanted, motors, (*changes, *rises))
 
 
 class Torques(NamedTuple):
@@ -169,17 +279,15 @@ class Commands(NamedTuple):
     rates: tuple[ca.SX, ...]
 
 
-def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rises: Any) -> Torques:
+def torques(control: StepClimbing, errors: PerAxle, sums: PerAxle, rises: Any) -> Torques:
     """Return the motor torques of equation (17), scaled to the torque limit by (18) and (19).
 
     (18) as printed does not limit negative torques; here the absolute value is limited.
 
     Parameters
     ----------
-    control : Control
-        The gains.
-    limit : float
-        Largest torque of a motor. [N m]
+    control : StepClimbing
+        The gains and the limit.
     errors, sums : PerAxle
         Errors of the wheels' rates, and their integrals. [rad/s, rad]
     rises : PerAxle or ()
@@ -193,7 +301,7 @@ def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rise
         found = [
             torque + control.derivative * rise for torque, rise in zip(found, rises, strict=True)
         ]
-    return limited(limit, PerAxle(*found))
+    return limited(control.torque, PerAxle(*found))
 
 
 def limited(limit: float, wanted: PerAxle) -> Torques:
@@ -204,7 +312,7 @@ def limited(limit: float, wanted: PerAxle) -> Torques:
     return Torques(wanted, PerAxle(*(scale * torque for torque in wanted)), scale)
 
 
-def largest_period(control: Driver, climber: Climber) -> float:
+def largest_period(control: StepClimbing, climber: Climber) -> float:
     """Return the sample time above which a sampled controller is unstable [s].
 
     For a freely spinning wheel of inertia J/n with constant torque during the sample time T,
@@ -213,44 +321,133 @@ def largest_period(control: Driver, climber: Climber) -> float:
     below ``2 kp / ki``.
     """
     gain = control.proportional + control.derivative / control.lag
-    wheels = min(2 * axle.inertia / (axle.wheels * gain) for axle in climber.axles)
-    return min(wheels, _integral_period_limit(control))
+    wheels = (
+        2 * axle.inertia / (count * gain)
+        for axle, count in zip(climber.axles, control.motors, strict=True)
+    )
+    return min(*wheels, 2 * control.proportional / control.integral)
 
 
-def _integral_period_limit(control: Driver) -> float:
-    """Return the sample time above which the integral gain is unstable, 2 kp / ki [s]."""
-    return 2 * control.proportional / control.integral if control.integral else math.inf
+def check_period(period: float, control: StepClimbing, climber: Climber) -> None:
+    """Raise ModelError for a sample time that is not below `largest_period`, or not positive."""
+    most = largest_period(control, climber)
+    if not 0 < period < most:
+        raise ModelError(
+            f"period: expected a time between 0 and {most:g} s, the stability limit of the wheel "
+            "rates (the least of 2 J / (n kp) of the axles and of 2 kp / ki), found "
+            f"{period:g} s; change it, or reduce the gains"
+        )
 
 
-def check_period(period: float, control: Driver, climber: Climber) -> None:
-    """Raise ModelError for a sample time with unstable wheel rates.
+def check_motors(motors: Motors) -> None:
+    """Raise ModelError for a number of motors below one."""
+    if min(motors) < 1:
+        raise ModelError(
+            f"step-climbing: expected one motor or more per axle as 'motors', found {motors}; "
+            "change the numbers"
+        )
+
+
+def climbing(
+    model: Dae,
+    vehicle: Vehicle,
+    control: Driver,
+    section: Profile | None = None,
+    *,
+    sampled: bool = False,
+) -> Dae:
+    """Return the dynamic model of a step climber with controlled wheels.
+
+    Parameters
+    ----------
+    model : Dae
+        Result of `slipfree.dynamics` for the vehicle.
+    vehicle : Vehicle
+        The vehicle, see `slipfree.vehicle.climber.climber_of`.
+    control : Driver
+        The controller: `StepClimbing`, or `slipfree.climb.plan_tracking.Tracking`.
+    section : Profile, optional
+        Section of the ground (`slipfree.terrain.solids.section_of`), which controllers with
+        ``directions="contact"`` require.
+    sampled : bool
+        Whether the torques of the axles remain inputs, for a sampled controller. `held_torques`
+        are their values.
+
+    Returns
+    -------
+    Dae
+        The model; its input is the ``reference_speed`` of the vehicle [m/s]. A motion ends where the front
+        body overturns.
 
     Raises
     ------
     ModelError
-        If the sample time is not positive, or not below `largest_period`.
+        If the vehicle is not a step climber, or the section is required and missing.
     """
-    most = largest_period(control, climber)
-    if 0 < period < most:
-        return
-    if not period > 0:
-        raise ModelError(
-            f"period: expected a positive sample time below {most:g} s, found {period:g} s; "
-            "increase it"
-        )
-    if most == _integral_period_limit(control):
-        raise ModelError(
-            f"period: expected a time between 0 and {most:g} s = 2 kp / ki (kp = "
-            f"{control.proportional:g} N m s/rad, ki = {control.integral:g} N m/rad), the "
-            f"stability limit of the wheel rates, found {period:g} s; reduce the "
-            "sample time or ki"
-        )
-    gain = control.proportional + control.derivative / control.lag
-    slack = [axle.inertia / axle.wheels for axle in climber.axles]
-    name = AXLES[slack.index(min(slack))]
-    raise ModelError(
-        f"period: expected a time between 0 and {most:g} s = 2 J / (n kp), the stability limit of "
-        f"the {name} axle (J = {getattr(climber, name).inertia:g} kg m2, n = "
-        f"{getattr(climber, name).wheels}, kp = {gain:g} N m s/rad), found "
-        f"{period:g} s; reduce the sample time or the gain"
+    climber = climber_of(vehicle)
+    wheels = tuple(wheel.name for wheel in vehicle.wheels)
+    labels = control.labels(wheels)
+    x, u = symbols(labels), symbols(INPUTS)
+    at = _sensed(climber, model, section)
+    found = control.commands(climber, at, x, u.speed)
+    tilt = Label(f"front_{UPRIGHT}", "rad", "the front body overturns (tilt)")
+    limit = Limit(tilt, at.tilts.front, -MAX_TILT, MAX_TILT)
+    model = replace(model, limits=(*model.limits, limit))
+    motors = found.torques
+    controller = Controller(
+        x=x,
+        u=u,
+        rates=found.rates,
+        laws=tuple(n * tau for n, tau in zip(control.motors, motors.out, strict=True)),
+        y=ControlOutputs(found.references, motors.out, motors.scale),
+        labels_x=labels,
+        labels_u=INPUTS,
+        labels_y=ControlOutputs(
+            PerAxle(
+                *(Label("reference", "rad s-1", "reference rate of the wheels", w) for w in wheels)
+            ),
+            PerAxle(
+                *(Label("motor_torque", "N m", "torque of a wheel's motor", w) for w in wheels)
+            ),
+            Label("torque_scale", "1", "factor by which the torque limit scales all torques"),
+        ),
+    )
+    return controlled(model, controller, sampled=sampled)
+
+
+def held_torques(model: Dae, control: Driver) -> dict[str, ca.SX]:
+    """Return the torques of the axles by name, for the model of a sampled controller [N m]."""
+    torques, names = model.y.controller.torques, leaves(model.labels.u.model.wheels)
+    return {
+        label.full: count * torque
+        for label, count, torque in zip(names, control.motors, torques, strict=True)
+    }
+
+
+def _sensed(climber: Climber, model: Dae, section: Profile | None) -> Sensed:
+    """Return the quantities of a model that its controller may use."""
+    x, common = model.x, model.y.common
+    (rear,), (fold,), (rate,), (fold_rate,) = x.attitude, x.joints, x.omega, x.joint_speeds
+    q = ca.vertcat(x.y, x.z, rear, fold)
+    v = ca.vertcat(*x.velocity, rate, fold_rate)
+    axles = PerAxle(
+        *(ca.vertcat(*each) for each in zip(common.center_y, common.center_z, strict=True))
+    )
+
+    def seen() -> PerAxle:
+        if section is None:
+            raise ModelError(
+                "step-climbing: expected solids on a level ground for directions = 'contact', "
+                "found another ground; use directions = 'sensors'"
+            )
+        return directions(section, climber.radius, axles)
+
+    return Sensed(
+        model.t,
+        Tilts(rear, rear + fold),
+        Tilts(rate, rate + fold_rate),
+        PerAxle(*x.spins),
+        axles,
+        PerAxle(*(ca.jtimes(place, q, v) for place in axles)),
+        seen,
     )

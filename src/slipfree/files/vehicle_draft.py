@@ -91,6 +91,8 @@ class Draft:
         Fields of `slipfree.vehicle.tree.Vehicle` with the same names and types.
     guesses : tuple of Guess
         Guesses that the reader made.
+    planar : bool
+        Whether the vehicle is locked to a plane.
     """
 
     name: str
@@ -100,6 +102,7 @@ class Draft:
     body: Body = NO_BODY
     notes: tuple[str, ...] = ()
     guesses: tuple[Guess, ...] = ()
+    planar: bool = False
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
         """Return the coordinates of a given kind, in the order of the file."""
@@ -107,7 +110,8 @@ class Draft:
 
     def vehicle(self) -> Vehicle:
         """Return the vehicle; raise ModelError if the parts do not form one."""
-        return Vehicle(self.name, self.coordinates, self.joints, self.wheels, self.body, self.notes)
+        parts = self.coordinates, self.joints, self.wheels, self.body, self.notes
+        return Vehicle(self.name, *parts, planar=self.planar)
 
 
 class UnfitError(DataError):
@@ -138,6 +142,8 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
         Descriptions of the expected number, and of the found number with a remedy.
     """
     count, given = len(draft.wheels), [c.name for c in draft.of("suspension")]
+    if draft.planar:
+        return
     if count < 3:
         yield "at least three wheels, so that the vehicle can stand", f"{count}; add wheels"
         return

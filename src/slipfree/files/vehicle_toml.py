@@ -265,6 +265,7 @@ class VehicleTable(Record):
     center_of_mass: At = ORIGIN
     inertia: Inertia | None = None
     couple: dict[str, float] = Field(default_factory=dict)
+    planar: bool = False
     coordinates: Annotated[tuple[CoordinateTable, ...], Field(strict=False)] = ()
     joints: Annotated[tuple[JointTable, ...], Field(strict=False)] = ()
     wheels: Annotated[
@@ -593,7 +594,7 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
     wheels = build("wheels", lambda each: _wheel(each, SIDEWAYS[table.frame]))
     body = _body(table, faults, ())
     ordered = tuple(joints[name] for name in (*hung, *loose))
-    draft = Draft(table.name, coordinates, ordered, wheels, body)
+    draft = Draft(table.name, coordinates, ordered, wheels, body, planar=table.planar)
     return draft, [f for f in faults if f.place[0] == "coordinates" or f.place[-1] == "inertia"]
 
 

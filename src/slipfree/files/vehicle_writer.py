@@ -33,17 +33,14 @@ def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
     Raises
     ------
     ModelError
-        If the vehicle is locked to a plane, or a wheel has a section without a name in files.
+        If a wheel has a section without a name in files.
     """
-    if vehicle.planar:
-        raise ModelError(
-            f"{vehicle.name!r}: expected a vehicle that moves in space, found one locked to a "
-            "plane, which vehicle files do not describe; write the vehicle before 'planar'"
-        )
     document = tomlkit.document()
     for line in comments:
         document.add(tomlkit.comment(line))
     document.update({"name": vehicle.name, "frame": "paper", **_body(vehicle.body)})
+    if vehicle.planar:
+        document.add("planar", True)
     tables = {
         "coordinates": [_coordinate(each) for each in vehicle.coordinates],
         "joints": [_joint(each) for each in vehicle.joints],

@@ -227,7 +227,7 @@ def dynamic_outputs(
         ),
         kinetic_energy(body),
         sum((each.energy for touching in contacts for each in touching), ca.SX(0)),
-        tuple(_on_solid(on_wheels) for on_wheels in list(zip(*contacts, strict=True))[1:]),
+        tuple(map(_on_solid, zip(*contacts, strict=True))) if len(contacts[0]) > 1 else (),
     )
 
 

@@ -53,7 +53,7 @@ class DynamicTotals(NamedTuple, Generic[T]):
 
 
 class OnSolid(NamedTuple, Generic[T]):
-    """Contacts of all wheels with one solid.
+    """Contacts of all wheels with one solid, or with the ground below the solids.
 
     Gap [m], normal force, friction force along the direction of travel [N], and slip velocity along
     it [m/s].
@@ -170,21 +170,20 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
         ),
         Label("kinetic_energy", "J", "kinetic energy"),
         Label("contact_energy", "J", "elastic energy of the contacts"),
-        tuple(_solid_labels(vehicle, k) for k in range(1, solids + 1)),
+        tuple(_solid_labels(vehicle, k) for k in range(solids + 1 if solids else 0)),
     )
 
 
 def _solid_labels(vehicle: Vehicle, k: int) -> OnSolid:
-    along = "along the direction of travel"
+    """Return the labels of the contacts with solid ``k``; 0 is the ground below the solids."""
+    along, name = "along the direction of travel", f"solid {k}" if k else "the ground"
     return OnSolid(
-        wheel_labels(vehicle, f"solid_gap_{k}", "m", f"gap between the wheel and solid {k}"),
-        wheel_labels(vehicle, f"solid_load_{k}", "N", f"normal force of solid {k} on the wheel"),
+        wheel_labels(vehicle, f"solid_gap_{k}", "m", f"gap between the wheel and {name}"),
+        wheel_labels(vehicle, f"solid_load_{k}", "N", f"normal force of {name} on the wheel"),
         wheel_labels(
-            vehicle, f"solid_friction_{k}", "N", f"friction of solid {k} on the wheel {along}"
+            vehicle, f"solid_friction_{k}", "N", f"friction of {name} on the wheel {along}"
         ),
-        wheel_labels(
-            vehicle, f"solid_slip_{k}", "m s-1", f"slip of the wheel on solid {k} {along}"
-        ),
+        wheel_labels(vehicle, f"solid_slip_{k}", "m s-1", f"slip of the wheel on {name} {along}"),
     )
 
 

@@ -13,9 +13,9 @@ effort on a wheel or a coordinate that is free.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,12 +24,11 @@ from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import has_exact_closure, support_fault
 from slipfree.contact.solid_touch import solid_touch
 from slipfree.contact.touch import Touch, plane_of, search_function, touch
-from slipfree.dae import Dae, HeldTerms, Labels, Limit, Standing
+from slipfree.dae import Dae, HeldTerms, Labels, Standing
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.geometry.frame import Pose, platform, quaternion, rotation_of, turn
+from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
-from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import ContactLaw, WheelContact, check_law
 from slipfree.lookups import LookupTable
 from slipfree.models.base import extent, raised_poses, sizes, touch_function
@@ -45,7 +44,6 @@ from slipfree.models.dynamic_outputs import (
     solid_limits,
 )
 from slipfree.models.dynamic_records import DynamicDae, DynamicState, dynamic_labels
-from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import (
     Load,
@@ -58,9 +56,9 @@ from slipfree.models.multibody import (
     mass_matrix,
     multibody,
 )
-from slipfree.models.pressed_model import pressed_dae
 from slipfree.models.records import Inputs
-from slipfree.records import Label, leaves, pack, symbols
+from slipfree.models.standing import planar_start, standing_start
+from slipfree.records import leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism, Solids
 from slipfree.vehicle.tree import Vehicle
@@ -69,7 +67,6 @@ SPACE, PLANE = range(6), (1, 2, 3)  # free speeds of the platform: velocity, ang
 MIN_INERTIA = 1e-15  # smaller generalised masses count as zero [kg, kg m^2]
 LAG = 1e-3  # time constant of prescribed rates [s]
 NORMALISATION = 1.0  # rate at which the norm of the quaternion returns to one [1/s]
-STANDING_SMOOTHING = 0.01  # width of the load law of the vehicle at rest [static depths]
 STEP_SHARE = 1 / 8  # largest distance that a wheel travels in a step of the integrator [radii]
 EXACT_DEPTH = 1 / 250  # default static depth of vehicles with exact closure [rolling radii]
 
@@ -113,9 +110,10 @@ def dynamics(
     solids, and must not touch them.
 
     A wheel may touch the base and several solids at once. Its outputs are those of the contact with
-    the least gap; the outputs of solid ``k`` are ``solid_gap_k``, ``solid_load_k`` and others.
+    the least gap; the outputs of solid ``k`` are ``solid_gap_k``, ``solid_load_k`` and others, with
+    ``k = 0`` for the base.
 
-    The start of a planar vehicle consists of given states; its equilibrium is not computed.
+    The start of a planar vehicle has the position ``y`` and joints that are not suspension.
 
     Examples
     --------
@@ -176,9 +174,7 @@ def dynamics(
         shift=shift,
         size=size,
         pace=ca.SX(0) if plane_of(terrain) and not prisms else _pace(body, u),
-        standing=None
-        if support_fault(vehicle)
-        else standing_start(vehicle, terrain, prisms, labels),
+        standing=_start(vehicle, terrain, prisms, law, labels),
         lookups=lookups.lookups,
         held=_held_inertia(vehicle, x, u, body, (matrix, bias), contacts),
     )
@@ -452,51 +448,13 @@ def _attitude_rate(x: DynamicState) -> ca.SX:
     return found
 
 
-def standing_start(
-    vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], labels: Labels
-) -> Standing:
-    """Return the model of the vehicle at rest, and the states of the dynamic model there.
-
-    At rest, no wheel touches a solid.
-    """
-    model = pressed_dae(vehicle, terrain, LeastSlip(), STANDING_SMOOTHING)
-    still: Any = model.x
-    values = {
-        label.name: value
-        for label, value in zip(leaves(model.labels.x), leaves(model.x), strict=True)
-    }
-    base = platform(still.x, still.y, still.z, still.heading, still.roll, still.pitch)
-    x, y, z, w = ca.vertsplit(quaternion(base.rotation))
-    poses = vehicle.carriers(base, {c.name: values[c.name] for c in vehicle.coordinates})
-    clear = _clear_of_solids(vehicle, terrain, prisms, poses)
-    model = replace(model, limits=(*model.limits, *clear))
-    joints = [values[c.name] for c in vehicle.coordinates]
-    count, speed = len(joints), ca.SX.sym("speed")
-    rolling = [speed / wheel.radius for wheel in vehicle.wheels]
-    motors = ca.SX.zeros(len(labels.x.drives) + len(labels.x.joint_drives))
-    exact = has_exact_closure(vehicle)
-    guess = replace(direct_kinematics(vehicle, terrain), limits=(), checks=()) if exact else None
-    return Standing(
-        model,
-        guess,
-        speed,
-        ca.vertcat(
-            *(still.x, still.y, still.z, w, x, y, z, *joints),
-            speed * base.rotation[:, 1],
-            ca.SX.zeros(3 + count),
-            *rolling,
-            motors,
-        ),
-    )
-
-
-def _clear_of_solids(
-    vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], poses: Sequence[Pose]
-) -> Iterator[Limit]:
-    """Yield the limit of the gap between each wheel at rest and the solids."""
-    for wheel, pose in zip(vehicle.wheels, poses, strict=True):
-        touches = [solid_touch(each, terrain, wheel, pose, LookupTable()) for each in prisms]
-        if touches:
-            words = f"wheel {wheel.name} touches a solid at the start (gap)"
-            gap = ca.mmin(ca.vertcat(*(each.gap for each in touches)))
-            yield Limit(Label("start_gap", "m", words, wheel.name), gap, 0.0, np.inf)
+def _start(
+    vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], law: ContactLaw, labels: Labels
+) -> Standing | None:
+    """Return the model of the vehicle at rest; None if contacts and springs do not hold it."""
+    if vehicle.planar:
+        x, lookups = symbols(labels.x), LookupTable()
+        body = moving_bodies(vehicle, x)
+        contacts = _contacts(vehicle, terrain, prisms, law, body, lookups)
+        return planar_start(vehicle, terrain, labels, x, body, contacts, lookups)
+    return None if support_fault(vehicle) else standing_start(vehicle, terrain, prisms, labels)

@@ -62,7 +62,7 @@ def obstacle_ending(
     Parameters
     ----------
     run : Trajectory
-        A motion of `slipfree.dynamics` on `slipfree.Solids`, or of a climb.
+        A motion of `slipfree.dynamics` on `slipfree.Solids`.
     vehicle : Vehicle
         Vehicle of the motion.
     prisms : sequence of Prism

@@ -58,12 +58,12 @@ from slipfree.models.dynamics import (
     equations_of_motion,
     moving_bodies,
     slip_velocity,
-    standing_start,
     with_depths,
 )
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import Multibody, bias_forces, mass_matrix
 from slipfree.models.records import ContactPoint, Inputs
+from slipfree.models.standing import standing_start
 from slipfree.outcome import Outcome
 from slipfree.records import Label, leaves, symbols
 from slipfree.terrain.base import Terrain

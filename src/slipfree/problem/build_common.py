@@ -116,7 +116,8 @@ def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
         If the vehicle cannot stand at the start.
     """
     values: dict[str, Any] = dict(problem.spec.start)
-    values["heading"] = values.get("heading", 0.0) + heading_offset(problem)
+    if "heading" in _start_names(dae):
+        values["heading"] = values.get("heading", 0.0) + heading_offset(problem)
     with at(problem, ("start",)):
         return settle(dae, options=solver_options(problem), **values)
 
@@ -222,10 +223,7 @@ def check_names(
     Inputs are not checked if ``inputs``, the names of the given inputs, is None. They are inputs of
     ``driven``, by default of ``dae``.
     """
-    places = _names(dae.labels.x)
-    if dae.standing is not None:
-        places = [*_names(dae.standing.model.labels.x), SPEED]
-    faults = [*name_errors(("start",), problem.spec.start, places)]
+    faults = [*name_errors(("start",), problem.spec.start, _start_names(dae))]
     if inputs is not None:
         known = _names((driven or dae).labels.u)
         faults += name_errors(("inputs",), inputs, known)
@@ -235,6 +233,13 @@ def check_names(
     faults = faults or [*check_units(problem.spec, dae)]
     if faults:
         raise problem_error(problem.source, faults)
+
+
+def _start_names(dae: Dae) -> list[str]:
+    """Return the names of the states that a start may have."""
+    if dae.standing is None:
+        return _names(dae.labels.x)
+    return [*_names(dae.standing.model.labels.x), SPEED]
 
 
 def _names(labels: Iterable[Any]) -> list[str]:

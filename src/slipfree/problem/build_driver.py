@@ -7,15 +7,20 @@ from typing import Any
 import numpy as np
 
 from slipfree.control.path_following import follow, straight
+from slipfree.control.sensor_noise import Noise
+from slipfree.control.step_climbing import StepClimbing, check_period, climbing, held_torques
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.files.tables import read_columns
 from slipfree.geometry.path import Path
 from slipfree.problem.build_ground import at
+from slipfree.problem.build_world import World
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import Driver
 from slipfree.records import Array
+from slipfree.terrain.solids import Profile, section_of
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.climber import climber_of
 from slipfree.vehicle.tree import Vehicle
 
 
@@ -44,6 +49,38 @@ def build_law(
                 )
             return straight(dae, vehicle, start, speed=driver.speed)
         return follow(dae, vehicle, Path(path_points(problem, driver)), speed=driver.speed)
+
+
+def build_climbing(problem: Problem[Any], world: World) -> tuple[Dae, Any]:
+    """Return the model of a step climber with its controller, and the inputs of this model.
+
+    Raises
+    ------
+    ProblemError
+        If the vehicle is not a step climber, or a number of the controller is out of range.
+    """
+    driver = problem.spec.driver
+    with at(problem, ("driver", "control")):
+        values = dict(driver.control)
+        noise = values.pop("noise")
+        control = StepClimbing(**values, noise=None if noise is None else Noise(**dict(noise)))
+    with at(problem, ("vehicle",)):
+        climber = climber_of(world.vehicle)
+    if driver.period is not None:
+        with at(problem, ("driver", "period")):
+            check_period(driver.period, control, climber)
+    with at(problem, ("driver", "control", "directions")):
+        sampled = driver.period is not None
+        dae = climbing(world.dae, world.vehicle, control, level_section(world), sampled=sampled)
+    held = held_torques(dae, control) if sampled else {}
+    return dae, dae.inputs(reference_speed=driver.speed, **held)
+
+
+def level_section(world: World) -> Profile | None:
+    """Return the section of level ground and solids in the vehicle's plane; None without it."""
+    if not world.terrain.is_level:
+        return None
+    return section_of(world.prisms, float(world.terrain.grid.z[0, 0]))
 
 
 def path_points(problem: Problem[S], driver: Driver) -> Array:

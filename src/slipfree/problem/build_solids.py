@@ -1,4 +1,4 @@
-"""Solids of a problem: obstacles of climbs, and of grounds for dynamics."""
+"""Solids of a problem: obstacles on the ground, for dynamics."""
 
 from __future__ import annotations
 

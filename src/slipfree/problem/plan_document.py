@@ -65,7 +65,7 @@ def read_document(path: Path, trusted: frozenset[str] = frozenset()) -> Document
     Raises
     ------
     DataError
-        If the file cannot be read, is not a valid problem, or has another verb than ``"plan"``.
+        If the file cannot be read, is not a valid problem, has another verb than ``"plan"``, or solids.
     """
     raw = read_raw(path)
     problem: Problem[Any] = load_again(path, decode_text(path, raw), (), trusted)
@@ -73,6 +73,11 @@ def read_document(path: Path, trusted: frozenset[str] = frozenset()) -> Document
         raise DataError(
             f"{path}: expected a problem with verb = 'plan', found verb = {problem.spec.verb!r}; "
             "use slipfree run"
+        )
+    if problem.spec.terrain.obstacles:
+        raise DataError(
+            f"{path}: expected a plan without [[terrain.obstacles]], since a plan over solids has "
+            "no places to edit, found obstacles; use slipfree run"
         )
     return Document(path, raw, problem, places_in(problem))
 

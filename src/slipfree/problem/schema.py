@@ -177,9 +177,9 @@ class Task(Timed):
     def faults(self) -> Iterator[Fault]:
         """Yield the errors of common keys, and an error for obstacles without dynamics."""
         yield from super().faults()
-        model = getattr(self, "model", "kinematics")
-        if self.terrain.obstacles and (self.verb, model) != ("direct", "dynamics"):
-            expected = "obstacles only with verb = 'direct' and model = 'dynamics'"
+        model, able = getattr(self, "model", "kinematics"), ("direct", "plan")
+        if self.terrain.obstacles and (self.verb not in able or model != "dynamics"):
+            expected = "obstacles only with verb = 'direct' or 'plan' and model = 'dynamics'"
             found = f"verb = {self.verb!r}, model = {model!r}; change them, or remove the obstacles"
             yield Fault(("terrain", "obstacles"), expected, found)
 

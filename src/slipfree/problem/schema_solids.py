@@ -1,4 +1,4 @@
-"""Schema of solids: obstacles of climbs, and of grounds for dynamics."""
+"""Schema of solids: obstacles on the ground, for dynamics."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ from slipfree.errors import DataError, ModelError
 from slipfree.files.vehicle_draft import Draft
 from slipfree.files.vehicle_toml import VehicleError
 from slipfree.geometry.frame import AXES, unit_vector
+from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
 from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
@@ -85,7 +86,8 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
         if error.draft is None:
             raise
         return Description(_drawn(error.draft), _shares(error.draft), error.faults)
-    dae = direct_kinematics(vehicle, Analytic(_level))
+    level = Analytic(_level, mu=1.0)
+    dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
     try:
         check_driven(vehicle)
         return _description(vehicle, dae, settle(dae))
@@ -96,7 +98,8 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
 
 
 def _description(vehicle: Vehicle, dae: Dae, start: Trajectory) -> Description:
-    facts = [*counts(vehicle, dae), *conditioning(dae, start), *_notes(vehicle)]
+    solved = conditioning(dae, start) if dae.labels.z else []
+    facts = [*counts(vehicle, dae), *solved, *_notes(vehicle)]
     return Description(_drawn(vehicle), facts, ())
 
 
@@ -200,6 +203,14 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
 
 def counts(vehicle: Vehicle, dae: Dae) -> Facts:
     """Return the facts about the numbers of unknowns and equations of a vehicle's motion."""
+
+    def listed(record: Any) -> str:
+        names = [label.full for label in leaves(record)]
+        return f"{len(names)}: {', '.join(names) or 'none'}"
+
+    inputs, states = ("inputs", listed(dae.labels.u)), ("states", listed(dae.labels.x))
+    if not dae.labels.z:  # dynamics has no algebraic unknowns
+        return [inputs, states]
     wheels = len(vehicle.wheels)
     position, rates, _ = dae.labels.z
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
@@ -210,14 +221,9 @@ def counts(vehicle: Vehicle, dae: Dae) -> Facts:
     else:
         more = "too few by" if given < needed else "too many by"
         rolls = f"{more} {abs(needed - given)}: it moves with least slip (slip = 'least')"
-
-    def listed(record: Any) -> str:
-        names = [label.full for label in leaves(record)]
-        return f"{len(names)}: {', '.join(names) or 'none'}"
-
     return [
-        ("inputs", listed(dae.labels.u)),
-        ("states", listed(dae.labels.x)),
+        inputs,
+        states,
         *_contact_facts(vehicle, dae, listed(position)),
         ("rates", listed((rates.motion, rates.law))),
         ("  equations", f"{len(dae.labels.alg[1])}: {_equations(dae)}"),

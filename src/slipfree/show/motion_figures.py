@@ -32,6 +32,7 @@ from slipfree.show.force_figures import (
 )
 from slipfree.show.ground_drawing import HEATMAP, Window
 from slipfree.show.plots import Drive, Panel, Plot, stack
+from slipfree.show.side_view import side_plot
 from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
@@ -374,6 +375,7 @@ def terrain_plot(drive: Drive) -> Plot:
 
 
 FIGURES: tuple[Callable[[Drive], Plot | None], ...] = (
+    side_plot,
     map_plot,
     elevation_plot,
     slip_plot,

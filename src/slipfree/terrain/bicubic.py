@@ -118,6 +118,11 @@ class Bicubic:
         return self.grid.domain
 
     @property
+    def is_level(self) -> bool:
+        """Whether all nodes have the same height, without holes."""
+        return self.grid.holes is None and bool(np.ptp(self.grid.z) == 0)
+
+    @property
     def has_friction(self) -> bool:
         """Whether a coefficient of friction was given."""
         return self.mu is not None

@@ -176,7 +176,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Profile:
-    """A union of convex solids; the first one is the floor from which a climb starts.
+    """A union of convex solids; the first one is the ground below the others.
 
     Attributes
     ----------
@@ -395,6 +395,42 @@ def placed(
     >>> ground = Solids(Analytic(lambda x, y: 0 * x, mu=0.8), placed(step(0.09), y=1.0))
     """
     return tuple(Prism(each, x, y, z, heading, half_width) for each in profile.solids[1:])
+
+
+def section_of(prisms: Sequence[Prism], floor: float = 0.0) -> Profile:
+    """Return the section of solids in the plane x = 0 of the map, in which planar vehicles move.
+
+    Parameters
+    ----------
+    prisms : sequence of Prism
+        The solids.
+    floor : float
+        Height of the level ground below them. [m]
+
+    Returns
+    -------
+    Profile
+        Its x is the map's y; its first solid is the ground.
+
+    Raises
+    ------
+    ModelError
+        If a solid does not cross the plane at right angles.
+    """
+    end = FLOOR_LENGTH + min((each.y for each in prisms), default=0.0)  # not beyond plateaus
+    low, high = (-FLOOR_LENGTH, floor - ROOT_DEPTH), (end, floor)
+    found = [Solid((low, (end, low[1]), high, (low[0], floor)))]
+    for prism in prisms:
+        forward, right, _ = prism.axes.T
+        if abs(forward[1] - 1) > MIN_TURN_SINE or abs(right[0] * prism.x) > prism.half_width:
+            raise ModelError(
+                "solids: expected solids across the plane x = 0, in which the vehicle moves, with "
+                f"the heading of y, found one at x = {prism.x:g} m, heading {prism.heading:g} rad "
+                "from y; turn or move it"
+            )
+        points = tuple((x + prism.y, z + prism.z) for x, z in prism.section.points)
+        found.append(Solid(points))
+    return Profile(tuple(found))
 
 
 @dataclass(frozen=True)

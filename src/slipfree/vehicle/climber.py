@@ -1,25 +1,21 @@
-"""Articulated step-climbing vehicles in the plane of their motion.
+"""Dimensions of articulated step climbers: two bodies on a joint, three axles, in their plane.
 
-A passive joint connects two bodies: the rear body carries the rear and the middle axle, the front
-body the front axle. x is forward, z up; tilts are nose-up from the horizontal. Positions on a body
-are distances ahead of the joint, along the body, and above the joint.
+The rear body, the platform, carries the rear and the middle axle, the front body the front axle.
+x is forward, z up; tilts are nose-up from the horizontal. Positions on a body are distances ahead
+of the joint, along the body, and above the joint.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from slipfree.errors import ModelError
 from slipfree.vehicle import tree
-from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.tree import GRAVITY, Coordinate, Joint, Vehicle, planar
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import ORIGIN
 
 AXLES = ("rear", "middle", "front")
-FOLD = "fold"  # coordinate of the joint between the bodies
 
 
 class Body(NamedTuple):
@@ -48,20 +44,16 @@ class Axle(NamedTuple):
     ----------
     ahead : float
         Distance ahead of the joint along the body that carries it, at the height of the joint. [m]
-    wheels : int
-        Number of wheels, with one motor each.
     inertia : float
         Moment of inertia of all wheels and rotors about the axle. [kg m2]
     """
 
     ahead: float
-    wheels: int
     inertia: float
 
 
-@dataclass(frozen=True)
-class Climber:
-    """A vehicle of two bodies and three axles.
+class Climber(NamedTuple):
+    """Dimensions of an articulated step climber.
 
     Attributes
     ----------
@@ -71,17 +63,6 @@ class Climber:
         The bodies.
     rear, middle, front : Axle
         The axles; rear and middle on the rear body, front on the front body.
-    torque : float
-        Largest torque of a wheel's motor; infinite for no limit. [N m]
-    stiffness : float
-        Stiffness of the contacts of an axle's wheels with the ground. [N/m]
-
-    Raises
-    ------
-    ModelError
-        If a mass, inertia, radius, torque, stiffness or number of wheels is not positive, the
-        radius is not below the distance of front and rear axle, or axles and joint are not in their
-        order.
     """
 
     radius: float
@@ -90,35 +71,6 @@ class Climber:
     rear: Axle
     middle: Axle
     front: Axle
-    torque: float = math.inf
-    stiffness: float = 1.5e5
-
-    def __post_init__(self) -> None:
-        sizes = {name: getattr(self, name) for name in ("radius", "torque", "stiffness")}
-        for name in ("rear_body", "front_body"):
-            body = getattr(self, name)
-            sizes |= {f"{name}.mass": body.mass, f"{name}.inertia": body.inertia}
-        for name in AXLES:
-            axle = getattr(self, name)
-            sizes |= {f"{name}.inertia": axle.inertia, f"{name}.wheels": axle.wheels}
-        for name, value in sizes.items():
-            if not value > 0:
-                raise ModelError(
-                    f"climber: expected a positive number for {name!r}, found {value}; increase it"
-                )
-        if not self.radius < self.front.ahead - self.rear.ahead:
-            raise ModelError(
-                "climber: expected a radius below the distance of front and rear axle, "
-                f"{self.front.ahead - self.rear.ahead:g} m, found {self.radius:g} m; give lengths "
-                "in metres"
-            )
-        order = [self.rear.ahead, self.middle.ahead, self.front.ahead]
-        if not (order[0] < order[1] < order[2] and order[2] > 0 and order[1] <= 0):
-            raise ModelError(
-                "climber: expected the rear axle behind the middle axle, the middle axle not ahead "
-                "of the joint and the front axle ahead of the joint, found axles "
-                f"{order} m ahead of the joint; correct 'ahead' of the axles"
-            )
 
     @property
     def axles(self) -> tuple[Axle, Axle, Axle]:
@@ -130,41 +82,51 @@ class Climber:
         """Mass of the vehicle [kg]."""
         return self.rear_body.mass + self.front_body.mass
 
-    @property
-    def static_depth(self) -> float:
-        """Depth of an axle's wheels in the ground under a third of the weight [m]."""
-        return self.mass * GRAVITY / len(AXLES) / self.stiffness
 
+def climber_of(vehicle: Vehicle) -> Climber:
+    """Return the dimensions of a vehicle that is an articulated step climber.
 
-def side_view(climber: Climber) -> Vehicle:
-    """Return a step climber as a planar vehicle with one driven disc per axle.
-
-    The platform is the rear body; its origin is the joint. The inputs in dynamics are the total
-    torques of the axles.
-
-    Parameters
-    ----------
-    climber : Climber
-        The step climber.
+    Raises
+    ------
+    ModelError
+        If the vehicle is not locked to a plane, or is not of two bodies on a joint with three axles
+        of equal driven discs, in the order rear, middle, front.
     """
-    parts = ("platform", "platform", "front_body")
-    wheels = tuple(
-        Wheel(
-            name,
-            part,
-            (0.0, axle.ahead, 0.0),
-            Disc(climber.radius),
-            driven=True,
-            drive=Torque(),
-            static_depth=climber.static_depth,
-            inertia=(axle.inertia, axle.inertia),  # the second has no effect in the plane
+    expected = _misfit(vehicle)
+    if expected:
+        raise ModelError(
+            f"{vehicle.name!r}: expected a step climber, with {expected}, found another vehicle; "
+            "use 'step_climber' of the catalogue, or a vehicle file like it"
         )
-        for name, part, axle in zip(AXLES, parts, climber.axles, strict=True)
-    )
-    rear, front = (
-        tree.Body(each.mass, (0.0, each.ahead, each.above), 3 * (each.inertia,) + 3 * (0.0,))
-        for each in (climber.rear_body, climber.front_body)
-    )
-    fold = Coordinate(FOLD, "suspension", "pitch of the front body relative to the rear body")
-    joint = Joint("front_body", "platform", "x", (0.0, 0.0, 0.0), FOLD, body=front)
-    return planar(Vehicle("step_climber", (fold,), (joint,), wheels, rear))
+    rear, middle, front = (Axle(w.at[1], (w.inertia or ORIGIN)[0]) for w in vehicle.wheels)
+    rear_body, front_body = (_body(each) for each in (vehicle.body, vehicle.joints[0].body))
+    return Climber(vehicle.wheels[0].radius, rear_body, front_body, rear, middle, front)
+
+
+def _body(body: tree.Body) -> Body:
+    return Body(body.mass, body.at[1], body.at[2], (body.inertia or ORIGIN)[0])
+
+
+def _misfit(vehicle: Vehicle) -> str:
+    """Return the property of a step climber that a vehicle lacks; empty if it has all."""
+    wheels, joints, coordinates = vehicle.wheels, vehicle.joints, vehicle.coordinates
+    if not vehicle.planar:
+        return "a platform that is locked to a plane"
+    if [w.parent for w in wheels] != ["platform", "platform", *(joint.name for joint in joints)]:
+        return "two wheels on the platform and a third on the only joint"
+    joint = joints[0]
+    turns = (joint.axis, joint.at, joint.turned, joint.motion) == ("x", ORIGIN, ORIGIN, "turn")
+    if not turns or [(c.name, c.kind) for c in coordinates] != [(joint.value, "suspension")]:
+        return "a joint about x at the platform's origin, whose value is a suspension coordinate"
+    if not all(isinstance(w.section, Disc) and w.driven and w.drive.takes_effort for w in wheels):
+        return "discs as wheels, driven by torques"
+    if len({w.radius for w in wheels}) > 1 or any(w.at[2] for w in wheels):
+        return "wheels of equal radius at the height of the joint"
+    if not all(w.inertia and not w.mass for w in wheels):
+        return "wheels with inertia whose mass is a part of that of the bodies"
+    if not all(body.mass and body.inertia for body in (vehicle.body, joint.body)):
+        return "bodies with mass and inertia"
+    rear, middle, front = (w.at[1] for w in wheels)
+    if not rear < middle <= 0 < front:
+        return "the axles rear, middle and front in this order, the joint between the last two"
+    return ""

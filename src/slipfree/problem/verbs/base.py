@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, get_args
 
 import numpy as np
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
 FAILED_DIAGNOSTICS = "failed_diagnostics"  # attribute with names and errors of diagnostics
-CROSS_CHECK, RESUME, ANIMATION = "cross-check", "resume", "animation"  # options of slipfree run
+CROSS_CHECK, RESUME = "cross-check", "resume"  # options of slipfree run
 
 
 class Quantity(NamedTuple):
@@ -282,7 +281,7 @@ class MotionVerb(Verb):
     Attributes
     ----------
     options : tuple of str
-        Supported options of ``slipfree run``: some of `CROSS_CHECK`, `RESUME` and `ANIMATION`.
+        Supported options of ``slipfree run``: some of `CROSS_CHECK` and `RESUME`.
     is_timed : bool
         Whether the solver proceeds along the time of the motion, as integrators do.
     checks : tuple of str
@@ -388,19 +387,6 @@ class MotionVerb(Verb):
             If the verb does not offer a cross-check.
         """
         raise NotImplementedError(CROSS_CHECK)
-
-    def animate(self, result: Result, file: Path) -> None:
-        """Write an animation of a result to a file (GIF or MP4).
-
-        Raises
-        ------
-        DataError
-            If ground or vehicle differ from those of the motion, or the file cannot be written.
-        """
-        from slipfree.show.film import animate
-
-        title = result.trajectory.attributes.get("title", "")
-        animate(self.viewer().scene([self.shown(result, "motion")]), file, title)
 
 
 class Extremes(NamedTuple):

@@ -23,13 +23,14 @@ from slipfree.problem.build_common import (
     samples,
     solver_options,
 )
-from slipfree.problem.build_driver import build_law
+from slipfree.problem.build_driver import build_climbing, build_law
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.build_world import build_world
 from slipfree.problem.joint_inputs import read_joint_inputs
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import FILE, VERB, Driver, Modelled, Task
+from slipfree.problem.schema import FILE, VERB, Modelled, Task
+from slipfree.problem.schema_climbing import ClimbingDriver
 from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch, integrate
 from slipfree.problem.verbs.drive_facts import FORMULATION
 from slipfree.problem.verbs.driving import DriveVerb, model_attributes
@@ -41,9 +42,12 @@ if TYPE_CHECKING:
     from slipfree.plan.warm_start import SavedPlan
 
 
-class SampledDriver(Driver):
-    """A driving law: straight ahead from the start, or along a path; continuous or sampled."""
+class SampledDriver(ClimbingDriver):
+    """A driving law: straight ahead, along a path, or of a step climber; continuous or sampled."""
 
+    name: Literal["straight", "follow", "step-climbing"] = Field(  # type: ignore[assignment]
+        description="name of the law"
+    )
     period: Positive | None = Field(
         default=None,
         description="with model = 'dynamics': time between evaluations of the law, a divisor of "
@@ -85,6 +89,8 @@ class Direct(Modelled):
             expected = "a period only with model = 'dynamics'"
             found = f"model = {self.model!r}; change the model, or remove the period"
             yield Fault(("driver", "period"), expected, found)
+        if self.driver is not None:
+            yield from self.driver.climbing_faults(self.model)
         for name, value in (self.inputs or {}).items():
             if isinstance(value, str) != (name == FILE):
                 words = "a number, or an array of [time, value] pairs"
@@ -108,7 +114,8 @@ class DirectVerb(DriveVerb):
             the formulation of contact.
         """
         spec = problem.spec
-        ground, terrain, vehicle, prisms, model = build_world(problem)
+        world = build_world(problem)
+        ground, terrain, vehicle, prisms, model = world
         dae: Dae = model
         given, source = _given(problem, vehicle)
         check_names(problem, dae, given)
@@ -128,7 +135,11 @@ class DirectVerb(DriveVerb):
                 inputs = dae.inputs(**rates)
         else:
             driven = f"driver {spec.driver.name}"
-            inputs = build_law(problem, spec.driver, dae, vehicle, start)
+            if spec.driver.name == "step-climbing":
+                dae, inputs = build_climbing(problem, world)
+                start = build_start(problem, dae)
+            else:
+                inputs = build_law(problem, spec.driver, dae, vehicle, start)
             if spec.driver.period is not None:
                 driven += f", every {spec.driver.period:g} s"
                 t, every = sampled_times(problem, ("driver", "period"), spec.driver.period)

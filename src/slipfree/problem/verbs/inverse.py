@@ -164,7 +164,8 @@ class InverseVerb(DriveVerb):
         """Return the attributes of the result, including its solution method."""
         is_collocated = _is_collocated(problem.spec, setup)
         method = COLLOCATION if is_collocated else "integration"
-        return super().attributes(problem, setup) | {METHOD: method}
+        inputs = " ".join(label.full for label in leaves(setup.model.labels.u))
+        return super().attributes(problem, setup) | {METHOD: method, "inputs": inputs}
 
     def own_facts(self, run: Trajectory) -> Facts:
         """Return the facts about rates, steering, margins and errors."""

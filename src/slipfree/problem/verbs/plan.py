@@ -49,6 +49,11 @@ from slipfree.problem.verbs.base import (
 from slipfree.problem.verbs.driving import Diagnostic, DriveVerb, model_attributes
 from slipfree.problem.verbs.plan_facts import CHECKS, plan_facts
 from slipfree.problem.verbs.plan_goals import regions, spelled
+from slipfree.problem.verbs.plan_over_solids import (
+    OverSolids,
+    build_over_solids,
+    drive_over_solids,
+)
 from slipfree.problem.verbs.plan_robust import UNTESTED, Tested, make_robust
 from slipfree.problem.verbs.plan_search import find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
@@ -106,18 +111,25 @@ class PlanVerb(DriveVerb):
     checks = (*DriveVerb.checks, *CHECKS)
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
-    def build(self, problem: Problem[plan_schema.Plan]) -> Planning:
-        """Return the model, the settled start and the inputs of the initial guess."""
+    def build(self, problem: Problem[plan_schema.Plan]) -> Setup:
+        """Return the model, the settled start and the inputs of the initial guess.
+
+        Over solids, return the plan and the set-up of its simulation.
+        """
+        if problem.spec.terrain.obstacles:
+            return build_over_solids(problem)
         return build_planning(problem)
 
     def drive(
         self,
         problem: Problem[plan_schema.Plan],
-        setup: Planning,
+        setup: Planning | OverSolids,
         watch: Watch,
         resume: SavedPlan | None,
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the simulated motion of a plan, and the plan as arrays for a warm start."""
+        if isinstance(setup, OverSolids):
+            return drive_over_solids(problem, setup, watch)
         spec = problem.spec
         progress, table = _iterate_reporter(watch, setup), ""
         if spec.plan.window is not None:
@@ -220,7 +232,9 @@ class PlanVerb(DriveVerb):
         """Return the figures of a plan and of its motion, the most important first."""
         from slipfree.show.plan_figures import convergence_plots, plan_plots
 
-        setup, run = result.setup or self.build(result.problem), result.trajectory
+        if result.problem.spec.terrain.obstacles:
+            return super().figures(result)
+        setup, run = result.setup or build_planning(result.problem), result.trajectory
         guess = [result.arrays[name] for name in GUESS_ARRAYS if name in result.arrays]
         options = figure_options(setup) | ({"guess": np.stack(guess, axis=1)} if guess else {})
         plots = plan_plots(run, setup.ground.grid, setup.layers, **options)

@@ -18,18 +18,22 @@ from slipfree.files.toml.types import (
     Record,
 )
 from slipfree.problem.region_table import RegionTable
-from slipfree.problem.schema import INPUTS, VERB, Driver, Modelled, Task
+from slipfree.problem.schema import INPUTS, VERB, Modelled, Task
+from slipfree.problem.schema_climbing import STEP_CLIMBING, ClimbingDriver
 from slipfree.problem.schema_ground import HeightErrors
 
 MAX_INTERVALS = 2000  # a plan with more needs gigabytes and hours; windows divide it
 
+GuideName = Literal["straight", "follow", "route", "reeds-shepp", "step-climbing"]
 
-class Guide(Driver):
+
+class Guide(ClimbingDriver):
     """Initial guess of a plan: a driving law along paths or along routes over the ground."""
 
-    name: Literal["straight", "follow", "route", "reeds-shepp"] = Field(  # type: ignore[assignment]
+    name: GuideName = Field(  # type: ignore[assignment]
         description="law; 'route': follow a path that a search finds on the map; 'reeds-shepp': "
-        "drive forwards and backwards along the shortest path of a car on even ground"
+        "drive forwards and backwards along the shortest path of a car on even ground; "
+        "'step-climbing': plan of a step climber over solids"
     )
     turning_radius: NonNegative = Field(
         default=1.0,
@@ -180,7 +184,12 @@ class Plan(Modelled):
     def faults(self) -> Iterator[Fault]:
         """Yield the errors of common keys, and of options that do not suit the model."""
         yield from super().faults()
-        search = self.plan
+        search, driver = self.plan, self.driver
+        if driver is not None:
+            yield from driver.climbing_faults(self.model)
+            if driver.name == STEP_CLIMBING and not self.terrain.obstacles:
+                expected = f"solids, [[terrain.obstacles]], with name = {STEP_CLIMBING!r}"
+                yield Fault(("driver", "name"), expected, "none; add one")
         if search.intervals > MAX_INTERVALS:
             found = f"{search.intervals}; reduce it, or divide a long plan with 'window'"
             yield Fault(("plan", "intervals"), f"at most {MAX_INTERVALS} intervals", found)

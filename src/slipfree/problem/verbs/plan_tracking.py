@@ -31,6 +31,7 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.result import problem_of
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
 from slipfree.problem.verbs.plan_search import find_plan
+from slipfree.problem.verbs.plan_setup import build_planning
 from slipfree.records import leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
@@ -139,7 +140,7 @@ def follow_plan(
             f"{file}: expected a plan without inertia, found model = 'dynamics', whose controllers "
             "are not built; give the result of a plan with model = 'kinematics' or 'quasi-static'"
         )
-    setup = PlanVerb().build(planned)
+    setup = build_planning(planned)
     duration = saved.motion.duration
     found = find_plan(planned, setup, [], saved, lambda *_: True, duration)
     world = _world(real)

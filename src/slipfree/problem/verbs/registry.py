@@ -8,7 +8,6 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Runnable
 from slipfree.problem.verbs.base import MotionVerb, Verb
-from slipfree.problem.verbs.climb import ClimbVerb
 from slipfree.problem.verbs.compare import CompareVerb
 from slipfree.problem.verbs.direct import DirectVerb
 from slipfree.problem.verbs.fit import FitVerb
@@ -20,7 +19,6 @@ VERBS: tuple[Verb, ...] = (
     InverseVerb(),
     PlanVerb(),
     CompareVerb(),
-    ClimbVerb(),
     FitVerb(),
 )
 

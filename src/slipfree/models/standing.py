@@ -1,0 +1,182 @@
+"""Equilibrium of a vehicle at rest on the ground, as the start of a dynamic model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.closure import has_exact_closure
+from slipfree.contact.solid_touch import solid_touch
+from slipfree.dae import Dae, Labels, Limit, Standing
+from slipfree.geometry.frame import Pose, platform, quaternion, turn
+from slipfree.laws.least_slip import LeastSlip
+from slipfree.lookups import LookupTable
+from slipfree.models.base import extent, level_heights, sizes
+from slipfree.models.dynamic_outputs import Contact
+from slipfree.models.dynamic_records import DynamicState
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.multibody import Load, Multibody, bias_forces, generalised_forces
+from slipfree.models.pressed_model import pressed_dae
+from slipfree.models.records import Configuration
+from slipfree.records import Label, leaves
+from slipfree.terrain.base import Terrain
+from slipfree.terrain.solids import Prism
+from slipfree.vehicle.tree import Vehicle
+
+STANDING_SMOOTHING = 0.01  # width of the load law of the vehicle at rest [static depths]
+CLEAR = "wheel {} touches a solid at the start (gap)"
+
+
+class PlanarPlace(NamedTuple):
+    """Given position of a planar vehicle at rest: y, and joints that are not suspension."""
+
+    y: Any
+    joints: tuple[Any, ...]
+
+
+class PlanarPose(NamedTuple):
+    """Unknowns of a planar vehicle at rest: share of friction, z, pitch and suspension."""
+
+    balance: tuple[Any, ...]
+
+
+def planar_start(
+    vehicle: Vehicle,
+    terrain: Terrain,
+    labels: Labels,
+    x: DynamicState,
+    body: Multibody,
+    contacts: Sequence[tuple[Contact, ...]],
+    lookups: LookupTable,
+) -> Standing:
+    """Return the equilibrium of a planar vehicle, and the states of the dynamic model there.
+
+    The driven wheels hold the vehicle on a slope, with friction in proportion to their loads.
+    """
+    share = ca.SX.sym("share")
+    holds_all, loads = not any(wheel.driven for wheel in vehicle.wheels), list[Load]()
+    for each, (at, *_) in zip(body.wheels, contacts, strict=True):
+        frame, pull = at.touch.frame, share if each.wheel.driven or holds_all else 0
+        force = at.force.normal * (frame.normal + pull * frame.along)
+        loads.append(Load(each.wheel.parent, force, ca.cross(frame.point - body.origin, force)))
+    forces = generalised_forces(body, loads) - bias_forces(body)
+    for k, c in enumerate(vehicle.coordinates):
+        if c.is_loaded:
+            forces[6 + k] -= ca.gradient(c.potential(x.joints[k]), x.joints[k])
+    free = [k for k, c in enumerate(vehicle.coordinates) if c.kind == "suspension"]
+    held = [k for k in range(len(vehicle.coordinates)) if k not in free]
+    moving = ca.vertcat(*leaves(x[5:]))  # all speeds and integrals
+    rows, gaps = ca.substitute(
+        [forces[[1, 2, 3, *(6 + k for k in free)]] / vehicle.weight, _least_gaps(contacts)],
+        [moving],
+        [ca.SX.zeros(moving.shape)],
+    )
+    place = PlanarPlace(x.y, tuple(x.joints[k] for k in held))
+    pose = PlanarPose((share, x.z, *x.attitude, *(x.joints[k] for k in free)))
+    names: Any = labels.x
+    unknowns = (
+        Label("friction_share", "1", "friction of the wheels at rest over their loads"),
+        names.z,
+        *names.attitude,
+        *(names.joints[k] for k in free),
+    )
+    balance = tuple(
+        Label(f"balance_{each.name}", "1", f"balance of {each.name}") for each in unknowns
+    )
+    known = PlanarPlace(names.y, tuple(names.joints[k] for k in held))
+    still = Labels(known, PlanarPose(unknowns), (), (), (), (balance,))
+    (scale, shift), speed = sizes(vehicle, terrain, still), ca.SX.sym("speed")
+    given = Configuration(ca.SX(0), x.y, ca.SX(0), place.joints)
+    heights, _ = level_heights(vehicle, terrain, given, lookups)
+    lowest = ca.mmin(heights) - max(wheel.depth for wheel in vehicle.wheels)
+    limits = [
+        Limit(Label("start_gap", "m", CLEAR.format(wheel.name), wheel.name), gap, 0.0, np.inf)
+        for wheel, gap in zip(vehicle.wheels, ca.vertsplit(gaps), strict=True)
+        if len(contacts[0]) > 1
+    ]
+    model = Dae(
+        ca.SX.sym("t"),
+        place,
+        pose,
+        (),
+        (),
+        ode=ca.SX.zeros(1 + len(held)),
+        alg=(rows,),
+        quad=ca.SX(0, 1),
+        y=(),
+        labels=still,
+        limits=tuple(limits),
+        checks=(),
+        guess=ca.vertcat(0, lowest, ca.SX.zeros(1 + len(free))),
+        scale=scale,
+        shift=shift,
+        size=extent(vehicle),
+        lookups=lookups.lookups,
+    )
+    forward = turn("x", x.attitude[0]).rotation[1:, 1]
+    rolling = [speed / wheel.radius for wheel in vehicle.wheels]
+    rest = ca.SX.zeros(1 + len(vehicle.coordinates))
+    motors = ca.SX.zeros(len(names.drives) + len(names.joint_drives))
+    states = ca.vertcat(*leaves(x[:5]), speed * forward, rest, *rolling, motors)
+    return Standing(model, None, speed, states)
+
+
+def _least_gaps(contacts: Sequence[tuple[Contact, ...]]) -> ca.SX:
+    """Return the least gap of each wheel from the solids, shape (n_wheels, 1) [m]."""
+    return ca.vertcat(
+        *(ca.mmin(ca.vertcat(np.inf, *(at.touch.gap for at in each[1:]))) for each in contacts)
+    )
+
+
+def standing_start(
+    vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], labels: Labels
+) -> Standing:
+    """Return the model of the vehicle at rest, and the states of the dynamic model there.
+
+    At rest, no wheel touches a solid.
+    """
+    model = pressed_dae(vehicle, terrain, LeastSlip(), STANDING_SMOOTHING)
+    still: Any = model.x
+    values = {
+        label.name: value
+        for label, value in zip(leaves(model.labels.x), leaves(model.x), strict=True)
+    }
+    base = platform(still.x, still.y, still.z, still.heading, still.roll, still.pitch)
+    x, y, z, w = ca.vertsplit(quaternion(base.rotation))
+    poses = vehicle.carriers(base, {c.name: values[c.name] for c in vehicle.coordinates})
+    clear = _clear_of_solids(vehicle, terrain, prisms, poses)
+    model = replace(model, limits=(*model.limits, *clear))
+    joints = [values[c.name] for c in vehicle.coordinates]
+    count, speed = len(joints), ca.SX.sym("speed")
+    rolling = [speed / wheel.radius for wheel in vehicle.wheels]
+    motors = ca.SX.zeros(len(labels.x.drives) + len(labels.x.joint_drives))
+    exact = has_exact_closure(vehicle)
+    guess = replace(direct_kinematics(vehicle, terrain), limits=(), checks=()) if exact else None
+    return Standing(
+        model,
+        guess,
+        speed,
+        ca.vertcat(
+            *(still.x, still.y, still.z, w, x, y, z, *joints),
+            speed * base.rotation[:, 1],
+            ca.SX.zeros(3 + count),
+            *rolling,
+            motors,
+        ),
+    )
+
+
+def _clear_of_solids(
+    vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], poses: Sequence[Pose]
+) -> Iterator[Limit]:
+    """Yield the limit of the gap between each wheel at rest and the solids."""
+    for wheel, pose in zip(vehicle.wheels, poses, strict=True):
+        touches = [solid_touch(each, terrain, wheel, pose, LookupTable()) for each in prisms]
+        if touches:
+            words = CLEAR.format(wheel.name)
+            gap = ca.mmin(ca.vertcat(*(each.gap for each in touches)))
+            yield Limit(Label("start_gap", "m", words, wheel.name), gap, 0.0, np.inf)

@@ -1,0 +1,265 @@
+"""Plans of a step climber over solids: time scaling along the contact path, leg by leg."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.climb.contact_path import Leg, legs
+from slipfree.climb.plan_tracking import Tracking, tracked_plan
+from slipfree.climb.time_scaling import COSTS, Climb, climb, history, in_sequence
+from slipfree.control.step_climbing import climbing
+from slipfree.errors import ModelError
+from slipfree.files.netcdf import NOTHING
+from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.outcome import Outcome
+from slipfree.plan.external_nlp import solve_nlp
+from slipfree.plan.messages import missed_words
+from slipfree.problem.build_common import Setup, build_start, samples, solver_options
+from slipfree.problem.build_driver import level_section
+from slipfree.problem.build_ground import at
+from slipfree.problem.build_world import build_world
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import Modelled
+from slipfree.problem.schema_climbing import STEP_CLIMBING
+from slipfree.problem.verbs.base import Watch, integrate
+from slipfree.problem.verbs.plan_schema import Guide, Plan
+from slipfree.records import Array
+from slipfree.terrain.solids import Profile
+from slipfree.trajectory import PLAN_ACCURACY, SolverError, Stop, Trajectory
+from slipfree.vehicle.climber import Climber, climber_of
+
+KEYS = {
+    "": {"goal", "costs", "limits", "plan", "driver"},
+    "goal": {"y"},
+    "costs": {*COSTS},
+    "limits": {"utilisation"},
+    "plan": {"intervals"},
+    "driver": {"name", "speed", "control"},
+    "driver.control": {"proportional", "torque", "motors"},
+}  # supported keys of plans over solids, by table; other keys of plans are errors
+OF_PLANS = {*Plan.model_fields} - {*Modelled.model_fields}
+
+
+class Planned(NamedTuple):
+    """Plan of a climb.
+
+    Attributes
+    ----------
+    parts : tuple of (Climb, ndarray)
+        Program and solution of every leg.
+    run : Trajectory
+        Motion over all legs.
+    least : tuple of float
+        Smallest sufficient coefficient of friction of each leg. [1]
+    iterations, seconds, functions : float
+        Number of iterations, and computing times of the solver and of its functions. [s]
+    """
+
+    parts: tuple[tuple[Climb, Array], ...]
+    run: Trajectory
+    least: tuple[float, ...]
+    iterations: float
+    seconds: float
+    functions: float
+
+
+@dataclass(frozen=True, eq=False)
+class OverSolids(Setup):
+    """Set-up of the simulation of a plan over solids; ``dae`` has the controller that tracks it.
+
+    Attributes
+    ----------
+    plan : Planned
+        The plan.
+    """
+
+    plan: Planned
+
+
+def build_over_solids(problem: Problem[Plan]) -> OverSolids:
+    """Return the plan of a problem over solids, and the set-up of its simulation.
+
+    Raises
+    ------
+    ProblemError
+        If ground, vehicle or start are not valid, keys are not supported, or the vehicle gets
+        stuck on its path.
+    SolverError
+        If a leg needs more friction than is available, or the solver finds no plan of a leg.
+    """
+    spec = problem.spec
+    faults = [*_faults(spec)]
+    if faults or spec.driver is None:
+        raise problem_error(problem.source, faults)
+    world, driver = build_world(problem), spec.driver
+    with at(problem, ("vehicle",)):
+        climber = climber_of(world.vehicle)
+    with at(problem, ("terrain",)):
+        section = level_section(world)
+        if section is None:
+            raise ModelError(
+                "plan: expected a level ground below the solids, found another one; make its "
+                "heights equal"
+            )
+    with at(problem, ("plan",)):
+        plan = plan_climb(spec, driver, climber, section)
+        given = driver.control.model_dump(exclude_unset=True)
+        tracking = Tracking(tracked_plan(plan.parts), **given)
+    dae = climbing(world.dae, world.vehicle, tracking)
+    start, (t, _) = build_start(problem, dae), samples(spec.time, {})
+    inputs = dae.inputs(reference_speed=driver.speed)
+    driven = f"plan over solids, tracked at {driver.speed:g} m/s before and after it"
+    parts = world.ground, world.terrain, world.vehicle, world.dae, dae, start, inputs, t, driven
+    return OverSolids(*parts, plan, prisms=world.prisms)
+
+
+def _faults(spec: Plan) -> Iterator[Fault]:
+    """Yield an error for each key that plans over solids do not support, and for wrong costs."""
+    tables = {"": spec, **{name: getattr(spec, name) for name in KEYS if name.isalpha()}}
+    if spec.driver is None or spec.driver.name != STEP_CLIMBING:
+        found = "another guide; change it"
+        yield Fault(("driver", "name"), f"{STEP_CLIMBING!r} for a plan over solids", found)
+        return
+    tables["driver.control"] = spec.driver.control
+    for name, table in tables.items():
+        keys = {*table} if isinstance(table, Mapping) else table.model_fields_set
+        for key in sorted((keys & OF_PLANS if not name else keys) - KEYS[name]):
+            place = *filter(None, name.split(".")), key
+            known = ", ".join(sorted(KEYS[name]))
+            yield Fault(place, f"one of {known} for a plan over solids", f"{key!r}; remove it")
+    if sum(weight > 0 for weight in spec.costs.values()) != 1:
+        yield Fault(("costs",), f"one cost, of {', '.join(COSTS)}", f"{len(spec.costs)}")
+    if "utilisation" in spec.limits and spec.costs.get("friction"):
+        found = "it; remove it, or choose another cost"
+        yield Fault(("limits", "utilisation"), "no limit with the cost 'friction'", found)
+
+
+def plan_climb(spec: Plan, driver: Guide, climber: Climber, section: Profile) -> Planned:
+    """Return the plan of a climb.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle gets stuck.
+    SolverError
+        If a leg needs more friction than is available, or the solver finds no plan of a leg.
+    """
+    cost = next(name for name, weight in spec.costs.items() if weight > 0)
+    if not isinstance(spec.terrain.friction, float):
+        raise ModelError(
+            f"expected a coefficient of friction in [terrain], found {spec.terrain.friction!r}; "
+            "give a number"
+        )
+    most = spec.limits.get("utilisation", (0.0, 1.0))[1] * spec.terrain.friction
+    found, torques = (
+        legs(climber, section),
+        [driver.control.torque * n for n in driver.control.motors],
+    )
+
+    def solved(cost: str, mu: float | None) -> Iterator[tuple[Climb, Array, Trajectory, Array]]:
+        for k, leg in enumerate(found):
+            plan = climb(
+                climber,
+                section,
+                leg,
+                cost,
+                mu=mu,
+                speed=driver.speed,
+                torques=torques,
+                s=spec.plan.intervals + 1,
+                halt=leg is not found[-1],
+            )
+            try:
+                solution = solve_nlp(plan.nlp)
+            except SolverError as error:
+                raise SolverError(f"plan, {_leg(k, leg)}: {error}") from error
+            costs = np.array([solution.iterations, *solution.seconds.values()])
+            yield plan, solution.unknowns, history(plan, solution.unknowns), costs
+
+    chosen = [*solved("friction", None)]
+    least = tuple(run.statistics["mu"] for _, _, run, _ in chosen)
+    if cost != "friction":
+        _check_friction(found, least, most)
+        chosen = [*solved(cost, most)]
+    iterations, seconds, functions = np.sum([costs for *_, costs in chosen], axis=0)[:3]
+    parts = tuple((plan, unknowns) for plan, unknowns, *_ in chosen)
+    run = in_sequence([run for _, _, run, _ in chosen])
+    return Planned(parts, run, least, iterations, seconds, functions)
+
+
+def _check_friction(found: Sequence[Leg], least: Sequence[float], mu: float) -> None:
+    worst = int(np.argmax(least))
+    if least[worst] > mu:
+        raise SolverError(
+            f"plan, {_leg(worst, found[worst])}: expected a coefficient of friction of at "
+            f"least {least[worst]:.3f}, found {mu:g}; lower the obstacle, or increase "
+            "terrain.friction or limits.utilisation"
+        )
+
+
+def _leg(number: int, leg: Leg) -> str:
+    return f"leg {number + 1}, on which the {leg.axle} wheels climb"
+
+
+def drive_over_solids(
+    problem: Problem[Plan], setup: OverSolids, watch: Watch
+) -> tuple[Trajectory, Mapping[str, Array]]:
+    """Return the simulated motion that tracks a plan, with the errors and costs of the plan."""
+    spec, plan = problem.spec, setup.plan
+    run = integrate(setup, solver_options(problem), watch)
+    low, high = spec.goal.get("y", (-np.inf, np.inf))
+    y = float(run["y"][-1])
+    missed = max(low - y, y - high, 0.0)
+    statistics = {
+        "plan_iterations": plan.iterations,
+        "plan_seconds": plan.seconds,
+        "plan_seconds_functions": plan.functions,
+        "plan_cost_time": plan.run.statistics["duration"],
+        "plan_cost_friction": plan.run.statistics["mu"],
+        "plan_violation_y_goal": missed,
+        **{f"plan_least_friction_{k + 1}": mu for k, mu in enumerate(plan.least)},
+        **_tracking(setup, run),
+    }
+    attributes, stop = {}, run.stop
+    if missed:
+        words = missed_words({"y at the goal": missed}, {"y at the goal": "m"})
+        attributes["plan_violations"] = words
+        reason = f"the plan is solved, but its simulation misses {words}; see 'obstacles'"
+        stop = stop or Stop(PLAN_ACCURACY, float(run.t[-1]), reason, Outcome.INACCURATE)
+    run = replace(
+        run,
+        stop=stop,
+        statistics={**run.statistics, **statistics},
+        attributes={**run.attributes, **attributes},
+    )
+    return run, NOTHING
+
+
+def _tracking(setup: OverSolids, run: Trajectory) -> dict[str, float]:
+    """Return the time of the motion for the distance of the plan, and its largest errors, by name.
+
+    Both are compared at equal progress, the mean of y + z over the axles. The errors are those of
+    the bodies, as far as the motion reaches; the time is missing if it does not reach the end.
+    """
+    plan, ahead = setup.plan.run, [axle.ahead for axle in climber_of(setup.vehicle).axles]
+    rear, front = plan["tilt_rear"], plan["tilt_front"]
+    tilts = np.stack([rear, rear, front])
+    arms = np.array(ahead)[:, None] * (np.cos(tilts) + np.sin(tilts))
+    planned = plan["y"] + plan["z"] + arms.mean(axis=0)
+    reached = np.maximum.accumulate((run["center_y"] + run["center_z"]).mean(axis=1))
+    part = planned <= reached[-1]
+    pose = {"z": plan["z"], "pitch": rear, setup.vehicle.coordinates[0].name: front - rear}
+    found = {
+        f"plan_difference_{name}": float(
+            np.abs(np.interp(planned[part], reached, run[name]) - values[part]).max(initial=0.0)
+        )
+        for name, values in pose.items()
+    }
+    if part.all():
+        begin, end = np.searchsorted(reached, planned[[0, -1]])
+        found["plan_driven"] = float(run.t[end] - run.t[begin])
+    return found
