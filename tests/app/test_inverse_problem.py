@@ -297,7 +297,7 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
         (["inputs.right_rate=1"], "--set inputs: expected one of verb, title, "),
         (
             ["verb=drive"],
-            "--set verb: expected 'direct' or 'inverse' or 'plan' or 'climb' for this "
+            "--set verb: expected 'direct' or 'inverse' or 'plan' for this "
             "command, found 'drive'; correct the verb\n",
         ),
         (["verb=compare"], "found 'compare'; use slipfree compare p.toml"),

@@ -79,8 +79,7 @@ def test_lines_of_keys() -> None:
         (
             '"direct"',
             '"drive"',
-            "p.toml:1: verb: expected 'direct' or 'inverse' or 'plan' or "
-            "'climb' for this command, found 'drive'",
+            "p.toml:1: verb: expected 'direct' or 'inverse' or 'plan' for this command, found 'dr",
         ),
         (
             "spacing = 0.5",

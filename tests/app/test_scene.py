@@ -33,7 +33,6 @@ from slipfree.problem.result import shown
 from slipfree.problem.stored_inputs import STORED, StoredInputs
 from slipfree.problem.verbs.plan import poses_of_plan
 from slipfree.show import motion_figures
-from slipfree.show.climb_scene import climb_scene
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import Film, arrow_lines, film_writer
 from slipfree.show.ground_drawing import brightness
@@ -89,27 +88,15 @@ NAMED = (
     "[time]\nduration = 0.4\nstep = 0.1\n"
 )
 CLIMB = """\
-verb = "climb"
-
-[profile.step]
-height = 0.09
-
-[friction]
-static = 0.8
-kinetic = 0.6
-
-[vehicle]
-catalog = "seven_wheels"
-
-[control]
-speed = 0.25
-
-[start]
-distance = 0.05
-
-[time]
-duration = 0.1
-step = 0.01
+verb = "direct"
+model = "dynamics"
+terrain.friction = 0.8
+terrain.synthetic = { x = [-2, 2], y = [-3, 3], spacing = 0.5 }
+terrain.obstacles = [{ step = { height = 0.09 }, half_width = 0.4 }]
+vehicle.catalog = "step_climber"
+driver = { name = "step-climbing", speed = 0.25 }
+start = { y = -0.371, speed = 0.25 }
+time = { duration = 0.1, step = 0.01 }
 """
 
 
@@ -415,49 +402,17 @@ def test_a_solved_plan_is_where_its_simulation_is(tmp_path: Path) -> None:
         assert np.linalg.norm(actor.contacts - wheels, axis=-1).max() < 0.31
 
 
-@pytest.mark.slow
-def test_a_climb_is_drawn_with_a_width(climb_file: Path) -> None:
+def test_a_planar_vehicle_is_drawn_on_solids(climb_file: Path) -> None:
     found = shown(climb_file, "step")
-    scene = climb_scene([found])
+    scene = drive_scene([found])
     (actor,), run = scene.actors, found.run
     bodies = {body.name: body for body in actor.bodies}
-    assert len(bodies) == 2 + 5
-    assert_allclose(bodies["front_1"].origins[:, 1] + scene.origin[1], run["center_y", "front_1"])
-    tilt = run["tilt_rear"]
-    assert_allclose(bodies["platform"].rotations[:, 2, 1], np.sin(tilt), atol=1e-12)
-    contacts = actor.contacts + scene.origin
-    assert_allclose(contacts[..., 2], 0, atol=1e-3)  # on the floor, sunk in a little
-    assert_allclose(contacts[0, :, 0], [-0.231, 0.231, 0, -0.231, 0.231])
+    assert_allclose(bodies["front"].origins[:, 1] + scene.origin[1], run["center_y", "front"])
+    assert_allclose(bodies["platform"].rotations[:, 2, 1], np.sin(run["pitch"]), atol=1e-12)
+    assert_allclose((actor.contacts + scene.origin)[..., 2], 0, atol=1e-3)  # pressed in a little
     forces = np.nansum(actor.arrows[1].vectors, axis=1)
     assert_allclose(forces[0, 2], 9.81 * 21.6, rtol=1e-2)
-    top = scene.ground.mesh.vertices[:, 2] + scene.origin[2]
-    assert_allclose(top.max(), 0.09)
-    assert volume(scene.ground.mesh) > 0
-    rear, front = (
-        {body.name: body for body in actor.bodies}[n] for n in ("platform", "front_body")
-    )
-    for body, ends in ((rear, (-0.215, 0)), (front, (0, 0.255))):  # plates meet at the joint
-        places = np.concatenate([mesh.vertices for mesh, _ in body.meshes])
-        assert_allclose([places[:, 1].min(), places[:, 1].max()], ends, atol=0.01)
-    with pytest.raises(ModelError, match="other: expected a climb over the profile of step"):
-        climb_scene([found, found._replace(name="other", prisms=found.prisms[:1])])
-
-
-def test_a_planned_climb_starts_when_the_motion_is_there(climb_file: Path, tmp_path: Path) -> None:
-    run = netcdf.read(climb_file)
-    come = (run["center_y"] + run["center_z"]).mean(axis=1)
-    arrays = {f"plan_{name}": run[name][4:] for name in ("y", "z", "tilt_rear", "tilt_front")}
-    arrays |= {"plan_time": run.t[4:] - run.t[4], "plan_progress": come[4:] - 1e-9}
-    out = tmp_path / "planned.nc"
-    netcdf.write(out, run, arrays)
-    found = shown(out, "planned")
-    assert found.plan is not None
-    assert_allclose(found.plan.t, run.t[4:], atol=1e-12)
-    for name in ("center_y", "center_z", "wheel_angle"):
-        assert_allclose(found.plan[name], run[name][4:, [0, 0, 1, 2, 2]], atol=1e-9)
-    ghost = climb_scene([found]).actors[1]
-    assert ghost.ghost
-    assert not np.isfinite(ghost.contacts).any()
+    assert_allclose(scene.ground.mesh.vertices[:, 2].max() + scene.origin[2], 0.09)
 
 
 def refused(*words: str) -> str:
@@ -467,11 +422,8 @@ def refused(*words: str) -> str:
 
 
 def test_what_cannot_be_shown_is_refused(
-    file: Path, climb_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert "results of one kind, found motions over terrain and climbs" in refused(
-        str(file), str(climb_file)
-    )
     run = netcdf.read(file)
     bare = tmp_path / "bare.nc"
     attributes = {name: words for name, words in run.attributes.items() if name != "problem"}

@@ -22,7 +22,7 @@ from slipfree.cli import app, messages
 from slipfree.files import netcdf
 
 ROOT = Path(__file__).parents[2]
-KINDS = ("direct", "inverse", "plan", "climb")
+KINDS = ("direct", "inverse", "plan")
 
 
 @pytest.fixture(autouse=True)
@@ -91,7 +91,7 @@ def test_new_replaces_nothing_unasked() -> None:
     assert "slipfree run 'a b.toml'" in _invoke("new", "plan", "a b").stdout
     result = _invoke("new", "walk", "a")
     assert result.exit_code == 2
-    assert "'direct', 'inverse', 'plan', 'climb'" in result.stderr
+    assert "'direct', 'inverse', 'plan'" in result.stderr
 
 
 def test_examples_are_the_shipped_problems() -> None:
@@ -266,7 +266,7 @@ def test_check_vehicle_info_and_export_in_json() -> None:
     assert found["result"]["quantities"]["heading"]["unit"] == "rad"
     assert _json("info", "p.nc", "--problem")["problem"] == PROBLEM
     assert _json("export", "p.nc", "--path", "way.csv")["files"] == ["way.csv"]
-    assert _json("new", "climb", "c")["files"] == ["c.toml"]
+    assert _json("new", "plan", "c")["files"] == ["c.toml"]
 
 
 @pytest.mark.slow

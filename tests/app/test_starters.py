@@ -38,12 +38,6 @@ WAYS = {  # kind and beginning of a comment: settings of each alternative that i
     ],
     ("plan", "of both tables"): [MAP],
     ("plan", "[driver]"): [("inputs=", 'driver={name="route", speed=0.2}')],
-    ("climb", "[profile.ramp]"): [
-        ("profile={ramp={angle=0.4, height=0.06}}",),
-        ("profile={stairs={height=0.06, depth=0.4, count=3}}",),
-        ("profile={kerb={height=0.06, length=0.5}}",),
-        ('profile={file="solids.csv"}',),
-    ],
 }
 
 

@@ -160,8 +160,8 @@ def test_a_dry_run_says_what_would_be_run(file: Path) -> None:
 
 
 def test_a_seed_that_the_file_leaves_out_is_found() -> None:
-    sweep = sweep_of(PROBLEMS / "climb_step.toml", [], ["control.noise.tilt=0.01"], repeat=2)
-    assert sweep.seeds == ("control.noise.seed",)
+    sweep = sweep_of(PROBLEMS / "climb_step.toml", [], ["driver.control.noise.tilt=0.01"], repeat=2)
+    assert sweep.seeds == ("driver.control.noise.seed",)
 
 
 @pytest.mark.parametrize(
@@ -569,7 +569,7 @@ def test_runs_with_other_input_files_share_nothing(
         (
             "climb_ramp.toml",
             ("time.duration=0.3",),
-            {"climb_true_slip", "climb_up", "end_tilt_front", "work", "motor_torque_largest"},
+            {"slip_rms", "end_pitch", "work", "drive_torque_largest"},
         ),
         (
             "paper_inverse.toml",

@@ -8,34 +8,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree import SolverOptions
-from slipfree.catalog.step_climber import step_climber
+from slipfree import Analytic, Solids, SolverOptions, dynamics, settle, simulate
+from slipfree.catalog import step_climber
 from slipfree.climb.contact_path import legs
-from slipfree.climb.dynamics import climbing, standing
-from slipfree.climb.metrics import Metrics, metrics
+from slipfree.climb.metrics import Metrics, climb_metrics
 from slipfree.climb.plan_tracking import TrackedPlan, Tracking, tracked_plan
 from slipfree.climb.time_scaling import climb as program
-from slipfree.control.step_climbing import Control
+from slipfree.control.step_climbing import StepClimbing, climbing
 from slipfree.laws.compliant import Compliant
 from slipfree.plan.external_nlp import solve_nlp
-from slipfree.solve.settle import settle
-from slipfree.solve.simulate import simulate
-from slipfree.terrain.solids import Profile, ramp, step
+from slipfree.terrain.solids import Profile, placed, ramp, step
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.climber import Climber
-from slipfree.vehicle.tree import GRAVITY
+from slipfree.vehicle.climber import Climber, climber_of
+from slipfree.vehicle.tree import GRAVITY, Vehicle
 
 AMPLE = 8.0  # torque of the lab's motors that "never" limits; on the step it does, 1 % of the time
 SPEED, HEIGHT, EVERY, AHEAD = 0.25, 0.09, 2e-3, 0.05
-CLIMBER = step_climber(torque=AMPLE)
+MOTORS = (2, 1, 2)
 MARGIN = 0.96  # part of the friction that a plan may use
 RAMP, STEP = ramp(np.pi / 4, HEIGHT), step(HEIGHT)
-FIXED = Control("fixed")
-EXACT, EXACT_95 = Control(directions="contact"), Control(directions="contact", share=0.95)
-SENSED = Control()
-PRINTED_6_8 = Control("printed_6_8", directions="contact")
-PRINTED_14 = Control("printed_14", directions="contact")
-PRINTED_16 = Control("printed_16", directions="contact")
+FIXED = StepClimbing("fixed")
+EXACT = StepClimbing(directions="contact")
+EXACT_95 = StepClimbing(directions="contact", share=0.95)
+SENSED = StepClimbing()
+PRINTED_6_8 = StepClimbing("printed_6_8", directions="contact")
+PRINTED_14 = StepClimbing("printed_14", directions="contact")
+PRINTED_16 = StepClimbing("printed_16", directions="contact")
 
 
 class Grip(NamedTuple):
@@ -52,46 +50,68 @@ class Grip(NamedTuple):
 TABLE_I, TWICE = Grip(), Grip(0.9, 0.675)
 
 
+def dimensions(joint=0.0) -> Climber:
+    """Dimensions of the catalogue's step climber."""
+    return climber_of(step_climber(joint=joint))
+
+
+CLIMBER = dimensions()
+
+
 class Climb(NamedTuple):
     """A motion and what it is of."""
 
-    climber: Climber
+    vehicle: Vehicle
     profile: Profile
     run: Trajectory
 
     @property
     def metrics(self) -> Metrics:
         """Averages over the climb."""
-        return metrics(self.run, self.climber, self.profile)
+        return climb_metrics(self.run, self.vehicle, self.profile)
+
+    @property
+    def energy(self):
+        """Kinetic, potential and contact energy [J]."""
+        return sum(self.run[f"{name}_energy"] for name in ("kinetic", "potential", "contact"))
 
     @property
     def imbalance(self) -> float:
         """Largest error of the energy's balance [J]."""
-        run = self.run
-        given = run["work"] - run["lost_energy"]
-        return float(np.abs(run["energy"] - run["energy"][0] - given).max())
+        given = self.run["work"] - self.run["lost_energy"]
+        return float(np.abs(self.energy - self.energy[0] - given).max())
 
 
 def foot(profile):
     """Place of the front axle just before the ramp or step. [m]."""
-    radius = step_climber().radius
     edge, top = profile.summit
     angle = np.arctan2(top, edge)
-    return -AHEAD - radius * np.tan(angle / 2)
+    return -AHEAD - CLIMBER.radius * np.tan(angle / 2)
 
 
-def gripped(climber, profile, control, grip, **options):
-    """The vehicle with the stiffness of its contacts, and its model."""
-    climber = replace(climber, stiffness=grip.stiffness)
-    ratio = grip.damping * np.sqrt(GRAVITY * climber.static_depth) / 2
+def stiff(vehicle, grip):
+    """The vehicle with the stiffness of its contacts, and their law."""
+    depth = vehicle.mass * GRAVITY / 3 / grip.stiffness
+    wheels = tuple(replace(wheel, static_depth=depth) for wheel in vehicle.wheels)
+    ratio = grip.damping * np.sqrt(GRAVITY * depth) / 2
     law = Compliant(ratio, grip.creep, grip.dynamic / grip.static, grip.stribeck)
-    return climber, climbing(climber, profile, control, law, friction=grip.static, **options)
+    return replace(vehicle, wheels=wheels), law
 
 
-def begin(climber, profile, control, grip, speed=SPEED, **options):
+def gripped(vehicle, profile, control, grip, *, sampled=False):
+    """The vehicle with the stiffness of its contacts, and its model."""
+    vehicle, law = stiff(vehicle, grip)
+    floor = Analytic(lambda x, _y: 0 * x, mu=grip.static)
+    prisms = placed(profile)
+    model = dynamics(vehicle, Solids(floor, prisms) if prisms else floor, law=law)
+    return vehicle, climbing(model, vehicle, control, profile, sampled=sampled)
+
+
+def begin(vehicle, profile, control, grip, speed=SPEED, **options):
     """The model, and its start rolling towards the climb."""
-    climber, dae = gripped(climber, profile, control, grip, **options)
-    return dae, settle(dae, **standing(climber, foot(profile), speed))
+    vehicle, dae = gripped(vehicle, profile, control, grip, **options)
+    joint = foot(profile) - vehicle.wheels[2].at[1]
+    return dae, settle(dae, y=joint, speed=speed)
 
 
 @lru_cache(maxsize=32)
@@ -105,24 +125,24 @@ def climb(
     tolerance=1e-6,
     speed=SPEED,
     every=EVERY,
-    climber=None,
+    vehicle=None,
 ) -> Climb:
-    climber = climber or step_climber(torque=torque)
-    dae, start = begin(climber, profile, control, contact, speed)
+    vehicle = vehicle or step_climber()
+    dae, start = begin(vehicle, profile, replace(control, torque=torque), contact, speed)
     t = np.arange(round(until / every) + 1) * every
-    run = simulate(
-        dae, start, dae.inputs(speed=speed), t, options=SolverOptions(tolerance=tolerance)
-    )
-    return Climb(climber, profile, run)
+    options = SolverOptions(tolerance=tolerance)
+    run = simulate(dae, start, dae.inputs(reference_speed=speed), t, options=options)
+    return Climb(vehicle, profile, run)
 
 
 @lru_cache(maxsize=32)
 def planned(profile, mu=None, speed=SPEED, climber=CLIMBER) -> TrackedPlan:
     """The climb of least slip within a friction, or that of least friction, all legs in one."""
     cost = "friction" if mu is None else "slip"
-    ways, found = legs(climber, profile), []
+    ways, found, torques = legs(climber, profile), [], AMPLE * np.array(MOTORS)
     for leg in ways:
-        plan = program(climber, profile, leg, cost, mu=mu, speed=speed, halt=leg is not ways[-1])
+        halt = leg is not ways[-1]
+        plan = program(climber, profile, leg, cost, mu=mu, speed=speed, torques=torques, halt=halt)
         found.append((plan, solve_nlp(plan.nlp).unknowns))
     return tracked_plan(found)
 

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from helpers.climb_cases import Grip, gripped
 from slipfree import SolverOptions
-from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.dynamics import held_torques, standing
+from slipfree.catalog import step_climber
 from slipfree.control.reference_speeds import Law
 from slipfree.control.sensor_noise import Noise
-from slipfree.control.step_climbing import Control, largest_period
+from slipfree.control.step_climbing import StepClimbing, held_torques, largest_period
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import Profile, kerb, ramp, stairs, step
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.climber import AXLES, Climber
+from slipfree.vehicle.climber import climber_of
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.tree import Body, Vehicle
 
 AHEAD, EVERY, TOLERANCE = 0.02, 0.01, 1e-6
 WAY, EXTRA = 2.0, 2.0  # of a run, with the way that stairs add [m], and its time beyond that [s]
@@ -29,10 +30,10 @@ WAY, EXTRA = 2.0, 2.0  # of a run, with the way that stairs add [m], and its tim
 class Drawn(NamedTuple):
     """What climbs what, and how; ``period`` is that of a sampled controller [s] or None."""
 
-    climber: Climber
+    vehicle: Vehicle
     profile: Profile
     contact: Grip
-    control: Control
+    control: StepClimbing
     speed: float
     period: float | None
 
@@ -40,36 +41,28 @@ class Drawn(NamedTuple):
 def drawn(seed: int) -> Drawn:
     """Return the climb of a seed."""
     rng = np.random.default_rng([20091, seed])
-    climber, profile, contact = _climber(rng), _profile(rng), _contact(rng)
-    control = _control(rng)
+    (vehicle, torque), profile, contact = _vehicle(rng), _profile(rng), _contact(rng)
+    control = replace(_control(rng), torque=torque)
     sampled = rng.uniform() < 0.25
     part = rng.uniform(0.3, 0.8)
-    period = part * largest_period(control, climber) if sampled else None
-    return Drawn(climber, profile, contact, control, rng.uniform(0.1, 0.4), period)
+    period = part * largest_period(control, climber_of(vehicle)) if sampled else None
+    return Drawn(vehicle, profile, contact, control, rng.uniform(0.1, 0.4), period)
 
 
 def drive(case: Drawn) -> Trajectory:
     """Return its motion."""
-    climber, dae = gripped(
-        case.climber, case.profile, case.control, case.contact, period=case.period
-    )
-    front = -case.climber.radius - AHEAD
-    start = settle(dae, **standing(climber, front, case.speed))
-    until = WAY / case.speed + EXTRA
+    sampled = case.period is not None
+    vehicle, dae = gripped(case.vehicle, case.profile, case.control, case.contact, sampled=sampled)
+    front = vehicle.wheels[2]
+    start = settle(dae, y=-front.radius - AHEAD - front.at[1], speed=case.speed)
+    until, options = WAY / case.speed + EXTRA, SolverOptions(tolerance=TOLERANCE)
     if case.period is None:
         t = np.linspace(0, until, round(until / EVERY) + 1)
-        return simulate(
-            dae, start, dae.inputs(speed=case.speed), t, options=SolverOptions(tolerance=TOLERANCE)
-        )
+        return simulate(dae, start, dae.inputs(reference_speed=case.speed), t, options=options)
     t = np.arange(round(until / case.period) + 1) * case.period
-    held = held_torques(case.climber, dae)
-    return simulate_sampled(
-        dae,
-        start,
-        dae.inputs(speed=case.speed, **held),
-        t,
-        options=SolverOptions(tolerance=TOLERANCE),
-    )
+    held = held_torques(dae, case.control)
+    inputs = dae.inputs(reference_speed=case.speed, **held)
+    return simulate_sampled(dae, start, inputs, t, options=options)
 
 
 def finite(run: Trajectory) -> bool:
@@ -82,25 +75,23 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
-def _climber(rng: np.random.Generator) -> Climber:
-    base = step_climber(rng.choice([0.0, rng.uniform(0, 0.126)]))
-    changes: dict[str, Any] = {
-        name: getattr(base, name)._replace(
-            mass=getattr(base, name).mass * _between(rng, 0.6, 1.6),
-            ahead=getattr(base, name).ahead + rng.uniform(-0.02, 0.02),
-            above=rng.uniform(0.0, 0.12),
-            inertia=getattr(base, name).inertia * _between(rng, 0.5, 2.0),
-        )
-        for name in ("rear_body", "front_body")
-    }
-    changes |= {
-        name: getattr(base, name)._replace(
-            inertia=getattr(base, name).inertia * _between(rng, 0.5, 2.0)
-        )
-        for name in AXLES
-    }
-    torque = rng.choice([math.inf, _between(rng, 2.0, 16.0)], p=[0.2, 0.8])
-    return replace(base, radius=rng.uniform(0.05, 0.08), torque=float(torque), **changes)
+def _vehicle(rng: np.random.Generator) -> tuple[Vehicle, float]:
+    """Return a vehicle, and the largest torque of its motors."""
+    base = step_climber(joint=rng.choice([0.0, rng.uniform(0, 0.126)]))
+    bodies = []
+    for body in (base.body, base.joints[0].body):
+        mass, ahead = body.mass * _between(rng, 0.6, 1.6), body.at[1] + rng.uniform(-0.02, 0.02)
+        above, inertia = rng.uniform(0.0, 0.12), body.inertia[0] * _between(rng, 0.5, 2.0)
+        bodies.append(Body(mass, (0.0, ahead, above), 3 * (inertia,) + 3 * (0.0,)))
+    spins = [wheel.inertia[0] * _between(rng, 0.5, 2.0) for wheel in base.wheels]
+    torque = float(rng.choice([math.inf, _between(rng, 2.0, 16.0)], p=[0.2, 0.8]))
+    section = Disc(rng.uniform(0.05, 0.08))
+    wheels = tuple(
+        replace(wheel, section=section, inertia=(spin, spin))
+        for wheel, spin in zip(base.wheels, spins, strict=True)
+    )
+    joint = replace(base.joints[0], body=bodies[1])
+    return replace(base, body=bodies[0], joints=(joint,), wheels=wheels), torque
 
 
 def _profile(rng: np.random.Generator) -> Profile:
@@ -127,11 +118,11 @@ def _contact(rng: np.random.Generator) -> Grip:
     )
 
 
-def _control(rng: np.random.Generator) -> Control:
+def _control(rng: np.random.Generator) -> StepClimbing:
     # Laws as printed seldom climb, so that most draws are of the others.
     law = rng.choice(list(get_args(Law)), p=[0.5, 0.2, 0.1, 0.1, 0.1])
     derivative, unwinding = rng.uniform(size=2) < 0.3
-    return Control(
+    return StepClimbing(
         law=str(law),
         directions=str(rng.choice(["sensors", "contact"])),
         smoothing=_between(rng, 5e-3, 0.1),

@@ -148,7 +148,7 @@ def _use_result(file: Path, deep: bool) -> None:
 
 
 USES: dict[str, Callable[[Path, bool], None]] = {
-    **dict.fromkeys(("direct", "inverse", "plan", "climb"), _use_problem),
+    **dict.fromkeys(("direct", "inverse", "plan"), _use_problem),
     **dict.fromkeys(("vehicle", "urdf", "mesh"), _use_vehicle),
     "laz": _use_cloud,
     "mcap": _use_log,

@@ -208,7 +208,6 @@ SIDE = {
     "ground.asc": "ncols 13\nnrows 15\nxllcenter -3\nyllcenter -3\ncellsize 0.5\n"
     + ("0 " * 13 + "\n") * 15,
     "way.csv": "x,y\n0,0\n0.1,1\n0,2\n",
-    "solids.csv": "solid,x,z\n1,0,-1\n1,1,-1\n1,1,0.05\n1,0,0.05\n",
 }
 
 
@@ -217,19 +216,11 @@ def bases(kind: str) -> tuple[Table, ...]:
     """Return valid problems of a verb, on small grounds."""
     starter = tomllib.loads((ROOT / "src" / "slipfree" / "starters" / f"{kind}.toml").read_text())
     time = {"time": {"duration": 0.5, "step": 0.1}}
-    if kind == "climb":
-        return tuple(
-            {**starter, "profile": profile}
-            for profile in (
-                starter["profile"],
-                {"ramp": {"angle": 0.5, "height": 0.05}},
-                {"stairs": {"height": 0.05, "depth": 0.4, "count": 2}},
-                {"file": "solids.csv"},
-            )
-        )
     plain = {**starter, "terrain": GROUND, "start": START}
+    step = ROOT / "problems" / ("climb_plan_step.toml" if kind == "plan" else "climb_step.toml")
+    climb = tomllib.loads(step.read_text()) | time
     if kind == "plan":
-        return ({**plain, "plan": {"intervals": 4}},)
+        return {**plain, "plan": {"intervals": 4}}, climb
     trailer = {"vehicle": {"file": "vehicle.toml"}, "frame": "rep103"}
     if kind == "inverse":
         way = {
@@ -250,6 +241,7 @@ def bases(kind: str) -> tuple[Table, ...]:
         plain | time,
         plain | time | follow | {"terrain": {"file": "ground.asc", "friction": 0.7}},
         rated | trailer | {"inputs": {"left_rate": 1.0, "right_rate": [[0, 1.0], [0.2, 1.1]]}},
+        climb,
     )
 
 
@@ -416,8 +408,8 @@ def results() -> tuple[bytes, ...]:
     found = []
     with tempfile.TemporaryDirectory() as folder:
         problem, file = Path(folder) / "p.toml", Path(folder) / "p.nc"
-        for kind in ("direct", "climb"):
-            problem.write_text(document(bases(kind)[0]))
+        for data in (bases("direct")[0], bases("direct")[-1]):
+            problem.write_text(document(data))
             spec = load_problem(problem, ["time.duration=0.1", "time.step=0.05"])
             outcome = run_problem(spec)
             netcdf.write(file, outcome.trajectory, outcome.arrays)
@@ -501,7 +493,6 @@ KINDS: dict[str, Callable[[str, Random], Case]] = {
     "direct": _problem,
     "inverse": _problem,
     "plan": _problem,
-    "climb": _problem,
     "vehicle": _vehicle,
     "urdf": _urdf,
     "asc": ascii_grid,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.metrics import disturbance_ratio, metrics, slip_ratio
+from slipfree.catalog import step_climber
+from slipfree.climb.metrics import climb_metrics, disturbance_ratio, slip_ratio
 from slipfree.errors import ModelError
 from slipfree.records import Label
 from slipfree.terrain.solids import step
@@ -16,11 +16,11 @@ N, RADIUS = 101, 0.066  # a sample every 10 ms
 PER_AXLE = {
     "spin": (4.0, 5.0, 0.2),
     "reference": (5.0, 4.0, 4.0),
-    "motor_torque": (1.0, -2.0, 3.0),
-    "solid_load_1": (30.0, 0.0, 10.0),
-    "solid_load_2": (0.0, 0.5, 60.0),
-    "solid_slip_1": (-0.033, 1.0, 1.0),
-    "solid_slip_2": (1.0, 1.0, 0.00132),
+    "drive_torque": (2.0, -2.0, 6.0),
+    "solid_load_0": (30.0, 0.0, 10.0),
+    "solid_load_1": (0.0, 0.5, 60.0),
+    "solid_slip_0": (-0.033, 1.0, 1.0),
+    "solid_slip_1": (1.0, 1.0, 0.00132),
 }
 
 
@@ -28,7 +28,7 @@ def motion(**changes):
     """Constants, but that the front wheel touches at 0.3 s and the rear axle is up at 0.6 s."""
     t = np.arange(N) * 0.01
     columns = {name: np.tile(values, (N, 1)) for name, values in PER_AXLE.items()}
-    columns["solid_gap_2"] = np.where(t < 0.295, 0.01, -0.01)[:, None] * [0, 0, 1.0]
+    columns["solid_gap_1"] = np.where(t < 0.295, 0.01, -0.01)[:, None] * [0, 0, 1.0]
     columns["center_y"] = np.where(t < 0.595, 0.0, 0.03)[:, None] * [1.0, 1, 1]
     columns["center_z"] = np.full((N, 3), 0.09 + RADIUS - 0.002)
     # The middle axle is 0.1 m behind the joint, whose velocity is (0.15, 0.1) m/s.
@@ -41,7 +41,7 @@ def motion(**changes):
 
 
 def averages(run):
-    return metrics(run, step_climber(), step(0.09))
+    return climb_metrics(run, step_climber(), step(0.09))
 
 
 def test_averages():
@@ -78,4 +78,4 @@ def test_what_does_not_come_up_is_averaged_to_its_end():
 
 def test_what_does_not_touch_is_refused():
     with pytest.raises(ModelError, match=r"touches only the floor until t = 1 s"):
-        averages(motion(solid_gap_2=np.ones((N, 3))))
+        averages(motion(solid_gap_1=np.ones((N, 3))))

@@ -6,7 +6,6 @@ end 0.2 % of the height from floor and plateau, with wheels without rotational i
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import casadi as ca
@@ -16,7 +15,7 @@ import scipy.sparse
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq, linprog
 
-from slipfree.catalog.step_climber import step_climber
+from helpers.climb_cases import dimensions
 from slipfree.climb.contact_path import axle_arms, legs, sample
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.time_scaling import MIN_ACCELERATION, climb, history, in_sequence
@@ -36,7 +35,7 @@ LEAST = {
     "128 mm": (0.579, 0.608, 0.624),
 }
 ORDER = ("front", "middle", "rear")
-CLIMBER = step_climber()
+CLIMBER = dimensions()
 
 
 @cache
@@ -103,8 +102,8 @@ def nodes_of_the_study(name, leg, height, climber):
 @pytest.mark.slow
 @pytest.mark.parametrize(("leg", "seconds"), [(0, 0.63), (1, 0.73), (2, 0.89)])
 def test_least_time(leg, seconds):
-    light = replace(
-        CLIMBER, **{name: getattr(CLIMBER, name)._replace(inertia=1e-12) for name in AXLES}
+    light = CLIMBER._replace(
+        **{name: getattr(CLIMBER, name)._replace(inertia=1e-12) for name in AXLES}
     )
     nodes = nodes_of_the_study("90 mm", leg, 0.09, light)
     track = way("90 mm", light)[leg]
@@ -152,11 +151,10 @@ def lagrange(climber):
 @pytest.mark.parametrize("leg", [0, 1, 2])
 def test_equations_of_motion(leg, joint):
     """Forces and torques of a plan are those of Lagrange's equations and of every wheel's spin."""
-    climber = step_climber(joint)
+    climber = dimensions(joint)
     plan, run = planned("90 mm", leg, mu=0.8, climber=climber)
     middles, terms = plan.middles, lagrange(climber)
-    wheels = np.array([axle.wheels for axle in climber.axles])
-    torque = wheels * run["torque"]
+    torque = run["torque"]
     spin = np.array([axle.inertia for axle in climber.axles])
     for k in range(0, run.t.size, 7):
         speed, change = run["path_speed"][k], run["path_acceleration"][k]
@@ -183,8 +181,7 @@ def test_energy():
         return float(bodies) + (spin * run["wheel_rate"][k] ** 2).sum() / 2
 
     tilting = plan.middles.first[:, [2, 2, 3]] * run["path_speed"][:, None]
-    torque = run["torque"] * [axle.wheels for axle in CLIMBER.axles]
-    power = (torque * (run["wheel_rate"] + tilting)).sum(axis=1)
+    power = (run["torque"] * (run["wheel_rate"] + tilting)).sum(axis=1)
     work = ((power[1:] + power[:-1]) / 2 * np.diff(run.t)).sum()
     assert_allclose(work, energy(-1) - energy(0), rtol=1e-3)
     climbed = plan.middles.q[-1, 1] - plan.middles.q[0, 1]
@@ -276,17 +273,16 @@ def test_limits_and_rests():
 
 def test_torque_limits():
     free, weak = (
-        planned("90 mm", 0, mu=0.9, climber=step_climber(torque=most))[1] for most in (np.inf, 2.0)
+        planned("90 mm", 0, mu=0.9, torques=(2 * most, most, 2 * most))[1] for most in (np.inf, 2.0)
     )
-    assert np.abs(free["torque"]).max() > 2.5
-    assert np.abs(weak["torque"]).max() < 2.0 + 1e-6
+    assert np.abs(free["torque"] / (2, 1, 2)).max() > 2.5
+    assert np.abs(weak["torque"] / (2, 1, 2)).max() < 2.0 + 1e-6
     assert weak.statistics["duration"] > 1.1 * free.statistics["duration"]
 
 
 @pytest.mark.parametrize("leg", [0, 1, 2])
 def test_motors_of_4_newton_meters_need_no_more_friction(leg):
-    strong = step_climber(torque=4.0)
-    found = planned("90 mm", leg, "friction", climber=strong)[1].statistics["mu"]
+    found = planned("90 mm", leg, "friction", torques=(8.0, 4.0, 8.0))[1].statistics["mu"]
     assert_allclose(found, planned("90 mm", leg, "friction")[1].statistics["mu"], atol=1e-3)
 
 

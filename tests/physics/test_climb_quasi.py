@@ -6,7 +6,6 @@ at fewer points and uses bisection.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -15,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
-from slipfree.catalog.step_climber import step_climber
+from helpers.climb_cases import dimensions
 from slipfree.climb import friction_demand
 from slipfree.climb.contact_path import LEVEL_SLOPE, axle_arms, legs, sample, tangents
 from slipfree.climb.friction_demand import (
@@ -37,7 +36,7 @@ ORDER = ("front", "middle", "rear")
 @cache
 def ways(name, joint=0.0, count=201):
     """Return legs and their configurations."""
-    climber, profile = step_climber(joint), PROFILES[name]
+    climber, profile = dimensions(joint), PROFILES[name]
     found = legs(climber, profile)
     return [
         (leg, sample(climber, profile, leg, np.linspace(0, leg.length, count))) for leg in found
@@ -46,11 +45,11 @@ def ways(name, joint=0.0, count=201):
 
 @cache
 def friction(name, joint=0.0):
-    return least_friction(step_climber(joint), PROFILES[name], 25)
+    return least_friction(dimensions(joint), PROFILES[name], 25)
 
 
 def places(way, joint):
-    return way.q[:, None, :2] + axle_arms(step_climber(joint), way.q)
+    return way.q[:, None, :2] + axle_arms(dimensions(joint), way.q)
 
 
 @pytest.mark.slow
@@ -96,7 +95,7 @@ def test_speeds_meet_the_law_of_the_links(joint):
 @pytest.mark.parametrize("joint", [0.0, 0.06])
 @pytest.mark.parametrize("name", ["ramp", "90 mm"])
 def test_derivatives_along_the_way(name, joint):
-    climber, profile, small = step_climber(joint), PROFILES[name], 1e-5
+    climber, profile, small = dimensions(joint), PROFILES[name], 1e-5
     for leg in legs(climber, profile):
         s = np.linspace(0.1, 0.9, 23) * leg.top
         before, here, after = (sample(climber, profile, leg, s + k * small) for k in (-1, 0, 1))
@@ -109,7 +108,7 @@ def test_derivatives_along_the_way(name, joint):
 
 
 def test_the_front_wheel_climbs_the_wall_and_the_edge():
-    climber, profile = step_climber(), PROFILES["90 mm"]
+    climber, profile = dimensions(), PROFILES["90 mm"]
     leg = legs(climber, profile)[0]
     s = np.linspace(0, leg.top, 2001)
     speed = sample(climber, profile, leg, s).speeds[:, 2]
@@ -120,7 +119,7 @@ def test_the_front_wheel_climbs_the_wall_and_the_edge():
 @pytest.mark.slow
 def test_order_of_the_legs():
     assert [leg.axle for leg, _ in ways("90 mm")] == list(ORDER)
-    over = legs(step_climber(), kerb(0.05, 0.3))
+    over = legs(dimensions(), kerb(0.05, 0.3))
     assert [(leg.axle, leg.solids) for leg in over] == [
         ("front", (0, 0, 1)),
         ("middle", (0, 1, 1)),
@@ -129,7 +128,7 @@ def test_order_of_the_legs():
         ("middle", (1, 0, 0)),
         ("rear", (0, 0, 0)),
     ]
-    up = legs(step_climber(), stairs(0.09, 0.3, 2))
+    up = legs(dimensions(), stairs(0.09, 0.3, 2))
     assert [leg.axle for leg in up] == ["front", "middle", "front", "rear", "middle", "rear"]
 
 
@@ -137,14 +136,14 @@ def test_order_of_the_legs():
 def test_wheels_that_meet_solids_together():
     """Stairs as deep as front and middle axle are apart there, or nearly so; a solid twice."""
     together = stairs(0.09, np.sqrt(LINKS[1] ** 2 - 0.09**2), 2)
-    assert [(leg.axle, leg.solids) for leg in legs(step_climber(), together)] == [
+    assert [(leg.axle, leg.solids) for leg in legs(dimensions(), together)] == [
         ("front", (0, 0, 1)),
         ("middle", (0, 1, 2)),
         ("rear", (1, 1, 2)),
         ("middle", (1, 2, 2)),
         ("rear", (2, 2, 2)),
     ]
-    soon = legs(step_climber(), stairs(0.09, 0.215, 3))
+    soon = legs(dimensions(), stairs(0.09, 0.215, 3))
     assert [leg.axle for leg in soon] == [
         "front",
         "front",
@@ -158,30 +157,30 @@ def test_wheels_that_meet_solids_together():
     ]
     assert min(leg.length for leg in soon) < 0.01
     once, twice = step(0.05), Profile((*step(0.05).solids, step(0.05).solids[1]))
-    lengths = [[leg.length for leg in legs(step_climber(), each)] for each in (once, twice)]
+    lengths = [[leg.length for leg in legs(dimensions(), each)] for each in (once, twice)]
     assert_allclose(*lengths, atol=1e-5)
 
 
 def test_what_cannot_be_climbed_is_refused():
     with pytest.raises(ModelError, match=r"front wheels climbing.*upright.*lower obstacle"):
-        legs(step_climber(), step(0.3))
+        legs(dimensions(), step(0.3))
     with pytest.raises(ModelError, match=r"middle wheels climbing.*upright"):
-        legs(step_climber(), step(0.26))
+        legs(dimensions(), step(0.26))
     overhang = Solid(((0.2, 0.0), (1.0, 0.0), (1.0, 0.3), (-0.1, 0.3)))
     with pytest.raises(ModelError, match=r"front wheels.*caught between two solids"):
-        legs(step_climber(), Profile((*flat().solids, overhang)))
+        legs(dimensions(), Profile((*flat().solids, overhang)))
     with pytest.raises(
         ModelError, match="expected an obstacle that begins before the end of the floor"
     ):
-        legs(step_climber(), flat())
+        legs(dimensions(), flat())
     slanted = Solid(((-5.0, -1.0), (5.0, -1.0), (5.0, 0.5), (-5.0, 0.0)))
     block = Solid(((0.0, -1.0), (1.0, -1.0), (1.0, 0.5), (0.0, 0.5)))
     with pytest.raises(ModelError, match="expected a level floor"):
-        legs(step_climber(), Profile((slanted, block)))
+        legs(dimensions(), Profile((slanted, block)))
 
 
 def test_loads_at_rest():
-    climber = step_climber()
+    climber = dimensions()
     leg, way = ways("90 mm")[-1]
     up = sample(climber, PROFILES["90 mm"], leg, way.s[-1:])
     hold = least_friction_forces(*equilibrium(climber, up))
@@ -195,7 +194,7 @@ def test_loads_at_rest():
 @pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.1, 0.4, 0.8])
 def test_a_long_ramp_needs_the_tangent_of_its_angle(angle):
-    climber, profile = step_climber(), ramp(angle, 1.2 * np.sin(angle))
+    climber, profile = dimensions(), ramp(angle, 1.2 * np.sin(angle))
     leg = legs(climber, profile)[2]
     assert leg.axle == "rear"
     hold = least_friction_forces(
@@ -213,7 +212,7 @@ def feasible(matrix, load, mu):
 
 @pytest.mark.parametrize("name", ["ramp", "90 mm"])
 def test_least_friction_is_what_bisection_finds(name):
-    climber = step_climber()
+    climber = dimensions()
     for leg, way in ways(name):
         few = sample(climber, PROFILES[name], leg, way.s[[0, 30, 60]])
         matrix, load = equilibrium(climber, few)
@@ -259,7 +258,7 @@ def test_friction_that_each_axle_needs(name, demands):
 
 @pytest.mark.slow
 def test_worst_configuration_is_found_between_the_samples():
-    fine, coarse = (least_friction(step_climber(), PROFILES["90 mm"], n) for n in (161, 15))
+    fine, coarse = (least_friction(dimensions(), PROFILES["90 mm"], n) for n in (161, 15))
     assert_allclose(coarse.mu, fine.mu, rtol=1e-3)
     assert fine.axle == "rear"
     assert fine.demands[2].leg.top / 20 < fine.s < fine.demands[2].leg.top / 2
@@ -277,7 +276,7 @@ def test_no_friction_is_enough_where_the_front_body_stands_up():
 @pytest.mark.slow
 def test_highest_step_for_a_friction(monkeypatch):
     """About 29 mm with the friction of the paper's table; 90 mm is out of its reach."""
-    climber = step_climber()
+    climber = dimensions()
     height = highest_obstacle(climber, 0.4, 0.08)
     assert abs(height - 0.029) < 1e-3
     assert_allclose(least_friction(climber, step(height)).mu, 0.4, atol=1e-3)
@@ -288,13 +287,12 @@ def test_highest_step_for_a_friction(monkeypatch):
 
 def test_heavier_vehicles_need_the_same_friction():
     """Friction is a ratio of forces: it does not depend on the scale of the masses."""
-    light = step_climber()
-    heavy = replace(
-        light,
+    light = dimensions()
+    heavy = light._replace(
         **{
             name: getattr(light, name)._replace(mass=7 * getattr(light, name).mass)
             for name in ("rear_body", "front_body")
-        },
+        }
     )
     leg, way = ways("90 mm")[1]
     holds = [
@@ -308,8 +306,8 @@ def test_heavier_vehicles_need_the_same_friction():
 @pytest.mark.slow
 def test_wheels_that_nearly_jam_are_not_given_up():
     """Newton's iteration alone takes hundreds of rounds here; the LP's answer is bisected."""
-    plain = step_climber(joint=0.097)
-    climber = replace(plain, radius=0.068, rear_body=plain.rear_body._replace(ahead=-0.199))
+    plain = dimensions(joint=0.097)
+    climber = plain._replace(radius=0.068, rear_body=plain.rear_body._replace(ahead=-0.199))
     found = least_friction(climber, step(0.098), 15)
     worst = max(found.demands, key=lambda each: each.mu)
     k = int(worst.hold.mu.argmax())

@@ -5,14 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.climb_drawn import drawn, drive, finite
-from slipfree.catalog.step_climber import step_climber
-from slipfree.climb.dynamics import prisms
+from slipfree.catalog import step_climber
 from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.outcome import Outcome
 from slipfree.records import Label
-from slipfree.terrain.solids import step
+from slipfree.terrain.solids import placed, step
 from slipfree.trajectory import Column, Stop, Trajectory
-from slipfree.vehicle.climber import AXLES, side_view
+from slipfree.vehicle.climber import AXLES
 
 N, RADIUS = 401, 0.066  # a sample every 10 ms
 T = np.arange(N) * 0.01
@@ -30,15 +29,14 @@ def motion(y, z=None, stop=None, touching=True, x=0 * T):
         "center_y": np.tile(y[:, None] - 1.0, (1, 3)),
         "center_z": np.tile(z[:, None], (1, 3)),
         "wheel_rate": np.full((N, 3), 0.1 / RADIUS),
-        "solid_load_1": np.full((N, 3), 70.0),
-        "solid_load_2": np.where(touching & (T > 0.5), 70.0, 0.0)[:, None] * np.ones(3),
+        "solid_load_1": np.where(touching & (T > 0.5), 70.0, 0.0)[:, None] * np.ones(3),
     }
     return Trajectory(T, {k: Column(Label(k, "m", k), v) for k, v in columns.items()}, AXLES, stop)
 
 
 def ending(*args, **options):
     run = motion(*args, **options)
-    return obstacle_ending(run, side_view(step_climber()), prisms(step(0.09)))
+    return obstacle_ending(run, step_climber(), placed(step(0.09)))
 
 
 def test_what_comes_up_climbs():
@@ -49,10 +47,10 @@ def test_what_comes_up_climbs():
 
 def test_wheels_on_the_floor_are_not_on_a_low_step():
     """Neither on one that is lower than 0.2 radii."""
-    low = prisms(step(0.1 * RADIUS))
-    assert obstacle_ending(motion(0.1 * T), side_view(step_climber()), low).name == "unfinished"
+    low = placed(step(0.1 * RADIUS))
+    assert obstacle_ending(motion(0.1 * T), step_climber(), low).name == "unfinished"
     up = motion(0.1 * T, np.where(T < 2.5, RADIUS, 1.1 * RADIUS))
-    found = obstacle_ending(up, side_view(step_climber()), low)
+    found = obstacle_ending(up, step_climber(), low)
     assert (found.name, found.t) == ("climbs", pytest.approx(2.5))
 
 
@@ -111,5 +109,5 @@ def test_climbs_at_random(seed):
     case = drawn(seed)
     run = drive(case)
     assert finite(run)
-    found = obstacle_ending(run, side_view(case.climber), prisms(case.profile))
+    found = obstacle_ending(run, case.vehicle, placed(case.profile))
     assert found.name == SEEDS[seed], found.words

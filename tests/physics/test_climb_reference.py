@@ -1,30 +1,25 @@
 """Tests of the axles' reference speeds: no slip in any phase, and the laws as printed."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree.catalog.step_climber import step_climber
+from helpers.climb_cases import dimensions
 from slipfree.control.reference_speeds import (
-    Base,
     PerAxle,
     Tilts,
     estimated_directions,
-    motors,
-    odometry,
-    printed_inverse,
-    printed_jacobian,
     ratios,
     reference,
 )
-from slipfree.control.step_climbing import Control, largest_period, torques
+from slipfree.control.step_climbing import StepClimbing, largest_period, torques
 from slipfree.errors import ModelError
 
 ALPHA, TH_A, TH_B = np.radians([45, 12, 7])
 TILTS = Tilts(TH_B, TH_A + TH_B)
-BASE = Base(radius=0.066, gear=0.05, along=0.2, aside=0.18)
-UNIT = Base(radius=1.0, gear=1.0, along=0.2, aside=0.18)
 
 
 def numbers(record):
@@ -45,7 +40,7 @@ def closure(climber, tilts, directions):
 
 def test_the_law_is_the_one_motion_without_slip():
     rng, worst = np.random.default_rng(0), 0.0
-    vehicles = [step_climber(joint) for joint in (0.0, 0.06, 0.126)]
+    vehicles = [dimensions(joint) for joint in (0.0, 0.06, 0.126)]
     for _ in range(2000):
         climber = vehicles[rng.integers(3)]
         tilts = Tilts(*rng.uniform(-0.6, 0.6, 2))
@@ -68,7 +63,7 @@ def test_the_law_is_the_one_motion_without_slip():
 )
 def test_phases_of_a_climb(directions, expected):
     """Figures of the lab for alpha = 45, th_a = 12, th_b = 7 degrees; (6) and (8) are one each."""
-    speeds = numbers(ratios(step_climber(), TILTS, PerAxle(*(ALPHA * d for d in directions))))
+    speeds = numbers(ratios(dimensions(), TILTS, PerAxle(*(ALPHA * d for d in directions))))
     speeds = speeds[[0, 2]] / speeds[1]
     six = np.cos(ALPHA - TH_B) / np.cos(TH_B)
     eight = np.cos(TH_A + TH_B) / np.cos(ALPHA - TH_A - TH_B)
@@ -84,7 +79,7 @@ def test_phases_of_a_climb(directions, expected):
 
 
 def test_at_a_wall_the_front_axle_goes_alone():
-    climber, level = step_climber(), Tilts(0.0, 0.0)
+    climber, level = dimensions(), Tilts(0.0, 0.0)
     wall = PerAxle(0.0, 0.0, np.pi / 2)
     speeds = numbers(reference(climber, level, wall, cap=1.5))
     assert_allclose(speeds, [0, 0, 1.5], atol=1e-12)
@@ -98,9 +93,9 @@ def test_at_a_wall_the_front_axle_goes_alone():
 
 def test_unknown_laws_are_refused():
     with pytest.raises(ModelError, match="expected one of projective, fixed"):
-        reference(step_climber(), TILTS, PerAxle(0, 0, 0), law="best")
+        reference(dimensions(), TILTS, PerAxle(0, 0, 0), law="best")
     with pytest.raises(ModelError, match=r"at least 1 for 'cap', found 0\.5"):
-        reference(step_climber(), TILTS, PerAxle(0, 0, 0), cap=0.5)
+        reference(dimensions(), TILTS, PerAxle(0, 0, 0), cap=0.5)
 
 
 # As printed
@@ -108,46 +103,21 @@ def test_unknown_laws_are_refused():
 
 def printed(law, cap=10.0):
     directions = PerAxle(0.0, 0.0, ALPHA)
-    return numbers(reference(step_climber(), TILTS, directions, law=law, cap=cap))
+    return numbers(reference(dimensions(), TILTS, directions, law=law, cap=cap))
 
 
 def test_printed_references():
     """(16) slows the wheel that climbs where (6) and (8) say the contrary."""
     assert_allclose(printed("printed_6_8"), [0.7939, 1, 1.0520], atol=1e-4)
     assert_allclose(printed("printed_16"), [1 / 0.79392, 1, 0.95058], atol=1e-4)
-    inverse = np.linalg.pinv(np.array(printed_jacobian(UNIT, TILTS, ALPHA)))
+    rear = np.cos(ALPHA - TH_B) / np.cos(TH_B) / 5
+    front = np.cos(TH_A + TH_B) / np.cos(ALPHA - TH_A - TH_B) / 5
+    forward = np.array([rear, 0, -rear, 1 / 5, front, 0, -front])  # row of (14) with k = r = 1
+    inverse = np.linalg.pinv(forward[None])
     assert_allclose(printed("printed_14"), inverse[[0, 3, 4], 0], rtol=1e-12)
     wall = PerAxle(0.0, 0.0, np.pi / 2)
     for law in ("printed_6_8", "printed_14", "printed_16"):
-        assert np.isfinite(numbers(reference(step_climber(), Tilts(0.0, 0.0), wall, law=law))).all()
-
-
-def test_printed_matrices():
-    """(14) and (16) are inverses, but (10), whose entries (14) inverts, and (16) are not."""
-    jacobian = np.array(printed_jacobian(UNIT, TILTS, ALPHA))
-    inverse = np.array(printed_inverse(UNIT, TILTS, ALPHA))
-    assert_allclose(jacobian @ inverse, np.eye(3), atol=1e-15)
-    ten = jacobian[0].copy()
-    ten[[0, 2, 4, 6]] = 1 / (25 * ten[[0, 2, 4, 6]])
-    assert_allclose((ten @ inverse)[0], 1.196, atol=5e-4)
-    # (J'J)^-1 of (16) does not exist, and (12) without wheel 5 gives 5/6 of a turn.
-    assert np.linalg.matrix_rank(jacobian.T @ jacobian) == 3
-    without = jacobian[2].copy()
-    without[4] = 0
-    assert_allclose(without @ inverse[:, 2], 5 / 6)
-
-
-def test_odometry_inverts_the_references():
-    rng = np.random.default_rng(1)
-    for _ in range(100):
-        directions = PerAxle(*rng.uniform(0, np.pi / 2, 3))
-        tilts = Tilts(*rng.uniform(-0.5, 0.5, 2))
-        speeds = PerAxle(*numbers(reference(step_climber(), tilts, directions)))
-        there, back = (np.array(make(BASE, speeds)) for make in (motors, odometry))
-        assert_allclose(back @ there, np.eye(3), atol=1e-14)
-        assert_allclose(back, np.linalg.pinv(there), atol=1e-12)
-    wheels = np.array(motors(BASE, PerAxle(1, 1, 1))) @ [0.25, 0, 0] * BASE.gear
-    assert_allclose(wheels * BASE.radius, 0.25 * np.array([1, 0, -1, 1, 1, 0, -1]))
+        assert np.isfinite(numbers(reference(dimensions(), Tilts(0.0, 0.0), wall, law=law))).all()
 
 
 # Directions that the sensors see
@@ -156,7 +126,7 @@ def test_odometry_inverts_the_references():
 @pytest.mark.parametrize("directions", [(0, 0, 0), (0, 0, 0.8), (0, 0.6, 0), (0.7, 0, 0)])
 def test_sensors_see_the_direction_of_the_axle_that_climbs(directions):
     for joint in (0.0, 0.06):
-        climber = step_climber(joint)
+        climber = dimensions(joint)
         tilts = Tilts(0.1, 0.25)
         motion = closure(climber, tilts, directions)
         motion *= 0.25 / motion[1]
@@ -166,7 +136,7 @@ def test_sensors_see_the_direction_of_the_axle_that_climbs(directions):
 
 
 def test_sensors_see_no_more_than_they_can():
-    climber = step_climber()
+    climber = dimensions()
     fast = estimated_directions(climber, Tilts(0, 0), Tilts(0, 5.0), PerAxle(1, 1, 1))
     assert_allclose(numbers(fast), [0, 0, np.arcsin(0.985)])
     at_rest = estimated_directions(climber, Tilts(0, 0), Tilts(0, 0), PerAxle(0, 0, 0))
@@ -177,26 +147,27 @@ def test_sensors_see_no_more_than_they_can():
 
 
 def test_torques_are_scaled_together():
-    control = Control(proportional=2.0, integral=10.0, derivative=0.5)
+    control = StepClimbing(proportional=2.0, integral=10.0, derivative=0.5)
     errors, sums, rises = PerAxle(1.0, 0.5, -3.0), PerAxle(0.1, 0.0, -0.2), PerAxle(2.0, 0.0, 4.0)
     expected = np.array([2 + 1 + 1, 1, -6 - 2 + 2])
-    free = torques(control, np.inf, errors, sums, rises)
+    free = torques(control, errors, sums, rises)
     assert_allclose(numbers(free.out), expected)
     assert float(free.scale) == 1
     # The largest is negative: (18) as printed would let it pass.
-    held = torques(control, 3.0, errors, sums, rises)
+    held = torques(replace(control, torque=3.0), errors, sums, rises)
     assert_allclose(float(ca.DM(held.scale)), 0.5)
     assert_allclose(numbers(held.out), expected / 2)
     assert_allclose(numbers(held.wanted), expected)
-    assert float(ca.DM(torques(control, 7.0, errors, sums, rises).scale)) == 1
+    assert float(ca.DM(torques(replace(control, torque=7.0), errors, sums, rises).scale)) == 1
 
 
 def test_largest_period_of_a_sampled_controller():
-    assert_allclose(largest_period(Control(), step_climber()), 2.5e-3)
-    assert_allclose(largest_period(Control(proportional=32.0), step_climber()), 2.5e-3 / 8)
-    assert_allclose(largest_period(Control(integral=4000.0), step_climber()), 2e-3)
-    with_derivative = Control(derivative=0.02, lag=0.005)
-    assert_allclose(largest_period(with_derivative, step_climber()), 1.25e-3)
+    assert_allclose(largest_period(StepClimbing(), dimensions()), 2.5e-3)
+    assert_allclose(largest_period(StepClimbing(motors=(1, 1, 1)), dimensions()), 2.5e-3)
+    assert_allclose(largest_period(StepClimbing(proportional=32.0), dimensions()), 2.5e-3 / 8)
+    assert_allclose(largest_period(StepClimbing(integral=4000.0), dimensions()), 2e-3)
+    with_derivative = StepClimbing(derivative=0.02, lag=0.005)
+    assert_allclose(largest_period(with_derivative, dimensions()), 1.25e-3)
 
 
 @pytest.mark.parametrize(
@@ -208,8 +179,9 @@ def test_largest_period_of_a_sampled_controller():
         ({"unwinding": -1.0}, "'unwinding': expected a number >= 0, found -1"),
         ({"cap": 0.9}, "'cap': expected a number >= 1, found 0.9"),
         ({"share": np.inf}, "'share': expected a number < inf"),
+        ({"motors": (2, 0, 2)}, "expected one motor or more per axle as 'motors', found"),
     ],
 )
 def test_unusable_controls_are_refused(values, words):
     with pytest.raises(ModelError, match=words):
-        Control(**values)
+        StepClimbing(**values)

@@ -386,7 +386,6 @@ def test_another_process_that_tidies_up_does_no_harm(folder, monkeypatch):
     [
         ("direct", ["time.duration=0.5"]),
         ("inverse", ["time.duration=0.4"]),
-        ("climb", ["time.duration=0.01"]),
     ],
 )
 def test_problems_ask_for_it_and_a_warning_says_if_it_is_not_done(

@@ -80,7 +80,7 @@ def test_no_file_beside_a_raster_changes_it(seed: int, tmp_path: Path) -> None:
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize("kind", ["direct", "inverse", "plan", "climb"])
+@pytest.mark.parametrize("kind", ["direct", "inverse", "plan"])
 @CAREFUL
 @given(value=VALUES, place=st.integers(0, 99), data=st.data())
 def test_any_value_anywhere_is_read_or_refused(

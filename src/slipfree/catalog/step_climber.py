@@ -165,7 +165,7 @@ def step_climber(*, joint: float = 0.0, stiffness: float = 1.5e5) -> Vehicle:
     depth = (FRONT_MASS + REAR_MASS) * GRAVITY / 3 / stiffness
     axles = (
         ("rear", "platform", wheels["rear_left"].at[1] - joint, 0.010),
-        ("middle", "platform", -joint, 0.005),
+        ("middle", "platform", 0.0 - joint, 0.005),
         ("front", "front_body", wheels["front_left"].at[1], 0.010),
     )
     discs = tuple(

@@ -16,11 +16,9 @@ import typer
 from slipfree.cli.common import InputFolder, about, reported
 from slipfree.cli.messages import add_json_file, print_line, warn
 from slipfree.cli.outputs import check_outputs, check_page
-from slipfree.errors import DataError
 from slipfree.regular_files import escape_name
 
 if TYPE_CHECKING:
-    from slipfree.problem.verbs.base import Viewer
     from slipfree.show.scene import Scene
 
 Layer = Literal["height", "slope", "traversability"]
@@ -54,9 +52,11 @@ def show(
     """
     with reported():
         _check_outputs(files, html, animation)
-        viewer, found = _read(files, folder)
+        from slipfree.show.drive_scene import drive_scene
+
+        found = _read(files, folder)
         with about(files[0]):
-            scene = viewer.scene(found)
+            scene = drive_scene(found)
         for words in scene.warnings:
             warn(words)
         if animation is not None:
@@ -93,19 +93,12 @@ def _write(part: Path, text: str) -> None:
     )  # file names may have invalid characters
 
 
-def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]]:
-    """Return the viewer for the kind of the results, and the motions in the result files.
-
-    Raises
-    ------
-    DataError
-        If the results are of different kinds, such as motions and fits.
-    """
+def _read(files: Sequence[Path], folder: Path | None) -> list[Any]:
+    """Return the motions in the result files."""
     from slipfree.problem.result import open_result
     from slipfree.problem.verbs.registry import verb_of
     from slipfree.show.thinning import SCENE_SAMPLES
 
-    viewers: dict[str, Viewer] = {}
     results, found = [], []
     for file in files:
         with about(file):
@@ -114,15 +107,8 @@ def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]
     names = _named_by_model(_names(files), models)
     for file, name, result in zip(files, names, results, strict=True):
         with about(file):
-            verb = verb_of(result.problem)
-            found.append(verb.shown(result, name))
-            viewers.setdefault(verb.viewer().noun, verb.viewer())
-    if len(viewers) > 1:
-        raise DataError(
-            f"show: expected results of one kind, found {' and '.join(viewers)}; run slipfree show "
-            "once for each kind"
-        )
-    return next(iter(viewers.values())), found
+            found.append(verb_of(result.problem).shown(result, name))
+    return found
 
 
 def _names(files: Sequence[Path]) -> list[str]:

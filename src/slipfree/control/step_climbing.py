@@ -376,8 +376,8 @@ def climbing(
     Returns
     -------
     Dae
-        The model; its input is the ``reference_speed`` of the vehicle [m/s]. A motion ends where the front
-        body overturns.
+        The model; its input is the ``reference_speed`` of the vehicle [m/s]. A motion ends where
+        the front body overturns.
 
     Raises
     ------

@@ -65,7 +65,8 @@ def read_document(path: Path, trusted: frozenset[str] = frozenset()) -> Document
     Raises
     ------
     DataError
-        If the file cannot be read, is not a valid problem, has another verb than ``"plan"``, or solids.
+        If the file cannot be read, is not a valid problem, has another verb than ``"plan"``, or has
+        solids.
     """
     raw = read_raw(path)
     problem: Problem[Any] = load_again(path, decode_text(path, raw), (), trusted)

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from slipfree.models.montana import Difference
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.show.plots import Plot
-    from slipfree.show.scene import Scene
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
 FAILED_DIAGNOSTICS = "failed_diagnostics"  # attribute with names and errors of diagnostics
@@ -239,21 +238,6 @@ class Result(Generic[P, D]):
         return self.load()
 
 
-class Viewer(NamedTuple):
-    """Three-dimensional view of motions of one kind.
-
-    Attributes
-    ----------
-    noun : str
-        Name of the kind of motions, in the plural.
-    scene : callable
-        Function that takes a sequence of motions and returns their scene.
-    """
-
-    noun: str
-    scene: Callable[[Sequence[Any]], Scene]
-
-
 class Verb(ABC):
     """Interface of a verb: schema and commands.
 
@@ -348,10 +332,6 @@ class MotionVerb(Verb):
     @abstractmethod
     def figures(self, result: Result) -> tuple[Plot, ...]:
         """Return the figures of a result, the most important first."""
-
-    @abstractmethod
-    def viewer(self) -> Viewer:
-        """Return the viewer of the motions of the verb."""
 
     @abstractmethod
     def shown(self, result: Result, name: str) -> Any:

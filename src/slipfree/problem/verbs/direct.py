@@ -30,7 +30,7 @@ from slipfree.problem.build_world import build_world
 from slipfree.problem.joint_inputs import read_joint_inputs
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import FILE, VERB, Modelled, Task
-from slipfree.problem.schema_climbing import ClimbingDriver
+from slipfree.problem.schema_climbing import STEP_CLIMBING, ClimbingDriver
 from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch, integrate
 from slipfree.problem.verbs.drive_facts import FORMULATION
 from slipfree.problem.verbs.driving import DriveVerb, model_attributes
@@ -119,6 +119,9 @@ class DirectVerb(DriveVerb):
         dae: Dae = model
         given, source = _given(problem, vehicle)
         check_names(problem, dae, given)
+        is_climbing = spec.driver is not None and spec.driver.name == STEP_CLIMBING
+        if is_climbing:
+            dae, climbing_inputs = build_climbing(problem, world)
         start = build_start(problem, dae)
         (t, rates), every = samples(spec.time, given or {}), 0
         if spec.formulation == "montana":
@@ -135,11 +138,11 @@ class DirectVerb(DriveVerb):
                 inputs = dae.inputs(**rates)
         else:
             driven = f"driver {spec.driver.name}"
-            if spec.driver.name == "step-climbing":
-                dae, inputs = build_climbing(problem, world)
-                start = build_start(problem, dae)
-            else:
-                inputs = build_law(problem, spec.driver, dae, vehicle, start)
+            inputs = (
+                climbing_inputs
+                if is_climbing
+                else build_law(problem, spec.driver, dae, vehicle, start)
+            )
             if spec.driver.period is not None:
                 driven += f", every {spec.driver.period:g} s"
                 t, every = sampled_times(problem, ("driver", "period"), spec.driver.period)

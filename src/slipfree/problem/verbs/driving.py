@@ -40,7 +40,6 @@ from slipfree.problem.verbs.base import (
     Quantity,
     Result,
     Solution,
-    Viewer,
     Watch,
     largest_tilt,
     with_diagnostics,
@@ -194,12 +193,6 @@ class DriveVerb(MotionVerb):
         terrain = build_terrain(result.problem, ground)
         prisms = build_solids(result.problem, terrain)
         return motion_plots(result.trajectory, ground.grid, prisms=prisms)
-
-    def viewer(self) -> Viewer:
-        """Return the viewer of motions over terrain."""
-        from slipfree.show.drive_scene import drive_scene
-
-        return Viewer("motions over terrain", drive_scene)
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, as input of the viewer.
