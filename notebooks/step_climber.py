@@ -37,37 +37,50 @@ from pathlib import Path
 import numpy as np
 
 import slipfree
-from slipfree import SolverOptions
-from slipfree.catalog.step_climber import step_climber
+from slipfree import SolverOptions, catalog, load_problem, run_problem, simulate
 from slipfree.climb.friction_demand import highest_obstacle, least_friction
-from slipfree.climb.metrics import climb_window
-from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build, run_problem
-from slipfree.show import climb_figures as show
+from slipfree.climb.metrics import (
+    climb_metrics,
+    climb_window,
+    disturbance_ratio,
+    most_loaded,
+    slip_ratio,
+)
+from slipfree.problem.solve import build
 from slipfree.show import style
-from slipfree.show.plots import draw
-from slipfree.solve.simulate import simulate
+from slipfree.show.side_view import side_view
+from slipfree.terrain.solids import section_of
+from slipfree.terrain.solids import step as step_profile
+from slipfree.vehicle.climber import AXLES, climber_of
 
 above = [Path.cwd(), *Path.cwd().parents, *Path(slipfree.__file__).parents]
 problems = next(path / "problems" for path in above if (path / "problems").is_dir())
-ORDER = ("front", "middle", "rear")
 LAWS = {
-    "fixed": ["control.law=fixed"],
+    "fixed": ["driver.control.law=fixed"],
     "proposed, sensors": [],
-    "proposed, contact": ["control.directions=contact"],
-    "proposed, .95 contact": ["control.directions=contact", "control.share=0.95"],
+    "proposed, contact": ["driver.control.directions=contact"],
+    "proposed, .95 contact": ["driver.control.directions=contact", "driver.control.share=0.95"],
 }
 
 
 def climb(name, *settings):
-    """Return the outcome of a problem with other settings."""
+    """Return the result of a problem with other settings."""
     return run_problem(load_problem(problems / f"climb_{name}.toml", settings))
+
+
+def parts(found):
+    """Return motion, vehicle and ground of a result."""
+    return found.trajectory, found.setup.vehicle, section_of(found.setup.prisms)
+
+
+def ending(found):
+    """Return the ending of a result."""
+    return found.trajectory.attributes["obstacles"]
 
 
 def averages(found, measure):
     """Return averages of the axles in percent, front first, and their mean."""
-    counts = found.trajectory.statistics
-    values = [100 * counts[f"climb_{measure}_{axle}"] for axle in ORDER]
+    values = 100 * getattr(climb_metrics(*parts(found)), measure)[::-1]
     return [*values, float(np.mean(values))]
 
 
@@ -112,7 +125,7 @@ table(ramp, PAPER_II)
 # fight each other through the ground, one motor reaches its limit, and (19) then slows all of them.
 
 # %%
-weak = {law: climb("ramp", "vehicle.torque=2", *settings) for law, settings in LAWS.items()}
+weak = {law: climb("ramp", "driver.control.torque=2", *settings) for law, settings in LAWS.items()}
 table(weak, PAPER_II)
 
 # %% [markdown]
@@ -124,7 +137,7 @@ table(weak, PAPER_II)
 # under fixed references; its axles have 2.4.)
 
 # %%
-print(climb("step", "friction.static=0.4", "friction.kinetic=0.3").trajectory.attributes["climb"])
+print(ending(climb("step", "terrain.friction=0.4")))
 PAPER_III = {
     "slip": {"fixed": [17.7, 16.4, 15.6, 16.6], "proposed": [8.3, 9.6, 9.3, 9.1]},
     "disturbance": {"fixed": [2.7, 1.9, 2.5, 2.4], "proposed": [0.8, 1.3, 1.1, 1.1]},
@@ -139,9 +152,10 @@ table(step, PAPER_III)
 # its controller.
 
 # %%
-grip = ["friction.static=2", "friction.kinetic=2", "vehicle.torque=", "control.proportional=32"]
+grip = ["terrain.friction=2", "law.compliant.sliding=1", "driver.control.torque="]
+grip += ["driver.control.directions=contact", "driver.control.proportional=32"]
 for name in ("ramp", "step"):
-    rolls = climb(name, "control.directions=contact", *grip)
+    rolls = climb(name, *grip)
     slip, true = (averages(rolls, measure)[-1] for measure in ("slip", "true_slip"))
     print(f"{name}: slip (20) {slip:.1f} %, true slip {true:.1f} %")
 
@@ -150,9 +164,11 @@ for name in ("ramp", "step"):
 # laws; that with known directions does not get up:
 
 # %%
-weak_step = {law: climb("step", "vehicle.torque=4.5", *settings) for law, settings in LAWS.items()}
+weak_step = {
+    law: climb("step", "driver.control.torque=4.5", *settings) for law, settings in LAWS.items()
+}
 for law, each in weak_step.items():
-    print(f"{law:22} {each.trajectory.attributes['climb']}")
+    print(f"{law:22} {ending(each)}")
 table(weak_step, PAPER_III)
 
 # %% [markdown]
@@ -176,22 +192,22 @@ table({law: weak_step[law] for law in ("fixed", "proposed, sensors")}, PAPER_IV)
 # %%
 for law in ("printed_6_8", "printed_14", "printed_16"):
     for name, fixed in (("ramp", ramp["fixed"]), ("step", step["fixed"])):
-        found = climb(name, f"control.law={law}", "control.directions=contact")
+        found = climb(name, f"driver.control.law={law}", "driver.control.directions=contact")
         ratio = averages(found, "slip")[-1] / averages(fixed, "slip")[-1]
-        words = found.trajectory.attributes["climb"].partition(":")[0]
+        words = ending(found).partition(":")[0]
         slips = f", slip {ratio:.1f} times that of fixed references" if words == "climbs" else ""
         print(f"{law:12} {name}: {words}{slips}")
 
 # %% [markdown]
 # ## Passing over the step (Figure 12)
 #
-# Dots every 0.3 s as in the paper.
+# Every 0.3 s as in the paper.
 
 # %%
 figure = style.figure(7.2, 4.6)
 for ax, law in zip(figure.subplots(2, 1, sharex=True), ("fixed", "proposed, sensors"), strict=True):
-    setup = step[law].setup
-    show.strobe(step[law].trajectory, setup.climber, setup.profile, ax)
+    motion, _, section = parts(step[law])
+    side_view(motion, section, ax, count=1 + round(float(motion.t[-1]) / 0.3))
     ax.set_title(law)
 figure
 
@@ -202,9 +218,16 @@ figure
 # are what the rims do.
 
 # %%
-proposed = step["proposed, sensors"]
-plots = show.climb_plots(proposed.trajectory, proposed.setup.climber, proposed.setup.profile)
-draw(plots)["references"]
+motion, vehicle, _ = parts(step["proposed, sensors"])
+radius = vehicle.wheels[0].radius
+figure = style.figure(7.2, 3.0)
+ax = figure.add_subplot(xlabel="time [s]", ylabel="rim speed [m/s]", ylim=(-0.1, 0.6))
+for k, axle in enumerate(AXLES):
+    color = style.PALETTE[k]
+    ax.plot(motion.t, radius * motion["reference", axle], color=color, label=axle)
+    ax.plot(motion.t, radius * motion["spin", axle], color=color, lw=0.5)
+figure.legend(loc="outside lower center", ncols=3)
+figure
 
 # %% [markdown]
 # ## Slip and disturbance over time (Figure 14)
@@ -216,15 +239,16 @@ draw(plots)["references"]
 figure = style.figure(7.2, 6.0)
 panels = figure.subplots(3, 2, sharex=True, sharey="row")
 for column, law in zip(panels.T, ("fixed", "proposed, sensors"), strict=True):
-    motion, setup = step[law].trajectory, step[law].setup
-    show.slip(motion, setup.climber, column[0])
-    show.true_slip(motion, setup.climber, setup.profile, column[1])
-    show.disturbance(motion, column[2])
+    motion, vehicle, section = parts(step[law])
+    true = -most_loaded(motion, section, "slip") / (radius * motion["spin"])
+    ratios = slip_ratio(motion, vehicle), true, disturbance_ratio(motion)
+    for ax, values, words in zip(column, ratios, ("(20)", "true", "(21)"), strict=True):
+        for k, axle in enumerate(AXLES):
+            shown = np.clip(100 * values[:, k], -100, 100)
+            ax.plot(motion.t, shown, color=style.PALETTE[k], lw=0.8, label=axle)
+        ax.set_ylabel(f"{words} [%]")
     column[0].set_title(law)
-for ax in panels[:, 1]:
-    ax.set_ylabel("")
-for ax in panels[:2].ravel():
-    ax.set_xlabel("")
+    column[2].set_xlabel("time [s]")
 figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 figure
 
@@ -241,13 +265,13 @@ def gets_up(mu, *settings):
     """Return whether the simulated vehicle climbs."""
     problem = load_problem(
         problems / "climb_step.toml",
-        [f"friction.static={mu}", f"friction.kinetic={mu}", "time.step=0.01", *settings],
+        [f"terrain.friction={mu}", "law.compliant.sliding=1", "time.step=0.01", *settings],
     )
     setup = build(problem)
     motion = simulate(
         setup.dae, setup.start, setup.inputs, setup.t, options=SolverOptions(tolerance=1e-6)
     )
-    return climb_window(motion, setup.climber, setup.profile).climbed
+    return climb_window(motion, setup.vehicle, section_of(setup.prisms)).climbed
 
 
 def bisected(most, *settings):
@@ -263,17 +287,16 @@ SPEEDS = {0.25: "time.duration=5", 0.05: "time.duration=20"}
 heads = [f"{law} {v} m/s" for v in SPEEDS for law in ("fixed", "proposed")]
 print(f"{'step [mm]':>10}{'slow, best':>12}" + "".join(f"{head:>18}" for head in heads))
 for height in (0.03, 0.06, 0.09, 0.128):
-    settings = [f"profile.step.height={height}"]
-    setup = build(load_problem(problems / "climb_step.toml", settings))
-    best = least_friction(setup.climber, setup.profile).mu
+    settings = [f"terrain.obstacles=[{{ step = {{ height = {height} }} }}]"]
+    best = least_friction(climber_of(catalog.step_climber()), step_profile(height)).mu
     cells = f"{1e3 * height:10.0f}{best:12.2f}"
     for speed, duration in SPEEDS.items():
         for law in LAWS["fixed"], LAWS["proposed, .95 contact"]:
-            cells += f"{bisected(best, *settings, *law, f'control.speed={speed}', duration):18.2f}"
+            speeds = f"driver.speed={speed}", f"start.speed={speed}", duration
+            cells += f"{bisected(best, *settings, *law, *speeds):18.2f}"
     print(cells)
-print(
-    f"slow, highest step at a coefficient of 0.4: {1e3 * highest_obstacle(step_climber(), 0.4, 0.05):.0f} mm"
-)
+height = highest_obstacle(climber_of(catalog.step_climber()), 0.4, 0.05)
+print(f"slow, highest step at a coefficient of 0.4: {1e3 * height:.0f} mm")
 
 # %% [markdown]
 # A slow motion tends to the program's figure; speed saves some friction. Fixed and proposed references
@@ -291,17 +314,23 @@ print(
 
 # %%
 planned = climb("plan_step")
-counts = planned.trajectory.statistics
-least = ", ".join(f"{counts[f'climb_plan_least_{k}']:.3f}" for k in (1, 2, 3))
-print("planned:", planned.trajectory.attributes["climb"])
+counts, plan = planned.trajectory.statistics, planned.setup.plan
+print("planned:", ending(planned))
 print(f"  true slip {averages(planned, 'true_slip')[-1]:.1f} %")
-print(
-    f"  {counts['climb_plan_duration']:.2f} s planned, {counts['climb_plan_driven']:.2f} s driven"
-)
+print(f"  {counts['plan_cost_time']:.2f} s planned, {counts['plan_driven']:.2f} s driven")
+least = ", ".join(f"{mu:.3f}" for mu in plan.least)
 print(f"  least friction on which front, middle and rear wheels climb: {least}")
 for law, settings in LAWS.items():
-    print(f"{law}:", climb("plan_step", "plan=", *settings).trajectory.attributes["climb"])
+    print(f"{law}:", ending(climb("step", "terrain.friction=0.75", "time.duration=5.5", *settings)))
 
 # %%
-setup = planned.setup
-draw(show.climb_plots(planned.trajectory, setup.climber, setup.profile, setup.plan))["plan"]
+figure = style.figure(7.2, 4.6)
+upper, lower = figure.subplots(2, 1, sharex=True)
+for k, axle in enumerate(AXLES):
+    color, run = style.PALETTE[k], plan.run
+    upper.plot(run.t, np.abs(run["friction", axle]) / run["load", axle], color=color, label=axle)
+    lower.plot(run.t, radius * run["wheel_rate", axle], color=color)
+upper.set(ylabel="|T| / N of the plan [1]", ylim=(0, 0.8))
+lower.set(xlabel="time of the plan [s]", ylabel="rim speed of the plan [m/s]")
+figure.legend(loc="outside lower center", ncols=3)
+figure
