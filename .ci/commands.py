@@ -88,7 +88,7 @@ OTHERS = [
     ["vehicle problems/vehicles/trike.toml"],
     *(
         [f"new {kind} {kind}", f"run {kind}.toml --no-draw"]
-        for kind in ("direct", "inverse", "plan", "climb")
+        for kind in ("direct", "inverse", "plan")
     ),
     [
         "run problems/paper_direct.toml --cross-check --csv table.csv --set time.duration=2"
@@ -97,8 +97,8 @@ OTHERS = [
     ["run problems/traction_ice.toml --set terrain.friction=0.9 --no-draw -o arrives.nc"],
     ["run problems/dynamics_skid_turn.toml --set model=quasi-static --no-draw -o slow_turn.nc"],
     [
-        "run problems/climb_step.toml --animation climb_step.gif --set time.duration=0.5 --no-draw"
-        " -o animated.nc"
+        "run problems/climb_step.toml --set time.duration=0.5 --no-draw -o animated.nc",
+        "show animated.nc --animation climb_step.gif",
     ],
     [
         "sweep problems/paper_direct.toml --vary inputs.left_rate=0.3,0.5"

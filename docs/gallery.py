@@ -14,6 +14,7 @@ from PIL import Image
 
 from slipfree import load_problem, run_problem
 from slipfree.problem.verbs.registry import verb_of
+from slipfree.show.drive_scene import drive_scene
 from slipfree.show.film import animate
 from slipfree.show.plots import draw
 
@@ -54,7 +55,7 @@ def write(picture: Picture, result) -> Path:
     """Draw a picture of a result and return its file."""
     verb = verb_of(result.problem)
     if picture.figure == FILM:
-        scene = verb.viewer().scene([verb.shown(result, "vehicle")])
+        scene = drive_scene([verb.shown(result, "vehicle")])
         title = result.trajectory.attributes["title"]
         with TemporaryDirectory() as folder:
             whole = Path(folder) / "whole.gif"

@@ -407,7 +407,7 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'frame = "rep103"',
             'frame = "rep103"\nweight = 3',
             "v.toml:3: weight: expected one of name, frame, mass, center_of_mass, inertia, couple, "
-            "coordinates, joints, wheels, found the unknown key",
+            "planar, coordinates, joints, wheels, found the unknown key",
         ),
     ],
 )

@@ -1,1 +1,1 @@
-"""Climbing of steps in the plane: articulated vehicles on three axles, with inertia and impacts."""
+"""Climbs over solids: contact path, friction, time scaling and averages of a step climber."""
