@@ -35,10 +35,11 @@
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import brentq
 
 import slipfree
 from slipfree import SolverOptions, catalog, load_problem, run_problem, simulate
-from slipfree.climb.friction_demand import highest_obstacle, least_friction
+from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import (
     climb_metrics,
     climb_window,
@@ -283,19 +284,22 @@ def bisected(most, *settings):
     return high
 
 
+climber = climber_of(catalog.step_climber())
 SPEEDS = {0.25: "time.duration=5", 0.05: "time.duration=20"}
 heads = [f"{law} {v} m/s" for v in SPEEDS for law in ("fixed", "proposed")]
 print(f"{'step [mm]':>10}{'slow, best':>12}" + "".join(f"{head:>18}" for head in heads))
 for height in (0.03, 0.06, 0.09, 0.128):
     settings = [f"terrain.obstacles=[{{ step = {{ height = {height} }} }}]"]
-    best = least_friction(climber_of(catalog.step_climber()), step_profile(height)).mu
+    best = least_friction(climber, step_profile(height)).mu
     cells = f"{1e3 * height:10.0f}{best:12.2f}"
     for speed, duration in SPEEDS.items():
         for law in LAWS["fixed"], LAWS["proposed, .95 contact"]:
             speeds = f"driver.speed={speed}", f"start.speed={speed}", duration
             cells += f"{bisected(best, *settings, *law, *speeds):18.2f}"
     print(cells)
-height = highest_obstacle(climber_of(catalog.step_climber()), 0.4, 0.05)
+height = brentq(
+    lambda h: least_friction(climber, step_profile(h), 15).mu - 0.4, 0.01, 0.05, xtol=1e-4
+)
 print(f"slow, highest step at a coefficient of 0.4: {1e3 * height:.0f} mm")
 
 # %% [markdown]

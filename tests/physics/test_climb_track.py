@@ -120,7 +120,7 @@ def test_what_leads_down_is_refused():
 def test_unusable_trackings_are_refused():
     track = tracked_plan(plans())
     for name in ("proportional", "spare", "lead"):
-        with pytest.raises(ModelError, match=f"tracking: .* number for '{name}', found 0"):
+        with pytest.raises(ModelError, match=f"Tracking: '{name}': expected a number > 0, found 0"):
             Tracking(track, **{name: 0.0})
 
 

@@ -32,10 +32,7 @@ MIN_STEPS_PER_RADIUS = 4  # smallest number of steps per wheel radius, so that n
 
 
 class Leg(NamedTuple):
-    """Smooth section of the path on which all wheels touch the profile.
-
-    A leg begins where a wheel meets a solid. It ends where a wheel meets the next solid, or at the
-    end of the climb.
+    """Smooth section of the path, from where a wheel meets a solid to the next one, or to the end.
 
     Attributes
     ----------
@@ -155,10 +152,7 @@ def rotate_nose_up(vectors: Array) -> Array:
 
 
 def _speed_jacobian(directions: Array, arms: Array) -> Array:
-    """Return the derivatives of the axles' speeds with respect to the rates of q, shape (n, 3, 4).
-
-    The speeds are components along unit vectors, shape (n, 3, 2).
-    """
+    """Return the derivatives of speeds along directions (n, 3, 2) by the rates of q, (n, 3, 4)."""
     rows = np.zeros((*directions.shape[:2], 4))
     rows[..., :2] = directions
     lever = (directions * rotate_nose_up(arms)).sum(axis=-1)
@@ -177,11 +171,7 @@ def _direction(normals: Array, arms: Array) -> Array:
 def _contacts(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array, Array]:
-    """Return gaps, unit normals and curvatures of the axles' paths for n configurations.
-
-    The gaps (n, 3) [m] and normals (n, 3, 2) are those of the axles' wheels and the solids on which
-    they stand; the shape of the curvatures is (n, 3) [1/m].
-    """
+    """Return gaps (n, 3) [m], normals (n, 3, 2) and path curvatures (n, 3) [1/m] of the axles."""
     places = q[:, None, :2] + axle_arms(climber, q)
     gaps, curvature = np.empty(places.shape[:2]), np.empty(places.shape[:2])
     normals = np.empty(places.shape)
@@ -221,10 +211,7 @@ def _start(climber: Climber, profile: Profile, first: float) -> Array:
 def _configuration_behind_kink(
     climber: Climber, profile: Profile, q: Array, solids: Solids, met: tuple[int, int]
 ) -> tuple[str, Solids, Array]:
-    """Return the climbing axle, the solids and the configuration behind a kink of the path.
-
-    Several wheels may meet a solid at the same time.
-    """
+    """Return climbing axle, solids and configuration behind a kink; several wheels may meet."""
     for _ in range(len(AXLES) * len(profile.solids)):
         axle, solid = met
         solids = tuple(solid if i == axle else each for i, each in enumerate(solids))
@@ -241,10 +228,7 @@ def _configuration_behind_kink(
 def _march(
     climber: Climber, profile: Profile, q: Array, solids: Solids, axle: str, end: float
 ) -> tuple[Callable[[Array], Array], float, float, tuple[int, int] | None]:
-    """Return a leg's curve, length and top, and the indices of axle and solid that meet at its end.
-
-    At the end of the climb there are no such indices: the last value is None.
-    """
+    """Return curve, length and top of a leg, and the axle and solid that meet at its end."""
     from scipy.integrate import solve_ivp  # imported here: the import takes 0.2 s
 
     climbing = AXLES.index(axle) if axle else None
@@ -296,11 +280,7 @@ def _march(
 def _gaps_and_normals(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array]:
-    """Return the gaps between axles and solids, (3, n_solids) [m], and the normals of the solids.
-
-    The shape of the normals is (3, n_solids, 2). The gap of a wheel to the solid on which it stands
-    is infinite.
-    """
+    """Return gaps (3, n_solids) [m], infinite to the solid below, and normals (3, n_solids, 2)."""
     x, z = (q[:2] + axle_arms(climber, q[None])[0]).T
     found = [solid.distance(x, z) for solid in profile.solids]
     gaps, normals = (np.stack(each, axis=1) for each in zip(*found, strict=True))

@@ -13,7 +13,7 @@ solved as one block-diagonal program.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,9 +21,8 @@ import numpy as np
 import scipy
 
 from slipfree.climb.contact_path import Leg, PathSamples, axle_arms, legs, sample, tangents
-from slipfree.errors import ModelError
 from slipfree.records import Array
-from slipfree.terrain.solids import Profile, step
+from slipfree.terrain.solids import Profile
 from slipfree.trajectory import SolverError
 from slipfree.vehicle.climber import Body, Climber
 from slipfree.vehicle.tree import GRAVITY
@@ -36,8 +35,6 @@ MAX_NEWTON_STEPS = 20  # usual numbers are 5 to 9
 BISECTIONS = 34  # bisections after Newton steps that do not converge
 REFINEMENTS = 5  # refinements of the sampling around the worst configuration, often at an edge
 REFINED_POINTS = 3  # new points between two samples
-HEIGHTS = 8  # equally spaced heights at which the first infeasible height is bracketed
-HEIGHT_TOLERANCE = 1e-4  # tolerance of the height of an obstacle [m]
 
 
 class HoldingForces(NamedTuple):
@@ -283,40 +280,3 @@ def _holds(
     hold = least_friction_forces(*(np.concatenate(part) for part in zip(*equations, strict=True)))
     ends = np.cumsum([0, *(s.size for s in places)]).tolist()
     return [HoldingForces(*(part[a:b] for part in hold)) for a, b in pairwise(ends)]
-
-
-def highest_obstacle(
-    climber: Climber, mu: float, tallest: float, make: Callable[[float], Profile] = step
-) -> float:
-    """Return the height below which all obstacles of a kind can be climbed quasi-statically [m].
-
-    It is the smallest height that requires more than the given friction. Higher obstacles may
-    require less, since the friction demand may decrease with height.
-
-    Parameters
-    ----------
-    climber : Climber
-        The vehicle.
-    mu : float
-        Coefficient of friction. [1]
-    tallest : float
-        Largest height that is tested; returned if all tested heights can be climbed. [m]
-    make : callable
-        Function from height to profile; steps by default.
-    """
-    from scipy.optimize import brentq  # imported here: the import takes 0.2 s
-
-    def excess(height: float) -> float:
-        try:
-            return min(least_friction(climber, make(height), 15).mu, MAX_FRICTION) - mu
-        except ModelError:
-            return MAX_FRICTION
-
-    low = HEIGHT_TOLERANCE
-    if excess(low) > 0:
-        return 0.0
-    for height in np.linspace(0, tallest, HEIGHTS + 1)[1:].tolist():
-        if excess(height) > 0:
-            return float(brentq(excess, low, height, xtol=HEIGHT_TOLERANCE))
-        low = height
-    return tallest

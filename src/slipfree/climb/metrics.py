@@ -1,4 +1,4 @@
-"""Metrics of a climb: slip and disturbance as in Chugo et al. (2009), true slip, load shares.
+"""Averages over a climb: slip and disturbance as in Chugo et al. (2009), true slip, load shares.
 
 They are averages of absolute values over a time window around the climb; that paper does not define
 its window. The samples of a motion must be equally spaced.
@@ -41,30 +41,22 @@ class Window(NamedTuple):
 
 
 class Metrics(NamedTuple):
-    """Averages over the time window of a climb.
-
-    Arrays have shape (3,), for rear, middle and front axle.
+    """Averages over the time window of a climb, for rear, middle and front axle, shape (3,).
 
     Attributes
     ----------
     window : Window
         Time window of the averages.
-    slip : ndarray
-        Mean absolute slip ratio, equation (20) of Chugo et al. (2009). Absolute values are clipped
-        to one, and samples with a wheel rate below 0.4 rad/s are ignored; NaN if none remain. The
-        ratio uses the speed of the middle axle for all wheels; it can therefore be nonzero for a
-        wheel that rolls without slip.
-    disturbance : ndarray
-        Mean absolute relative error of the wheel rate, equation (21) of the same paper, with the
-        same clipping and the same ignored samples.
+    slip, disturbance : ndarray
+        Mean absolute values of `slip_ratio` and `disturbance_ratio`, at most one each; NaN if the
+        wheels are near rest all the time. [1]
     true_slip : ndarray
-        Slip distance of the rim on the most loaded solid, divided by the distance the rim travels.
-    effort : ndarray
-        Share of the axle in the absolute motor torques of all wheels.
-    bearing : ndarray
-        Share of the axle in the normal forces.
+        Slip distance of the rim at the most loaded contact, divided by the distance the rim
+        travels. [1]
+    effort, bearing : ndarray
+        Share of the axle in the absolute torques, and in the normal forces. [1]
     limited : float
-        Fraction of the time in which the motors' limit scales the torques.
+        Fraction of the time in which the motors' limit scales the torques. [1]
     """
 
     window: Window
@@ -93,15 +85,15 @@ def climb_metrics(run: Trajectory, vehicle: Vehicle, section: Profile) -> Metric
     ModelError
         If the front wheel touches only the floor.
     """
-    window, radius = climb_window(run, vehicle, section), vehicle.wheels[0].radius
-    span = window.span
+    window = climb_window(run, vehicle, section)
+    span, rim = window.span, np.abs(vehicle.wheels[0].radius * run["spin"])
     slip, loads = most_loaded(run, section, "slip")[span], _at_solids(run, section, "load")[:, span]
     torques = np.abs(run["drive_torque"][span]).sum(axis=0)
     return Metrics(
         window,
         _mean_size(slip_ratio(run, vehicle)[span]),
         _mean_size(disturbance_ratio(run)[span]),
-        np.nansum(np.abs(slip), axis=0) / np.abs(radius * run["spin"][span]).sum(axis=0),
+        np.nansum(np.abs(slip), axis=0) / rim[span].sum(axis=0),
         torques / torques.sum(),
         loads.sum(axis=(0, 1)) / loads.sum(),
         float(np.mean(run["torque_scale"][span] < 1)),
@@ -109,19 +101,9 @@ def climb_metrics(run: Trajectory, vehicle: Vehicle, section: Profile) -> Metric
 
 
 def most_loaded(run: Trajectory, section: Profile, name: str) -> Array:
-    """Return a quantity of each axle's wheels at the solid with the largest load.
+    """Return a quantity of each axle at its most loaded contact, shape (n, 3) [N or m/s].
 
-    Parameters
-    ----------
-    run, section : Trajectory, Profile
-        The motion and its ground.
-    name : {"load", "friction", "slip"}
-        Normal force, tangential force, or slip velocity at a solid.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        The quantity; NaN for wheels with a normal force below 1 N. [N or m/s]
+    ``name`` is "load", "friction" or "slip"; wheels with a normal force below 1 N have NaN.
     """
     loads, values = (_at_solids(run, section, each) for each in ("load", name))
     found = np.take_along_axis(values, loads.argmax(axis=0)[None], axis=0)[0]
@@ -129,7 +111,7 @@ def most_loaded(run: Trajectory, section: Profile, name: str) -> Array:
 
 
 def _at_solids(run: Trajectory, section: Profile, name: str) -> Array:
-    """Return a quantity of each axle's wheels at each solid, shape (n_solids, n, 3)."""
+    """Return a quantity of each axle at ground and solids, shape (n_solids, n, 3)."""
     return np.stack([run[f"solid_{name}_{k}"] for k in range(len(section.solids))])
 
 
@@ -145,44 +127,32 @@ def climb_window(run: Trajectory, vehicle: Vehicle, section: Profile) -> Window:
     ModelError
         If the front wheel touches only the floor.
     """
-    touching = touches_obstacle(run, section)
+    obstacles = range(1, len(section.solids))  # the first solid is the floor
+    touching = np.any([run[f"solid_gap_{k}"][:, -1] < 0 for k in obstacles], axis=0)
     if not touching.any():
         raise ModelError(
             "climb: the front wheel touches only the floor until "
             f"t = {run.t[-1]:g} s; simulate longer or start nearer to the obstacle"
         )
-    up = has_reached_top(run, vehicle, section)
+    y, z = (run[f"center_{axis}"][:, 0] for axis in "yz")
+    edge, top = section.summit
+    up: Mask = (y > edge + EDGE_MARGIN) & (z > top + vehicle.wheels[0].radius - MAX_SINKAGE)
+    up |= y > section.end + EDGE_MARGIN
     climbed = bool(up.any())
     end = float(run.t[up.argmax()]) if climbed else float(run.t[-1])
-    begin = float(run.t[touching.argmax()])
-    ends = np.searchsorted(run.t, [begin - LEAD_TIME - 1e-9, end + TRAIL_TIME - 1e-9])
-    return Window(slice(int(ends[0]), int(ends[1])), climbed, end)
-
-
-def touches_obstacle(run: Trajectory, section: Profile) -> Mask:
-    """Return the mask of samples at which the front wheel touches an obstacle, shape (n,)."""
-    touching = np.zeros(run.t.size, dtype=bool)
-    for k in range(1, len(section.solids)):  # the first is the ground
-        touching |= run[f"solid_gap_{k}", run.wheels[-1]] < 0
-    return touching
-
-
-def has_reached_top(run: Trajectory, vehicle: Vehicle, section: Profile) -> Mask:
-    """Return the mask of samples with the rear axle on top, as in `climb_window`, shape (n,)."""
-    edge, top = section.summit
-    x, z = (run[f"center_{axis}"][:, 0] for axis in "yz")
-    up: Mask = (x > edge + EDGE_MARGIN) & (z > top + vehicle.wheels[0].radius - MAX_SINKAGE)
-    return up | (x > section.end + EDGE_MARGIN)
+    ends = run.t[touching.argmax()] - LEAD_TIME, end + TRAIL_TIME
+    first, last = np.searchsorted(run.t, np.array(ends) - 1e-9).tolist()
+    return Window(slice(first, last), climbed, end)
 
 
 def slip_ratio(run: Trajectory, vehicle: Vehicle) -> Array:
     """Return the slip ratios ``(r w - v) / (r w)`` by (20), shape (n, 3); NaN for wheels near rest.
 
-    ``r`` and ``w`` are the radius and the rate of a wheel, ``v`` is the speed of the middle axle.
+    ``r`` and ``w`` are the radius and the rate of a wheel, ``v`` is the speed of the middle axle;
+    the ratio can therefore be nonzero for a wheel that rolls without slip.
     """
     speed = axle_speeds(run, vehicle)[:, 1]
-    rate = _turning_rates(run)
-    return np.asarray(1 - speed[:, None] / (vehicle.wheels[0].radius * rate))
+    return np.asarray(1 - speed[:, None] / (vehicle.wheels[0].radius * _wheel_rates(run)))
 
 
 def axle_speeds(run: Trajectory, vehicle: Vehicle) -> Array:
@@ -195,16 +165,12 @@ def axle_speeds(run: Trajectory, vehicle: Vehicle) -> Array:
 
 
 def disturbance_ratio(run: Trajectory) -> Array:
-    """Return the relative rate errors of the axles, shape (n, 3), NaN at low wheel rates.
-
-    The error is ``(w_ref - w) / w``, equation (21) of Chugo et al. (2009).
-    """
-    return np.asarray((run["reference"] - run["spin"]) / _turning_rates(run))
+    """Return the rate errors ``(w_ref - w) / w`` by (21), shape (n, 3); NaN near rest."""
+    return np.asarray((run["reference"] - run["spin"]) / _wheel_rates(run))
 
 
-def _turning_rates(run: Trajectory) -> Array:
-    rate = run["spin"]
-    return np.where(np.abs(rate) < MIN_WHEEL_RATE, np.nan, rate)
+def _wheel_rates(run: Trajectory) -> Array:
+    return np.where(np.abs(run["spin"]) < MIN_WHEEL_RATE, np.nan, run["spin"])
 
 
 def _mean_size(ratios: Array) -> Array:

@@ -5,11 +5,10 @@ torques planned for its position. The progress is
 
     p = mean over the axles of x + z.
 
-It increases along every path that does not descend steeply, at least as fast as the axles move on
-average. The feedforward torques are those of the plan, which distribute the friction among the
-wheels better than control of the rates could. Feedback corrects the rate of each wheel; its
-reference is that of the plan, but at most slightly more than the speed of its axle. A wheel that
-slips thus regains its grip, even if it rolls back.
+It increases along every path that does not descend steeply. The feedforward torques of the plan
+distribute the friction among the wheels better than control of the rates could. Feedback corrects
+the rate of each wheel; its reference is that of the plan, but at most slightly more than the speed
+of its axle, so that a wheel that slips regains its grip.
 """
 
 from __future__ import annotations
@@ -17,11 +16,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import casadi as ca
 import numpy as np
+from annotated_types import Gt
 
+from slipfree.bounds import check_bounds
 from slipfree.climb.contact_path import axle_arms
 from slipfree.climb.time_scaling import Climb, history
 from slipfree.control.reference_speeds import PerAxle
@@ -61,21 +62,7 @@ class TrackedPlan:
 
 
 class _PlanPoint(NamedTuple):
-    """Values of a `TrackedPlan` at the progress of the vehicle.
-
-    Attributes
-    ----------
-    square : SX
-        Square of the speed along the path. [m2/s2]
-    speeds : PerAxle of SX
-        Speeds of the axles divided by the speed along the path. [1]
-    directions : PerAxle of SX
-        Directions of the axles' motion, upward from the horizontal. [rad]
-    torques : PerAxle of SX
-        Total torques of the axles' motors. [N m]
-    before, behind : SX
-        One if the progress is below the first, or above the last point of the plan, else zero.
-    """
+    """Values of a `TrackedPlan` at a progress, and whether it is outside the plan (0 or 1)."""
 
     square: ca.SX
     speeds: PerAxle
@@ -115,22 +102,17 @@ class Tracking:
     """
 
     plan: TrackedPlan
-    proportional: float = 20.0
-    spare: float = 3e-3
-    lead: float = 1e-3
-    torque: float = inf
+    proportional: Annotated[float, Gt(0)] = 20.0
+    spare: Annotated[float, Gt(0)] = 3e-3
+    lead: Annotated[float, Gt(0)] = 1e-3
+    torque: Annotated[float, Gt(0)] = inf
     motors: Motors = (2, 1, 2)
 
     def __post_init__(self) -> None:
-        for name in ("proportional", "spare", "lead"):
-            if not getattr(self, name) > 0:
-                raise ModelError(
-                    f"tracking: expected a positive number for {name!r}, found "
-                    f"{getattr(self, name)}; increase it"
-                )
+        check_bounds(self)
 
     def labels(self, wheels: Sequence[str]) -> ControlState:  # noqa: ARG002 - of the protocol
-        """Return the labels of the states, of which there are none."""
+        """Return empty labels: the controller has no states."""
         return ControlState()
 
     def commands(

@@ -5,11 +5,10 @@ With s' the speed along a leg of the path, ``a = s''`` and ``b = s'^2``, acceler
 
     A f = load + G a + H b
 
-with the contact forces f. A and the load are those of equilibrium; G and H are the inertia of the
-bodies and of the wheels. On every interval a is constant, so that b is linear in s; equations and
-limits hold at its midpoint. A leg begins at rest where a wheel meets a solid, which is often the
-point of the largest friction demand; therefore the intervals are short there. The contact forces
-satisfy Coulomb's law ``|T| <= mu N``, and the motors their torque limit.
+with the contact forces f, the equilibrium terms A and load, and the inertia G and H of bodies and
+wheels. On every interval a is constant and b linear in s; equations, Coulomb's law ``|T| <= mu N``
+and torque limits hold at its midpoint. Intervals are short where a leg begins at rest, since the
+friction demand is often largest there.
 """
 
 from __future__ import annotations
@@ -157,27 +156,20 @@ def climb(
     Raises
     ------
     ModelError
-        If the cost is unknown, if the coefficient of friction is missing or given for the cost
-        "friction", if it or the speed is not positive, or if there are fewer than three nodes or
-        they do not increase.
+        If cost and coefficient do not fit each other, a number is not positive, or there are fewer
+        than three nodes or they do not increase.
     """
-    if cost not in COSTS:
+    if cost not in COSTS or (mu is None) != (cost == "friction"):
         raise ModelError(
-            f"climb: expected one of {', '.join(COSTS)} for 'cost', found {cost!r}; choose one of "
-            "these names"
+            "climb: expected the cost 'time' or 'slip' with a coefficient of friction 'mu', or the "
+            f"cost 'friction', which minimises it, without one; found the cost {cost!r} with mu = "
+            f"{mu}; change one of them"
         )
-    if (mu is None) != (cost == "friction"):
+    if not (speed > 0 and (mu is None or mu > 0)):
         raise ModelError(
-            "climb: expected a coefficient of friction 'mu' for the costs time and slip, and none "
-            f"for the cost friction, which minimises it; found mu = {mu} for the cost {cost}; "
-            + ("give 'mu'" if mu is None else "remove 'mu'")
+            f"climb: expected positive numbers for 'speed' and 'mu', found {speed} m/s and {mu}; "
+            "increase them"
         )
-    if not speed > 0:
-        raise ModelError(
-            f"climb: expected a positive number for 'speed', found {speed} m/s; increase it"
-        )
-    if mu is not None and not mu > 0:
-        raise ModelError(f"climb: expected a positive number for 'mu', found {mu}; increase it")
     ends = _mesh(leg, s, halt=halt) if isinstance(s, int) else np.asarray(s, dtype=float)
     if ends.ndim != 1 or ends.size < 3 or (np.diff(ends) <= 0).any():
         raise ModelError(
@@ -191,10 +183,7 @@ def climb(
 
 
 def _mesh(leg: Leg, count: int, *, halt: bool) -> Array:
-    """Return nodes along a leg, more closely spaced near the points of rest.
-
-    The leg begins at rest; with ``halt`` it also ends at rest.
-    """
+    """Return nodes along a leg, closer near its start and, with ``halt``, its end at rest."""
     part = np.linspace(0, 1, count)
     return leg.length * np.sin(np.pi / 2 * part) ** 2 if halt else leg.top * part**2
 
@@ -232,18 +221,8 @@ def _program(
         "tangential": t_at.reshape(count, 3),
         "mu": mu_at,
     }
-    return Nlp(
-        x,
-        f,
-        ca.vertcat(*rows),
-        guess,
-        scale,
-        lower,
-        upper,
-        np.concatenate(low),
-        np.concatenate(high),
-        shaped,
-    )
+    bounds = lower, upper, np.concatenate(low), np.concatenate(high)
+    return Nlp(x, f, ca.vertcat(*rows), guess, scale, *bounds, shaped)
 
 
 def _cost(
@@ -252,14 +231,11 @@ def _cost(
     b, normal, tangential, friction = unknowns
     roots = ca.sqrt(b + ROOT_OFFSET * fastest)
     time: ca.MX = ca.sum1(ca.DM(2 * steps) / (roots[1:] + roots[:-1]))
+    if cost == "time":
+        return time
     ratios = tangential**2 / (normal + LOAD_OFFSET * weight) / weight
-    creep: ca.MX = ca.sum1(ca.DM(np.repeat(steps, 3)) * ratios)
-    costs: dict[str, ca.MX] = {
-        "time": time,
-        "friction": friction + TIME_WEIGHT * time,
-        "slip": creep + TIME_WEIGHT * time,
-    }
-    return costs[cost]
+    creep = ca.sum1(ca.DM(np.repeat(steps, 3)) * ratios)
+    return (friction if cost == "friction" else creep) + TIME_WEIGHT * time
 
 
 def _slow_climb(
@@ -267,10 +243,8 @@ def _slow_climb(
 ) -> tuple[Array, Array, Array]:
     """Return normal and tangential forces [N] and the friction coefficient [1] of a slow climb.
 
-    They are the initial guess of a plan: forces wheel by wheel at each sample, shape (3 n,).
-
-    The minimisation of friction is quasi-convex, not convex: from a poor initial guess IPOPT may
-    stop at a point that is not a minimum.
+    They are the initial guess of a plan, forces wheel by wheel at each sample, shape (3 n,): the
+    minimisation of friction is quasi-convex, and from a poor guess IPOPT may stop elsewhere.
     """
     hold, weight = least_friction_forces(*equilibrium(climber, middles)), GRAVITY * climber.mass
     held = np.isfinite(hold.mu)
@@ -282,10 +256,7 @@ def _slow_climb(
 
 
 def _speeds(nodes: PathSamples, fastest: float, *, halt: bool) -> tuple[Array, Array]:
-    """Return lower and upper bounds of the squared path speed b at the nodes [m2/s2].
-
-    Both have the shape (n + 1,); ``fastest`` is the square of the largest speed of an axle.
-    """
+    """Return lower and upper bounds of the squared path speed b at the nodes, (n + 1,) [m2/s2]."""
     upper = fastest / (nodes.speeds**2).max(axis=1)
     upper[[0, -1] if halt else [0]] = 0.0
     away = nodes.s - nodes.s[0]
@@ -302,14 +273,11 @@ def _constraint_rows(
     unknowns: Sequence[ca.MX],
     torques: Sequence[float],
 ) -> tuple[list[ca.MX], list[Array], list[Array]]:
-    """Return the blocks of constraints, and their lower and upper bounds.
-
-    The constraints are the equations of motion, friction cones and torque limits at the midpoints.
-    """
+    """Return equations of motion, cones and torque limits, and their lower and upper bounds."""
     b, normal, tangential, mu = unknowns
     count, weight = steps.size, GRAVITY * climber.mass
     matrix, load = equilibrium(climber, middles)
-    to_a, to_b = _difference_matrix(steps), _midpoint_matrix(count)
+    to_a, to_b = _from_nodes(steps)
     inert = [_diagonal(each[:, :, None]) for each in inertia(climber, middles)]
     moving = _sparse((inert[0] @ to_a + inert[1] @ to_b) / weight) @ b
     held = (
@@ -334,19 +302,17 @@ def _torques(
     linear, square = (
         _diagonal((each * spin)[:, :, None]) for each in (middles.speeds, middles.slopes)
     )
-    spinning = linear @ _difference_matrix(steps) + square @ _midpoint_matrix(steps.size)
+    to_a, to_b = _from_nodes(steps)
+    spinning = linear @ to_a + square @ to_b
     return climber.radius * tangential + _sparse(spinning) @ b
 
 
-def _difference_matrix(steps: Array) -> scipy.sparse.csr_matrix:
-    """Return the matrix that maps b at the n + 1 nodes to a on the n intervals, (n, n + 1)."""
-    factors = 1 / (2 * steps)
-    return scipy.sparse.diags([-factors, factors], [0, 1], (steps.size, steps.size + 1)).tocsr()
-
-
-def _midpoint_matrix(count: int) -> scipy.sparse.csr_matrix:
-    """Return the matrix that maps b at the n + 1 nodes to b at the n midpoints, (n, n + 1)."""
-    return scipy.sparse.diags([0.5, 0.5], [0, 1], (count, count + 1)).tocsr()
+def _from_nodes(steps: Array) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
+    """Return the matrices that map b at the n + 1 nodes to a and b on the n intervals."""
+    shape, factors = (steps.size, steps.size + 1), 1 / (2 * steps)
+    pairs = (-factors, factors), (0.5, 0.5)
+    to_a, to_b = (scipy.sparse.diags(each, [0, 1], shape).tocsr() for each in pairs)
+    return to_a, to_b
 
 
 def _diagonal(blocks: Array) -> scipy.sparse.csr_matrix:
@@ -398,12 +364,7 @@ def in_sequence(parts: Sequence[Trajectory]) -> Trajectory:
     """Return the planned climbs of consecutive legs as one trajectory.
 
     Times continue; path parameters restart with every leg. Statistics: the largest ``mu`` and the
-    sum of the durations.
-
-    Parameters
-    ----------
-    parts : sequence of Trajectory
-        Results of `history`; all legs except the last must be planned with ``halt=True``.
+    sum of the durations. All legs except the last must be planned with ``halt=True``.
     """
     durations = [part.statistics["duration"] for part in parts]
     begins = np.cumsum([0.0, *durations[:-1]])
