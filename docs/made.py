@@ -28,6 +28,7 @@ TAKES = {
     "bool": "`true` or `false`",
     "str": "text",
     "Quantity": 'a number, or text as in `"30 deg"`',
+    "tuple": "`[numbers]`",
     "tuple[float, Positive]": "`[mean, deviation]`",
     "Pair": "`[a, b]`",
     "Column": "`[numbers]`",

@@ -206,6 +206,7 @@ def test_there_is_no_plan_without_enough_friction():
             ["driver.control.cap=0.5"],
             "driver.control.cap: expected a number of at least",
         ),
+        (STEP_FILE, ["driver.control.motors=[2, 0, 2]"], "expected one motor or more per axle"),
         (STEP_FILE, ["driver.period=0.005"], "driver.period: expected a time between 0 and 0.0025"),
         (STEP_FILE, ["start.heading=0.1"], "start.heading: expected one of y, speed, found the"),
         (STEP_FILE, ["start.y=-0.2"], "wheel front touches a solid at the start"),

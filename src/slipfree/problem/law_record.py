@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import MISSING, fields
 from functools import cache
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_origin, get_type_hints
 
 from annotated_types import DocInfo, Unit
 from pydantic import Field, create_model
@@ -38,7 +38,9 @@ def law_record(law: type, base: type[Record] = Record) -> type[Record]:
 
 
 def _with_unit(hint: Any) -> Any:
-    """Return the annotation of a parameter; angles also accept text such as "30 deg"."""
+    """Return the annotation of a parameter; angles accept "30 deg" as well, and tuples arrays."""
+    if get_origin(getattr(hint, "__origin__", None)) is tuple:
+        return Annotated[hint, Field(strict=False)]
     for each in getattr(hint, "__metadata__", ()):
         if isinstance(each, Unit) and each.unit in ANGULAR:
             return Annotated[hint, ANGULAR[each.unit]]
