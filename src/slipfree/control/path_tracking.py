@@ -25,7 +25,6 @@ def path_inputs(
     heading: ca.SX | Array,
     *,
     t: Array | None = None,
-    begin: float = 0.0,
 ) -> Record:
     """Return the inputs of an inverse model along a timed path.
 
@@ -40,8 +39,6 @@ def path_inputs(
         at the times ``t``, which a spline of degree five interpolates. [m, rad]
     t : ndarray, shape (n,), optional
         Times of the values, at least six, increasing; beyond them the rates stay constant. [s]
-    begin : float
-        Start time of a path that is given by expressions. [s]
 
     Returns
     -------
@@ -69,7 +66,7 @@ def path_inputs(
                 f"path: expected expressions of dae.t only, found the symbols {foreign}; replace "
                 "them by numbers or functions of dae.t"
             )
-        first = np.array(ca.Function("first", [dae.t], [path])(begin)).ravel()
+        first = np.array(ca.Function("first", [dae.t], [path])(0.0)).ravel()
         velocity = ca.jacobian(path, dae.t)
     else:
         t, points = _checked_points(t, x, y, heading)

@@ -136,7 +136,7 @@ def heading_median(errors: Array) -> float:
     return float(np.median(np.abs(errors[:, 2])))
 
 
-def bootstrap(errors: Array, statistic: Callable[[Array], float], seed: int = 0) -> Interval:
+def bootstrap(errors: Array, statistic: Callable[[Array], float]) -> Interval:
     """Return a statistic of errors, with its 95 % interval by resampling windows (percentiles).
 
     Parameters
@@ -145,10 +145,8 @@ def bootstrap(errors: Array, statistic: Callable[[Array], float], seed: int = 0)
         One row per window.
     statistic : callable
         Function of such an array.
-    seed : int
-        Seed of the samples.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     values = [
         statistic(errors[rng.integers(0, len(errors), len(errors))]) for _ in range(RESAMPLES)
     ]

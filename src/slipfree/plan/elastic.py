@@ -78,9 +78,7 @@ class Relaxation(NamedTuple):
     status: str
 
 
-def relax(
-    program: Program, first: Array, iterations: int = MAX_RELAXATION_ITERATIONS
-) -> Relaxation:
+def relax(program: Program, first: Array) -> Relaxation:
     """Find the smallest relaxation of the bounds with which a program has a solution.
 
     The equations, the start and the bounds of the duration are kept. Each other bound is relaxed by
@@ -95,8 +93,6 @@ def relax(
         From `transcribe`.
     first : ndarray, shape (n_w,)
         Initial guess, not scaled.
-    iterations : int
-        Maximum number of iterations of each of the two searches.
     """
     weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
     first = completed(program, first)
@@ -114,8 +110,9 @@ def relax(
         for group, sign in soft
     ]
     elastic = _elastic_program(program, soft, sizes)
-    found = solve_program(elastic, 0 * weights, np.append(first, over), iterations=iterations)
-    unknowns = _least_cost(elastic, found, weights, len(soft), iterations)[: first.size]
+    most, begin = MAX_RELAXATION_ITERATIONS, np.append(first, over)
+    found = solve_program(elastic, 0 * weights, begin, iterations=most)
+    unknowns = _least_cost(elastic, found, weights, len(soft))[: first.size]
     values = np.append(_row_values(program, unknowns, weights), unknowns)
     relaxed = sorted(
         worst_violations(program, values, VIOLATION_TOLERANCE), key=lambda pair: -pair[0]
@@ -135,9 +132,7 @@ def relax(
     )
 
 
-def _least_cost(
-    elastic: Program, found: Solution, weights: Array, count: int, iterations: int
-) -> Array:
+def _least_cost(elastic: Program, found: Solution, weights: Array, count: int) -> Array:
     """Return the unknowns of least cost with the slacks of ``found``.
 
     If the search fails, return the unknowns of ``found``.
@@ -151,7 +146,7 @@ def _least_cost(
         replace(elastic, upper=upper),
         weights / max(1.0, cost),
         found.unknowns,
-        iterations=iterations,
+        iterations=MAX_RELAXATION_ITERATIONS,
     )
     return again.unknowns if again.success else found.unknowns
 

@@ -144,12 +144,11 @@ def by_wheel(
     run: Trajectory,
     values: Array,
     ax: Axes,
-    x: Array | None = None,
     *,
     zeros: bool = True,
     **looks: Any,
 ) -> Axes:
-    """Draw a line per wheel over time, or over other values `x`.
+    """Draw a line per wheel over time.
 
     Parameters
     ----------
@@ -159,8 +158,6 @@ def by_wheel(
         Values of the wheels.
     ax : Axes
         The axes.
-    x : ndarray, shape (n,), optional
-        Values on the horizontal axis; by default the times of the motion.
     zeros : bool
         Whether wheels whose values are identically zero have a line.
     **looks
@@ -168,8 +165,7 @@ def by_wheel(
     """
     for k, wheel in enumerate(run.wheels):
         if zeros or values[:, k].any():
-            at = run.t if x is None else x
-            ax.plot(at, values[:, k], label=words(wheel), **look(k) | looks)
+            ax.plot(run.t, values[:, k], label=words(wheel), **look(k) | looks)
     return ax
 
 
