@@ -208,7 +208,10 @@ def test_a_rover_meets_a_step(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (["model=kinematics"], "expected obstacles only with verb = 'direct' and model = 'dynam"),
+        (
+            ["model=kinematics"],
+            "expected obstacles only with verb = 'direct' or 'plan' and model = 'dynam",
+        ),
         (["terrain.obstacles=[{y = 0.6}]"], "expected one of ramp, step, kerb, stairs, points, f"),
         (["terrain.obstacles=[{step = {height = 0.1}, y = 9.0}]"], "off the map; move the obst"),
         (["start.y=0.4"], "touches a solid at the start"),
