@@ -36,7 +36,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.control import path_following as laws
-from slipfree.lookups import LookupTable, lookup_function
+from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.terrain.synthetic import blank, power_law
 
 DATA = TESTS / "data"

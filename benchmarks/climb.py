@@ -32,7 +32,7 @@ from helpers.climb_cases import (
 )
 from slipfree.climb.plan_tracking import Tracking
 from slipfree.control.step_climbing import Control
-from slipfree.trajectory import SolverError
+from slipfree.core.trajectory import SolverError
 
 FINE, LOWEST, HIGHEST = 0.005, 0.5, 1.2
 MORE = (0.01, 0.02, 0.05, 0.1, 0.2)

@@ -51,13 +51,13 @@ from slipfree import (
     simulate,
 )
 from slipfree.contact import touch
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
+from slipfree.core.trajectory import Trajectory, path_length
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.coulomb import Coulomb
 from slipfree.models.dynamics import LAG
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.synthetic import power_law
-from slipfree.trajectory import Trajectory, path_length
 from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Vehicle
 

@@ -33,9 +33,9 @@ from common import PROBLEMS
 from PIL import Image
 
 from helpers.fuzz_files import bases, document
-from slipfree.codegen_cache import FOLDER
-from slipfree.errors import SlipfreeError
+from slipfree.core.errors import SlipfreeError
 from slipfree.files import netcdf
+from slipfree.system.codegen_cache import FOLDER
 
 LONGEST = 120.0  # that a command may take [s]
 BEGIN = "from slipfree.__main__ import main; print('begun', flush=True); main()"

@@ -27,9 +27,9 @@ from stock import Stock
 
 from slipfree import Bicubic, Grid, SlipfreeError, direct_kinematics, follow, settle, simulate
 from slipfree.catalog import three_wheeler
+from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.files.maps.elevation import read_map
 from slipfree.geometry.path import Path as Way
-from slipfree.lookups import LookupTable, lookup_function
 from slipfree.terrain import bicubic, kernel
 
 SIZES = (20, 200, 1000, 4000)

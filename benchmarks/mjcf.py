@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slipfree import Grid
+from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, unit_vector
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.inertia import body_inertia, body_of, wheel_inertia
 from slipfree.vehicle.tree import Joint, Vehicle

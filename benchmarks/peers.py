@@ -53,14 +53,14 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.codegen_cache import FOLDER
+from slipfree.core.records import leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.models.montana import montana_kinematics
-from slipfree.records import leaves
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.simulate import NEWTON_SHARE, motion_scales
 from slipfree.solve.system import System, _solve_symbolically, with_inputs
-from slipfree.trajectory import Trajectory
+from slipfree.system.codegen_cache import FOLDER
 
 NODES, SPEED, DURATION, SAMPLES, RISE = 200, 0.5, 10.0, 101, 0.5
 START = {"x": 5.0, "y": 4.0, "heading": -0.2}

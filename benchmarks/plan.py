@@ -62,15 +62,15 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
+from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import Trajectory, joined, path_length
 from slipfree.laws.protocols import GroundLaw
 from slipfree.models.dynamic_guess import dynamic_guess
-from slipfree.outcome import Outcome
 from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.result import motion_facts
 from slipfree.problem.verbs.base import Watch, integrate
-from slipfree.trajectory import Trajectory, joined, path_length
 
 GOAL, DURATION = (0.6, 2.6), 20.0  # [m], [s]
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}  # [rad/s]

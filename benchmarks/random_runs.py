@@ -55,7 +55,7 @@ from helpers import random_climbs, random_dynamics
 from helpers.fuzz_files import SIDE, bases, document
 from helpers.random_cases import Outcome, draw, outcome
 from slipfree import Bicubic, SolverOptions, catalog, direct_kinematics, rollouts
-from slipfree.errors import SlipfreeError
+from slipfree.core.errors import SlipfreeError
 from slipfree.files import netcdf
 from slipfree.files.export import export_path
 from slipfree.problem.load import load_problem

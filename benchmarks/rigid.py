@@ -25,9 +25,9 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import leaves
 from slipfree.models.pressed_model import SMOOTHING, pressed_dae
-from slipfree.records import leaves
 from slipfree.solve.options import SolverOptions
 
 ROBOTS = {

@@ -25,9 +25,9 @@ from test_rovers import LIGHT, rocky_case, rocky_run, rover_ground
 
 from slipfree import Bicubic, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import rocky7
+from slipfree.core.trajectory import Trajectory
 from slipfree.plan.plan import plan
 from slipfree.plan.stage import Cost
-from slipfree.trajectory import Trajectory
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
 TURNS = 8

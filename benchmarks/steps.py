@@ -30,11 +30,11 @@ import numpy as np
 from slipfree import Analytic, ModelError, SolverError, SolverOptions, catalog, dynamics, settle
 from slipfree.catalog.step_climber import step_climber as climber
 from slipfree.climb.friction_demand import least_friction
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
+from slipfree.core.trajectory import Trajectory
 from slipfree.models.obstacle_ending import is_on_top
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.solids import Solids, placed, step
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 RESOLUTION, LANES = 0.04, 32  # step of the coefficient of friction [1], and number of steps

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree import Bicubic, Grid
-from slipfree.lookups import LookupTable
+from slipfree.core.lookups import LookupTable
 from slipfree.terrain.base import Jet, jet_of
 
 EXTENT = 20.0  # side of the map [m]

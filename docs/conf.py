@@ -19,7 +19,7 @@ from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 
 import slipfree
-from slipfree.threads import single
+from slipfree.system.threads import single
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))

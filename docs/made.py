@@ -105,8 +105,7 @@ def public_names() -> dict[str, set[str]]:
 def _modules(package: str) -> str:
     """Return a section for every module of a package; public names are on pages of their own."""
     folder = DOCS.parent / "src" / package.replace(".", "/")
-    found = folder.glob("*.py") if package == "slipfree" else folder.rglob("*.py")
-    files = (path for path in found if path.stem[0] != "_")
+    files = (path for path in folder.rglob("*.py") if path.stem[0] != "_")
     names = sorted(".".join(path.relative_to(folder).with_suffix("").parts) for path in files)
     public = public_names()
     return "\n".join(

@@ -35,11 +35,11 @@ from slipfree import (
     settle,
     simulate,
 )
+from slipfree.core.trajectory import joined, path_length
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 from slipfree.show import style
-from slipfree.trajectory import joined, path_length
 from slipfree.vehicle.tree import actuated
 
 DEG = np.pi / 180

@@ -28,6 +28,7 @@ import numpy as np
 
 import slipfree
 from slipfree import SolverOptions, quasi_statics, settle
+from slipfree.core.trajectory import path_length
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem
@@ -35,7 +36,6 @@ from slipfree.problem.solve import build, run_problem
 from slipfree.show import ground_drawing, style
 from slipfree.show.plan_figures import cost_map, initial_routes, plan_plots
 from slipfree.show.plots import draw
-from slipfree.trajectory import path_length
 
 above = [Path.cwd(), *Path.cwd().parents, *Path(slipfree.__file__).parents]
 problems = next(path / "problems" for path in above if (path / "problems").is_dir())

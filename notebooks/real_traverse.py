@@ -34,7 +34,8 @@ from slipfree import (
     simulate,
     straight,
 )
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.trajectory import path_length
 from slipfree.files.export import export_path
 from slipfree.files.maps.elevation import jacksboro
 from slipfree.files.netcdf import write
@@ -45,7 +46,6 @@ from slipfree.show.plan_figures import cost_map, initial_routes
 from slipfree.show.plots import draw
 from slipfree.terrain.base import Grid
 from slipfree.terrain.rolled import rolled
-from slipfree.trajectory import path_length
 
 whole = jacksboro(scale=0.1)
 inside_x = (whole.x >= 2300) & (whole.x <= 2730)

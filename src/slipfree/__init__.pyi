@@ -2,8 +2,11 @@
 
 from . import catalog
 from .control.path_following import follow, straight
-from .dae import Dae
-from .errors import DataError, ModelError, SlipfreeError
+from .core.dae import Dae
+from .core.errors import DataError, ModelError, SlipfreeError
+from .core.outcome import Outcome
+from .core.trajectory import SolverError, Trajectory
+from .core.version import __version__
 from .files.maps.elevation import read_map
 from .geometry.path import Path
 from .geometry.regions import Region
@@ -19,7 +22,6 @@ from .models.kinematics import direct_kinematics
 from .models.montana import cross_check, montana_kinematics
 from .models.quasi_statics import quasi_statics
 from .models.rigid_dynamics import rigid_dynamics
-from .outcome import Outcome
 from .plan.mpc import replan
 from .plan.plan import plan
 from .plan.stage import Cost
@@ -36,11 +38,9 @@ from .terrain.analytic import Analytic
 from .terrain.base import Grid
 from .terrain.bicubic import Bicubic
 from .terrain.solids import Solids
-from .trajectory import SolverError, Trajectory
 from .vehicle.drives import Motor, Rate, Torque
 from .vehicle.tree import Body, Coordinate, Joint, Vehicle, planar
 from .vehicle.wheel import Wheel
-from .version import __version__
 
 __all__ = [
     "Analytic",

@@ -27,10 +27,10 @@ if __name__ == "__main__":
 
 import signal  # noqa: E402
 
-from slipfree.interrupt import interrupt_at_signals, interrupted  # noqa: E402
-from slipfree.threads import single  # noqa: E402
+from slipfree.system.interrupt import interrupt_at_signals, interrupted  # noqa: E402
+from slipfree.system.threads import single  # noqa: E402
 
-INTERRUPTED = 130  # exit code; equal to that of `slipfree.outcome`, whose import would be slow
+INTERRUPTED = 130  # exit code; equal to that of `slipfree.core.outcome`, whose import would be slow
 
 
 def main() -> None:

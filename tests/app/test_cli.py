@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 import slipfree
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app
+from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import SolverError, Stop
 from slipfree.files import netcdf
-from slipfree.outcome import Outcome
-from slipfree.trajectory import SolverError, Stop
 
 STARTERS = Path(slipfree.__file__).parent / "starters"
 

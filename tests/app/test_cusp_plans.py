@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slipfree.core.outcome import Outcome
 from slipfree.files.toml.source import ProblemError
-from slipfree.outcome import Outcome
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs.plan_search import guess_motion

@@ -12,7 +12,7 @@ from helpers.problem_files import VALID
 from slipfree import Analytic, direct_kinematics, settle
 from slipfree.catalog import ackermann, differential_drive, rocky7, skid_steer
 from slipfree.cli import app
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build

@@ -14,6 +14,7 @@ from helpers.friction_cases import slope
 from slipfree import direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
+from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
 from slipfree.models import friction_feasibility
@@ -22,7 +23,6 @@ from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs import driving as runner
-from slipfree.trajectory import SolverError
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = """\

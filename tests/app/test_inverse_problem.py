@@ -13,13 +13,13 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from slipfree.cli import app
+from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import SolverError, Stop
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
-from slipfree.outcome import Outcome
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs import inverse
-from slipfree.trajectory import SolverError, Stop
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 GIVEN = """\

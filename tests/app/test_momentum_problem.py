@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from slipfree import Outcome, catalog, load_problem, run_problem
+from slipfree.core.trajectory import Stop
 from slipfree.problem.verbs.plan import PlanVerb, with_offer
-from slipfree.trajectory import Stop
 
 MOMENTUM = Path(__file__).parents[2] / "problems" / "plan_momentum.toml"
 SHORT = ("goal.y=1.5", "time.duration=1.25", "plan.intervals=6", "plan.degree=2")

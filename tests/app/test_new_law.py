@@ -18,8 +18,10 @@ from annotated_types import Gt, Unit, doc
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
-from slipfree.bounds import check_bounds
 from slipfree.cli import app
+from slipfree.core.bounds import check_bounds
+from slipfree.core.records import Label
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
 from slipfree.laws.least_slip import LeastSlip, Multipliers, stationarity
 from slipfree.laws.protocols import (
@@ -31,9 +33,7 @@ from slipfree.laws.protocols import (
     wheel_labels,
 )
 from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
-from slipfree.records import Label
 from slipfree.terrain.base import Terrain
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 

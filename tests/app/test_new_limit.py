@@ -13,11 +13,11 @@ import pytest
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.dae import Limit
+from slipfree.core.dae import Limit
+from slipfree.core.records import Label
 from slipfree.files.netcdf import read
 from slipfree.models import limits
 from slipfree.models.quantities import Quantities
-from slipfree.records import Label
 
 STEEPEST = 0.1
 

@@ -17,10 +17,10 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from slipfree.cli import app
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
 from slipfree.problem.result import shown
 from slipfree.show.drive_scene import Driven, drive_scene
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.sections.base import Section
 from slipfree.vehicle.sections.registry import SECTIONS
 

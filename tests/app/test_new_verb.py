@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from slipfree.cli import app
 from slipfree.core.facts import Fact
+from slipfree.core.records import leaves
 from slipfree.files.netcdf import NOTHING
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.problem.build_common import Setup, build_start, build_terrain, build_vehicle
@@ -24,7 +25,6 @@ from slipfree.problem.result import open_result
 from slipfree.problem.schema import VERB, Motion, Time
 from slipfree.problem.verbs import registry
 from slipfree.problem.verbs.driving import DriveVerb
-from slipfree.records import leaves
 from slipfree.show.plots import Plot
 from slipfree.sweep.worker import work
 

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from slipfree.cli import app
 from slipfree.cli.show import open_page
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem import plan_session
 from slipfree.problem.load import load_problem

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slipfree.core.outcome import Outcome
 from slipfree.files.netcdf import write
 from slipfree.files.toml.source import ProblemError
-from slipfree.outcome import Outcome
 from slipfree.plan import plan as planning
 from slipfree.plan.convergence import convergence_from
 from slipfree.plan.ipopt import IPOPT_TOLERANCE

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slipfree.core.outcome import Outcome
 from slipfree.files.toml.source import ProblemError
-from slipfree.outcome import Outcome
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import motion_facts

@@ -16,12 +16,12 @@ from matplotlib.figure import Figure
 
 import slipfree as sf
 from helpers.cases import function_of
+from slipfree.core.records import Label
+from slipfree.core.trajectory import Column, Trajectory
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
-from slipfree.records import Label
 from slipfree.show import force_figures, motion_figures, plots
 from slipfree.terrain.solids import kerb, placed
-from slipfree.trajectory import Column, Trajectory
 
 FIRST_COMMAND = Path(__file__).parents[2] / "problems" / "real_dem_direct.toml"
 DOMAIN = (-5.0, 5.0, -4.0, 4.0)

@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 
 import slipfree as sf
 from slipfree.core.facts import Fact
+from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
 from slipfree.plan.convergence import Convergence, convergence_arrays, convergence_from
 from slipfree.routing.traversability import blocked_by, traversability
 from slipfree.show import ground_drawing, plan_figures, plots
 from slipfree.terrain.synthetic import blank, craters
-from slipfree.trajectory import Trajectory
 
 START, GOAL = ("start", 6.0, 8.0), ("goal", 24.0, 20.0)
 BOUNDS = {"right_rate": (-1.0, 3.0), "left_rate": (-1.0, 3.0), "steer_rate": (-0.5, np.inf)}

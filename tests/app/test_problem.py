@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from helpers.problem_files import FILE, VALID, _read
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.toml.source import ProblemError, key_lines
 from slipfree.problem.build_common import samples
 from slipfree.problem.load import load_problem

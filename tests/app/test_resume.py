@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from slipfree import DataError
 from slipfree.cli import app
+from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
-from slipfree.outcome import Outcome
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import report

@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from slipfree.cli import app
+from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import PLAN, Stop
 from slipfree.files.netcdf import read
-from slipfree.outcome import Outcome
 from slipfree.plan.plan import Plan
 from slipfree.problem.verbs import plan_search as module
-from slipfree.trajectory import PLAN, Stop
 
 DRIVE = """\
 verb = "direct"

@@ -10,9 +10,9 @@ from scipy.stats import norm
 from typer.testing import CliRunner
 
 from slipfree.cli import app
+from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
-from slipfree.outcome import Outcome
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
@@ -39,7 +39,7 @@ NEAR = ("goal={x=0.3, y=1.0}", "time.duration=8.0", "plan.intervals=12")
 @pytest.fixture(autouse=True)
 def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulate drawn worlds in this process: the problems are small."""
-    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
+    monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
 
 
 def with_settings(settings: tuple[str, ...]) -> list[str]:
@@ -67,7 +67,7 @@ def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path):
 def test_draws_are_the_same_in_processes_of_their_own(monkeypatch):
     few = (*FLAT, "plan.robust.draws=3", "plan.robust.final_draws=3")
     alone = run_problem(load_problem(HILLS, few)).trajectory
-    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 2)
+    monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 2)
     apart = run_problem(load_problem(HILLS, few)).trajectory
     names = [name for name in alone.facts if name.startswith("plan_share")]
     assert len(names) > 5

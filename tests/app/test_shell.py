@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 
 import slipfree
 from helpers.problem_files import PROBLEM
-from slipfree import threads
 from slipfree.cli import app, messages
 from slipfree.files import netcdf
+from slipfree.system import threads
 
 ROOT = Path(__file__).parents[2]
 KINDS = ("direct", "inverse", "plan")

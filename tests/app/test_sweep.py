@@ -28,13 +28,11 @@ from helpers.sweep_cases import (
     table_rows,
     tasks_of,
 )
-from slipfree import processes
 from slipfree.cli import app
-from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.units import unit_of
-from slipfree.processes import finish_tasks
 from slipfree.show import sweep_figures as show
 from slipfree.show.sweep_results import Swept, Varied
 from slipfree.sweep import cluster
@@ -44,6 +42,8 @@ from slipfree.sweep.pools import ProcessPool
 from slipfree.sweep.table import drawn_grids, grids, sweep_facts, write_table
 from slipfree.sweep.task import Task
 from slipfree.sweep.worker import work
+from slipfree.system import processes
+from slipfree.system.processes import finish_tasks
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 

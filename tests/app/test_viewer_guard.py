@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.show.guard import Guard, stop
 
 viser = pytest.importorskip("viser")

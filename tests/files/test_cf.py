@@ -9,11 +9,11 @@ import pytest
 from rasterio.crs import CRS
 from scipy.io import netcdf_file
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.records import Label
+from slipfree.core.trajectory import Column, Trajectory
 from slipfree.files import netcdf
 from slipfree.files.cf import grid_mapping
-from slipfree.records import Label
-from slipfree.trajectory import Column, Trajectory
 
 
 def _motion(**attributes):

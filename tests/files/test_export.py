@@ -14,7 +14,7 @@ from rasterio.transform import Affine
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.export import export_path, export_rates
 from slipfree.problem.load import load_problem

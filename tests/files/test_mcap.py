@@ -26,7 +26,7 @@ from helpers.cases import DATA
 from helpers.urdf import adam_model
 from slipfree.catalog.rovers import rocky7
 from slipfree.cli import app
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.mcap_reader import read_joint_commands, read_mcap
 from slipfree.files.mcap_writer import DEFINITIONS

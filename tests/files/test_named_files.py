@@ -15,14 +15,14 @@ import pytest
 from typer.testing import CliRunner
 
 from helpers.fuzz_files import bases, document
-from slipfree import regular_files
 from slipfree.cli import app
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import read_map
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.sweep.grid import sweep_of
+from slipfree.system import regular_files
 
 LIMIT = 100  # time after which a command counts as hanging [s]
 KINDS = {

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.maps import elevation
 from slipfree.files.maps.elevation import READERS, MapReader, read_map
 from slipfree.terrain.grid_ops import Heights, axes_of, parts

@@ -13,7 +13,7 @@ import pyproj
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.maps.elevation import read_map
 
 pytestmark = pytest.mark.usefixtures("direct_reads")

@@ -14,12 +14,12 @@ import pytest
 import xarray
 from scipy.io import netcdf_file
 
-from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.core.errors import DataError, ModelError, SlipfreeError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Label
+from slipfree.core.trajectory import Column, Stop, Trajectory
 from slipfree.files import netcdf
-from slipfree.outcome import Outcome
-from slipfree.records import Label
 from slipfree.show.thinning import thin
-from slipfree.trajectory import Column, Stop, Trajectory
 
 N = 7
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.maps.elevation import read_map
 
 

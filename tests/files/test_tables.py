@@ -7,11 +7,11 @@ import gzip
 import numpy as np
 import pytest
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.records import Label
+from slipfree.core.trajectory import Column, Trajectory
 from slipfree.files.netcdf import write_csv
 from slipfree.files.tables import read_columns, read_names
-from slipfree.records import Label
-from slipfree.trajectory import Column, Trajectory
 
 ROWS = np.array([[0.0, 1.5, -2.0], [0.5, 2.25, 1e3], [1.0, 3.0, 0.125]])
 

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.cbook import get_sample_data
 from numpy.testing import assert_allclose, assert_array_equal
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.maps.elevation import geographic_to_metric, jacksboro, read_map
 
 HEADER = "ncols 5\nNROWS 4\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"

@@ -12,7 +12,7 @@ from helpers.urdf import FOUR, MASS, MESH, ROUND, TWO, joint, link, rocker_bogie
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.control.path_following import straight
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.problem.build_vehicle import VehicleError, guessed_completion, read_vehicle
 from slipfree.vehicle.sections.omni import Omni
 

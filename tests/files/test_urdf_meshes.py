@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from helpers.urdf import FOUR, WHEEL, joint, link, wheel, written
 from slipfree.cli import app
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.xacro import expanded

@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree import Bicubic, Grid, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
-from slipfree.lookups import LookupTable, lookup_function
+from slipfree.core.lookups import LookupTable, lookup_function
 
 DATA = Path(__file__).parents[1] / "data"
 PAPER_RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}

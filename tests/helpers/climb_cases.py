@@ -15,10 +15,10 @@ from slipfree.climb.metrics import Metrics, climb_metrics
 from slipfree.climb.plan_tracking import TrackedPlan, Tracking, tracked_plan
 from slipfree.climb.time_scaling import climb as program
 from slipfree.control.step_climbing import StepClimbing, climbing
+from slipfree.core.trajectory import Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.terrain.solids import Profile, placed, ramp, step
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.climber import Climber, climber_of
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 

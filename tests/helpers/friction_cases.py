@@ -21,7 +21,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.records import leaves
+from slipfree.core.records import leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.system import with_inputs
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from helpers.fuzz_damage import Case
 from slipfree.cli import app
-from slipfree.errors import SlipfreeError
+from slipfree.core.errors import SlipfreeError
 from slipfree.files.maps.elevation import read_map
 from slipfree.files.mcap_reader import read_joint_commands, read_mcap
 from slipfree.files.netcdf import read_arrays

@@ -21,14 +21,14 @@ from pydantic import BaseModel, PlainValidator
 from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
 from helpers.fuzz_libraries import LIBRARY_KINDS
 from helpers.fuzz_maps import archive, ascii_grid, beside, picture, points
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Label
+from slipfree.core.trajectory import Column, Stop, Trajectory
 from slipfree.files import netcdf
 from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable, wheel_table
-from slipfree.outcome import Outcome
 from slipfree.problem.build_vehicle import UrdfTable
 from slipfree.problem.schema import CommonKeys
 from slipfree.problem.verbs.registry import VERBS
-from slipfree.records import Label
-from slipfree.trajectory import Column, Stop, Trajectory
 from slipfree.vehicle.sections.registry import SECTIONS
 
 ROOT = Path(__file__).parents[2]

@@ -35,9 +35,9 @@ from slipfree import (
     straight,
 )
 from slipfree.catalog import three_wheeler
+from slipfree.core.records import leaves
 from slipfree.laws.registry import SLIP_LAWS
 from slipfree.models.montana import montana_kinematics
-from slipfree.records import leaves
 from slipfree.terrain.rolled import rolled
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp, rocks
 from slipfree.vehicle.sections.torus import Torus

@@ -15,12 +15,12 @@ import numpy as np
 
 from helpers.random_dynamics import Ending, ledger
 from slipfree import Analytic, Solids, SolverOptions, catalog, settle, simulate
-from slipfree.dae import Dae
-from slipfree.errors import SlipfreeError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import SlipfreeError
+from slipfree.core.trajectory import SolverError, Trajectory, joined
 from slipfree.models.dynamics import dynamics
 from slipfree.models.obstacle_ending import ObstacleEnding, obstacle_ending
 from slipfree.terrain.solids import Profile, kerb, placed, ramp, stairs, step
-from slipfree.trajectory import SolverError, Trajectory, joined
 from slipfree.vehicle.tree import Vehicle
 
 VEHICLES = (

@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 
 from slipfree import Analytic, Bicubic, Grid, SolverOptions, catalog, settle, simulate
-from slipfree.errors import SlipfreeError
+from slipfree.core.errors import SlipfreeError
+from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.geometry.frame import unit_vector
 from slipfree.models.dynamics import dynamics
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.synthetic import power_law
-from slipfree.trajectory import SolverError, Trajectory
 from slipfree.vehicle.drives import Drive, Motor, Rate, Torque
 from slipfree.vehicle.tree import GRAVITY, Body, Vehicle
 

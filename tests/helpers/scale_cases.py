@@ -25,7 +25,7 @@ from slipfree import (
 )
 from slipfree.catalog import open_source_rover, three_wheeler
 from slipfree.control.path_tracking import path_inputs
-from slipfree.dae import power_of_length
+from slipfree.core.dae import power_of_length
 from slipfree.laws.protocols import SlipLaw
 from slipfree.models.given_rates import PLANAR
 from slipfree.models.inverse import inverse_kinematics

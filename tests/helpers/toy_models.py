@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Labels, Limit
+from slipfree.core.dae import Dae, Labels, Limit
+from slipfree.core.records import Label, symbols
 from slipfree.plan.transcription import PlanTask
-from slipfree.records import Label, symbols
 
 
 def model(rate, limits=()):

@@ -11,7 +11,7 @@ from slipfree import Analytic, Bicubic, Grid, ModelError, direct_kinematics, set
 from slipfree.catalog import three_wheeler
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import contact_frame, relative_curvature
-from slipfree.lookups import LookupTable
+from slipfree.core.lookups import LookupTable
 from slipfree.terrain.base import jet_of
 
 RADIUS = 0.3

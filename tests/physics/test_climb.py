@@ -28,9 +28,9 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import follow, straight
+from slipfree.core.outcome import Outcome
 from slipfree.geometry.path import Path
 from slipfree.models.friction_feasibility import best_utilisation
-from slipfree.outcome import Outcome
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.load import load_problem

@@ -37,13 +37,13 @@ from slipfree.catalog import step_climber
 from slipfree.climb.metrics import climb_window
 from slipfree.control.reference_speeds import PerAxle, directions
 from slipfree.control.step_climbing import StepClimbing, check_period, held_torques
-from slipfree.errors import ModelError
-from slipfree.records import pack
+from slipfree.core.errors import ModelError
+from slipfree.core.records import pack
+from slipfree.core.trajectory import Column
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import flat, kerb, stairs
-from slipfree.trajectory import Column
 from slipfree.vehicle.climber import AXLES
 
 HELD = [f"{axle}_torque" for axle in AXLES]

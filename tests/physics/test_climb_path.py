@@ -19,11 +19,11 @@ from helpers.climb_cases import dimensions
 from slipfree.climb.contact_path import axle_arms, legs, sample
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.time_scaling import MIN_ACCELERATION, climb, history, in_sequence
-from slipfree.errors import ModelError
-from slipfree.nlp import Nlp
+from slipfree.core.errors import ModelError
+from slipfree.core.nlp import Nlp
+from slipfree.core.trajectory import SolverError
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.terrain.solids import kerb, ramp, stairs, step
-from slipfree.trajectory import SolverError
 from slipfree.vehicle.climber import AXLES
 
 SPEED, WEIGHT = 0.25, 9.81 * 21.6

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.terrain.solids import Profile, Solid, flat, kerb, ramp, stairs, step
 
 SQUARE = Solid(((0, 0), (1, 0), (1, 1), (0, 1)))

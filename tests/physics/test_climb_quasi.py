@@ -22,7 +22,7 @@ from slipfree.climb.friction_demand import (
     least_friction,
     least_friction_forces,
 )
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.terrain.solids import Profile, Solid, flat, kerb, ramp, stairs, step
 
 RADIUS, LINKS = 0.066, (0.215, 0.255)

@@ -16,7 +16,7 @@ from slipfree.control.reference_speeds import (
     reference,
 )
 from slipfree.control.step_climbing import StepClimbing, largest_period, torques
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 
 ALPHA, TH_A, TH_B = np.radians([45, 12, 7])
 TILTS = Tilts(TH_B, TH_A + TH_B)

@@ -30,11 +30,11 @@ from slipfree.climb.time_scaling import climb as program
 from slipfree.climb.time_scaling import history, in_sequence
 from slipfree.control.reference_speeds import PerAxle, Tilts
 from slipfree.control.sensor_noise import Noise, measured
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.trajectory import SolverError
 from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.terrain.solids import placed
-from slipfree.trajectory import SolverError
 
 UNTIL = 13.0
 

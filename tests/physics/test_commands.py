@@ -36,6 +36,7 @@ from slipfree.catalog import (
 )
 from slipfree.cli import app
 from slipfree.control.path_tracking import GAIN, track_path
+from slipfree.core.records import leaves
 from slipfree.files import netcdf
 from slipfree.models.given_rates import COMMANDS
 from slipfree.models.inverse import inverse_kinematics
@@ -44,7 +45,6 @@ from slipfree.models.steering_guide import MAX_STEERING_RATE, STOP_CLEARANCE, st
 from slipfree.models.wheel_authority import check_authority, wheel_rates
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import load_problem
-from slipfree.records import leaves
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
 

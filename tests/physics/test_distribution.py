@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.models import force_distribution
 from slipfree.models.force_distribution import least_utilisation
 

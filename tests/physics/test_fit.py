@@ -24,15 +24,15 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.dae import PiecewiseLinear
+from slipfree.core.dae import PiecewiseLinear
+from slipfree.core.rearrange import with_values
+from slipfree.core.records import Array
 from slipfree.fit.body_motion import BodyMotion, body_motion, velocities
 from slipfree.fit.calibration import bootstrap, calibrate, position_rms
 from slipfree.fit.estimate import Estimate, Predictor, estimate
 from slipfree.fit.unknowns import Unknown, parametric_model, with_unknowns
 from slipfree.fit.windows import Log, Windows, cut, end_poses
 from slipfree.laws.soil import Soil
-from slipfree.rearrange import with_values
-from slipfree.records import Array
 
 LEVEL = Analytic(lambda x, _: 0 * x, mu=0.6)
 SIDES = {end: (f"front_{end}", f"rear_{end}") for end in ("left", "right")}

@@ -7,10 +7,10 @@ import pytest
 
 from slipfree import Analytic, direct_kinematics, quasi_statics
 from slipfree.catalog import three_wheeler
+from slipfree.core.records import leaves
 from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
 from slipfree.models.kinematics import contact_labels
 from slipfree.models.montana import montana_kinematics
-from slipfree.records import leaves
 
 VEHICLE = three_wheeler()
 GROUND = Analytic(lambda x, y: 0.1 * ca.sin(x + y), mu=0.6)

@@ -16,11 +16,11 @@ from helpers.cases import function_of
 from helpers.problem_files import FILE, _read
 from slipfree import Grid
 from slipfree.cli import app
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.lookups import LookupTable
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import geographic_to_metric, read_map
 from slipfree.files.toml.source import ProblemError
-from slipfree.lookups import LookupTable
 from slipfree.problem.build_ground import build_ground, ground_facts
 from slipfree.problem.result import motion_facts
 from slipfree.problem.schema import Terrain

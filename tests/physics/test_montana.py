@@ -28,8 +28,8 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.contact.montana import ContactCoordinates, pair
+from slipfree.core.lookups import LookupTable
 from slipfree.geometry.frame import turn
-from slipfree.lookups import LookupTable
 from slipfree.models.montana import cross_check, montana_kinematics
 
 WHEELS = ("right", "left", "front")

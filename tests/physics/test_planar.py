@@ -21,9 +21,9 @@ from slipfree import (
     simulate,
 )
 from slipfree.control.controlled import Controller, controlled
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Label
 from slipfree.geometry.frame import Pose
-from slipfree.records import Label
 from slipfree.vehicle.drives import Motor, Torque
 
 WAVES = Analytic(lambda _x, y: 0.05 * ca.sin(2 * y), mu=0.8)

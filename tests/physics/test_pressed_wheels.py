@@ -23,7 +23,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.contact.closure import has_exact_closure
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.montana import montana_kinematics
 from slipfree.models.pressed_model import SMOOTHING, pressed_dae

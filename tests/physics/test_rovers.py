@@ -30,11 +30,11 @@ from slipfree.catalog import (
     skid_steer,
 )
 from slipfree.control.path_following import follow
+from slipfree.core.records import leaves
 from slipfree.geometry.path import Path
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.wheel_authority import wheel_rates
 from slipfree.plan.plan import plan
-from slipfree.records import leaves
 from slipfree.terrain.rolled import rolled
 from slipfree.vehicle.inertia import body_inertia
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from helpers.scale_cases import CASES, TOLERANCE, difference, formula, scaled
 from slipfree import ModelError, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
-from slipfree.dae import power_of_length
+from slipfree.core.dae import power_of_length
 
 MOST = 1.0  # tolerances
 AMPLIFIED = {"inverse, steering rate": 50.0}  # rounding changes the steps, and so the error

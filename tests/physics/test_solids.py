@@ -22,12 +22,12 @@ from slipfree import (
 )
 from slipfree.contact import touch
 from slipfree.contact.solid_touch import solid_touch
+from slipfree.core.lookups import LookupTable, lookup_function
+from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import Stop
 from slipfree.geometry.frame import Pose
-from slipfree.lookups import LookupTable, lookup_function
 from slipfree.models.obstacle_ending import obstacle_ending
-from slipfree.outcome import Outcome
 from slipfree.terrain.solids import Prism, Solid, kerb, placed, ramp, stairs, step
-from slipfree.trajectory import Stop
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus

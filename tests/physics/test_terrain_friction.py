@@ -21,7 +21,7 @@ from helpers.cases import function_of as looked_up
 from helpers.cases import hills
 from helpers.problem_files import VALID
 from slipfree.cli import app
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.build_common import build_terrain
 from slipfree.problem.load import load_problem

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.interpolate import RectBivariateSpline
 
 from helpers.cases import function_of
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.base import Grid
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.rolled import _close_by_ball, rolled

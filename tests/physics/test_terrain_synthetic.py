@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.terrain.synthetic import (
     Rock,
     _scatter,

@@ -37,9 +37,9 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
+from slipfree.core.outcome import Outcome
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.montana import montana_kinematics
-from slipfree.outcome import Outcome
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.tree import Body
 

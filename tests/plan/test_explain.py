@@ -10,7 +10,8 @@ from helpers.cases import hills
 from helpers.toy_models import task, toy
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
-from slipfree.dae import Limit
+from slipfree.core.dae import Limit
+from slipfree.core.records import Label
 from slipfree.plan.bound_conflicts import conflicts
 from slipfree.plan.elastic import relax
 from slipfree.plan.explanation import explanation, violation_words, violations
@@ -19,7 +20,6 @@ from slipfree.plan.polynomial_motion import guess_unknowns
 from slipfree.plan.problem import limits_of
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, PlanTask, TimedCondition, transcribe
-from slipfree.records import Label
 
 
 def integrator():

@@ -22,10 +22,10 @@ from slipfree import (
     settle,
     simulate,
 )
+from slipfree.core.records import leaves
 from slipfree.files.toml.source import ProblemError
 from slipfree.models.dynamic_guess import dynamic_guess
 from slipfree.problem.load import load_problem
-from slipfree.records import leaves
 
 RADIUS = 0.15
 CLOSE = {"rtol": 1e-6, "atol": 1e-9}

@@ -10,14 +10,14 @@ from helpers.cases import hills
 from helpers.toy_models import task, toy
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
-from slipfree.dae import Limit
+from slipfree.core.dae import Limit
+from slipfree.core.records import Label
 from slipfree.plan.ipopt import Solution, solve_program
 from slipfree.plan.optimality import check_optimality
 from slipfree.plan.plan import plan
 from slipfree.plan.prices import limit_prices, prices_words
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, TimedCondition, transcribe
-from slipfree.records import Label
 
 STEER, GOAL, DURATION = 0.12, (0.12, 1.3), 10.0
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slipfree.errors import ModelError
-from slipfree.outcome import Outcome
+from slipfree.core.errors import ModelError
+from slipfree.core.outcome import Outcome
 from slipfree.plan.pareto import FrontPoint, pareto_front
 
 DONE = Outcome.COMPLETE

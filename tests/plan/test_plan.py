@@ -13,10 +13,10 @@ from helpers.cases import hills
 from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
+from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
 from slipfree.models.slip import measured_slip
-from slipfree.outcome import Outcome
 from slipfree.plan.plan import plan
 from slipfree.plan.verification import inputs_along
 from slipfree.problem.load import load_problem

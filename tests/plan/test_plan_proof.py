@@ -19,14 +19,14 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.dae import Limit
+from slipfree.core.dae import Limit
+from slipfree.core.records import Label
 from slipfree.plan import plan as planning
 from slipfree.plan.ipopt import MAX_VIOLATION_GROWTH
 from slipfree.plan.plan import plan
 from slipfree.plan.polynomial_motion import motion_of, transfer_motion
 from slipfree.plan.transcription import CollocationMesh
 from slipfree.plan.verification import Verification, refine_mesh, simulate_plan
-from slipfree.records import Label
 
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
 VEHICLE = three_wheeler(axle="fixed")

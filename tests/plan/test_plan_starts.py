@@ -24,15 +24,15 @@ from slipfree import (
 from slipfree import Path as WayPoints
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
-from slipfree.dae import Limit
+from slipfree.core.dae import Limit
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Label
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
-from slipfree.outcome import Outcome
 from slipfree.plan import plan as planning
 from slipfree.plan.plan import plan
 from slipfree.plan.starts import count_distinct, distances, further_guesses
 from slipfree.plan.verification import verify_plan
-from slipfree.records import Label
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 FEW = ("plan.intervals=7", "plan.starts=2")
@@ -136,7 +136,7 @@ def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
 def test_no_starts_and_starts_that_cannot_be_simulated_are_an_error(model, monkeypatch):
     with pytest.raises(ModelError, match="starts: expected 1 or more, found 0"):
         planned(model, led(model, 1), starts=0)
-    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
+    monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
 
     def fail(*_args, **_options):
         raise ModelError("no guess")
@@ -161,7 +161,7 @@ def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
     assert re.search(r"^starts +\d local optim\w+ from 2 starts$", result.stdout, re.MULTILINE)
     assert re.search(r"^  inputs +verified, cost 0\.\d+ \(slip ", result.stdout, re.MULTILINE)
     stored = netcdf.read(out)
-    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
+    monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
     alone = run_problem(load_problem(PROBLEM, FEW)).trajectory
     assert table(stored) == table(alone)
     assert_array_equal(stored["x"], alone["x"])
@@ -169,7 +169,7 @@ def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
-    monkeypatch.setattr("slipfree.processes.available_cores", lambda: 1)
+    monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
 
     def interrupt(phase, line):
         if phase == "starts" and "1 of 2" in line:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slipfree.outcome import Outcome
+from slipfree.core.outcome import Outcome
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 from slipfree.terrain.bicubic import Bicubic

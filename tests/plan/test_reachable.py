@@ -10,7 +10,7 @@ import pytest
 
 from slipfree import Bicubic, Grid
 from slipfree.catalog import three_wheeler
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.search import route

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.path import Path as Outline
 from numpy.testing import assert_allclose
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 
 UTM = (400_000.0, 5_500_000.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.plan.robust import (
     MAX_ROUNDS,
     Bound,

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from slipfree import Bicubic, Grid, Path, direct_kinematics, follow, settle, simulate
 from slipfree.catalog import three_wheeler
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
 from slipfree.routing import smoothing

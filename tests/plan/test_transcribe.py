@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose
 
 from helpers.toy_models import task, toy
 from slipfree import ModelError
-from slipfree.dae import Limit
+from slipfree.core.dae import Limit
+from slipfree.core.records import Label
 from slipfree.plan.bound_conflicts import conflicts
 from slipfree.plan.explanation import violations
 from slipfree.plan.ipopt import solve_program
@@ -18,7 +19,6 @@ from slipfree.plan.transcription import (
     completed,
     transcribe,
 )
-from slipfree.records import Label
 
 
 def at_end(*values):

@@ -28,13 +28,13 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.contact.touch import search_function
-from slipfree.lookups import LookupTable
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import leaves
 from slipfree.plan.nlp_block import nlp_block
 from slipfree.plan.problem import task_of
 from slipfree.plan.sparse_assembly import assemble
 from slipfree.plan.transcription import CollocationMesh, transcribe
 from slipfree.problem.contact_start import settle_contact
-from slipfree.records import leaves
 from slipfree.solve.equations import _compiled_lookup
 from slipfree.solve.replay import replay
 from slipfree.solve.starts import settle_nearest

@@ -20,15 +20,15 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from helpers.fuzz_files import bases, document, results
-from slipfree.atomic_files import replace_file
 from slipfree.cli import app
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.trajectory import Trajectory
 from slipfree.files import netcdf
 from slipfree.show.film import film_writer, write_film
 from slipfree.show.plots import Plot
 from slipfree.show.plots import save as save_figures
 from slipfree.sweep.log import WORDS, Log, Row
-from slipfree.trajectory import Trajectory
+from slipfree.system.atomic_files import replace_file
 
 pytestmark = pytest.mark.slow
 
@@ -147,7 +147,7 @@ def test_a_log_that_cannot_begin_tells_so(tmp_path: Path) -> None:
     code = f"""
 import resource, sys
 from pathlib import Path
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.sweep.log import Log
 resource.setrlimit(resource.RLIMIT_FSIZE, (9, 9))
 try:
@@ -169,7 +169,7 @@ def test_a_log_on_a_full_disk_tells_so_and_goes_on_later(tmp_path: Path) -> None
     code = f"""
 import resource, sys
 from pathlib import Path
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.sweep.log import Log, Row
 resource.setrlimit(resource.RLIMIT_FSIZE, ({size + 20}, {size + 20}))
 try:

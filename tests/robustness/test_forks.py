@@ -9,8 +9,9 @@ from collections.abc import Callable
 
 import pytest
 
-from slipfree import Analytic, SlipfreeError, direct_kinematics, forks, settle, simulate
+from slipfree import Analytic, SlipfreeError, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
+from slipfree.system import forks
 
 pytestmark = [
     pytest.mark.slow,

@@ -19,7 +19,7 @@ from helpers.fuzz_checks import READ, REFUSED, judged
 from helpers.fuzz_damage import Case
 from helpers.fuzz_files import KINDS, bases, document, drawn, results, toml
 from slipfree.cli import app
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import read_map
 from slipfree.files.toml.source import ProblemError

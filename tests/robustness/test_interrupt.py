@@ -22,21 +22,14 @@ from typer.testing import CliRunner
 import slipfree.__main__ as entry
 from helpers.cases import hills
 from helpers.toy_models import model
-from slipfree import Analytic, SolverOptions, codegen_cache, direct_kinematics, settle
+from slipfree import Analytic, SolverOptions, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
+from slipfree.core.nlp import Nlp
+from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
 from slipfree.files.tables import write_rows
 from slipfree.fit import estimate
-from slipfree.interrupt import (
-    InterruptGuard,
-    check_interrupt,
-    ended_by_interrupt,
-    held_interrupt,
-    interrupt_at_signals,
-    with_interrupt_guard,
-)
-from slipfree.nlp import Nlp
 from slipfree.plan import ipopt, tracking, verification
 from slipfree.plan import plan as planning
 from slipfree.plan.external_nlp import solve_nlp
@@ -46,7 +39,15 @@ from slipfree.problem.verbs import compare
 from slipfree.problem.verbs import driving as runner
 from slipfree.problem.verbs import plan as plan_verb
 from slipfree.solve import simulate, zero_order_hold
-from slipfree.trajectory import SolverError
+from slipfree.system import codegen_cache
+from slipfree.system.interrupt import (
+    InterruptGuard,
+    check_interrupt,
+    ended_by_interrupt,
+    held_interrupt,
+    interrupt_at_signals,
+    with_interrupt_guard,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -626,7 +627,7 @@ def test_an_interrupted_import_prints_no_traceback(pressed, monkeypatch, capsys)
                 signal.raise_signal(signal.SIGTERM)
         raise ImportError("numpy is not complete")
 
-    monkeypatch.setattr("slipfree.interrupt._received", [])
+    monkeypatch.setattr("slipfree.system.interrupt._received", [])
     monkeypatch.setattr("slipfree.cli.main", imported)
     with pytest.raises(SystemExit if pressed else ImportError) as ended:
         entry.main()

@@ -26,8 +26,8 @@ from helpers.sweep_cases import (
     table_rows,
     tasks_of,
 )
-from slipfree.errors import DataError, SlipfreeError
-from slipfree.processes import finish_tasks
+from slipfree.core.errors import DataError, SlipfreeError
+from slipfree.core.version import __version__
 from slipfree.sweep import cluster
 from slipfree.sweep.cluster import Cluster
 from slipfree.sweep.grid import sweep_of
@@ -35,7 +35,7 @@ from slipfree.sweep.log import Log
 from slipfree.sweep.pools import ProcessPool
 from slipfree.sweep.table import sweep_facts
 from slipfree.sweep.worker import work
-from slipfree.version import __version__
+from slipfree.system.processes import finish_tasks
 
 pytestmark = pytest.mark.slow
 

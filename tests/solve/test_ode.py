@@ -8,12 +8,12 @@ from numpy.testing import assert_allclose
 from helpers.toy_models import model
 from slipfree import Analytic, SolverOptions, direct_kinematics
 from slipfree.catalog import three_wheeler
-from slipfree.dae import PiecewiseLinear
-from slipfree.errors import ModelError
+from slipfree.core.dae import PiecewiseLinear
+from slipfree.core.errors import ModelError
+from slipfree.core.trajectory import SolverError
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
-from slipfree.trajectory import SolverError
 
 
 def test_a_stiff_equation_has_its_solution():

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from helpers.cases import hills
 from slipfree import Analytic, Bicubic, Grid, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
-from slipfree.rearrange import blocks, rearrange, substitute, variables, with_outputs
-from slipfree.records import Label
+from slipfree.core.rearrange import blocks, rearrange, substitute, variables, with_outputs
+from slipfree.core.records import Label
 
 AXIS = np.linspace(-4, 4, 41)
 GROUNDS = {

@@ -23,13 +23,13 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.dae import LIMIT_ROUNDING, Limit, PiecewiseLinear
-from slipfree.outcome import Outcome
-from slipfree.records import Label, symbols
+from slipfree.core.dae import LIMIT_ROUNDING, Limit, PiecewiseLinear
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Label, symbols
+from slipfree.core.trajectory import joined
 from slipfree.solve import simulate as module
 from slipfree.solve.events import Event
 from slipfree.solve.system import _with_numbers as with_numbers
-from slipfree.trajectory import joined
 
 
 def model(rate_of, low=-np.inf, high=np.inf):

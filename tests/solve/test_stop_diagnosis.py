@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from helpers.toy_models import toy
-from slipfree.dae import Continuation
-from slipfree.outcome import Outcome
+from slipfree.core.dae import Continuation
+from slipfree.core.outcome import Outcome
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate

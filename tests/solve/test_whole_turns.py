@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose
 
 from slipfree import Analytic, catalog, direct_kinematics, replan, settle, simulate
 from slipfree import plan as search
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
+from slipfree.core.records import leaves
 from slipfree.plan.mpc import first_cycle, horizon
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import _compare
-from slipfree.records import leaves
 from slipfree.solve.whole_turns import periodic_states, same_turn
 
 GROUND = Analytic(lambda x, y: 0.1 * x * y)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import inf
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.sections.base import Section
 from slipfree.vehicle.sections.registry import section_of_radii

@@ -11,7 +11,7 @@ from math import cos, radians, sin
 from typing import Literal, NamedTuple
 
 from slipfree.catalog.carts import SIDES
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.geometry.frame import Vector
 from slipfree.geometry.tensor import Elements
 from slipfree.vehicle.sections.registry import section_of_radii

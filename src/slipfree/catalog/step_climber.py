@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from slipfree.catalog.carts import SIDES, _positive
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.geometry.frame import Axis, Vector
 from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections.disc import Disc

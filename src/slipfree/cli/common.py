@@ -23,8 +23,8 @@ from slipfree.cli.messages import (
     written,
 )
 from slipfree.cli.messages import STOPPED as STOPPED
-from slipfree.errors import DataError, ModelError, SlipfreeError, WriteError
-from slipfree.regular_files import regular_file
+from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError
+from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
     from slipfree.problem.problem import Problem

@@ -12,8 +12,8 @@ import typer
 from slipfree.cli.common import reported
 from slipfree.cli.messages import add_json, print_line
 from slipfree.cli.new import write_new_file
-from slipfree.errors import DataError
-from slipfree.regular_files import check_name
+from slipfree.core.errors import DataError
+from slipfree.system.regular_files import check_name
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable

@@ -20,7 +20,7 @@ from slipfree.cli.common import (
 from slipfree.cli.messages import INTERRUPTED, add_json, add_json_file, print_error, print_line
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outputs import check_outputs, default_table, save
-from slipfree.interrupt import held_interrupt, interrupt_requested
+from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 
 def fit(

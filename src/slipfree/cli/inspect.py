@@ -35,8 +35,8 @@ from slipfree.cli.messages import (
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outcomes import resume_command
 from slipfree.cli.outputs import check_outputs
-from slipfree.errors import DataError
-from slipfree.interrupt import held_interrupt, interrupt_requested
+from slipfree.core.errors import DataError
+from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
     from slipfree.problem.verbs.compare import Drive

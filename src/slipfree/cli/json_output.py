@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from slipfree.core.facts import Facts
+    from slipfree.core.trajectory import Stop, Trajectory
     from slipfree.problem.verbs.compare import Drive, Row
-    from slipfree.trajectory import Stop, Trajectory
 
 
 def motion_json(run: Trajectory, facts: Facts) -> dict[str, Any]:

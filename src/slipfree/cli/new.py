@@ -12,7 +12,7 @@ import typer
 from slipfree.cli.common import reported
 from slipfree.cli.messages import add_json_file, print_line
 from slipfree.cli.outputs import check_outputs
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 
 FOLDER = "starters"  # folder of the templates in the package
 HOLE = "FILE"  # placeholder of the file name in the comments of a template
@@ -57,7 +57,7 @@ def write_new_file(text: str, out: Path, force: bool) -> None:
         raise DataError(
             f"{out}: expected a new file, found an existing one; replace it with --force"
         )
-    from slipfree.atomic_files import replace_file
+    from slipfree.system.atomic_files import replace_file
 
     replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
     add_json_file(out)

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slipfree.cli.messages import is_quiet, print_error
-from slipfree.outcome import Outcome
+from slipfree.core.outcome import Outcome
 
 if TYPE_CHECKING:
-    from slipfree.trajectory import Trajectory
+    from slipfree.core.trajectory import Trajectory
 
 
 def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
@@ -19,7 +19,7 @@ def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
     With ``--quiet``, which omits the summary, print also the reason of the outcome. ``go_on`` is
     the command, empty if there is none.
     """
-    from slipfree.trajectory import outcome_title, outcome_words
+    from slipfree.core.trajectory import outcome_title, outcome_words
 
     words = outcome_words(run) if is_quiet() else outcome_title(run)
     print_error(f"{words}; {out} contains the result so far")

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from slipfree.cli.common import begins_with
 from slipfree.cli.messages import add_json_file, note_failure, print_error, warn
-from slipfree.errors import DataError, WriteError
-from slipfree.interrupt import held_interrupt
-from slipfree.regular_files import check_name, resolve_links
+from slipfree.core.errors import DataError, WriteError
+from slipfree.system.interrupt import held_interrupt
+from slipfree.system.regular_files import check_name, resolve_links
 
 if TYPE_CHECKING:
     from slipfree.problem.problem import Problem

@@ -26,7 +26,7 @@ from slipfree.cli.messages import (
 )
 from slipfree.cli.outputs import check_outputs, save
 from slipfree.cli.progress import reporting
-from slipfree.interrupt import interrupt_requested
+from slipfree.system.interrupt import interrupt_requested
 
 if TYPE_CHECKING:
     from slipfree.plan.pareto import FrontPoint

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from slipfree.cli.common import throttled
 from slipfree.cli.messages import detail, has_bar, is_verbose, print_line, visible
-from slipfree.interrupt import check_interrupt, held_interrupt
+from slipfree.system.interrupt import check_interrupt, held_interrupt
 
 FIRST_LINE = 2.0  # time before the first line of a computation [s]
 NEW_PHASE = 1.0  # shortest time between lines of different phases [s]

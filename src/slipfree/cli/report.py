@@ -10,7 +10,7 @@ import typer
 from slipfree.cli.common import InputFolder, about, reported
 from slipfree.cli.messages import add_json_file, detail, print_line, warn
 from slipfree.cli.outputs import check_page
-from slipfree.regular_files import regular_file
+from slipfree.system.regular_files import regular_file
 
 
 def report(
@@ -28,9 +28,9 @@ def report(
     The page has facts, checks, figures, the problem file and versions.
     """
     with reported(), about(file):
-        from slipfree.atomic_files import replace_file
         from slipfree.problem.report import report as made
         from slipfree.show.html_report import page
+        from slipfree.system.atomic_files import replace_file
 
         with regular_file(file, "a result file of slipfree"):
             target = out or file.with_suffix(".html")

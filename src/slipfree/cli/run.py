@@ -31,8 +31,8 @@ from slipfree.cli.messages import (
 from slipfree.cli.outcomes import print_incomplete, resume_command
 from slipfree.cli.outputs import OUTPUT, check_default_outputs, check_outputs, save
 from slipfree.cli.progress import reporting
-from slipfree.errors import SlipfreeError, WriteError
-from slipfree.interrupt import held_interrupt, interrupt_requested
+from slipfree.core.errors import SlipfreeError, WriteError
+from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

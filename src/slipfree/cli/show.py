@@ -16,7 +16,7 @@ import typer
 from slipfree.cli.common import InputFolder, about, reported
 from slipfree.cli.messages import add_json_file, print_line, warn
 from slipfree.cli.outputs import check_outputs, check_page
-from slipfree.regular_files import escape_name
+from slipfree.system.regular_files import escape_name
 
 if TYPE_CHECKING:
     from slipfree.show.scene import Scene
@@ -63,8 +63,8 @@ def show(
             _film(scene, _title(found), animation)
             add_json_file(animation)
         if html is not None:
-            from slipfree.atomic_files import replace_file
             from slipfree.show.viewer import page
+            from slipfree.system.atomic_files import replace_file
 
             text = page(scene, _title(found), color)
             replace_file(html, lambda part: _write(part, text))

@@ -22,8 +22,8 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.messages import add_json_file, detail, has_bar, print_line, warn
 from slipfree.cli.outputs import check_outputs
-from slipfree.errors import DataError
-from slipfree.interrupt import check_interrupt, held_interrupt
+from slipfree.core.errors import DataError
+from slipfree.system.interrupt import check_interrupt, held_interrupt
 
 if TYPE_CHECKING:
     from slipfree.show.sweep_results import Swept
@@ -105,12 +105,12 @@ def sweep(
     was interrupted or killed.
     """
     with reported():
-        from slipfree.codegen_cache import obstacle
         from slipfree.problem.input_files import files_read
-        from slipfree.processes import available_cores
         from slipfree.sweep.grid import sweep_of
         from slipfree.sweep.log import FAILED, LOST
         from slipfree.sweep.table import NAME, choose_figures, drawn_grids, grids, sweep_facts
+        from slipfree.system.codegen_cache import obstacle
+        from slipfree.system.processes import available_cores
 
         with _progress("checking values") as checked:
             plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked, trust or [])
@@ -187,9 +187,9 @@ def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
 
 
 def _pool(count: int | None, scheduler: str | None) -> Callable[[], Pool]:
-    from slipfree.processes import available_cores
     from slipfree.sweep.cluster import Cluster
     from slipfree.sweep.pools import ProcessPool
+    from slipfree.system.processes import available_cores
 
     if scheduler is None:
         return lambda: ProcessPool(count or available_cores())

@@ -16,8 +16,8 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.messages import INTERRUPTED, add_json, detail, print_error, print_line, written
 from slipfree.cli.outputs import check_outputs, save
-from slipfree.interrupt import held_interrupt, interrupt_requested
-from slipfree.regular_files import regular_file
+from slipfree.system.interrupt import held_interrupt, interrupt_requested
+from slipfree.system.regular_files import regular_file
 
 
 def track(

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.errors import ModelError
-from slipfree.records import Array
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.climber import AXLES, Climber
 

@@ -21,9 +21,9 @@ import numpy as np
 import scipy
 
 from slipfree.climb.contact_path import Leg, PathSamples, axle_arms, legs, sample, tangents
-from slipfree.records import Array
+from slipfree.core.records import Array
+from slipfree.core.trajectory import SolverError
 from slipfree.terrain.solids import Profile
-from slipfree.trajectory import SolverError
 from slipfree.vehicle.climber import Body, Climber
 from slipfree.vehicle.tree import GRAVITY
 

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.errors import ModelError
-from slipfree.records import Array, Mask
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Mask
+from slipfree.core.trajectory import Trajectory
 from slipfree.terrain.solids import Profile
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 LEAD_TIME, TRAIL_TIME = 0.05, 0.1  # parts of the window before first contact and after climb [s]

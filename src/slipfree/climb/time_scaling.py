@@ -31,11 +31,11 @@ from slipfree.climb.friction_demand import (
     equilibrium,
     least_friction_forces,
 )
-from slipfree.errors import ModelError
-from slipfree.nlp import Nlp
-from slipfree.records import Array, Label
+from slipfree.core.errors import ModelError
+from slipfree.core.nlp import Nlp
+from slipfree.core.records import Array, Label
+from slipfree.core.trajectory import Column, Trajectory, joined
 from slipfree.terrain.solids import Profile
-from slipfree.trajectory import Column, Trajectory, joined
 from slipfree.vehicle.climber import AXLES, Climber
 from slipfree.vehicle.tree import GRAVITY
 

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from slipfree.batch import evaluate
-from slipfree.records import Array, Label, Mask
+from slipfree.core.evaluation import evaluate
+from slipfree.core.records import Array, Label, Mask
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.sections.base import arc_lengths
 from slipfree.vehicle.wheel import Wheel

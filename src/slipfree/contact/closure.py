@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import LookupTable
 from slipfree.geometry.frame import Pose
-from slipfree.lookups import LookupTable
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from slipfree.core.lookups import LookupTable
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.surface import Forms, Patch, inverse, patch, patch_of
-from slipfree.lookups import LookupTable
 from slipfree.terrain.base import Jet, Terrain
 from slipfree.vehicle.wheel import Wheel
 

@@ -18,9 +18,9 @@ import casadi as ca
 
 from slipfree.contact.closure import ContactFrame
 from slipfree.contact.touch import Touch
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import LookupTable
 from slipfree.geometry.frame import Pose
-from slipfree.lookups import LookupTable
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism
 from slipfree.vehicle.wheel import Wheel

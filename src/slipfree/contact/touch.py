@@ -19,8 +19,8 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import ContactFrame
+from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.geometry.frame import Pose
-from slipfree.lookups import LookupTable, lookup_function
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections.base import Section

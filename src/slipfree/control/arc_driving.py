@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from slipfree.control.path_following import planar_geometry, wheel_rate
-from slipfree.dae import Dae
-from slipfree.records import Array, leaves
+from slipfree.core.dae import Dae
+from slipfree.core.records import Array, leaves
 from slipfree.vehicle.tree import Vehicle
 
 STEERING_STEPS = 20  # number of steps of the fixed-point iteration for the steering

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Labels, Limit
-from slipfree.errors import ModelError
-from slipfree.records import leaves, pack, unpack
+from slipfree.core.dae import Dae, Labels, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.records import leaves, pack, unpack
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Record, leaves, unpack
+from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.path import Path
-from slipfree.records import Array, Record, leaves, unpack
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 

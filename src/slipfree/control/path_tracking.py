@@ -5,12 +5,12 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.rearrange import with_outputs
+from slipfree.core.records import Array, Label, Record, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.models.given_rates import PLANAR
-from slipfree.rearrange import with_outputs
-from slipfree.records import Array, Label, Record, leaves
-from slipfree.trajectory import Trajectory
 
 GAIN = 1.0  # decay rate of the errors of position and heading [1/s]
 DEGREE = 5  # degree of the splines through the way-points

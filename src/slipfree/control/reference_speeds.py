@@ -23,7 +23,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import casadi as ca
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.climber import Climber
 

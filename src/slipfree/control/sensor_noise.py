@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
-from slipfree.bounds import check_bounds
 from slipfree.control.reference_speeds import PerAxle, Tilts
+from slipfree.core.bounds import check_bounds
 
 TONES = 24  # number of tones in the noise of a sensor
 

@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, get_args
 import casadi as ca
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
-from slipfree.bounds import check_bounds
 from slipfree.control.controlled import Controller, controlled
 from slipfree.control.reference_speeds import (
     Law,
@@ -25,10 +24,11 @@ from slipfree.control.reference_speeds import (
     reference,
 )
 from slipfree.control.sensor_noise import Noise, measured
-from slipfree.dae import Dae, Limit
-from slipfree.errors import ModelError
+from slipfree.core.bounds import check_bounds
+from slipfree.core.dae import Dae, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Label, leaves, symbols
 from slipfree.models.limits import UPRIGHT
-from slipfree.records import Label, leaves, symbols
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.climber import Climber, climber_of
 from slipfree.vehicle.tree import Vehicle

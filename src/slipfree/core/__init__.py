@@ -1,1 +1,1 @@
-"""Records that all packages share."""
+"""Models, records, facts, outcomes and errors, which all packages share."""

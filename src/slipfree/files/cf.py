@@ -6,9 +6,9 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-from slipfree.errors import DataError
-from slipfree.records import Array, Label
-from slipfree.trajectory import TIME, Column, Trajectory
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array, Label
+from slipfree.core.trajectory import TIME, Column, Trajectory
 
 DEGREES = ("longitude", "latitude")
 MAP_TRANSFORM = "map_transform"  # attribute of a result: its map coordinates as JSON

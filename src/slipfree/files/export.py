@@ -9,13 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from slipfree.atomic_files import replace_file
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.records import Label
+from slipfree.core.trajectory import Column, Trajectory
 from slipfree.files.cf import map_positions
 from slipfree.files.netcdf import read, write_csv
-from slipfree.records import Label
-from slipfree.regular_files import resolve_links
-from slipfree.trajectory import Column, Trajectory
+from slipfree.system.atomic_files import replace_file
+from slipfree.system.regular_files import resolve_links
 
 ANGLES = ("heading", "pitch", "roll", "yaw")
 WGS84 = "EPSG:4326"  # default reference system of GeoJSON

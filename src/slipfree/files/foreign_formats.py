@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 
 HEAD = 512  # bytes that are compared
 AGAIN = "download the file itself ('raw') again"

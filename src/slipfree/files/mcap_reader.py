@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from slipfree.errors import DataError, missing_package
-from slipfree.processes import bounded_read
-from slipfree.records import Array
-from slipfree.regular_files import read_bytes, regular_file
+from slipfree.core.errors import DataError, missing_package
+from slipfree.core.records import Array
+from slipfree.system.processes import bounded_read
+from slipfree.system.regular_files import read_bytes, regular_file
 
 Rows = Mapping[str, Array]
 T = TypeVar("T")

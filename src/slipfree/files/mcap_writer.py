@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipfree.atomic_files import replace_file
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.mcap_reader import ros_package
 from slipfree.files.urdf.links import (
     MAP,
@@ -21,8 +22,7 @@ from slipfree.files.urdf.links import (
     to_rep103,
 )
 from slipfree.models.poses import wheel_poses
-from slipfree.records import Array
-from slipfree.trajectory import Trajectory
+from slipfree.system.atomic_files import replace_file
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:

@@ -26,9 +26,21 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slipfree.atomic_files import replace_file
+from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Fact, decode
-from slipfree.errors import DataError, ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, Label
+from slipfree.core.trajectory import (
+    FACTS,
+    OUTCOME,
+    STATISTICS,
+    STOP,
+    WHEELS,
+    Column,
+    Stop,
+    Trajectory,
+)
+from slipfree.core.version import __version__
 from slipfree.files.cf import (
     CRS,
     FEATURE,
@@ -42,20 +54,8 @@ from slipfree.files.cf import (
     position_columns,
 )
 from slipfree.files.tables import write_rows
-from slipfree.outcome import Outcome
-from slipfree.records import Array, Label
-from slipfree.regular_files import escape_name, regular_file
-from slipfree.trajectory import (
-    FACTS,
-    OUTCOME,
-    STATISTICS,
-    STOP,
-    WHEELS,
-    Column,
-    Stop,
-    Trajectory,
-)
-from slipfree.version import __version__
+from slipfree.system.atomic_files import replace_file
+from slipfree.system.regular_files import escape_name, regular_file
 
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # attribute that identifies a result file

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.records import Array
 from slipfree.files.toml.types import FULL_TURN, WithUnit
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import in_axes
-from slipfree.records import Array
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
 from slipfree.vehicle.sections.omni import Omni

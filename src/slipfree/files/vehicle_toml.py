@@ -22,7 +22,7 @@ from pydantic import (
     create_model,
 )
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.files.toml.source import (
     PIECE,
     Fault,

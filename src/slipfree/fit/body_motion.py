@@ -20,9 +20,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.dae import Dae, Limit, power_of_length
-from slipfree.errors import ModelError
-from slipfree.records import Array, Mask, leaves
+from slipfree.core.dae import Dae, Limit, power_of_length
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Mask, leaves
 from slipfree.solve.initial_conditions import MAX_DIVISIONS, MAX_STEP, limit_message
 
 MAX_STEPS = 30  # of Newton's method

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.fit.estimate import CONFIDENCE, Estimate, Loss, Predictor, estimate
 from slipfree.fit.unknowns import Unknown, parametric_model
 from slipfree.fit.windows import Windows
-from slipfree.records import Array
 from slipfree.vehicle.tree import Vehicle
 
 RESAMPLES = 2000  # of a bootstrap

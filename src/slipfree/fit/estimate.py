@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy  # its parts are imported when they are used, since this takes 0.2 s
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Label, Mask
 from slipfree.fit.body_motion import (
     BodyMotion,
     MotionError,
@@ -29,8 +30,7 @@ from slipfree.fit.body_motion import (
 )
 from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
 from slipfree.fit.windows import Windows, end_poses
-from slipfree.interrupt import check_interrupt, interrupt_requested
-from slipfree.records import Array, Label, Mask
+from slipfree.system.interrupt import check_interrupt, interrupt_requested
 from slipfree.vehicle.tree import Vehicle
 
 LOSSES = ("soft_l1", "linear")

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple, get_type_hints
 import casadi as ca
 from annotated_types import DocInfo, Unit
 
-from slipfree.dae import Dae, Parameter
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae, Parameter
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Label
 from slipfree.geometry.frame import Pose, Vector
-from slipfree.records import Label
 from slipfree.vehicle.sections.base import Section
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.omni import Omni

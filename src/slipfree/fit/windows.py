@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Mask
 from slipfree.fit.body_motion import evaluate
-from slipfree.records import Array, Mask
 
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # quadrature over the time between samples
 MAX_SAMPLES = 1_000_000  # windows times samples of the longest one; an estimate takes 2 kB for each

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 
 Vector = tuple[float, float, float]
 Axis = str | Vector

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 
 Faces = npt.NDArray[np.uint32]
 

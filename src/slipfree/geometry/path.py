@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
-from slipfree.records import Array
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 
 MAX_COORDINATE = 1e12  # larger way-points are input errors [m]
 NODES = 64  # nodes of the arc-length table per way-point

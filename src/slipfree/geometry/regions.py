@@ -11,8 +11,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
-from slipfree.records import Array
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 
 TIP_ROUNDING = 1e-3  # rounding of the distance at the centre of a disc, in radii
 CORNER_ROUNDING = 1e-12  # rounding of the distance at a corner of a polygon, relative to its size

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 
 Elements = tuple[float, float, float, float, float, float]
 

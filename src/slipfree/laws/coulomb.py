@@ -15,9 +15,11 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
-from slipfree.bounds import check_bounds
-from slipfree.dae import Continuation, Limit
-from slipfree.errors import ModelError
+from slipfree.core.bounds import check_bounds
+from slipfree.core.dae import Continuation, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Label
 from slipfree.laws.protocols import (
     NORMAL,
     Equations,
@@ -25,8 +27,6 @@ from slipfree.laws.protocols import (
     SlidingContacts,
     wheel_labels,
 )
-from slipfree.outcome import Outcome
-from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from slipfree.core.records import Label, pack
 from slipfree.laws.protocols import Equations, Motion
-from slipfree.records import Label, pack
 from slipfree.vehicle.tree import Vehicle
 
 

@@ -15,8 +15,9 @@ import casadi as ca
 import numpy as np
 from annotated_types import Gt, Le, Unit, doc
 
-from slipfree.bounds import check_bounds
-from slipfree.dae import Limit
+from slipfree.core.bounds import check_bounds
+from slipfree.core.dae import Limit
+from slipfree.core.records import Label
 from slipfree.laws.coulomb import (
     MAX_CREEP,
     FrictionUnknowns,
@@ -25,7 +26,6 @@ from slipfree.laws.coulomb import (
     friction_unknowns,
 )
 from slipfree.laws.protocols import Equations, Reaction, SlidingContacts
-from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

@@ -9,9 +9,9 @@ import casadi as ca
 
 from slipfree.contact.closure import ContactFrame
 from slipfree.contact.touch import Touch
-from slipfree.dae import Continuation, Limit
-from slipfree.errors import ModelError
-from slipfree.records import Array, Label
+from slipfree.core.dae import Continuation, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel

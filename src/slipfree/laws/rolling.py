@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import casadi as ca
 
 from slipfree.contact.closure import check_exact_closure
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Label
 from slipfree.laws.protocols import Equations, Motion, component_labels
-from slipfree.records import Label
 from slipfree.vehicle.tree import Vehicle
 
 

@@ -46,9 +46,10 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
-from slipfree.bounds import check_bounds
-from slipfree.dae import Limit
-from slipfree.errors import ModelError
+from slipfree.core.bounds import check_bounds
+from slipfree.core.dae import Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Label
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
     ACROSS,
@@ -62,7 +63,6 @@ from slipfree.laws.protocols import (
     wheel_labels,
 )
 from slipfree.laws.soil_regions import SoilRegion, soil_at
-from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 from slipfree.vehicle.wheel import Wheel

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 import casadi as ca
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 
 OF_THE_LAW = ("grouser_height", "damping_ratio", "creep", "regions")  # not constants of the ground

@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import radians
 from typing import NamedTuple
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.laws.soil import Soil
 
 

@@ -9,9 +9,10 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import ContactFrame, wheel_coordinates
-from slipfree.dae import Labels
+from slipfree.core.dae import Labels
+from slipfree.core.lookups import LookupTable, lookup_function
+from slipfree.core.records import Array, leaves, pack
 from slipfree.geometry.frame import Pose, platform, quaternion
-from slipfree.lookups import LookupTable, lookup_function
 from slipfree.models.quantities import Quantities
 from slipfree.models.records import (
     Configuration,
@@ -22,7 +23,6 @@ from slipfree.models.records import (
     Rates,
     state_coordinates,
 )
-from slipfree.records import Array, leaves, pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

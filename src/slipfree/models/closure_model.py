@@ -14,10 +14,11 @@ import casadi as ca
 
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import closure, contact_frame
-from slipfree.dae import Continuation, Dae, Labels, Limit
+from slipfree.core.dae import Continuation, Dae, Labels, Limit
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import symbols
 from slipfree.geometry.frame import Pose
 from slipfree.laws.protocols import Equations
-from slipfree.lookups import LookupTable
 from slipfree.models.base import (
     at_rest,
     carriers,
@@ -36,7 +37,6 @@ from slipfree.models.records import Algebraic
 from slipfree.models.slip import slip_velocities
 from slipfree.models.statics import force_outputs, mechanics, with_tangential
 from slipfree.models.tip_over import tip_over_margin
-from slipfree.records import symbols
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

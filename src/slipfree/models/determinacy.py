@@ -24,14 +24,14 @@ from itertools import combinations
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
+from slipfree.core.records import Array, Label, leaves, pack
+from slipfree.core.trajectory import Trajectory
 from slipfree.laws.rolling import Rolling
 from slipfree.models.base import extent
 from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, derived_rates, omega
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.records import Array, Label, leaves, pack
 from slipfree.terrain.base import Terrain
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 TYPICAL_ANGLE = 0.3  # steering angle that scales its column [rad]

@@ -7,11 +7,11 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from slipfree.core.records import Array, Label
+from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, wheel_size
 from slipfree.laws.soil_regions import soil_at
 from slipfree.models.single_wheel import depth_under_load
-from slipfree.records import Array, Label
-from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 SLIP_LIMIT = 0.3  # slip ratio at which the largest pull counts [1]

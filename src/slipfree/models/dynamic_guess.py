@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.records import Array, Label, leaves
-from slipfree.trajectory import Column, Trajectory
+from slipfree.core.dae import Dae
+from slipfree.core.records import Array, Label, leaves
+from slipfree.core.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 
 EASE_IN = 1.3  # exponent of the time in the progress of a motion that begins at rest

@@ -11,9 +11,10 @@ import numpy as np
 from slipfree.contact.closure import ContactFrame
 from slipfree.contact.solid_touch import tube_radii
 from slipfree.contact.touch import Touch
-from slipfree.dae import Limit
+from slipfree.core.dae import Limit
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Label, leaves, unpack
 from slipfree.laws.protocols import ContactLaw, GroundForce
-from slipfree.lookups import LookupTable
 from slipfree.models.base import outputs, slip_ratios
 from slipfree.models.dynamic_records import (
     DynamicOutputs,
@@ -32,7 +33,6 @@ from slipfree.models.records import (
     Rates,
 )
 from slipfree.models.tip_over import tip_over_margin
-from slipfree.records import Label, leaves, unpack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 

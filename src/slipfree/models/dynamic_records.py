@@ -7,11 +7,11 @@ from typing import Any, Generic, NamedTuple
 
 import casadi as ca
 
-from slipfree.dae import Dae, Labels
+from slipfree.core.dae import Dae, Labels
+from slipfree.core.records import Label, T
 from slipfree.laws.protocols import wheel_labels
 from slipfree.models.labels import effort_label, labels_of, pressed_labels, slip_ratio_labels
 from slipfree.models.records import Inputs, Outputs
-from slipfree.records import Label, T
 from slipfree.vehicle.tree import Coordinate, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

@@ -24,13 +24,13 @@ from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import has_exact_closure, support_fault
 from slipfree.contact.solid_touch import solid_touch
 from slipfree.contact.touch import Touch, plane_of, search_function, touch
-from slipfree.dae import Dae, HeldTerms, Labels, Standing
-from slipfree.errors import ModelError
-from slipfree.forks import computing
+from slipfree.core.dae import Dae, HeldTerms, Labels, Standing
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import leaves, pack, symbols
 from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.protocols import ContactLaw, WheelContact, check_law
-from slipfree.lookups import LookupTable
 from slipfree.models.base import extent, raised_poses, sizes, touch_function
 from slipfree.models.dynamic_outputs import (
     Contact,
@@ -58,7 +58,7 @@ from slipfree.models.multibody import (
 )
 from slipfree.models.records import Inputs
 from slipfree.models.standing import planar_start, standing_start
-from slipfree.records import leaves, pack, symbols
+from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism, Solids
 from slipfree.vehicle.tree import Vehicle

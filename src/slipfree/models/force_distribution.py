@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.errors import ModelError
-from slipfree.records import Array, Mask
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Mask
 
 Index = npt.NDArray[np.intp]
 

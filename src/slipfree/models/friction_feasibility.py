@@ -9,18 +9,18 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import check_exact_closure, contact_frame
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import LookupTable, lookup_function
+from slipfree.core.records import Array, Label, leaves, pack, symbols
+from slipfree.core.trajectory import Column, Trajectory
 from slipfree.geometry.frame import platform
-from slipfree.lookups import LookupTable, lookup_function
 from slipfree.models.base import carriers
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.labels import labels_of
 from slipfree.models.quantities import Mechanics, Quantities
 from slipfree.models.records import Algebraic
 from slipfree.models.statics import mechanics
-from slipfree.records import Array, Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
-from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 MAX_LEVEL_SLOPE = 0.005  # smaller slopes count as level ground [rad]

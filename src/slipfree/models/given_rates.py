@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.rearrange import Variable, new_variable, variables
+from slipfree.core.records import Label, leaves, pack
 from slipfree.laws.least_slip import slip_unit
-from slipfree.rearrange import Variable, new_variable, variables
-from slipfree.records import Label, leaves, pack
 from slipfree.vehicle.tree import Vehicle
 
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")

@@ -44,8 +44,18 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Limit
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.rearrange import (
+    Variable,
+    blocks,
+    rearrange,
+    substitute,
+    variables,
+    with_outputs,
+)
+from slipfree.core.records import Label, leaves, pack
+from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.least_slip import LeastSlip, slip_unit
 from slipfree.laws.rolling import Rolling, rolling_counts
 from slipfree.models.determinacy import (
@@ -71,17 +81,7 @@ from slipfree.models.steering_guide import (
     steering_errors,
     steering_laws,
 )
-from slipfree.rearrange import (
-    Variable,
-    blocks,
-    rearrange,
-    substitute,
-    variables,
-    with_outputs,
-)
-from slipfree.records import Label, leaves, pack
 from slipfree.terrain.base import Terrain
-from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 SolveFor = Literal["rates", "angles"]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 
 from slipfree.contact.closure import has_exact_closure
-from slipfree.dae import Labels
-from slipfree.errors import ModelError
-from slipfree.forks import computing
+from slipfree.core.dae import Labels
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Label, leaves, pack
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import Equations, Motion, SlipLaw, check_law, wheel_labels
 from slipfree.models.closure_model import closure_dae, closure_quantities
@@ -16,7 +16,7 @@ from slipfree.models.pressed_model import SMOOTHING, pressed_dae
 from slipfree.models.quantities import Quantities
 from slipfree.models.records import KinematicDae
 from slipfree.models.statics import following_forces
-from slipfree.records import Label, leaves, pack
+from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

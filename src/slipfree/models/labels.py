@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from slipfree.dae import Labels
+from slipfree.core.dae import Labels
+from slipfree.core.records import Label, leaves
 from slipfree.laws.protocols import ACROSS, ALONG, NORMAL, component_labels, wheel_labels
 from slipfree.models.records import (
     Algebraic,
@@ -19,7 +20,6 @@ from slipfree.models.records import (
     Totals,
     is_determinate,
 )
-from slipfree.records import Label, leaves
 from slipfree.vehicle.tree import Coordinate, Vehicle
 
 HEADING = Label("heading", "rad", "counter-clockwise angle of the right axis from the x axis")

@@ -13,10 +13,10 @@ import numpy as np
 
 from slipfree.contact.closure import ContactFrame, has_exact_closure
 from slipfree.contact.closure import relative_curvature as curvature_of
-from slipfree.dae import Limit
+from slipfree.core.dae import Limit
+from slipfree.core.records import Label
 from slipfree.models.base import values_of
 from slipfree.models.quantities import Quantities
-from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 
 Domain = tuple[float, float, float, float]

@@ -24,12 +24,14 @@ import numpy as np
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import ContactFrame, check_exact_closure, contact_frame
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
-from slipfree.dae import Dae, Labels, Limit
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae, Labels, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Array, Label, leaves, pack, symbols
+from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, Twist
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import SlipLaw, wheel_labels
-from slipfree.lookups import LookupTable
 from slipfree.models.base import (
     at_rest,
     carriers,
@@ -54,9 +56,7 @@ from slipfree.models.records import (
 )
 from slipfree.models.statics import following_forces, force_outputs, mechanics, with_tangential
 from slipfree.models.tip_over import tip_over_margin
-from slipfree.records import Array, Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 

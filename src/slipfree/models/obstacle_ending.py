@@ -7,10 +7,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from slipfree.core.records import Mask
+from slipfree.core.trajectory import Trajectory
 from slipfree.models.limits import UPRIGHT
-from slipfree.records import Mask
 from slipfree.terrain.solids import HEIGHT_TOLERANCE, Prism
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 Ending = Literal["climbs", "passes", "moves along", "stalls", "tips over", "unfinished"]

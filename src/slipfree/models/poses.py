@@ -8,9 +8,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, platform
-from slipfree.records import Array
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 POSITION = ("x", "y", "z", "heading", "roll", "pitch")

@@ -30,11 +30,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from slipfree.contact.closure import ContactFrame, closure, contact_frame, support_fault
-from slipfree.dae import Dae, Labels
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae, Labels
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Label, leaves, pack, symbols
 from slipfree.geometry.frame import Pose
 from slipfree.laws.protocols import Equations, Motion, SlipLaw
-from slipfree.lookups import LookupTable
 from slipfree.models.base import (
     carriers,
     extent,
@@ -62,7 +63,6 @@ from slipfree.models.records import (
 from slipfree.models.slip import slip_velocities
 from slipfree.models.statics import force_outputs, mechanics
 from slipfree.models.tip_over import tip_over_margin
-from slipfree.records import Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Body, Vehicle
 

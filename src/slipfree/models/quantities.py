@@ -7,8 +7,8 @@ from typing import NamedTuple
 import casadi as ca
 
 from slipfree.contact.closure import ContactFrame
+from slipfree.core.lookups import LookupTable
 from slipfree.geometry.frame import Pose
-from slipfree.lookups import LookupTable
 from slipfree.models.records import Configuration, Dependent, Forces, Inputs, Rates
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle

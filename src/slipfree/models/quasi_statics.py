@@ -9,8 +9,8 @@ from __future__ import annotations
 import casadi as ca
 
 from slipfree.contact.closure import check_exact_closure
-from slipfree.errors import ModelError
-from slipfree.forks import computing
+from slipfree.core.errors import ModelError
+from slipfree.core.records import pack
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, check_law
 from slipfree.models.closure_model import closure_dae, closure_quantities
@@ -20,7 +20,7 @@ from slipfree.models.quantities import Mechanics, Quantities
 from slipfree.models.records import Algebraic, Forces, KinematicDae
 from slipfree.models.slip import absolute_spins
 from slipfree.models.statics import equilibrium
-from slipfree.records import pack
+from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

@@ -6,9 +6,9 @@ from typing import Any, Generic, NamedTuple
 
 import casadi as ca
 
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
+from slipfree.core.records import T, pack
 from slipfree.laws.rolling import rolling_counts
-from slipfree.records import T, pack
 from slipfree.vehicle.tree import Vehicle
 
 

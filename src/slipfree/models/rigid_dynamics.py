@@ -36,13 +36,14 @@ import numpy as np
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import contact_frame
 from slipfree.contact.touch import Touch
-from slipfree.dae import Dae, Labels, Limit, Replay
-from slipfree.errors import ModelError
-from slipfree.forks import computing
+from slipfree.core.dae import Dae, Labels, Limit, Replay
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import LookupTable
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Label, leaves, symbols
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts, check_law
-from slipfree.lookups import LookupTable
 from slipfree.models.base import at_rest, extent, raised_poses, sizes, touch_function
 from slipfree.models.dynamic_outputs import (
     Contact,
@@ -64,8 +65,7 @@ from slipfree.models.limits import limits_of
 from slipfree.models.multibody import Multibody, bias_forces, mass_matrix
 from slipfree.models.records import ContactPoint, Inputs
 from slipfree.models.standing import standing_start
-from slipfree.outcome import Outcome
-from slipfree.records import Label, leaves, symbols
+from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

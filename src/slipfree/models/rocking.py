@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.trajectory import Trajectory
+from slipfree.core.trajectory import Trajectory
 
 
 class Rock(NamedTuple):

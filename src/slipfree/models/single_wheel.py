@@ -8,9 +8,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
-from slipfree.records import Array
 
 STEPS = 60  # number of bisection steps for the sinkage
 

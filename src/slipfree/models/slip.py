@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import ContactFrame
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, pack
+from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose
 from slipfree.models.base import carriers, joint_rates, spins
 from slipfree.models.poses import wheel_poses
 from slipfree.models.records import Configuration, Dependent, Inputs, Rates
-from slipfree.records import Array, pack
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 

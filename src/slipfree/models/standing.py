@@ -11,10 +11,11 @@ import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.contact.solid_touch import solid_touch
-from slipfree.dae import Dae, Labels, Limit, Standing
+from slipfree.core.dae import Dae, Labels, Limit, Standing
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Label, leaves
 from slipfree.geometry.frame import Pose, platform, quaternion, turn
 from slipfree.laws.least_slip import LeastSlip
-from slipfree.lookups import LookupTable
 from slipfree.models.base import extent, level_heights, sizes
 from slipfree.models.dynamic_outputs import Contact
 from slipfree.models.dynamic_records import DynamicState
@@ -22,7 +23,6 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.multibody import Load, Multibody, bias_forces, generalised_forces
 from slipfree.models.pressed_model import pressed_dae
 from slipfree.models.records import Configuration
-from slipfree.records import Label, leaves
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism
 from slipfree.vehicle.tree import Vehicle

@@ -14,8 +14,9 @@ from collections.abc import Sequence
 import casadi as ca
 
 from slipfree.contact.closure import ContactFrame
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import pack
 from slipfree.geometry.frame import platform
-from slipfree.lookups import LookupTable
 from slipfree.models.base import joint_rates, values_of
 from slipfree.models.quantities import Mechanics, Quantities
 from slipfree.models.records import (
@@ -28,7 +29,6 @@ from slipfree.models.records import (
     is_determinate,
 )
 from slipfree.models.slip import slip_velocities
-from slipfree.records import pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 

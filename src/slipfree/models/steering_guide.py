@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
+from slipfree.core.rearrange import Variable, new_variable
+from slipfree.core.records import Label, pack
 from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import slip_unit
 from slipfree.models.given_rates import COMMANDS, Minimum, derived_rates, minimum
-from slipfree.rearrange import Variable, new_variable
-from slipfree.records import Label, pack
 from slipfree.vehicle.tree import Coordinate, Kind, Vehicle
 
 GAIN = 5.0  # decay rate of the error of a steering angle [1/s]

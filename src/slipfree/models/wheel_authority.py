@@ -10,16 +10,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.models.determinacy import (
     command_determinacy,
     command_sizes,
     input_effects,
 )
 from slipfree.models.given_rates import check_commands
-from slipfree.records import Array, leaves
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 MIN_RELATIVE_SINGULAR_VALUE = 1e-9  # smaller values: the wheels do not affect the given rate

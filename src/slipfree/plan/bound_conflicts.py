@@ -9,7 +9,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Limit
+from slipfree.core.dae import Limit
+from slipfree.core.records import Array, Label, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import (
     GOAL,
     INPUT,
@@ -23,8 +25,6 @@ from slipfree.plan.constraints import (
 )
 from slipfree.plan.messages import LIMITED_SUFFIX, MODEL, bounds_words, number, rate_of, subject
 from slipfree.plan.transcription import PlanTask, TimedCondition
-from slipfree.records import Array, Label, leaves
-from slipfree.trajectory import Trajectory
 
 BOUND_TOLERANCE = 1e-9  # largest gap between consistent bounds, in their unit
 REMEDIES = {

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.core.records import Array, Label, leaves
 from slipfree.plan.transcription import Index, PlanTask, Program, RowBlock
-from slipfree.records import Array, Label, leaves
 
 VIOLATION_TOLERANCE = 1e-6  # smaller violations count as rounding, in the unit of the quantity
 EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"

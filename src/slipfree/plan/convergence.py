@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.records import Array, field_overview
+from slipfree.core.records import Array, field_overview
 
 PREFIX = "convergence_"  # prefix of the names of the arrays in a file
 IPOPT_NAMES = ("obj", "inf_pr", "inf_du", "mu")

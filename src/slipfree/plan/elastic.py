@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
+from slipfree.core.records import Array, Label
 from slipfree.plan.constraints import (
     EQUATION,
     VIOLATION_TOLERANCE,
@@ -23,7 +24,6 @@ from slipfree.plan.constraints import (
 from slipfree.plan.ipopt import Solution, solve_program
 from slipfree.plan.messages import DURATION
 from slipfree.plan.transcription import Index, Program, completed
-from slipfree.records import Array, Label
 
 MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
 MIN_SHARE = 0.05  # smallest reported effect of a bound on the relaxation, per unit of the bound

@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.outcome import Outcome
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array
+from slipfree.core.solver_codes import ipopt_words
 from slipfree.plan.constraints import EQUATION, VIOLATION_TOLERANCE, Violation, worst_violations
 from slipfree.plan.elastic import Relaxation, relax
 from slipfree.plan.ipopt import INFEASIBLE_STATUS, STOPPED_STATUS, Solution
 from slipfree.plan.messages import number, subject
 from slipfree.plan.transcription import Program
-from slipfree.records import Array
-from slipfree.solver_codes import ipopt_words
 
 MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
 

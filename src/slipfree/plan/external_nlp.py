@@ -7,11 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.interrupt import with_interrupt_guard
-from slipfree.nlp import Nlp
+from slipfree.core.nlp import Nlp
+from slipfree.core.solver_codes import ipopt_words
+from slipfree.core.trajectory import SolverError
 from slipfree.plan.ipopt import IPOPT_TOLERANCE, MAX_ITERATIONS, Solution
-from slipfree.solver_codes import ipopt_words
-from slipfree.trajectory import SolverError
+from slipfree.system.interrupt import with_interrupt_guard
 
 
 @with_interrupt_guard

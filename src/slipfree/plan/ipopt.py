@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.interrupt import InterruptGuard
+from slipfree.core.records import Array, field_overview
 from slipfree.plan.convergence import NO_CONVERGENCE, Convergence, convergence_of
 from slipfree.plan.transcription import Program, completed
-from slipfree.records import Array, field_overview
+from slipfree.system.interrupt import InterruptGuard
 
 INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
 SOLVED_STATUS = "Solve_Succeeded"

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from slipfree.core.records import Label
 from slipfree.plan.constraints import COST, EQUATION, INPUT, LIMIT
-from slipfree.records import Label
 
 MODEL = "model"  # role of limits of the model that the program does not contain yet
 DURATION = "duration"

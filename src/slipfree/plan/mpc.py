@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
-from slipfree.forks import computing
-from slipfree.interrupt import with_interrupt_guard
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Record, field_overview
+from slipfree.core.solver_codes import ipopt_words
+from slipfree.core.trajectory import SolverError
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import PolynomialMotion, motion_of
@@ -31,10 +32,9 @@ from slipfree.plan.transcription import (
     transcribe,
 )
 from slipfree.plan.verification import inputs_along
-from slipfree.records import Array, Record, field_overview
 from slipfree.solve.whole_turns import same_turn
-from slipfree.solver_codes import ipopt_words
-from slipfree.trajectory import SolverError
+from slipfree.system.forks import computing
+from slipfree.system.interrupt import with_interrupt_guard
 
 TIME_TOLERANCE = 1e-6  # largest difference of times that count as equal [s]
 USABLE_STATUSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")

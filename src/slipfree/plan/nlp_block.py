@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.codegen_cache import compiled_functions
-from slipfree.lookups import Lookup, check_order, found_column, needed_lookups
-from slipfree.records import Array
+from slipfree.core.lookups import Lookup, check_order, found_column, needed_lookups
+from slipfree.core.records import Array
+from slipfree.system.codegen_cache import compiled_functions
 
 Index = npt.NDArray[np.intp]
 DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian

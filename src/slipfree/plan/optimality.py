@@ -17,9 +17,9 @@ import casadi as ca
 import numpy as np
 import scipy
 
+from slipfree.core.records import Array, Mask, field_overview
 from slipfree.plan.ipopt import IPOPT_TOLERANCE, Solution
 from slipfree.plan.transcription import Program
-from slipfree.records import Array, Mask, field_overview
 
 WEAK = float(
     np.sqrt(IPOPT_TOLERANCE)

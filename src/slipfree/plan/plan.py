@@ -18,11 +18,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Limit
-from slipfree.errors import ModelError
-from slipfree.forks import computing
-from slipfree.interrupt import with_interrupt_guard
-from slipfree.outcome import Outcome
+from slipfree.core.dae import Dae, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, Record, field_overview, leaves, overview
+from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.convergence import Convergence
 from slipfree.plan.explanation import explanation
@@ -65,9 +65,9 @@ from slipfree.plan.verification import (
     verify_plan,
 )
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
-from slipfree.records import Array, Record, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
-from slipfree.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory
+from slipfree.system.forks import computing
+from slipfree.system.interrupt import with_interrupt_guard
 
 SLIP_STAGES = (0.0, 1.0)  # factors of the weight of the slip, one per stage
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages

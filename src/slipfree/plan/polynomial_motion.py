@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, field_overview, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.plan.transcription import (
     CollocationMesh,
     Index,
@@ -17,12 +19,10 @@ from slipfree.plan.transcription import (
     completed,
     variable_layout,
 )
-from slipfree.records import Array, field_overview, leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.radau import radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.system import with_inputs
-from slipfree.trajectory import Trajectory
 
 SAME_STATE_DISTANCE = 1e-6  # largest distance of states that count as equal [m, rad]
 FRACTION_TOLERANCE = 1e-12  # relative difference of times that count as equal

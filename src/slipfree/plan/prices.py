@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.core.records import Array, Label, field_overview
 from slipfree.plan.constraints import (
     COST,
     EQUATION,
@@ -25,7 +26,6 @@ from slipfree.plan.ipopt import IPOPT_TOLERANCE, Solution
 from slipfree.plan.messages import DURATION, number, subject
 from slipfree.plan.optimality import active_set
 from slipfree.plan.transcription import Index, Program
-from slipfree.records import Array, Label, field_overview
 
 STEP_FRACTION = 0.01  # change of a bound in messages, relative to its power of ten; in m for goals
 MAX_NAMED_PRICES = 5  # number of prices in a message

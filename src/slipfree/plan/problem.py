@@ -8,15 +8,15 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Limit
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Mask, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.plan.bound_conflicts import conflicts
 from slipfree.plan.messages import LIMITED_SUFFIX
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import PlanTask, TimedCondition
-from slipfree.records import Array, Mask, leaves
 from slipfree.solve.whole_turns import TURN, periodic_states
-from slipfree.trajectory import Trajectory
 
 HALF_TURN = np.pi + 1e-3  # such as a goal of 3.1416: both ways are short [rad]
 Range = tuple[float, float]

@@ -15,16 +15,16 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 import scipy  # its parts are imported when they are used, since scipy.stats takes 0.3 s
 
-from slipfree.dae import Dae, Limit
-from slipfree.errors import ModelError, SlipfreeError
+from slipfree.core.dae import Dae, Limit
+from slipfree.core.errors import ModelError, SlipfreeError
+from slipfree.core.records import field_overview, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import role_of
 from slipfree.plan.messages import number
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import limit_name, limit_values, local_rows, tolerated_excess
-from slipfree.records import field_overview, leaves
 from slipfree.solve.whole_turns import periodic_states, same_turn
-from slipfree.trajectory import Trajectory
 
 P = TypeVar("P")
 Draw = tuple[int, int, int]

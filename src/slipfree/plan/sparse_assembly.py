@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.plan.nlp_block import Index, NlpBlock
-from slipfree.records import Array
 
 Columns = Sequence[ca.MX]
 

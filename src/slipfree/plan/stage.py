@@ -14,9 +14,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Limit
-from slipfree.lookups import Lookup, found_column, needed_lookups
-from slipfree.records import Array, Label, field_overview, leaves
+from slipfree.core.dae import Limit
+from slipfree.core.lookups import Lookup, found_column, needed_lookups
+from slipfree.core.records import Array, Label, field_overview, leaves
 from slipfree.solve.system import Block, System
 
 

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.records import Array, field_overview, leaves
+from slipfree.core.dae import Dae
+from slipfree.core.records import Array, field_overview, leaves
+from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
-from slipfree.trajectory import SolverError, Trajectory
 
 PERTURBATION = 0.3  # standard deviation of a perturbation, relative to the rms of the input
 MODES = 4  # number of cosines in a perturbation

@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.forks import computing
-from slipfree.interrupt import interrupt_requested
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import leaves
+from slipfree.core.trajectory import SolverError, Trajectory, joined
 from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, replan
-from slipfree.records import leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import interrupted_at, simulate
-from slipfree.trajectory import SolverError, Trajectory, joined
+from slipfree.system.forks import computing
+from slipfree.system.interrupt import interrupt_requested
 
 
 class TrackedMotion(NamedTuple):

@@ -10,15 +10,15 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Limit, PiecewiseLinear
+from slipfree.core.dae import Dae, Limit, PiecewiseLinear
+from slipfree.core.records import Array, Mask, Record, leaves
+from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.plan.constraints import quantity_label, role_of, shift_of
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
-from slipfree.records import Array, Mask, Record, leaves
 from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.solve.whole_turns import TURN, same_turn
-from slipfree.trajectory import SolverError, Trajectory
 
 LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit, relative to its range
 REFINED_FRACTION = 0.25  # neighbours with this fraction of a violation are also refined

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import DataError, ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.records import Array, field_overview, leaves
 from slipfree.plan.ipopt import Solution
 from slipfree.plan.polynomial_motion import PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Program, variable_layout
-from slipfree.records import Array, field_overview, leaves
 
 ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays in a file
 

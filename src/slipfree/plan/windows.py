@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.dae import Dae, Limit
-from slipfree.errors import ModelError
-from slipfree.forks import computing
+from slipfree.core.dae import Dae, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, Label, field_overview, leaves, overview
+from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory, joined
 from slipfree.geometry.path import Path
-from slipfree.outcome import Outcome
 from slipfree.plan.plan import SAMPLE_STEP, Plan, PlanProgress, SolvedStage, cost_terms, plan
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
@@ -30,10 +31,9 @@ from slipfree.plan.problem import Range, bounds_of
 from slipfree.plan.transcription import PlanTask, transcribe
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_motion
-from slipfree.records import Array, Label, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
-from slipfree.trajectory import PLAN, SolverError, Stop, Trajectory, joined
+from slipfree.system.forks import computing
 
 GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 WINDOW_POINTS = 400  # points of the route in a guess

@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
+from slipfree.core.records import Array, leaves
+from slipfree.core.trajectory import OFFSET, Column, Trajectory
 from slipfree.files.toml.source import Fault, ProblemError, name_errors, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.problem import schema
@@ -17,12 +19,10 @@ from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Lines
 from slipfree.problem.unit_checks import check_units
-from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism
-from slipfree.trajectory import OFFSET, Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth

@@ -9,17 +9,17 @@ import numpy as np
 from slipfree.control.path_following import follow, straight
 from slipfree.control.sensor_noise import Noise
 from slipfree.control.step_climbing import StepClimbing, check_period, climbing, held_torques
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.tables import read_columns
 from slipfree.geometry.path import Path
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_world import World
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import Driver
-from slipfree.records import Array
 from slipfree.terrain.solids import Profile, section_of
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.climber import climber_of
 from slipfree.vehicle.tree import Vehicle
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.files.cf import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import Frame, Map, jacksboro, read_map, takes_key
 from slipfree.files.toml.source import Place, ProblemError

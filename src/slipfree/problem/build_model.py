@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from inspect import signature
 from typing import Any, Protocol, TypeVar
 
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
 from slipfree.files.toml.source import Fault, problem_error
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.models.dynamics import dynamics

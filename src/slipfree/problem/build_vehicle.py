@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import Fault, Place, name_errors
 from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.urdf.elements import read_tree
@@ -52,7 +52,7 @@ from slipfree.problem import schema
 from slipfree.problem.catalog_table import CATALOG
 from slipfree.problem.problem import Problem
 from slipfree.problem.sharing import shared
-from slipfree.regular_files import read_bytes, regular_file
+from slipfree.system.regular_files import read_bytes, regular_file
 from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.tree import Vehicle, actuated
 from slipfree.vehicle.wheel import ORIGIN

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, TypeVar
 
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
 from slipfree.problem.build_common import build_terrain, build_vehicle
 from slipfree.problem.build_ground import Ground, at, build_ground
 from slipfree.problem.build_model import build_model

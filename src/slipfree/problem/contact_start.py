@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.records import leaves
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.starts import settle_exchanged
-from slipfree.trajectory import Trajectory
 
 
 def settle_contact(

@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import degrees, isfinite
 from typing import Any
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.files.cf import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import Map
 from slipfree.files.maps.reference_systems import from_degrees

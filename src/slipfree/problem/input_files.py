@@ -10,11 +10,11 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.vehicle_toml import open_file
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
-from slipfree.regular_files import read_bytes, regular_file
+from slipfree.system.regular_files import read_bytes, regular_file
 
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
 DRAWN = ("terrain", "profile")  # tables of the ground

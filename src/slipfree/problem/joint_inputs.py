@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array
 from slipfree.files.mcap_reader import JointCommands, is_mcap, read_joint_commands
 from slipfree.files.toml.types import Piecewise
 from slipfree.files.urdf.links import Robot, joint_values
@@ -16,7 +17,6 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.build_vehicle import read_robot
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import FILE, Motion
-from slipfree.records import Array
 from slipfree.vehicle.tree import Vehicle
 
 START_TOLERANCE = 1e-6  # of the first commanded position [rad, m]

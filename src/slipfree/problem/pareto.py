@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Fact
-from slipfree.errors import DataError, ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import SolverError, outcome_words
 from slipfree.files.toml.source import ProblemError
-from slipfree.outcome import Outcome
 from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
 from slipfree.plan.problem import costs_of
 from slipfree.plan.warm_start import SavedPlan, from_arrays
@@ -26,8 +27,7 @@ from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan_schema import Plan
 from slipfree.problem.verbs.registry import verb_of
-from slipfree.processes import Processes, finish_tasks
-from slipfree.trajectory import SolverError, outcome_words
+from slipfree.system.processes import Processes, finish_tasks
 
 SLIP, TIME, DURATION, ENERGY = "slip", "time", "duration", "energy"
 USUAL = (DURATION, "effort", ENERGY)  # second objectives of every planning problem

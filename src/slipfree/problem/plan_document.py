@@ -10,8 +10,7 @@ from codecs import BOM_UTF8
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slipfree.atomic_files import replace_file
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.toml.source import decode_text, read_raw
 from slipfree.problem.load import load_again
 from slipfree.problem.plan_edit import (
@@ -23,6 +22,7 @@ from slipfree.problem.plan_edit import (
 )
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.system.atomic_files import replace_file
 
 PLACES = ("start", "goal", "keep_out")  # keys that the page changes
 

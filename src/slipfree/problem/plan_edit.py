@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.cf import DEGREES
 from slipfree.files.toml.types import parse_unit
 from slipfree.problem.build_ground import at

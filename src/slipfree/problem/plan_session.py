@@ -9,7 +9,8 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slipfree.errors import SlipfreeError
+from slipfree.core.errors import SlipfreeError
+from slipfree.core.records import Array
 from slipfree.problem.plan_document import Document, is_current, read_document, saved
 from slipfree.problem.plan_edit import Places, places_from
 from slipfree.problem.plan_worker import (
@@ -20,7 +21,6 @@ from slipfree.problem.plan_worker import (
     PlanRequest,
     PlanWorker,
 )
-from slipfree.records import Array
 from slipfree.show.local_server import ConflictError
 from slipfree.show.plan_page import PlanPage
 

@@ -9,9 +9,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slipfree.errors import SlipfreeError
-from slipfree.processes import for_children, prepare_process
-from slipfree.records import Array
+from slipfree.core.errors import SlipfreeError
+from slipfree.core.records import Array
+from slipfree.system.processes import for_children, prepare_process
 
 INTERVAL = 0.08  # shortest time between two reported iterates [s]
 SAMPLES = 400  # largest number of points of a reported path
@@ -189,7 +189,7 @@ def _plan_of(result: Any, seconds: float) -> FoundPlan:
     import numpy as np
 
     from slipfree.core.facts import starting_with
-    from slipfree.trajectory import outcome_words, path_length
+    from slipfree.core.trajectory import outcome_words, path_length
 
     run = result.trajectory
     costs = starting_with("plan_cost_", run.facts)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.files.toml.types import Pair, Positive, Record
 from slipfree.geometry.regions import Region
 

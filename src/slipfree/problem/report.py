@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from slipfree.core.trajectory import Trajectory, outcome_words
+from slipfree.core.version import __version__
 from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.source import ProblemError
@@ -19,8 +21,6 @@ from slipfree.problem.verbs.registry import find_motion_verb, verb_of
 from slipfree.show.html_report import Report
 from slipfree.show.plots import Plot
 from slipfree.show.thinning import FIGURE_SAMPLES
-from slipfree.trajectory import Trajectory, outcome_words
-from slipfree.version import __version__
 
 VERSION = "_version"
 ELSEWHERE = (  # attributes reported in other sections

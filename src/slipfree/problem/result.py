@@ -11,8 +11,9 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.facts import Fact
-from slipfree.errors import DataError, SlipfreeError
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.files.toml.source import ProblemError
@@ -25,9 +26,8 @@ from slipfree.problem.summary import Lines, plain_facts
 from slipfree.problem.verbs.base import VERB_ATTRIBUTE
 from slipfree.problem.verbs.base import Result as Result
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
-from slipfree.regular_files import resolve_links, unescape_name
 from slipfree.show.thinning import thin
-from slipfree.trajectory import Trajectory
+from slipfree.system.regular_files import resolve_links, unescape_name
 
 
 def open_result(

@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, cast
 
 from pydantic import AfterValidator, Field, ModelWrapValidatorHandler, model_validator
 
+from slipfree.core.trajectory import Frame
 from slipfree.files.toml.source import Fault
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Pair, Quantity, not_zero
@@ -24,7 +25,6 @@ from slipfree.problem.schema_ground import Terrain as Terrain
 from slipfree.problem.schema_law import Law as Law
 from slipfree.problem.schema_law import known_slip
 from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
-from slipfree.trajectory import Frame
 
 SlipName = Annotated[str, AfterValidator(known_slip)]
 

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from slipfree.forks import computing
-from slipfree.outcome import Outcome
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Stop
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
@@ -24,9 +25,8 @@ from slipfree.problem.verbs.base import (
     Watch,
 )
 from slipfree.problem.verbs.registry import check_option, verb_of
-from slipfree.records import Array
-from slipfree.regular_files import escape_name
-from slipfree.trajectory import Stop
+from slipfree.system.forks import computing
+from slipfree.system.regular_files import escape_name
 
 
 @computing

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import find_mesh
 from slipfree.files.vehicle_draft import vehicle_text

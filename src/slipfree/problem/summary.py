@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slipfree.trajectory import Trajectory, outcome_words
+from slipfree.core.trajectory import Trajectory, outcome_words
 
 Lines = list[tuple[str, str]]
 

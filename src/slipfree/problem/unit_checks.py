@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import DataError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array, leaves
 from slipfree.files.toml.source import Fault
 from slipfree.files.toml.types import FULL_TURN, unit_faults
 from slipfree.problem import schema
-from slipfree.records import Array, leaves
 
 BARE = ("start", "goal", "limits")  # tables with angles
 MAX_INTERVAL = 10.0  # largest median time between samples of a log [s]

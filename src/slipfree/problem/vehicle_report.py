@@ -10,8 +10,10 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
-from slipfree.dae import Dae
-from slipfree.errors import DataError, ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.records import Array, leaves, unpack
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.vehicle_draft import Draft
 from slipfree.files.vehicle_toml import VehicleError
 from slipfree.geometry.frame import AXES, unit_vector
@@ -22,11 +24,9 @@ from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
 from slipfree.problem.summary import Lines
-from slipfree.records import Array, leaves, unpack
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
 from slipfree.terrain.analytic import Analytic
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 
 MIN_SHARE = 0.3  # smallest named entry of a singular vector, relative to the largest

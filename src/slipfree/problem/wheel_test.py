@@ -10,7 +10,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import Field, ValidationError, create_model
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array
 from slipfree.files.tables import read_columns, read_names
 from slipfree.files.toml.source import (
     Fault,
@@ -29,7 +30,6 @@ from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_force
 from slipfree.problem.law_record import given_values
 from slipfree.problem.soil_table import named_soil, soil_of
 from slipfree.problem.summary import Lines
-from slipfree.records import Array
 
 COLUMNS = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
 QUANTITIES = tuple(COLUMNS)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import scipy
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 from slipfree.routing.smoothing import resample_polyline
 from slipfree.routing.traversability import Traversability, node_at, nodes_at
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from slipfree.core.records import Array, Mask
 from slipfree.geometry.regions import Region
-from slipfree.records import Array, Mask
 from slipfree.routing.smoothing import resample_polyline
 from slipfree.routing.traversability import (
     Traversability,

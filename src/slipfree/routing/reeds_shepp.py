@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 
 HEADINGS = 24  # number of final headings that are tried if none is given
 MIN_LENGTH = 1e-6  # shorter arcs are omitted, in turning radii

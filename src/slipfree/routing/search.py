@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slipfree.errors import ModelError
-from slipfree.records import Array, field_overview
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, field_overview
 from slipfree.routing.homotopy import (
     Ray,
     close_rays,

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from slipfree.core.records import Array, Mask
 from slipfree.geometry.path import Path
-from slipfree.records import Array, Mask
 from slipfree.routing.traversability import Traversability, nodes_at, window
 
 CLEARANCE = 1.2  # clearance from blocked nodes: a cell and a margin, in cells

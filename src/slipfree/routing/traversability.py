@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Mask
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.regions import Region
-from slipfree.records import Array, Mask
 from slipfree.routing.footprint import (
     axis_step,
     coarse_axes,

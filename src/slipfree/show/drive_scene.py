@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.files.urdf.tree import UrdfJoint
 from slipfree.geometry.mesh import Mesh
 from slipfree.geometry.regions import Region
 from slipfree.models.poses import FramePoses, part_poses, wheel_poses
-from slipfree.records import Array
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
@@ -44,7 +45,6 @@ from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import cut
 from slipfree.terrain.solids import Prism
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

@@ -16,12 +16,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from slipfree.atomic_files import replace_file
-from slipfree.errors import DataError
-from slipfree.records import Array
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.scene import ARROWS, PLAN, Actor, Color, Scene, scale_words
 from slipfree.show.style import MM, PAGE, STYLE
+from slipfree.system.atomic_files import replace_file
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")

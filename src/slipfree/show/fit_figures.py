@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.stats import chi2
 
+from slipfree.core.records import Array
 from slipfree.fit.calibration import Calibration
 from slipfree.fit.estimate import CONFIDENCE, Estimate
-from slipfree.records import Array
 from slipfree.show import style
 from slipfree.show.plots import Plot
 from slipfree.show.style import MM, PAGE

@@ -16,12 +16,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from slipfree.records import Array
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
 from slipfree.show import ground_drawing, style
 from slipfree.show.plots import Drive, Panel, Plot, stack
 from slipfree.show.style import COLUMN, MM, PALETTE, PLATFORM
 from slipfree.terrain.base import Grid
-from slipfree.trajectory import Trajectory
 
 COLOURS = "viridis"
 OVER = "#D55E00"  # colour of utilisation above one

@@ -13,14 +13,14 @@ from matplotlib.colors import LightSource
 from matplotlib.patches import Polygon, Rectangle
 from scipy.interpolate import RectBivariateSpline
 
-from slipfree.errors import ModelError
-from slipfree.lookups import LookupTable, lookup_function
-from slipfree.records import Array, Mask
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import LookupTable, lookup_function
+from slipfree.core.records import Array, Mask
+from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
 from slipfree.show.meshes import clipped
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.solids import Prism
-from slipfree.trajectory import Trajectory
 
 HEATMAP = 600  # samples of a drawn map along an axis
 DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from typing import TYPE_CHECKING, Any
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 
 if TYPE_CHECKING:
     import viser

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
 
-from slipfree.errors import DataError, SlipfreeError
+from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.show.guard import HOST, Gate
 
 MOST = 1_000_000  # maximum size of a request [bytes]

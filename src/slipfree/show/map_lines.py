@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from contourpy import contour_generator
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 from slipfree.show.ground_drawing import Window
 from slipfree.show.scene import Lines
 from slipfree.show.style import FLAT, LARGE

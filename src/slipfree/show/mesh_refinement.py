@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from slipfree.core.records import Array
 from slipfree.geometry.mesh import Mesh, sheet
-from slipfree.records import Array
 from slipfree.show.meshes import joined
 from slipfree.terrain.base import Grid, Terrain
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from slipfree.core.records import Array
 from slipfree.geometry.mesh import Mesh, sheet
-from slipfree.records import Array
 
 ROD = 8  # faces around a rod
 SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel radius]

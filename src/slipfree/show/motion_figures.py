@@ -20,7 +20,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import Bbox
 
-from slipfree.records import Array
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
 from slipfree.show import ground_drawing, style
 from slipfree.show.force_figures import (
     contact_plot,
@@ -36,7 +37,6 @@ from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism
-from slipfree.trajectory import Trajectory
 
 HEIGHTS = "cividis"
 FILLED = "#D60093"  # hatching of filled holes

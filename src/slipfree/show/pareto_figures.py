@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipfree.records import Array, Mask
+from slipfree.core.records import Array, Mask
 from slipfree.show import style
 from slipfree.show.plots import MARGIN, PANEL
 from slipfree.show.style import COLUMN, MM, PALETTE, STOPPED

@@ -20,16 +20,16 @@ from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 
 from slipfree.core.facts import starting_with
+from slipfree.core.records import Array, Mask
+from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
 from slipfree.plan.convergence import Convergence
-from slipfree.records import Array, Mask
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.ground_drawing import Window
 from slipfree.show.plots import Panel, Plot, stack
 from slipfree.show.style import COLUMN, MM, PLATFORM
 from slipfree.terrain.base import Grid
-from slipfree.trajectory import Trajectory
 
 # The scale is light blue, so that warm colours mark blocked nodes; all differ in lightness too.
 COSTS = ListedColormap(colormaps["Blues"](np.linspace(0.08, 0.85, 256)), name="costs")

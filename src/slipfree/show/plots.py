@@ -17,13 +17,13 @@ from matplotlib.axes import Axes
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 
-from slipfree.atomic_files import replace_file
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
 from slipfree.show.style import DPI, MM, PAGE, STYLE
+from slipfree.system.atomic_files import replace_file
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.solids import Prism
-from slipfree.trajectory import Trajectory
 
 MAIN_COUNT = 4  # number of figures that are drawn unless all are requested
 PANEL = 38.0  # height of a panel [mm]

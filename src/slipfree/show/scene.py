@@ -16,11 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.geometry.mesh import Mesh
-from slipfree.records import Array
 from slipfree.show import style
 from slipfree.show.meshes import plate
-from slipfree.trajectory import Trajectory, stop_words
 
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
 NARROW = 0.55  # width of the platform [width of the vehicle]

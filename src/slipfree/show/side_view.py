@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
+from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
 from slipfree.show.plots import Drive, Plot
 from slipfree.show.style import MM, PAGE
 from slipfree.terrain.solids import Profile, section_of
-from slipfree.trajectory import Trajectory
 
 POSES = 8  # number of drawn positions of the vehicle
 ROOM = 0.04  # margin around the motion [m]

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from slipfree.records import Array
-from slipfree.trajectory import Trajectory, stop_words
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory, stop_words
 
 MM = 1 / 25.4  # [in]
 COLUMN, PAGE = 120 * MM, 180 * MM  # widths of the figures [in]

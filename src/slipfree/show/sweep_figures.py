@@ -16,8 +16,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipfree.errors import ModelError
-from slipfree.records import Array
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.plots import Plot, save
 from slipfree.show.style import COLUMN, MM, PALETTE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 
 
 class Varied(NamedTuple):

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from slipfree.records import Array
-from slipfree.trajectory import Column, Trajectory
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Column, Trajectory
 
 FIGURE_SAMPLES = 4000  # number of samples in figures, a few per pixel
 SCENE_SAMPLES = 20_000  # number of samples in scenes and films

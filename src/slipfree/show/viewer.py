@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slipfree.errors import DataError, missing_package
-from slipfree.records import Array
+from slipfree.core.errors import DataError, missing_package
+from slipfree.core.records import Array
 from slipfree.show.guard import Guard, stop
 from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
 from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Lines, Scene, scale_words

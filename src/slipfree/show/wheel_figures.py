@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.plots import MARGIN, PANEL, Plot
 from slipfree.show.style import COLUMN, MM

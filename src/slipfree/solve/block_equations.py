@@ -10,10 +10,10 @@ from functools import lru_cache
 
 import casadi as ca
 
-from slipfree.codegen_cache import compiled_functions
-from slipfree.dae import Dae
-from slipfree.lookups import Lookup, found_column, lookup_results, needed_lookups
+from slipfree.core.dae import Dae
+from slipfree.core.lookups import Lookup, found_column, lookup_results, needed_lookups
 from slipfree.solve.equations import FORWARD, compiled_lookups
+from slipfree.system.codegen_cache import compiled_functions
 
 
 def block_functions(

@@ -18,17 +18,17 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.forks import computing
-from slipfree.records import Array, Mask, Record, leaves
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Mask, Record, leaves
+from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.radau import RadauBasis, radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.simulate import check_times
 from slipfree.solve.system import System, with_inputs
 from slipfree.solve.violations import first_violation, invalid_start
-from slipfree.trajectory import SolverError, Stop, Trajectory
+from slipfree.system.forks import computing
 
 TRIED_DEGREES = (8, 10, 12, 14)  # degrees of the polynomials, tried in this order
 MAX_ELEMENTS = 4096

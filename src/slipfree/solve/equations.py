@@ -13,16 +13,16 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.codegen_cache import compiled_functions, library, source
-from slipfree.dae import Dae
-from slipfree.lookups import (
+from slipfree.core.dae import Dae
+from slipfree.core.lookups import (
     Lookup,
     constant_function,
     found_column,
     lookup_results,
     needed_lookups,
 )
-from slipfree.records import Array
+from slipfree.core.records import Array
+from slipfree.system.codegen_cache import compiled_functions, library, source
 
 # one forward derivative per column: with as many states as rates, fewer operations than reverse
 FORWARD = {"helper_options": {"ad_weight": 0.0}}

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.batch import evaluate
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.lookups import found_column
-from slipfree.records import Array, field_overview
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import evaluate
+from slipfree.core.lookups import found_column
+from slipfree.core.records import Array, field_overview
 from slipfree.solve.sampling import Samples
 from slipfree.solve.system import System
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from slipfree.batch import dense, evaluate
-from slipfree.errors import ModelError
-from slipfree.records import Array, leaves
+from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import dense, evaluate
+from slipfree.core.records import Array, leaves
 from slipfree.solve.system import Block, System
 
 MAX_STEP = 0.25  # largest Newton step of an unknown [typical size]

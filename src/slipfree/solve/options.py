@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 
 MIN_TOLERANCE = 1e-14  # rounding dominates below it
 MAX_TOLERANCE = 1e-2  # errors do not grow with the tolerance beyond it: steps are uncontrolled

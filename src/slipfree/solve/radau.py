@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 
 
 class RadauBasis(NamedTuple):

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.records import Array, Record, leaves, unpack
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Record, leaves, unpack
+from slipfree.core.trajectory import Trajectory, joined
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
 from slipfree.solve.whole_turns import periodic_states, same_turn
-from slipfree.trajectory import Trajectory, joined
 
 SPLINE_DEGREE = 5  # degree of the spline through the inputs
 

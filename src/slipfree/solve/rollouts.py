@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, InputValue, PiecewiseLinear
-from slipfree.errors import ModelError, SlipfreeError
-from slipfree.processes import local_tasks
-from slipfree.records import Array
+from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
+from slipfree.core.errors import ModelError, SlipfreeError
+from slipfree.core.records import Array
+from slipfree.core.trajectory import TIME, WHEELS, Column, SolverError, Trajectory, require
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import check_times, simulate
-from slipfree.trajectory import TIME, WHEELS, Column, SolverError, Trajectory, require
+from slipfree.system.processes import local_tasks
 
 if TYPE_CHECKING:
     import xarray

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.batch import dense, evaluate
-from slipfree.dae import Dae, SampledCheck
-from slipfree.errors import ModelError
-from slipfree.records import Array, Label, Mask, leaves
+from slipfree.core.dae import Dae, SampledCheck
+from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import dense, evaluate
+from slipfree.core.records import Array, Label, Mask, leaves
+from slipfree.core.trajectory import Column, SolverError, Trajectory
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.system import MAX_NEWTON_STEPS, Block, System
-from slipfree.trajectory import Column, SolverError, Trajectory
 
 AXIS_NAMES = ("time", "wheel")  # dimensions of results, reserved names
 

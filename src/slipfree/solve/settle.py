@@ -10,17 +10,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Standing
-from slipfree.errors import ModelError
-from slipfree.forks import computing
-from slipfree.records import Array, leaves, unpack
+from slipfree.core.dae import Dae, Standing
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, leaves, unpack
+from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
 from slipfree.solve.violations import first_violation, invalid_start
-from slipfree.trajectory import SolverError, Trajectory
+from slipfree.system.forks import computing
 
 RELAXATION_TIME = 20.0  # duration of the relaxation to the equilibrium of a start [s]
 RELAXATION_TOLERANCE = 1e-4  # integration tolerance of the relaxation

@@ -15,13 +15,13 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 import numpy as np
 
-from slipfree.batch import run_buffered
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.forks import computing
-from slipfree.interrupt import InterruptGuard, check_interrupt
-from slipfree.outcome import Outcome
-from slipfree.records import Array, Mask, Record
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import run_buffered
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, Mask, Record
+from slipfree.core.solver_codes import NO_START, sundials_words
+from slipfree.core.trajectory import Column, SolverError, Stop, Trajectory, joined
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.events import Event, WatchedEvent, crossing_indices, event_values, watch_events
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -30,8 +30,8 @@ from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples,
 from slipfree.solve.stop_diagnosis import diagnose_stop
 from slipfree.solve.system import System, with_inputs
 from slipfree.solve.violations import first_violation, invalid_start, limit_at_failure
-from slipfree.solver_codes import NO_START, sundials_words
-from slipfree.trajectory import Column, SolverError, Stop, Trajectory, joined
+from slipfree.system.forks import computing
+from slipfree.system.interrupt import InterruptGuard, check_interrupt
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 SUBINTERVALS = 64  # parts of an interval with a crossing, in each refinement

@@ -9,17 +9,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.forks import computing
-from slipfree.interrupt import with_interrupt_guard
-from slipfree.lookups import check_order, needed_lookups
-from slipfree.rearrange import blocks, rearrange, variables
-from slipfree.records import Array, leaves, unpack
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import check_order, needed_lookups
+from slipfree.core.rearrange import blocks, rearrange, variables
+from slipfree.core.records import Array, leaves, unpack
+from slipfree.core.solver_codes import ipopt_words
+from slipfree.core.trajectory import Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import settle
-from slipfree.solver_codes import ipopt_words
-from slipfree.trajectory import Trajectory
+from slipfree.system.forks import computing
+from slipfree.system.interrupt import with_interrupt_guard
 
 
 def settle_exchanged(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from slipfree.errors import ModelError
-from slipfree.outcome import Outcome
-from slipfree.records import Array, leaves
+from slipfree.core.errors import ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, leaves
+from slipfree.core.trajectory import Stop
 from slipfree.solve.initial_conditions import UnsolvedError, solve_initial_conditions
 from slipfree.solve.sampling import Samples
 from slipfree.solve.system import System
-from slipfree.trajectory import Stop
 
 PREDICTION_TIME = 1e-3  # time of prediction after the last sample of the integrator [s]
 SHARE = 0.1  # fraction of the prediction time after which a small jump is tested again

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, PiecewiseLinear
-from slipfree.errors import ModelError
-from slipfree.lookups import found_column
-from slipfree.records import Array, Label, Record, leaves, pack
+from slipfree.core.dae import Dae, PiecewiseLinear
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import found_column
+from slipfree.core.records import Array, Label, Record, leaves, pack
 from slipfree.solve.block_equations import block_functions
 from slipfree.solve.equations import model_function, motion_equations
 from slipfree.solve.options import SolverOptions
@@ -121,7 +121,7 @@ def with_inputs(
         raise ModelError(
             "expected a model with numbers in place of the parameters "
             f"{', '.join(each.label.name for each in dae.p)}, found symbols; replace them by "
-            "slipfree.rearrange.with_values(model)"
+            "slipfree.core.rearrange.with_values(model)"
         )
     u = dae.columns()[2]
     law, values = list(ca.vertsplit(u)) if u.numel() else [], np.zeros((u.numel(), intervals or 1))

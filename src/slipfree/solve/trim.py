@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.records import Array, Record, leaves
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Record, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
 from slipfree.solve.system import Block, System, with_inputs
 from slipfree.solve.violations import first_violation, invalid_start
-from slipfree.trajectory import Trajectory
 
 MAX_EVALUATIONS = 50  # maximum number of evaluations per state to find
 TRIM_TOLERANCE = 1e-13  # relative change at which states count as found

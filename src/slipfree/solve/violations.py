@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from slipfree.dae import LIMIT_ROUNDING, Limit
-from slipfree.errors import ModelError
-from slipfree.outcome import Outcome
-from slipfree.records import Array, Mask
+from slipfree.core.dae import LIMIT_ROUNDING, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, Mask
+from slipfree.core.trajectory import Stop, Trajectory
 from slipfree.solve.initial_conditions import limit_message
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples
 from slipfree.solve.system import System
-from slipfree.trajectory import Stop, Trajectory
 
 NEARLY_REACHED = 1e-3  # margin at a failure [largest margin of the motion]
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Limit
-from slipfree.records import Array, Mask, leaves
+from slipfree.core.dae import Dae, Limit
+from slipfree.core.records import Array, Mask, leaves
 
 TURN = 2 * np.pi
 ROUNDING = 1e-7  # relative difference of expressions that counts as rounding

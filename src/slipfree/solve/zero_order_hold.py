@@ -9,13 +9,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.batch import run_buffered
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.interrupt import InterruptGuard, check_interrupt
-from slipfree.lookups import found_column
-from slipfree.outcome import Outcome
-from slipfree.records import Array, Record, leaves, unpack
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import run_buffered
+from slipfree.core.lookups import found_column
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, Record, leaves, unpack
+from slipfree.core.solver_codes import sundials_words
+from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.simulate import (
@@ -28,8 +29,7 @@ from slipfree.solve.simulate import (
 )
 from slipfree.solve.system import System, with_inputs
 from slipfree.solve.violations import first_violation
-from slipfree.solver_codes import sundials_words
-from slipfree.trajectory import SolverError, Stop, Trajectory
+from slipfree.system.interrupt import InterruptGuard, check_interrupt
 
 PERIOD_TOLERANCE = 1e-6  # largest relative difference between sampling periods that count as equal
 

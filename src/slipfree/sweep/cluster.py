@@ -10,11 +10,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
-from slipfree.errors import DataError, SlipfreeError, missing_package
+from slipfree.core.errors import DataError, SlipfreeError, missing_package
+from slipfree.core.version import __version__
 from slipfree.sweep.log import LOST
 from slipfree.sweep.process import run_task
 from slipfree.sweep.task import Done, Task, without_motion
-from slipfree.version import __version__
 
 CONNECT = 10.0  # timeout for the connection to a scheduler [s]
 PATIENCE = 1.0  # time between checks of the number of workers [s]

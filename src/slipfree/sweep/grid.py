@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.version import __version__
 from slipfree.files.toml.source import key_path, load_toml, shortened
 from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.input_files import digest, input_files, input_names
 from slipfree.problem.load import load_variants
 from slipfree.problem.problem import Problem
-from slipfree.version import __version__
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 RANGE = re.compile(rf"\s*({NUMBER})\s*:\s*({NUMBER})\s*:\s*(\d+)\s*")

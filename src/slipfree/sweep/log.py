@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 
 try:
     import fcntl

@@ -6,10 +6,10 @@ from math import isfinite
 from typing import Any
 
 from slipfree.core.facts import Fact, numbers
+from slipfree.core.trajectory import Trajectory
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.task import COMPLETE
-from slipfree.trajectory import Trajectory
 
 Figures = dict[str, tuple[float, str]]
 CLOCK = "seconds"  # statistics with this in their names are not reproducible

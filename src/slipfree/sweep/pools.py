@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from concurrent.futures import Future
 
-from slipfree.errors import SlipfreeError
-from slipfree.processes import Pool as AnyPool
-from slipfree.processes import ProcessDiedError, Processes
+from slipfree.core.errors import SlipfreeError
 from slipfree.sweep.log import LOST
 from slipfree.sweep.process import run_task
 from slipfree.sweep.task import Done, Task, without_motion
+from slipfree.system.processes import Pool as AnyPool
+from slipfree.system.processes import ProcessDiedError, Processes
 
 Pool = AnyPool[Task, Done]
 

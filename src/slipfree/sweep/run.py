@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.netcdf import write
-from slipfree.processes import Poll, finish_tasks
-from slipfree.regular_files import check_name
 from slipfree.sweep.grid import Sweep
 from slipfree.sweep.log import FAILED, LOST, NAME, Log, Rows
 from slipfree.sweep.pools import Pool
 from slipfree.sweep.table import NAME as TABLE
 from slipfree.sweep.table import write_table
 from slipfree.sweep.task import Task
+from slipfree.system.processes import Poll, finish_tasks
+from slipfree.system.regular_files import check_name
 
 
 def run_sweep(

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array
 from slipfree.files.tables import write_rows
 from slipfree.problem.units import unit_of
 from slipfree.problem.verbs.registry import verb_of
-from slipfree.records import Array
 from slipfree.show.sweep_results import Swept, Varied
 from slipfree.sweep.grid import Run, Sweep
 from slipfree.sweep.log import FAILED, LOST, Row, Rows

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import NOTHING
-from slipfree.records import Array
 from slipfree.sweep.log import Row
-from slipfree.trajectory import Trajectory
 
 COMPLETE = "complete"  # figure of every run: 1 if it reached its end
 

@@ -7,7 +7,8 @@ import threading
 import time
 from pathlib import Path
 
-from slipfree.errors import SlipfreeError
+from slipfree.core.errors import SlipfreeError
+from slipfree.core.trajectory import SolverError
 from slipfree.problem.load import load_again
 from slipfree.problem.sharing import Shared, sharing
 from slipfree.problem.solve import run_problem
@@ -15,7 +16,6 @@ from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.log import FAILED, LOST, Row
 from slipfree.sweep.metrics import figures_of
 from slipfree.sweep.task import Done, Task, own_settings, without_motion
-from slipfree.trajectory import SolverError
 
 ALONE = threading.Lock()  # CasADi's objects are not thread-safe
 KEPT: Shared = {}  # map and model of the latest run

@@ -10,9 +10,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
-from slipfree.lookups import LookupTable
-from slipfree.records import Array, field_overview
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Array, field_overview
 from slipfree.terrain.base import (
     TAYLOR,
     Formula,

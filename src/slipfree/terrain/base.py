@@ -9,9 +9,9 @@ from typing import NamedTuple, Protocol
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import DataError, ModelError
-from slipfree.lookups import LookupTable
-from slipfree.records import Array, Mask, overview
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Array, Mask, overview
 
 MAX_HEIGHT = 1e9  # largest absolute height of a ground [m]
 UNIFORMITY = 1e-9  # largest deviation of a node from a uniform axis, relative to its length

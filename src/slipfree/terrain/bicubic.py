@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.lookups import LookupTable
-from slipfree.records import Array
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Array
 from slipfree.terrain.base import Grid, Jet, polynomial_jet
 from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain, pad_border
 from slipfree.terrain.grid_ops import hole_distance
@@ -64,8 +64,8 @@ class Bicubic:
     Notes
     -----
     CasADi's own splines cannot be used: CasADi 3.8.2 writes outside its arrays when it evaluates
-    fourth derivatives, or third derivatives at knots. Here the centre of the cell and the
-    16 derivatives there are looked up (`slipfree.lookups`); the height is then an SX polynomial.
+    fourth derivatives, or third derivatives at knots. Here the centre of the cell and the 16
+    derivatives there are looked up (`slipfree.core.lookups`); the height is then an SX polynomial.
 
     If a compiler was found at installation, the C code of `slipfree.terrain.kernel` does the
     lookup. Otherwise, and for a ground that was created while 64 others were in use, a CasADi

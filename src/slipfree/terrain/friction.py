@@ -15,9 +15,9 @@ import math
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import DataError, ModelError
-from slipfree.lookups import LookupTable
-from slipfree.records import Array
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Array
 from slipfree.terrain.base import (
     TAYLOR,
     Formula,

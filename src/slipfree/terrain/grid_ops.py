@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from slipfree.errors import DataError, ModelError
-from slipfree.records import Array, Mask
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.records import Array, Mask
 from slipfree.terrain.base import Grid
 
 MAX_NODES = 5e7  # largest number of nodes of a ground; an array then takes 400 MB

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 
 KEY_BITS = 52  # bits of integers that a double represents exactly
 LAYOUT = 3  # version of the arguments of `kernel.c`; libraries of other versions are not used

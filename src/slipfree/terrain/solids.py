@@ -17,8 +17,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.errors import ModelError
-from slipfree.records import Array
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.terrain.base import Terrain
 
 Point = tuple[float, float]

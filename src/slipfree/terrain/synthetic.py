@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.errors import ModelError
-from slipfree.records import Array
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.terrain.base import Grid
 
 WAVES = 1000  # number of plane waves of a rough ground

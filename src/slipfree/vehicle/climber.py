@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.vehicle import tree
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.tree import Vehicle

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import casadi as ca
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "sin": (1, ca.sin),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from slipfree.core.records import Array
 from slipfree.geometry.tensor import tensor
-from slipfree.records import Array
 from slipfree.vehicle.tree import Body, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

@@ -10,10 +10,10 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import field_overview, overview
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
 from slipfree.geometry.tensor import Elements, tensor
-from slipfree.records import field_overview, overview
 from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
 from slipfree.vehicle.formula import evaluate, names_in
 from slipfree.vehicle.wheel import ORIGIN, Wheel

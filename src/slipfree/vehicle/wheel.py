@@ -11,9 +11,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import field_overview
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
-from slipfree.records import field_overview
 from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
 from slipfree.vehicle.sections.base import Section
 

@@ -10,14 +10,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array, field_overview
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.points import read_point_cloud, read_points
 from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
 from slipfree.files.maps.reference_systems import metric_system, refuse
-from slipfree.records import Array, field_overview
-from slipfree.regular_files import regular_file
+from slipfree.system.regular_files import regular_file
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import (
     MAX_NODES,

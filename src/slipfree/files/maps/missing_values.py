@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.errors import DataError
-from slipfree.records import Array
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array
 
 NINES = re.compile(r"-?9{3,}(\.[09]+)?")  # -999, -9999, 99999.9
 BEYOND_EARTH = 1e4  # values above it are no heights of the ground [units of the file]

@@ -11,7 +11,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from slipfree.errors import DataError, missing_package
+from slipfree.core.errors import DataError, missing_package
+from slipfree.core.records import Array, Mask
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.raster import Reading
 from slipfree.files.maps.reference_systems import (
@@ -23,8 +24,7 @@ from slipfree.files.maps.reference_systems import (
     system_name,
 )
 from slipfree.files.tables import ALIASES, read_columns, read_names
-from slipfree.processes import bounded_read
-from slipfree.records import Array, Mask
+from slipfree.system.processes import bounded_read
 from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
 
 NAMES = ("x", "y", "z")

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, Literal, NamedTuple
 import numpy as np
 import scipy  # scipy.io is imported when it is used, since this takes 0.2 s
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.maps.missing_values import Marker, check_values
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts

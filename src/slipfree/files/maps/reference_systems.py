@@ -8,8 +8,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from slipfree.errors import DataError
-from slipfree.records import Array
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array
 
 STRETCH, SPAN = 0.01, 1000.0  # largest scale error [1], and length over which it is measured [m]
 SPHEROID = re.compile(r'SPHEROID\["[^"]*",([\d.]+),([\d.]+)')

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel
 
-from slipfree.errors import DataError
-from slipfree.regular_files import escape_name, read_bytes, regular_file
+from slipfree.core.errors import DataError
+from slipfree.system.regular_files import escape_name, read_bytes, regular_file
 
 Place = tuple[str | int, ...]
 PIECE = re.compile(

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.roles import Roles
 from slipfree.files.urdf.tree import (
@@ -23,7 +24,6 @@ from slipfree.files.urdf.tree import (
     lowest,
 )
 from slipfree.files.vehicle_draft import rotation_of
-from slipfree.records import Array
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN
 

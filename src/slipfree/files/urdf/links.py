@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 import scipy  # scipy.spatial is imported when it is used, since this takes 0.1 s
 
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.urdf.tree import FORWARD_YAW, Tree, UrdfJoint, facing_forward
 from slipfree.files.vehicle_draft import rotation_of, turned_right, vector_of
 from slipfree.geometry.frame import unit_vector
 from slipfree.models.poses import FramePoses, part_poses
-from slipfree.records import Array
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Vehicle
 

@@ -12,14 +12,14 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from slipfree.errors import DataError, missing_package
+from slipfree.core.errors import DataError, missing_package
+from slipfree.core.records import Array
 from slipfree.files.urdf.tree import Mesh, Shape
 from slipfree.files.urdf.xacro import package_folders
 from slipfree.files.vehicle_draft import MAX_LENGTH, rotation_of, vector_of
 from slipfree.geometry.mesh import Mesh as Triangles
-from slipfree.processes import ProcessDiedError, bounded_call, bounded_read
-from slipfree.records import Array
-from slipfree.regular_files import read_bytes
+from slipfree.system.processes import ProcessDiedError, bounded_call, bounded_read
+from slipfree.system.regular_files import read_bytes
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb")
 PACKAGES = ("package", "model")  # schemes of names in a package

@@ -12,10 +12,10 @@ from typing import Literal, NamedTuple, NoReturn
 
 import numpy as np
 
+from slipfree.core.records import Array
 from slipfree.files.vehicle_draft import Guess, UnfitError, Value, rotation_of, vector_of
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import Elements, in_axes
-from slipfree.records import Array
 from slipfree.vehicle.wheel import ORIGIN
 
 WHEEL = re.compile("wheel|tire|tyre", re.IGNORECASE)

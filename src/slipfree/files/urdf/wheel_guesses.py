@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slipfree.core.records import Array
 from slipfree.files.urdf.joint_guesses import CASTER, PARALLEL, axle_of, caster_wheels, casters
 from slipfree.files.urdf.meshes import angles_to
 from slipfree.files.urdf.roles import Roles, WheelRole
@@ -21,7 +22,6 @@ from slipfree.files.urdf.tree import (
 )
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.geometry.frame import unit_vector
-from slipfree.records import Array
 from slipfree.vehicle.wheel import ORIGIN
 
 FOOTPRINT = re.compile("footprint", re.IGNORECASE)  # link on the ground, by REP 120

@@ -12,7 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array
 from slipfree.files.urdf.joint_guesses import CASTER, caster_wheels
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
@@ -47,7 +48,6 @@ from slipfree.files.vehicle_draft import (
 )
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import tensor
-from slipfree.records import Array
 from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 

@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from slipfree.errors import DataError, ModelError, missing_package
+from slipfree.core.errors import DataError, ModelError, missing_package
 from slipfree.files.urdf.tree import Findings
 from slipfree.files.urdf.xml import Element
-from slipfree.processes import ProcessDiedError, bounded_call
-from slipfree.regular_files import regular_file, resolve_links
+from slipfree.system.processes import ProcessDiedError, bounded_call
+from slipfree.system.regular_files import regular_file, resolve_links
 from slipfree.vehicle.formula import evaluate
 
 FINDER = "ament_index_python"  # package of ROS that xacro asks for the folders of packages

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from xml.parsers import expat
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 from slipfree.files.foreign_formats import PACKED
-from slipfree.regular_files import regular_file
+from slipfree.system.regular_files import regular_file
 
 REMEDIES = {
     expat.errors.XML_ERROR_MISPLACED_XML_PI: "move <?xml ... ?> to the beginning of the first "

@@ -15,17 +15,17 @@ import numpy as np
 from typing_extensions import TypeVar  # with a default
 
 from slipfree.core.facts import Fact
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array
+from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.files.netcdf import NOTHING
-from slipfree.interrupt import check_interrupt
-from slipfree.outcome import Outcome
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
 from slipfree.problem.summary import Lines
-from slipfree.records import Array
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
-from slipfree.trajectory import SolverError, Stop, Trajectory
+from slipfree.system.interrupt import check_interrupt
 
 if TYPE_CHECKING:
     from slipfree.models.montana import Difference

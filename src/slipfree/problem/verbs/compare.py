@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
+from slipfree.core.records import Array, leaves
+from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.files.toml.types import Quantity
-from slipfree.interrupt import interrupt_requested
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.slip import measured_slip
 from slipfree.problem.build_common import (
@@ -26,11 +27,10 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.schema import INPUTS, VERB, Driver, Task
 from slipfree.problem.schema import Vehicle as VehicleTable
 from slipfree.problem.verbs.base import Verb
-from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
-from slipfree.trajectory import SolverError, Stop, Trajectory
+from slipfree.system.interrupt import interrupt_requested
 from slipfree.vehicle.tree import Vehicle
 
 RANK = 1e-9  # smaller singular values, relative to the largest, count as zero

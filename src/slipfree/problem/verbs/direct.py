@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from slipfree.dae import Dae
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.source import Fault, format_value
 from slipfree.files.toml.source import Place as KeyPath
@@ -34,8 +36,6 @@ from slipfree.problem.schema_climbing import STEP_CLIMBING, ClimbingDriver
 from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch, integrate
 from slipfree.problem.verbs.drive_facts import FORMULATION
 from slipfree.problem.verbs.driving import DriveVerb, model_attributes
-from slipfree.records import Array
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:

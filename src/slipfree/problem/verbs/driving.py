@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
+from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact
-from slipfree.errors import DataError
+from slipfree.core.records import Array, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.cf import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.files.urdf.meshes import FORMATS, MeshFiles, find_mesh
 from slipfree.geometry.mesh import Mesh
@@ -55,12 +57,10 @@ from slipfree.problem.verbs.drive_facts import (
     start_lines,
     trust_lines,
 )
-from slipfree.records import Array, leaves
 from slipfree.solve.settle import stable_poses
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:

@@ -10,8 +10,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from slipfree.dae import Dae
-from slipfree.errors import DataError, ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Frame
 from slipfree.files.mcap_reader import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
 from slipfree.files.tables import Columns, read_columns, split_unit
@@ -38,7 +41,6 @@ from slipfree.fit.unknowns import (
 from slipfree.fit.windows import Log, Windows, cut
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
-from slipfree.outcome import Outcome
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.build_vehicle import build_vehicle
@@ -47,9 +49,7 @@ from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, Sli
 from slipfree.problem.summary import Lines
 from slipfree.problem.unit_checks import check_heading_unit, check_sampling, check_travel
 from slipfree.problem.verbs.base import Verb
-from slipfree.records import Array
 from slipfree.terrain.analytic import Analytic
-from slipfree.trajectory import Frame
 from slipfree.vehicle.tree import Vehicle as VehicleModel
 
 TIME_SLACK = 1e-6  # of window ends [window]

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipfree.control.path_tracking import path_inputs, track_path
+from slipfree.core.dae import Dae
+from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.core.facts import Fact
-from slipfree.dae import Dae
-from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.core.records import Array, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.mcap_reader import is_mcap
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_columns
@@ -68,12 +70,10 @@ from slipfree.problem.verbs.inverse_facts import (
     steering_warning,
 )
 from slipfree.problem.verbs.inverse_schema import Inverse
-from slipfree.records import Array, leaves
 from slipfree.solve.collocation import drive
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import replay, round_trip, spline_inputs
 from slipfree.solve.trim import apply_inputs, trim_states
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Coordinate, Vehicle
 

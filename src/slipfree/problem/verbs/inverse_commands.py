@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.files.tables import read_columns, read_names
 from slipfree.files.toml.source import Fault, format_value, problem_error
 from slipfree.files.toml.types import Piecewise

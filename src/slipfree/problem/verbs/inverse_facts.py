@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from slipfree.core.facts import starting_with
+from slipfree.core.records import Mask
+from slipfree.core.trajectory import Trajectory
 from slipfree.models.given_rates import COMMANDS
 from slipfree.models.inverse import steering_note
-from slipfree.records import Mask
-from slipfree.trajectory import Trajectory
 
 ROUND_TRIP, REPLAY = "round_trip_", "replay_"  # beginnings of the names of differences
 METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and one of its values

@@ -9,14 +9,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
+from slipfree.core.dae import Dae
+from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact, Facts, starting_with
-from slipfree.dae import Dae
-from slipfree.errors import SlipfreeError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, leaves
+from slipfree.core.solver_codes import ipopt_words
+from slipfree.core.trajectory import (
+    PLAN_ACCURACY,
+    Column,
+    SolverError,
+    Stop,
+    Trajectory,
+    outcome_words,
+    path_length,
+)
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
-from slipfree.outcome import Outcome
 from slipfree.plan.convergence import convergence_arrays, convergence_from
 from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
 from slipfree.plan.messages import missed_words
@@ -75,22 +86,11 @@ from slipfree.problem.verbs.plan_starts import best_start
 from slipfree.problem.verbs.plan_windows import (
     long_plan,
 )
-from slipfree.records import Array, leaves
 from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
-from slipfree.solver_codes import ipopt_words
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.trajectory import (
-    PLAN_ACCURACY,
-    Column,
-    SolverError,
-    Stop,
-    Trajectory,
-    outcome_words,
-    path_length,
-)
 
 if TYPE_CHECKING:
     from slipfree.show.drive_scene import Driven

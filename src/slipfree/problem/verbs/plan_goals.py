@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.files.toml.source import ProblemError
 from slipfree.geometry.regions import Region
 from slipfree.problem.build_common import heading_offset
@@ -17,7 +18,6 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.region_table import region_of
 from slipfree.problem.verbs.plan_schema import Guide, Plan
-from slipfree.records import Array
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import Traversability
 

@@ -12,11 +12,13 @@ from slipfree.climb.contact_path import Leg, legs
 from slipfree.climb.plan_tracking import Tracking, tracked_plan
 from slipfree.climb.time_scaling import COSTS, Climb, climb, history, in_sequence
 from slipfree.control.step_climbing import climbing
+from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact
-from slipfree.errors import ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array
+from slipfree.core.trajectory import PLAN_ACCURACY, SolverError, Stop, Trajectory
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.source import Fault, problem_error
-from slipfree.outcome import Outcome
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.plan.messages import missed_words
 from slipfree.problem.build_common import Setup, build_start, samples, solver_options
@@ -28,9 +30,7 @@ from slipfree.problem.schema import Modelled
 from slipfree.problem.schema_climbing import STEP_CLIMBING
 from slipfree.problem.verbs.base import Watch, integrate
 from slipfree.problem.verbs.plan_schema import Guide, Plan
-from slipfree.records import Array
 from slipfree.terrain.solids import Profile
-from slipfree.trajectory import PLAN_ACCURACY, SolverError, Stop, Trajectory
 from slipfree.vehicle.climber import Climber, climber_of
 
 KEYS = {

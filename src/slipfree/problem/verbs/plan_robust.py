@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.facts import Fact, Facts
-from slipfree.dae import Dae
-from slipfree.errors import ModelError, SlipfreeError
-from slipfree.outcome import Outcome
+from slipfree.core.outcome import Outcome
+from slipfree.core.trajectory import PLAN_SHARE, Stop, Trajectory
 from slipfree.plan.plan import Plan as FoundPlan
 from slipfree.plan.plan import PlanProgress
 from slipfree.plan.polynomial_motion import PolynomialMotion
@@ -46,12 +47,11 @@ from slipfree.problem.verbs.plan_setup import (
     problem_from,
     source_of,
 )
-from slipfree.processes import local_tasks
 from slipfree.solve.options import MIN_TOLERANCE
+from slipfree.system.processes import local_tasks
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import disturbed
-from slipfree.trajectory import PLAN_SHARE, Stop, Trajectory
 
 Report = Callable[[str, str], None]
 UNTESTED = Stop(

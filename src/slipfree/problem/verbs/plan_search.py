@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
-from slipfree.dae import Dae
+from slipfree.core.dae import Dae
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array
+from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory
 from slipfree.models.dynamic_guess import dynamic_guess
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.outcome import Outcome
 from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import Plan as FoundPlan
 from slipfree.plan.plan import plan
@@ -32,9 +34,7 @@ from slipfree.problem.verbs.plan_setup import (
     settled_start,
 )
 from slipfree.problem.verbs.plan_windows import search_arguments
-from slipfree.records import Array
 from slipfree.solve.simulate import simulate
-from slipfree.trajectory import PLAN, SolverError, Stop, Trajectory
 
 SMOOTHINGS = (1.0, 0.3)  # smoothing widths of the load law in the first plans, in static depths
 ROUGH = 1e-5  # tolerance of initial guesses [m, rad]

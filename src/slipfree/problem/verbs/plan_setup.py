@@ -12,8 +12,10 @@ import numpy as np
 
 from slipfree.control.arc_driving import arc_inputs, turning_axis_offset
 from slipfree.control.path_following import follow
-from slipfree.dae import Dae, Limit
-from slipfree.errors import ModelError
+from slipfree.core.dae import Dae, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Label, leaves
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.toml.source import ProblemError
 from slipfree.geometry.path import Path
 from slipfree.geometry.regions import Region
@@ -51,13 +53,11 @@ from slipfree.problem.verbs.plan_goals import (
 )
 from slipfree.problem.verbs.plan_schema import Guide, Plan
 from slipfree.problem.verbs.plan_windows import check_windows
-from slipfree.records import Array, Label, leaves
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.reeds_shepp import reeds_shepp
 from slipfree.routing.traversability import Traversability, extents, traversability
 from slipfree.solve.settle import settle
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]

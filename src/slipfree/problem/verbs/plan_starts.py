@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
+from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.facts import Fact
-from slipfree.errors import ModelError, SlipfreeError
 from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import Plan as FoundPlan
 from slipfree.plan.problem import bounds_of
@@ -30,7 +30,7 @@ from slipfree.problem.verbs.plan_setup import (
     problem_from,
     source_of,
 )
-from slipfree.processes import local_tasks
+from slipfree.system.processes import local_tasks
 
 
 class StartResult(NamedTuple):

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.control.path_following import follow
-from slipfree.dae import Dae
-from slipfree.errors import DataError, ModelError
+from slipfree.core.dae import Dae
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.records import leaves
+from slipfree.core.trajectory import SolverError, Trajectory, path_length
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.geometry.path import Path as GroundPath
-from slipfree.interrupt import interrupt_requested
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.quasi_statics import quasi_statics
@@ -32,12 +33,11 @@ from slipfree.problem.result import problem_of
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
 from slipfree.problem.verbs.plan_search import find_plan
 from slipfree.problem.verbs.plan_setup import build_planning
-from slipfree.records import leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
+from slipfree.system.interrupt import interrupt_requested
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.trajectory import SolverError, Trajectory, path_length
 from slipfree.vehicle.tree import Vehicle
 
 CYCLES_PER_WINDOW = 20  # default number of periods in a window

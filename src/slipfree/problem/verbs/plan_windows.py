@@ -8,7 +8,8 @@ from typing import Any
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.control.path_following import follow
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.geometry.path import Path
 from slipfree.plan.plan import PlanProgress
 from slipfree.plan.warm_start import SavedPlan
@@ -17,7 +18,6 @@ from slipfree.problem.build_common import Setup
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import Plan
-from slipfree.records import Array
 from slipfree.vehicle.tree import Vehicle
 
 OVERLAP = 1 / 3  # default overlap, relative to the window

@@ -16,9 +16,9 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.geometry.mesh import Mesh, sheet
-from slipfree.records import Array
 
 AXLE = ca.SX(ca.DM([1, 0, 0]))  # direction of the axle in the wheel's axes
 FACES_AROUND, FACES_ACROSS = 36, 6  # faces of a mesh around the wheel, and across its tread

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 from slipfree.vehicle.sections.base import Section
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.omni import Omni

@@ -22,8 +22,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, Protocol, TypeVar
 
-from slipfree.errors import DataError, SlipfreeError
-from slipfree.threads import NAMES
+from slipfree.core.errors import DataError, SlipfreeError
+from slipfree.system.threads import NAMES
 
 MAX_DURATION = 6.0  # longest duration of a call with limits, in its longest CPU time
 TICK = 0.2  # between two polls [s]
@@ -360,7 +360,7 @@ def bounded_read(
 _BOUNDED = """
 import pickle, sys
 sys.path[:], seconds, memory = pickle.load(sys.stdin.buffer)
-from slipfree.processes import _answer
+from slipfree.system.processes import _answer
 _answer(seconds, memory)
 """
 

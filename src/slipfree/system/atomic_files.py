@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from slipfree.errors import DataError, WriteError
+from slipfree.core.errors import DataError, WriteError
 
 
 def replace_file(path: Path, fill: Callable[[Path], object]) -> None:

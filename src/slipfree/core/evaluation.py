@@ -9,7 +9,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 
 
 def evaluate(function: ca.Function, *columns: Array) -> tuple[Array, ...]:

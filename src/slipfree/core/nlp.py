@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.records import Array
+from slipfree.core.records import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from slipfree.errors import DataError
+from slipfree.core.errors import DataError
 
 KINDS = {
     stat.S_IFDIR: "a folder",

@@ -8,7 +8,7 @@ from typing import Any, get_type_hints
 
 import casadi as ca
 
-from slipfree.errors import ModelError
+from slipfree.core.errors import ModelError
 
 BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
     "gt": (">", lambda value, edge: value > edge),

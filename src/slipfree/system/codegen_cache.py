@@ -26,7 +26,7 @@ from pathlib import Path
 import casadi as ca
 import platformdirs
 
-from slipfree.interrupt import ended_by_interrupt
+from slipfree.system.interrupt import ended_by_interrupt
 
 FOLDER = "SLIPFREE_CACHE"  # environment variable: path of the cache folder; empty for no cache
 # The functions are long lists of sums and products: more optimisation does not make them faster,

@@ -9,10 +9,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, SampledCheck
-from slipfree.errors import ModelError
-from slipfree.lookups import needed_lookups, substitute_lookups
-from slipfree.records import Array, Label, leaves, pack, unpack
+from slipfree.core.dae import Dae, SampledCheck
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import needed_lookups, substitute_lookups
+from slipfree.core.records import Array, Label, leaves, pack, unpack
 
 
 @dataclass(frozen=True, eq=False)

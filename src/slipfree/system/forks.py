@@ -13,7 +13,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
-from slipfree.errors import SlipfreeError
+from slipfree.core.errors import SlipfreeError
 
 P = ParamSpec("P")
 R = TypeVar("R")

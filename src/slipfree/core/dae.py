@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 from typing_extensions import TypeVar  # with a default
 
-from slipfree.errors import ModelError
-from slipfree.lookups import Lookup, lookup_function
-from slipfree.outcome import Outcome
-from slipfree.records import (
+from slipfree.core.errors import ModelError
+from slipfree.core.lookups import Lookup, lookup_function
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import (
     Array,
     Label,
     Mask,
@@ -29,7 +29,7 @@ from slipfree.records import (
     quantity_names,
     unpack,
 )
-from slipfree.trajectory import Trajectory
+from slipfree.core.trajectory import Trajectory
 
 LIMIT_ROUNDING = (
     1e-9  # violation of a limit that counts as rounding [unit or scale of the quantity]
@@ -306,7 +306,7 @@ class Dae(Generic[X, Z, U, Y]):
         Terms of ``ode`` whose derivatives the Jacobian of a simulation neglects, if any.
     p : tuple of Parameter
         Numbers that are symbols of the model. Solvers take models without parameters:
-        `slipfree.rearrange.with_values` replaces the symbols by numbers.
+        `slipfree.core.rearrange.with_values` replaces the symbols by numbers.
 
     Raises
     ------

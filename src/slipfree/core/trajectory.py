@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from slipfree.core.errors import ModelError, SlipfreeError, missing_package
 from slipfree.core.facts import Fact, Facts, encode
-from slipfree.errors import ModelError, SlipfreeError, missing_package
-from slipfree.outcome import Outcome
-from slipfree.records import Array, Label, field_overview, overview
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, Label, field_overview, overview
 
 if TYPE_CHECKING:
     import pandas

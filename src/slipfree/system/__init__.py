@@ -1,0 +1,1 @@
+"""Processes, signals, compiled libraries and files of the operating system."""
