@@ -31,12 +31,12 @@ from helpers.climb_cases import (
     tracking,
 )
 from slipfree.climb.plan_tracking import Tracking
-from slipfree.control.step_climbing import Control
+from slipfree.control.step_climbing import StepClimbing
 from slipfree.core.trajectory import SolverError
 
 FINE, LOWEST, HIGHEST = 0.005, 0.5, 1.2
 MORE = (0.01, 0.02, 0.05, 0.1, 0.2)
-Driver = Callable[[float, float], Control | Tracking]
+Driver = Callable[[float, float], StepClimbing | Tracking]
 DRIVERS: dict[str, Driver] = {
     "fixed": lambda _mu, _speed: FIXED,
     "exact": lambda _mu, _speed: EXACT,
@@ -98,7 +98,7 @@ def rigid() -> None:
     for name, profile, contact in (("ramp", RAMP, TABLE_I), ("step", STEP, TWICE)):
         stiff = contact._replace(stiffness=1e7, damping=50.0, creep=2e-4)
         for exact in (False, True):
-            law = Control("projective" if exact else "fixed", "contact", share=0.9, cap=2.0)
+            law = StepClimbing("projective" if exact else "fixed", "contact", share=0.9, cap=2.0)
             run = climb(profile, law, stiff, torque=np.inf)
             mine = 100 * float(run.metrics.slip.mean())
             angle = float(np.arctan2(*profile.summit[::-1]))

@@ -46,7 +46,7 @@ COMMANDS = {
     "show": ["show", "old.nc", "--html", "page.html"],
     "film": ["show", "old.nc", "--animation", "film.gif"],
     "report": ["report", "old.nc", "-o", "report.html"],
-    "climb": ["run", "climb.toml", "-o", "climb.nc", "--animation", "climb.gif", "--no-draw"],
+    "climb": ["run", "climb.toml", "-o", "climb.nc"],
 }
 OFTEN = ("killed", "Ctrl-C", "compiling", "file limit")  # tried more than once
 Start = Callable[[list[str], Path], tuple[int, str]]
@@ -54,13 +54,9 @@ Start = Callable[[list[str], Path], tuple[int, str]]
 
 def prepared(folder: Path) -> None:
     """Write problems and an old result."""
-    for kind, name in (("direct", "p"), ("plan", "plan"), ("climb", "climb")):
-        data = dict(bases(kind)[0])
-        data["time"] = {
-            **data["time"],
-            "duration": {"climb": 0.4}.get(kind, data["time"]["duration"]),
-        }
-        data["solver"] = {**data.get("solver", {}), "compiled": kind != "climb"}
+    for kind, name, k in (("direct", "p", 0), ("plan", "plan", 0), ("direct", "climb", -1)):
+        data = dict(bases(kind)[k])
+        data["solver"] = {**data.get("solver", {}), "compiled": name != "climb"}
         (folder / f"{name}.toml").write_text(document(data))
     plain(["run", "p.toml", "-o", "old.nc", "--no-draw"], folder)
 
@@ -293,7 +289,7 @@ def prepare_verbs(folder: Path) -> None:
     (folder / "climb.toml").write_text(
         document({**sampled, "time": {"duration": 3.0, "step": 0.01}})
     )
-    sampled["control"] = {**sampled["control"], "period": 0.002}
+    sampled["driver"] = {**sampled["driver"], "period": 0.002}
     (folder / "sampled.toml").write_text(document(sampled))
     (folder / "inverse.toml").write_text((PROBLEMS / "paper_inverse.toml").read_text())
     plan = (PROBLEMS / "plan_rigid_hills.toml").read_text()

@@ -31,7 +31,7 @@ from helpers.fuzz_files import KINDS, drawn
 from helpers.fuzz_libraries import LIBRARY_KINDS
 from helpers.fuzz_mutants import MUTANTS, judged_silently
 
-SHARES = {"direct": 4, "inverse": 2, "plan": 2, "climb": 2, "vehicle": 3, "result": 2}  # others: 2
+SHARES = {"direct": 4, "inverse": 2, "plan": 2, "vehicle": 3, "result": 2}  # others: 2
 ALL_KINDS = KINDS | LIBRARY_KINDS
 MEMORY = 6 * 2**30  # of addresses that a process may have [B]
 LONGEST = 60.0  # that a case may take, on a busy machine [s]

@@ -174,12 +174,10 @@ def drawn(kind: str, rng: Random) -> Table:
         data = tomllib.loads((PROBLEMS / "fit_skid_steer.toml").read_text())
         return data | {"law": {"coulomb": {"creep": rng.uniform(0.02, 0.2)}}}
     if kind.startswith("climb"):
-        data = dict(rng.choice(bases("climb")))
-        data["profile"] = {"step": {"height": rng.uniform(0.02, 0.09)}}
+        data = dict(bases("plan" if kind == "climb plan" else "direct")[-1])
+        obstacle = {"step": {"height": rng.uniform(0.02, 0.09)}}
+        data["terrain"] = {**data["terrain"], "obstacles": [obstacle]}
         data["time"] = {"duration": 0.6, "step": 0.005}
-        if kind == "climb plan":
-            data["plan"] = {"cost": rng.choice(["time", "friction"]), "nodes": 20}
-            data["control"] = {"speed": 0.25}
         return data
     if kind in SHIPPED:
         name, settings = SHIPPED[kind]

@@ -28,13 +28,13 @@ import casadi as ca
 import numpy as np
 
 from slipfree import Analytic, ModelError, SolverError, SolverOptions, catalog, dynamics, settle
-from slipfree.catalog.step_climber import step_climber as climber
 from slipfree.climb.friction_demand import least_friction
 from slipfree.core.dae import Dae
 from slipfree.core.trajectory import Trajectory
 from slipfree.models.obstacle_ending import is_on_top
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.solids import Solids, placed, step
+from slipfree.vehicle.climber import climber_of
 from slipfree.vehicle.tree import Vehicle
 
 RESOLUTION, LANES = 0.04, 32  # step of the coefficient of friction [1], and number of steps
@@ -209,7 +209,7 @@ def demand(name: str, height: float) -> float | None:
     if name in TWO_AXLES:
         return quasi_static(name, height)
     if name == "seven_wheels":  # two bodies and three axles in the plane
-        return least_friction(climber(), step(height)).mu
+        return least_friction(climber_of(catalog.step_climber()), step(height)).mu
     return None
 
 

@@ -32,7 +32,7 @@ def direct_reads(request, monkeypatch):
             return function(*arguments)
 
     if request.node.get_closest_marker("bounded") is None:
-        for place in ("processes", "files.urdf.meshes"):
+        for place in ("system.processes", "files.urdf.meshes"):
             monkeypatch.setattr(f"slipfree.{place}.bounded_call", call)
 
 
