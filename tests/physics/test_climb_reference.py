@@ -91,13 +91,6 @@ def test_at_a_wall_the_front_axle_goes_alone():
     assert_allclose(flat, 1)
 
 
-def test_unknown_laws_are_refused():
-    with pytest.raises(ModelError, match="expected one of projective, fixed"):
-        reference(dimensions(), TILTS, PerAxle(0, 0, 0), law="best")
-    with pytest.raises(ModelError, match=r"at least 1 for 'cap', found 0\.5"):
-        reference(dimensions(), TILTS, PerAxle(0, 0, 0), cap=0.5)
-
-
 # As printed
 
 

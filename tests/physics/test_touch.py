@@ -107,3 +107,12 @@ def test_a_dynamic_motion_is_the_same_without_the_kernel(monkeypatch):
     monkeypatch.setattr(bicubic, "register_ground", lambda *_: None)
     assert ground(0.0)._kernel is None
     assert_allclose(motion(), compiled, rtol=1e-6, atol=1e-6)
+
+
+def test_a_level_map_is_a_plane():
+    axis, heights = np.linspace(0.0, 2.0, 9), np.full((9, 9), 3.25)
+    level = touch.plane_of(Bicubic(Grid(axis, axis, heights)))
+    assert level is not None
+    assert float(level.height) == 0.0  # relative to the local origin
+    heights[4, 4] += 1e-9
+    assert touch.plane_of(Bicubic(Grid(axis, axis, heights))) is None
