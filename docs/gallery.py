@@ -38,7 +38,7 @@ class Picture(NamedTuple):
 
 PICTURES = (
     Picture("drive", "rover_rocks_direct", FILM, ("time.duration=8.0",)),
-    Picture("climb", "climb_step", FILM),
+    Picture("climb", "climb_step", "side"),
     Picture("craters", "plan_crater_field", "traversability"),
     Picture("inputs", "plan_crater_field", "plan"),
     Picture("convergence", "plan_crater_field", "convergence"),
