@@ -23,10 +23,6 @@ from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 
-<<<<<<< ours
-from slipfree.core.errors import ModelError
-=======
->>>>>>> theirs
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.climber import Climber
 
