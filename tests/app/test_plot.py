@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 import slipfree as sf
 from helpers.cases import function_of
 from slipfree.core.records import Label
-from slipfree.core.trajectory import Column, Trajectory
+from slipfree.core.trajectory import Column, Trajectory, path_length
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 from slipfree.show import force_figures, motion_figures, plots
@@ -284,7 +284,7 @@ def test_loci_show_centres_contacts_and_platform(run, ax, view):
 def test_elevation_is_over_the_distance_driven(run, ax):
     motion_figures.elevation(run, sf.Analytic(hills), ax)
     contact, platform, below = ax.lines[0], ax.lines[3], ax.lines[4]
-    assert platform.get_xdata()[-1] == pytest.approx(sf.trajectory.path_length(run))
+    assert platform.get_xdata()[-1] == pytest.approx(path_length(run))
     np.testing.assert_array_equal(contact.get_ydata(), run["contact_z", "right"])
     expected = sf.Analytic(hills).elevation(run["x"], run["y"])
     np.testing.assert_array_equal(below.get_ydata(), expected)

@@ -19,7 +19,6 @@ from slipfree import (
     Grid,
     ModelError,
     SolverOptions,
-    codegen_cache,
     direct_kinematics,
     settle,
     simulate,
@@ -40,6 +39,7 @@ from slipfree.solve.replay import replay
 from slipfree.solve.starts import settle_nearest
 from slipfree.solve.system import with_inputs
 from slipfree.solve.trim import apply_inputs, trim_states
+from slipfree.system import codegen_cache
 from slipfree.vehicle.sections.torus import Torus
 
 pytestmark = pytest.mark.slow
