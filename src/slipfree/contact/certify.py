@@ -24,7 +24,7 @@ import numpy as np
 from slipfree.core.evaluation import evaluate
 from slipfree.core.records import Array, Label, Mask
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.sections.base import arc_lengths
+from slipfree.vehicle.sections import arc_lengths
 from slipfree.vehicle.wheel import Wheel
 
 RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # about the axle, from the contact [rad]
@@ -40,18 +40,9 @@ class SecondContact:
     The clearance is the smallest vertical gap over a grid of points on the tread, whose spacing is
     a twentieth of the rolling radius; a parabola refines each local minimum. Narrower obstacles may
     be missed. The clearance is a numeric check, not an expression, since the nearest point jumps.
-
-    Attributes
-    ----------
-    terrain : Terrain
-        The ground.
-    wheel : Wheel
-        The wheel.
-    pose : casadi Function
-        Centre of the wheel in local coordinates, rotation matrix (by columns) and ground normal at
-        its contact as functions of ``x`` and ``z``.
-    size : float
-        Typical length of the vehicle, the unit of `TOLERANCE`. [m]
+    ``pose`` maps ``x`` and ``z`` to the centre of the wheel in local coordinates, its rotation
+    matrix (by columns) and the ground normal at its contact; ``size`` is the typical length of the
+    vehicle, the unit of `TOLERANCE` [m].
     """
 
     terrain: Terrain
@@ -153,6 +144,7 @@ def _second_minima(gap: Array) -> Mask:
     for i in (0, 1, 2):
         for j in (0, 1, 2):
             low &= gap <= padded[:, i : i + rim, j : j + tube]
+    # the contact point lies in the middle of the grid, which starts from its normal
     low[:, rim // 2 - 1 : rim // 2 + 2, max(tube // 2 - 1, 0) : tube // 2 + 2] = False
     return low
 

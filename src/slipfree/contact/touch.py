@@ -9,6 +9,17 @@ Newton's method finds ``G`` in a lookup function, so that a model contains no un
 iteration. The result also contains the inverse Jacobian, height, gradient and Hessian at ``G``. In
 the model one further Newton step, of length zero, has the exact first derivatives of ``G``;
 derivatives of higher order are not exact. On a plane no search is needed.
+
+Solids: a torus is the set of points within the distance ``r1``, the radius of its tube, of a disc
+with radius ``r2`` about the axle. Its distance from a convex solid therefore is that of two convex
+sets, the disc and the solid, less ``r1``. The nearest point ``P`` of the disc minimises half the
+squared distance from the solid, which is convex and piecewise quadratic if the disc is outside the
+solid, that is, if the wheel is pressed in by less than ``r1``. Newton's method minimises it exactly
+in the disc, for one quadratic piece after another. At the minimum the normal is the gradient of the
+gap; at any other point, the work of the contact would differ from the change of its elastic energy.
+
+A disc has no tube: on solids, its edge is rounded with a tenth of its radius. Its outer radius is
+unchanged.
 """
 
 from __future__ import annotations
@@ -19,11 +30,13 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import ContactFrame
+from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.geometry.frame import Pose
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.vehicle.sections.base import Section
+from slipfree.terrain.solids import Prism
+from slipfree.vehicle.sections import Section
 from slipfree.vehicle.wheel import Wheel
 
 STEPS = 2  # number of Newton steps from the wheel's lowest point; doubled if these do not converge
@@ -33,6 +46,13 @@ TOLERANCE = 1e-9  # residual of a converged search [m]
 CLEARLY_ABOVE = 0.1  # vertical gap above which a search need not converge [rolling radii]
 LARGE = 1e9  # larger than every squared residual [m^2]
 DIRECTIONS = np.deg2rad([0, -20, 20, -40, 40, -60, 60])  # tread normals, from the vertical [rad]
+ROUNDS = 6  # number of Newton steps for the nearest point
+MULTIPLIER_STEPS = 4  # number of Newton steps for the multiplier of the radius, in each round
+MIN_MULTIPLIER = 1e-9  # smallest multiplier [1]
+DISTANCE_TOLERANCE = 1e-12  # a step may increase the distance by this, due to rounding [m]
+MAX_DISTANCE = 1e9  # larger than every distance [m]
+EDGE_RADIUS = 0.1  # radius of the edge of discs [radii]
+ROOT_OFFSET = 1e-18  # keeps the derivatives of square roots finite [m2 or 1]
 
 
 class Plane(NamedTuple):
@@ -45,14 +65,8 @@ class Plane(NamedTuple):
 class Touch(NamedTuple):
     """Contact of a wheel with the ground; positions are local.
 
-    Attributes
-    ----------
-    gap : SX, shape (1, 1)
-        Distance between wheel and ground; negative if the wheel presses into it. [m]
-    frame : ContactFrame
-        Contact frame; its point is that of the wheel's surface.
-    friction : SX, shape (1, 1)
-        Coefficient of friction. [1]
+    The gap is negative if the wheel presses into the ground [m]; the point of the frame is that of
+    the wheel's surface.
     """
 
     gap: ca.SX
@@ -69,18 +83,7 @@ def touch(
 ) -> Touch:
     """Return the contact of a wheel with a ground.
 
-    Parameters
-    ----------
-    terrain : Terrain
-        The ground.
-    wheel : Wheel
-        The wheel.
-    carrier : Pose
-        Pose of the wheel's carrier, at the wheel's centre.
-    search : casadi Function or Plane
-        Result of `search_function` for this ground and the wheel's section.
-    lookups : LookupTable
-        Lookups of the model.
+    ``search`` is the result of `search_function` for this ground and the wheel's section.
     """
     center, axle = carrier.origin, carrier.rotation[:, 0]
     if isinstance(search, Plane):
@@ -94,8 +97,8 @@ def touch(
             ca.SX(search.gradient),
         )
     else:
-        found = lookups.find(search, ca.vertcat(center, axle), order=1)
-        spot, inverse, height, gradient, hessian = _split(found)
+        nearest = lookups.find(search, ca.vertcat(center, axle), order=1)
+        spot, inverse, height, gradient, hessian = _split(nearest)
         off = _miss(wheel.section, spot, center, axle, height, gradient)
         step = -inverse @ off.residual  # zero, with the derivatives of the ground point
         slope = gradient + hessian @ step
@@ -129,31 +132,19 @@ def _miss(
     return _Miss(away[:2] + away[2] * gradient, normal, point, ca.dot(away, normal))
 
 
-def _split(found: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+def _split(column: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
     """Return ground point, inverse Jacobian, height, gradient and Hessian of a search."""
-    spot, inverse, height, gradient, hessian = ca.vertsplit(found, [0, 2, 6, 7, 9, 13])
+    spot, inverse, height, gradient, hessian = ca.vertsplit(column, [0, 2, 6, 7, 9, 13])
     return spot, ca.reshape(inverse, 2, 2), height, gradient, ca.reshape(hessian, 2, 2)
 
 
 def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Function | Plane:
     """Return a function that finds the ground point nearest to a wheel, or a plane ground.
 
-    Parameters
-    ----------
-    terrain : Terrain
-        The ground.
-    section : Section
-        Cross-section of the wheel.
-    radius : float
-        Rolling radius. [m]
-
-    Returns
-    -------
-    casadi Function or Plane
-        From centre and axle, shape (6, 1), to the nearest point, the inverse Jacobian of the
-        residual, height, gradient and Hessian there, shape (13, 1). If Newton's method does not
-        converge, the result is NaN, or, for a wheel clearly above the ground, the ground point
-        below it with a zero inverse Jacobian.
+    The function maps centre and axle (6, 1) to the nearest point, the inverse Jacobian of the
+    residual, height, gradient and Hessian there (13, 1). If Newton's method does not converge, the
+    result is NaN, or, for a wheel clearly above the ground, the ground point below it with a zero
+    inverse Jacobian.
     """
     radii, plane = section.torus_radii, plane_of(terrain)
     if plane is not None:
@@ -247,8 +238,8 @@ def _result(jet: ca.Function, newton: ca.Function, spot: Any, asked: Any) -> Any
     return ca.vertcat(spot, found[2:6], end, found[6:])
 
 
-def _converged(found: Any) -> Any:
-    x, y = ca.vertsplit(ca.fabs(found[13:]))
+def _converged(result: Any) -> Any:
+    x, y = ca.vertsplit(ca.fabs(result[13:]))
     return ca.logic_and(x < TOLERANCE, y < TOLERANCE)  # the maximum would ignore NaN
 
 
@@ -264,6 +255,7 @@ def _damped_steps(
         found = newton(spot, asked, jet(spot))[0]
         size, full = ca.sumsqr(found[6:]), found[:2]
         limited = full * ca.fmin(1, LONGEST_STEP * radius / (ca.norm_2(full) + TOLERANCE))
+        # false for NaN too: a step to where the residual is undefined is halved
         better = size < least
         best, least = ca.if_else(better, spot, best), ca.if_else(better, size, least)
         step = ca.if_else(better, limited, step / 2)
@@ -288,8 +280,121 @@ def _newton_function(section: Section) -> ca.Function:
     spot, asked, jet = ca.SX.sym("spot", 2), ca.SX.sym("asked", 6), ca.SX.sym("jet", 7)
     at = _miss(section, spot, asked[:3], asked[3:], jet[0], jet[1:3])
     hessian = ca.reshape(jet[3:], 2, 2)
+    # derivative of point, height and gradient with respect to the point: the jet contains it, so
+    # that no lookup of the ground is differentiated
     by_jet = ca.vertcat(ca.SX.eye(2), jet[1:3].T, hessian)
     jacobian = ca.jacobian(at.residual, ca.vertcat(spot, jet[:3])) @ by_jet
     inverse = ca.inv(jacobian)
     results = ca.vertcat(-inverse @ at.residual, ca.vec(inverse), at.residual)
     return ca.Function("newton", [spot, asked, jet], [ca.densify(results), at.point], {"cse": True})
+
+
+def tube_radii(wheel: Wheel) -> tuple[float, float]:
+    """Return the radii of the tube and of the circle of tube centres of a wheel on solids [m].
+
+    Raises
+    ------
+    ModelError
+        If the wheel is not a torus, a disc or a sphere.
+    """
+    radii = wheel.section.torus_radii
+    if radii is None:
+        raise ModelError(
+            f"solids: expected a torus, a disc or a sphere as section of wheel {wheel.name!r}, "
+            f"found {wheel.section}; change its section"
+        )
+    tube, circle = radii
+    return (tube, circle) if tube else (EDGE_RADIUS * circle, (1 - EDGE_RADIUS) * circle)
+
+
+def solid_touch(
+    prism: Prism, terrain: Terrain, wheel: Wheel, carrier: Pose, lookups: LookupTable
+) -> Touch:
+    """Return the contact of a wheel with a solid; ModelError as `tube_radii`.
+
+    ``terrain`` is the ground under the solid, which determines the local origin and the friction.
+    """
+    tube, circle = tube_radii(wheel)
+    center, axle, origin = carrier.origin, carrier.rotation[:, 0], ca.DM(terrain.origin)
+
+    distance, normal = prism.gap(center + origin)
+    if ca.sparsify(ca.dot(normal, axle)).nnz() == 0:
+        # the solid's faces and edges are parallel to the axle: distance from a circle
+        spot, distance = center - circle * normal, distance - circle
+    else:
+        spot = _nearest_on_disc(prism, origin, carrier, circle)
+        distance, normal = prism.gap(spot + origin)
+    forward = ca.cross(normal, axle)
+    uprightness = ca.sqrt(ca.sumsqr(forward) + ROOT_OFFSET)
+    along, point = forward / uprightness, spot - tube * normal
+    across, flat = ca.cross(along, normal), ca.SX.zeros(2, 2)
+    frame = ContactFrame(point, normal, along, across, axle, uprightness, flat)
+    friction = wheel.grip * terrain.friction(point[0], point[1], lookups)
+    return Touch(distance - tube, frame, friction)
+
+
+def _nearest_on_disc(prism: Prism, origin: ca.DM, carrier: Pose, circle: float) -> ca.SX:
+    """Return the point of a disc about the axle that is nearest to a solid, shape (3, 1) [m].
+
+    A step that increases the distance is rejected. The next trial is the minimum of the quadratic
+    piece at the rejected point, then half the step.
+    """
+    center, plane = carrier.origin, carrier.rotation[:, 1:]
+    if not circle:
+        return center
+    best, trial, step = ca.SX.zeros(2), ca.SX.zeros(2), ca.SX.zeros(2)  # in the disc's plane
+    least, slack = ca.SX(MAX_DISTANCE), ca.SX(DISTANCE_TOLERANCE)
+    for _ in range(ROUNDS):
+        distance, normal, hessian = prism.expansion(center + plane @ trial + origin, plane)
+        linear = hessian @ trial - distance * (plane.T @ normal)
+        newton = _minimum_in_disc(hessian, linear, circle)
+        is_better = distance < least + slack
+        is_first = ca.logic_and(ca.logic_not(is_better), slack > 0)  # first rejection
+        best, least = ca.if_else(is_better, trial, best), ca.if_else(is_better, distance, least)
+        step = ca.if_else(is_better, newton - trial, ca.if_else(is_first, step, step / 2))
+        trial = ca.if_else(is_first, newton, best + step)
+        slack = ca.if_else(is_first, -DISTANCE_TOLERANCE, DISTANCE_TOLERANCE)
+    return center + plane @ trial
+
+
+def _minimum_in_disc(hessian: ca.SX, linear: ca.SX, radius: float) -> ca.SX:
+    """Return the minimum of a convex quadratic function in a disc about zero, shape (2, 1).
+
+    The function is ``p' hessian p / 2 - linear' p``. With the multiplier ``m`` of the radius, the
+    minimum ``p`` satisfies ``(hessian + m) p = linear``. Newton's method for the reciprocal of its
+    norm finds ``m`` in principal axes; the last step is in the given axes, where it has no
+    cancellation.
+    """
+    a, b, c = hessian[0, 0], hessian[0, 1], hessian[1, 1]
+    spread = ca.sqrt((a - c) ** 2 + 4 * b**2 + ROOT_OFFSET)
+    larger, smaller = (a + c + spread) / 2, ca.fmax(0, (a + c - spread) / 2)
+    # shares of the linear term along the principal axes; eigenvectors would have no derivative
+    # where the eigenvalues are equal
+    total = ca.sumsqr(linear) / radius**2
+    product = ca.dot(linear, hessian @ linear) / radius**2
+    first = ca.fmax(0, ca.fmin(total, (product - smaller * total) / spread))
+    last = total - first
+    # each share alone bounds the multiplier from below; Newton's method starts from the larger one
+    bound = ca.fmax(MIN_MULTIPLIER, ca.sqrt(first + ROOT_OFFSET) - larger)
+    multiplier = ca.fmax(bound, ca.sqrt(last + ROOT_OFFSET) - smaller)
+    for _ in range(MULTIPLIER_STEPS):
+        one, two = 1 / (larger + multiplier), 1 / (smaller + multiplier)
+        shares = first * one**2, last * two**2
+        square = sum(shares) + ROOT_OFFSET
+        slope = shares[0] * one + shares[1] * two + ROOT_OFFSET
+        multiplier = ca.fmax(bound, multiplier + square / slope * (ca.sqrt(square) - 1))
+
+    def solve() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Return the solution times the determinant, the determinant, and the diagonal."""
+        one, two = a + multiplier, c + multiplier
+        x, y = two * linear[0] - b * linear[1], one * linear[1] - b * linear[0]
+        return ca.vertcat(x, y), one * two - b**2, one, two
+
+    point, determinant, one, two = solve()
+    square = ca.sumsqr(point) + ROOT_OFFSET**2
+    slope = two * point[0] ** 2 - 2 * b * point[0] * point[1] + one * point[1] ** 2
+    excess = ca.sqrt(square) / radius - determinant
+    multiplier = ca.fmax(bound, multiplier + square / (slope + ROOT_OFFSET**2) * excess)
+    point, determinant, _, _ = solve()
+    norm = ca.sqrt(ca.sumsqr(point) + ROOT_OFFSET**2)
+    return point / ca.fmax(determinant, norm / radius)

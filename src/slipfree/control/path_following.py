@@ -1,8 +1,8 @@
-"""Path following: feedback laws in the symbols of a model."""
+"""Path following: feedback laws in the symbols of a model, and open-loop inputs along arcs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -22,24 +22,17 @@ STEER_GAIN = 4.0  # decay of the steering error per base length driven
 ZERO_TOLERANCE = 1e-9  # smaller lengths and derivatives count as zero [m, 1]
 LOW_SPEED_RATIO = 0.1  # fraction of the speed below which the steering angle is blended to zero
 TILT_GAIN = 2.0  # decay of the mean tilt per base length driven
+STEERING_STEPS = 20  # number of steps of the fixed-point iteration for the steering
+SAME_ANGLE = 1e-9  # smaller changes of commanded coordinates are omitted [rad, m]
+Piecewise = tuple[tuple[float, float], ...]
 
 
 class _PlanarWheel(NamedTuple):
     """A wheel in the plan view of the vehicle, as expressions of the commanded coordinates.
 
-    Attributes
-    ----------
-    wheel : Wheel
-        The wheel.
-    right, forward : SX
-        Position of the wheel relative to the middle of the turning axis. [m]
-    angle : SX
-        Heading of the wheel in the platform's plan, left positive. [rad]
-    effects : mapping of str to SX
-        Derivatives of the angle with respect to commanded coordinates, by name. [rad/rad, rad/m]
-    leans : str or None
-        Name of the passive coordinate that tilts the wheel sideways; None if there is no such
-        coordinate or the wheel is not driven.
+    Position relative to the middle of the turning axis [m]; heading in the platform's plan, left
+    positive [rad], and its derivatives with respect to commanded coordinates by name; ``leans`` is
+    the passive coordinate that tilts a driven wheel sideways, None without one.
     """
 
     wheel: Wheel
@@ -53,18 +46,11 @@ class _PlanarWheel(NamedTuple):
 class _PlanarGeometry(NamedTuple):
     """Plan view of a vehicle.
 
-    Attributes
-    ----------
-    wheels, steered : tuple of _PlanarWheel
-        All wheels, and those whose steering turns the vehicle.
-    base : float
-        Base length: distance of the farthest steered wheel from the turning axis, or, without
-        steering, the largest distance of a wheel from the centre line. [m]
-    ahead : float
-        Distance of the platform's centre ahead of the turning axis. [m]
-    gain : float
-        Difference of the wheel speeds, relative to that of a vehicle that turns without slip; above
-        one if unsteered wheels must slip sideways. [1]
+    ``steered`` are the wheels whose steering turns the vehicle. ``base`` is the distance of the
+    farthest of them from the turning axis, or, without steering, the largest distance of a wheel
+    from the centre line [m]; ``ahead`` that of the platform's centre ahead of the turning axis [m].
+    ``gain`` is the difference of the wheel speeds relative to that of a vehicle that turns without
+    slip; above one if unsteered wheels must slip sideways.
     """
 
     wheels: tuple[_PlanarWheel, ...]
@@ -225,20 +211,10 @@ def wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX,
 def planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeometry:
     """Return the plan view of a vehicle in its zero configuration.
 
-    The vehicle turns about an axis through the wheels that are neither steered nor casters nor
-    have rollers; without such wheels, about an axis through its centre.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    states : dict of str to SX
-        Symbols of its commanded coordinates, by name.
-
-    Raises
-    ------
-    ModelError
-        If the vehicle has neither steered wheels nor driven wheels on both sides.
+    The vehicle turns about an axis through the wheels that are neither steered nor casters nor have
+    rollers; without such wheels, about an axis through its centre. ``states`` are the symbols of
+    its commanded coordinates by name. ModelError is raised if the vehicle has neither steered
+    wheels nor driven wheels on both sides.
     """
     planar, fixed = [], []
     for wheel, (pose, effects, leans, swivels) in zip(
@@ -307,3 +283,68 @@ def _wheel_mobility(
         }
         leans = leaning[0] if leaning and wheel.driven else None
         yield upright, effects, leans, bool((np.abs(turns[len(states) :]) > ZERO_TOLERANCE).any())
+
+
+def turning_axis_offset(vehicle: Vehicle) -> float:
+    """Return the distance of the platform's centre ahead of the vehicle's turning axis [m]."""
+    return planar_geometry(vehicle, _symbols(vehicle)).ahead
+
+
+def arc_inputs(
+    dae: Dae,
+    vehicle: Vehicle,
+    arcs: Sequence[tuple[float, float]],
+    coordinates: Mapping[str, float],
+    *,
+    speed: float,
+) -> tuple[dict[str, Piecewise], float]:
+    """Return inputs that drive along consecutive arcs, and the duration [s].
+
+    The vehicle, with steered wheels or with driven wheels on both sides, stops before every arc
+    until its wheels are steered for it. On even ground the middle of the turning axis then follows
+    the arc without slip. An arc is a length, negative to drive backwards [m], and a curvature,
+    positive to the left [1/m]; ``coordinates`` are the commanded ones at the beginning [rad, m].
+    The result for each input is pairs of a time [s] and the rate from this time on [rad/s, m/s].
+    """
+    states = _symbols(vehicle)
+    plan, column = planar_geometry(vehicle, states), ca.vertcat(ca.SX(0, 1), *states.values())
+    bend, v = ca.SX.sym("bend"), ca.SX.sym("v")
+    steering: dict[str, ca.SX] = dict.fromkeys(states, ca.SX(0))
+    sizes: dict[str, ca.SX] = dict.fromkeys(states, ca.SX(0))
+    for each in plan.steered:
+        error = ca.atan2(each.forward * bend, 1 + each.right * bend) - each.angle
+        for name, effect in each.effects.items():
+            steering[name] += effect * error
+            sizes[name] += effect**2
+    change = [steering[name] / ca.fmax(sizes[name], SAME_ANGLE) for name in states]
+    wheels = [
+        wheel_rate(each, v, plan.gain * v * bend, {}) for each in plan.wheels if each.wheel.driven
+    ]
+    step = ca.Function("step", [column, bend], [ca.vertcat(ca.SX(0, 1), *change)])
+    rates = ca.Function("rates", [column, bend, v], [ca.vertcat(*wheels)])
+    now = np.array([coordinates[name] for name in states])
+    times, rows = [0.0], list[Array]()
+    for length, curvature in arcs:
+        steered = now
+        for _ in range(STEERING_STEPS):
+            steered = steered + np.array(step(steered, curvature)).ravel()
+        turn = np.abs(steered - now).max(initial=0.0)
+        if turn > SAME_ANGLE:
+            pause = turn * plan.base / speed
+            times.append(times[-1] + pause)
+            rows.append(np.concatenate([np.zeros(len(wheels)), (steered - now) / pause]))
+        turning = np.array(rates(steered, curvature, np.copysign(speed, length))).ravel()
+        times.append(times[-1] + abs(length) / speed)
+        rows.append(np.concatenate([turning, np.zeros(now.size)]))
+        now = steered
+    names = [label.full for label in leaves(dae.labels.u)]
+    values = np.array(rows).T.tolist()
+    pieces = {
+        name: tuple(zip(times[:-1], row, strict=True))
+        for name, row in zip(names, values, strict=True)
+    }
+    return pieces, times[-1]
+
+
+def _symbols(vehicle: Vehicle) -> dict[str, ca.SX]:
+    return {c.name: ca.SX.sym(c.name) for c in vehicle.of("commanded")}

@@ -1,9 +1,9 @@
-"""Poses, rates, outputs and sizes that all models of a vehicle share."""
+"""Symbolic quantities of a vehicle on a ground, and the parts that models in closure form share."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -13,11 +13,11 @@ from slipfree.core.dae import Labels
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.records import Array, leaves, pack
 from slipfree.geometry.frame import Pose, platform, quaternion
-from slipfree.models.quantities import Quantities
 from slipfree.models.records import (
     Configuration,
     Dependent,
     ForceOutputs,
+    Forces,
     Inputs,
     Outputs,
     Rates,
@@ -27,6 +27,52 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
 LEAST_SPEED = 1e-6  # of a wheel or its rim, below which a slip ratio is reduced [m/s]
+
+
+class Mechanics(NamedTuple):
+    """Terms of the quasi-static equilibrium of a vehicle, in the symbols of a model.
+
+    Rates are in the order of ``Rates.motion``, inputs in the order of ``Inputs``. ``free`` and
+    ``driven`` are the derivatives ``A`` and ``B`` of the slip velocities along, across and normal
+    to every wheel with respect to them, with 3 n_wheels rows [1, m]; ``load`` and ``held`` the
+    generalised forces of gravity, springs and dampers on them [N, N m]. ``friction`` are the
+    coefficients at the wheels; ``weight`` [N], ``potential`` energy [J] and power of the dampers
+    ``damped`` [W] are those of the vehicle.
+    """
+
+    free: ca.SX
+    driven: ca.SX
+    load: ca.SX
+    held: ca.SX
+    friction: tuple[ca.SX, ...]
+    weight: float
+    potential: ca.SX
+    damped: ca.SX
+
+
+class Quantities(NamedTuple):
+    """Expressions of a model, from which its limits are computed.
+
+    ``forces`` are those of the ground on the wheels, empty if the vehicle has no mass; the tip-over
+    margin is then infinite. ``poses`` are those of the wheels' carriers at the wheels' centres,
+    ``slips`` (3, 1) are in fixed axes, ``spins`` the rates of all wheels. Units are those of the
+    labels.
+    """
+
+    vehicle: Vehicle
+    terrain: Terrain
+    x: Configuration
+    position: Dependent
+    rates: Rates
+    forces: Forces
+    u: Inputs
+    poses: tuple[Pose, ...]
+    contacts: tuple[ContactFrame, ...]
+    slips: tuple[ca.SX, ...]
+    spins: tuple[ca.SX, ...]
+    mechanics: Mechanics
+    tip_over_margin: ca.SX
+    lookups: LookupTable
 
 
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
@@ -49,12 +95,8 @@ def level_heights(
 ) -> tuple[ca.SX, list[ca.SX]]:
     """Return, for each wheel, the height of a level platform at which it touches the ground.
 
-    Returns
-    -------
-    heights : SX, shape (n_wheels, 1)
-        Height of the platform's centre for each wheel, with all suspension coordinates zero. [m]
-    centers : list of SX, shape (3, 1)
-        Centres of the wheels in local coordinates, for a platform at height zero. [m]
+    Heights of the platform's centre (n_wheels, 1) [m], with all suspension coordinates zero, and
+    the centres of the wheels in local coordinates for a platform at height zero [m].
     """
     level = Dependent(0, 0, 0, tuple(0 for _ in vehicle.of("suspension")), ())
     centers = [carrier.origin for carrier in carriers(vehicle, x, level)]
@@ -107,14 +149,14 @@ def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
 
 def slip_ratios(q: Quantities) -> tuple[ca.SX, ...]:
     """Return the slip ratios of the wheels, positive if the rim is faster than the wheel [1]."""
-    found = list[ca.SX]()
+    ratios = list[ca.SX]()
     for wheel, contact, slip, rate in zip(
         q.vehicle.wheels, q.contacts, q.slips, q.spins, strict=True
     ):
         along, rim = ca.dot(contact.along, slip), rate * wheel.radius
         fastest = ca.fmax(ca.fabs(rim), ca.fabs(rim + along))
-        found.append(-along / ca.fmax(fastest, LEAST_SPEED))
-    return tuple(found)
+        ratios.append(-along / ca.fmax(fastest, LEAST_SPEED))
+    return tuple(ratios)
 
 
 def touch_function(
@@ -129,10 +171,10 @@ def touch_function(
     Results are the centre (3, 1) [m], the rotation matrix by columns (9, 1), and the unit normal of
     the ground (3, 1), in local coordinates.
     """
-    inputs, found = [pack(x), pack(z)], lookups.lookups
+    inputs, table = [pack(x), pack(z)], lookups.lookups
     return [
         lookup_function(
-            found,
+            table,
             "wheel",
             inputs,
             [ca.densify(e) for e in (carrier.origin, ca.vec(carrier.rotation), contact.normal)],

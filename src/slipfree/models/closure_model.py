@@ -20,6 +20,7 @@ from slipfree.core.records import symbols
 from slipfree.geometry.frame import Pose
 from slipfree.laws.protocols import Equations
 from slipfree.models.base import (
+    Quantities,
     at_rest,
     carriers,
     extent,
@@ -31,12 +32,14 @@ from slipfree.models.base import (
     spins,
     touch_function,
 )
-from slipfree.models.limits import limits_of
-from slipfree.models.quantities import Quantities
+from slipfree.models.friction_feasibility import (
+    force_outputs,
+    mechanics,
+    with_tangential,
+)
+from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.records import Algebraic
-from slipfree.models.slip import slip_velocities
-from slipfree.models.statics import force_outputs, mechanics, with_tangential
-from slipfree.models.tip_over import tip_over_margin
+from slipfree.models.samples import slip_velocities
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
@@ -83,18 +86,8 @@ def closure_dae(
 ) -> Dae:
     """Return the DAE of a closure model from its quantities and the equations of its rates.
 
-    Parameters
-    ----------
-    labels : Labels
-        Labels of the model, except those of the law's equations.
-    z, q : Algebraic and Quantities
-        Results of `closure_quantities`, with the forces on the wheels.
-    law, forces : Equations and SX
-        Equations of the rates, and of the forces that follow from them.
-    limits : tuple of Limit
-        Limits of the law.
-    suppress_algebraic, continuation
-        As in `Dae`.
+    ``labels`` lack those of the law's equations; ``law`` and ``forces`` are the equations of the
+    rates, and of the forces that follow from them. Other arguments are those of `Dae`.
     """
     vehicle, terrain = q.vehicle, q.terrain
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)

@@ -22,8 +22,7 @@ import numpy as np
 
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import has_exact_closure, support_fault
-from slipfree.contact.solid_touch import solid_touch
-from slipfree.contact.touch import Touch, plane_of, search_function, touch
+from slipfree.contact.touch import Touch, plane_of, search_function, solid_touch, touch
 from slipfree.core.dae import Dae, HeldTerms, Labels, Standing
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
@@ -34,16 +33,18 @@ from slipfree.laws.protocols import ContactLaw, WheelContact, check_law
 from slipfree.models.base import extent, raised_poses, sizes, touch_function
 from slipfree.models.dynamic_outputs import (
     Contact,
+    DynamicDae,
+    DynamicState,
     Effort,
     deepest,
     depth_limits,
     dynamic_forces,
+    dynamic_labels,
     dynamic_outputs,
     limit_quantities,
     quantities,
     solid_limits,
 )
-from slipfree.models.dynamic_records import DynamicDae, DynamicState, dynamic_labels
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import (
     Load,
@@ -306,18 +307,9 @@ def slip_velocity(wheel: WheelMotion, at: Touch) -> ca.SX:
 class _Wheel(NamedTuple):
     """Moments on a wheel, and its contributions to the equations of motion.
 
-    Attributes
-    ----------
-    resisting : SX, shape (1, 1)
-        Moment of the ground about the axle. [N m]
-    torque : SX, shape (1, 1)
-        Torque of the drive; zero if the rate is prescribed. [N m]
-    acceleration : SX, shape (1, 1)
-        Time derivative of the rate if it is prescribed; otherwise zero. [rad/s^2]
-    integral_rate : tuple of SX
-        Rate of the integral of the drive's controller; empty without one. [N m/s]
-    load : Load
-        Force and moment on the wheel's carrier.
+    Moment of the ground about the axle, torque of the drive, zero if the rate is prescribed [N m],
+    time derivative of a prescribed rate [rad/s^2], rate of the integral of the drive's controller,
+    empty without one [N m/s], and the load on the wheel's carrier.
     """
 
     resisting: ca.SX
@@ -444,8 +436,8 @@ def _attitude_rate(x: DynamicState) -> ca.SX:
     attitude, omega = ca.vertcat(*x.attitude), ca.vertcat(*x.omega)
     scalar, vector = attitude[0], attitude[1:]
     turning = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2
-    found: ca.SX = turning + NORMALISATION * (1 - ca.sumsqr(attitude)) * attitude
-    return found
+    rate: ca.SX = turning + NORMALISATION * (1 - ca.sumsqr(attitude)) * attitude
+    return rate
 
 
 def _start(

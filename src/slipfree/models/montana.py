@@ -33,6 +33,7 @@ from slipfree.geometry.frame import Pose, Twist
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import SlipLaw, wheel_labels
 from slipfree.models.base import (
+    Quantities,
     at_rest,
     carriers,
     extent,
@@ -42,10 +43,14 @@ from slipfree.models.base import (
     spins,
     touch_function,
 )
+from slipfree.models.friction_feasibility import (
+    following_forces,
+    force_outputs,
+    mechanics,
+    with_tangential,
+)
 from slipfree.models.kinematics import check_slip_law, contact_labels, slip_equations
-from slipfree.models.labels import labels_of
-from slipfree.models.limits import limits_of
-from slipfree.models.quantities import Quantities
+from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.records import (
     Configuration,
     Dependent,
@@ -53,9 +58,8 @@ from slipfree.models.records import (
     Forces,
     Inputs,
     Rates,
+    labels_of,
 )
-from slipfree.models.statics import following_forces, force_outputs, mechanics, with_tangential
-from slipfree.models.tip_over import tip_over_margin
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -66,16 +70,8 @@ MAX_DRIFT = 1e-3  # largest drift of an assembled vehicle [wheel radii, rad]
 class Assembly(NamedTuple):
     """Differential states: platform, joints, and contact coordinates of every wheel.
 
-    Attributes
-    ----------
-    x, y, z, heading, roll, pitch : scalar
-        Position and attitude of the platform. [m, rad]
-    joints : tuple of scalar
-        Commanded and passive coordinates, in the vehicle's order. [rad or m]
-    suspension : tuple of scalar
-        Suspension coordinates, in the vehicle's order. [rad or m]
-    contacts : tuple of ContactCoordinates
-        Contact coordinates of the wheels.
+    ``joints`` are the commanded and passive coordinates, ``suspension`` the others, in the
+    vehicle's order [rad or m].
     """
 
     x: Any
@@ -121,20 +117,10 @@ class AssemblyOutputs(NamedTuple):
 class RollingWheel(NamedTuple):
     """Contact, pose, rates and drift of a rolling wheel.
 
-    Attributes
-    ----------
-    contact : ContactFrame
-        Contact frame of the wheel.
-    pose : Pose
-        Pose of the wheel's hub from the contact coordinates.
-    slip : SX, shape (3, 1)
-        Velocity of the wheel's material contact point. [m/s]
-    rates : ContactCoordinates
-        Time derivatives of the contact coordinates.
-    displacement, rotation : SX, shape (3, 1)
-        Drift: the wheel's centre from the contact coordinates minus its centre from the chain of
-        joints [m], and the rotation vector from the first orientation to the second, to first
-        order [rad].
+    ``pose`` is that of the wheel's hub from the contact coordinates, ``slip`` the velocity of the
+    wheel's material contact point [m/s]. The drift is the wheel's centre from the contact
+    coordinates minus its centre from the chain of joints [m], and the rotation vector from the
+    first orientation to the second, to first order [rad].
     """
 
     contact: ContactFrame
@@ -375,16 +361,10 @@ def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:
 
 
 class Difference(NamedTuple):
-    """Largest difference between two motions in one quantity.
+    """Largest difference between two motions in one quantity, and its time [s].
 
-    Attributes
-    ----------
-    label : Label
-        The quantity, with the wheel of the largest difference if there is a value per wheel.
-    size : float
-        Absolute value of the difference, for angles modulo 2 pi. [the label's unit]
-    t : float
-        Time of the largest difference. [s]
+    The label contains the wheel of the largest difference if there is a value per wheel; angles
+    differ modulo 2 pi.
     """
 
     label: Label

@@ -1,39 +1,36 @@
-"""Single-wheel test bed: one wheel under a constant load, at imposed slip ratio and slip angle."""
+"""Single wheel under a load, at imposed slip ratio and slip angle; reserve of drawbar pull."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array
-from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
+from slipfree.core.records import Array, Label
+from slipfree.core.trajectory import Column, Trajectory
+from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, wheel_size
+from slipfree.laws.soil_regions import soil_at
+from slipfree.vehicle.tree import Vehicle
 
 STEPS = 60  # number of bisection steps for the sinkage
+SLIP_LIMIT = 0.3  # slip ratio at which the largest pull counts [1]
+RESERVE = Label(
+    "drawbar_reserve",
+    "N",
+    f"drawbar pull at a slip ratio of {SLIP_LIMIT:g} minus the pull used; zero for free wheels",
+)
+MAX_ANGLE = 1.5  # largest slip angle; the wheel then moves sideways [rad]
 
 
 class WheelCurves(NamedTuple):
-    """Steady forces on a wheel at n_angles slip angles and n_slips slip ratios.
+    """Steady forces on a wheel at slip angles (n_angles,) [rad] and slip ratios (n_slips,) [1].
 
-    Arrays have the shape (n_angles, n_slips), unless stated otherwise.
-
-    Attributes
-    ----------
-    angle : ndarray, shape (n_angles,)
-        Slip angles. [rad]
-    slip : ndarray, shape (n_slips,)
-        Slip ratios. [1]
-    sinkage : ndarray
-        Depth of the lowest point. [m]
-    pull : ndarray
-        Drawbar pull. [N]
-    side : ndarray
-        Side force, positive against the sideways motion. [N]
-    torque : ndarray
-        Resistance torque. [N m]
+    Depth of the lowest point [m], drawbar pull [N], side force, positive against the sideways
+    motion [N], and resistance torque [N m] have the shape (n_angles, n_slips).
     """
 
     angle: Array
@@ -93,29 +90,14 @@ def single_wheel(
     """
     slip, angle = np.asarray(slips, dtype=float), np.asarray(angles, dtype=float)
     s, beta = (each.ravel() for each in np.meshgrid(slip, angle))
-    found = steady_forces(soil, size, np.full_like(s, load), s, beta)
-    return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in found))
+    steady = steady_forces(soil, size, np.full_like(s, load), s, beta)
+    return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in steady))
 
 
 def steady_forces(
     soil: Soil, size: WheelSize, load: Array, slip: Array, angle: Array
 ) -> SteadyForces:
-    """Return sinkage and forces of a wheel at n points of steady motion.
-
-    Parameters
-    ----------
-    soil : Soil
-        The soil.
-    size : WheelSize
-        Radius and width of the wheel.
-    load, slip, angle : ndarray, shape (n,)
-        Vertical loads [N], slip ratios [1] and slip angles [rad]; bounds as in `single_wheel`.
-
-    Raises
-    ------
-    ModelError
-        If a value is outside its bounds, or the wheel sinks to its axle.
-    """
+    """Return sinkage and forces of a wheel in n steady motions; errors as `single_wheel`."""
     _check(load, slip, angle)
     s, beta = slip[None], angle[None]
     forces = _forces(soil, size)
@@ -136,17 +118,7 @@ def steady_forces(
 
 
 def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Array) -> Array:
-    """Return the depths at which soil bears loads [N], by bisection; at most the radius [m].
-
-    Parameters
-    ----------
-    normal : callable
-        Normal forces at given depths of the same shape as ``load``. [N]
-    radius : float
-        Radius of the wheel. [m]
-    load : ndarray
-        Loads. [N]
-    """
+    """Return the depths at which soil bears loads [N], by bisection; at most the radius [m]."""
     low, high = np.zeros_like(load), np.full_like(load, radius)
     for _ in range(STEPS):
         middle = (low + high) / 2
@@ -176,3 +148,53 @@ def _forces(soil: Soil, size: WheelSize) -> ca.Function:
     """Return the forces on a wheel as a function of depth, slip ratio and slip angle."""
     arguments = [ca.SX.sym(name) for name in ("depth", "slip", "angle")]
     return ca.Function("forces", arguments, [*forces_at_slip(soil, size, *arguments)])
+
+
+def drawbar_reserve(vehicle: Vehicle, soil: Soil, run: Trajectory) -> Trajectory:
+    """Return a motion in soil with the drawbar-pull reserve of its wheels.
+
+    The reserve of a driven wheel is its pull at the slip ratio `SLIP_LIMIT`, under its load and at
+    its slip angle, minus the pull that it transmits in the direction in which it rolls. It is
+    negative if the wheel slips more, and nan where the wheel would sink to its axle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    soil : Soil
+        The soil of the motion.
+    run : Trajectory
+        The motion, of `quasi_statics` or `dynamics`.
+    """
+    reserve = np.zeros(run["force_normal"].shape)
+    for k, wheel in enumerate(vehicle.wheels):
+        if wheel.driven:
+            rim = wheel.radius * run["wheel_rate"][:, k]
+            forward = run["slip_along"][:, k] + rim
+            # The law mirrors front and rear where the sum is negative; at rest, forward counts.
+            direction = np.where(rim + forward < 0, -1.0, 1.0)
+            sideways = np.abs(run["slip_across"][:, k])
+            angle = np.minimum(np.arctan2(sideways, np.abs(forward)), MAX_ANGLE)
+            at = run["contact_x"][:, k], run["contact_y"][:, k], angle
+            largest = _pull_at_limit(soil, wheel_size(wheel), run["force_normal"][:, k], *at)
+            reserve[:, k] = largest - direction * run["force_along"][:, k]
+    columns = {**run.columns, RESERVE.name: Column(RESERVE, reserve)}
+    return replace(run, columns=columns)
+
+
+def _pull_at_limit(
+    soil: Soil, size: WheelSize, load: Array, x: Array, y: Array, angle: Array
+) -> Array:
+    """Return the pull under n loads [N] at points in map coordinates and at slip angles [N]."""
+    arguments = [ca.SX.sym(name) for name in ("depth", "x", "y", "angle")]
+    depth, *place, beta = arguments
+    forces = forces_at_slip(soil_at(soil, *place), size, depth, SLIP_LIMIT, beta)
+    function = ca.Function("forces", arguments, [forces.normal, forces.pull])
+
+    def at_depth(depths: Array) -> tuple[Array, Array]:
+        return tuple(each.full().ravel() for each in function(*(v[None] for v in (depths, *rest))))
+
+    rest = x, y, angle
+    borne, _ = at_depth(np.full(load.shape, size.radius))
+    depths = depth_under_load(lambda depths: at_depth(depths)[0], size.radius, load)
+    return np.where(borne < load, np.nan, at_depth(depths)[1])
