@@ -15,7 +15,7 @@ from slipfree import DataError
 from slipfree.cli import app
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
-from slipfree.plan.warm_start import from_arrays
+from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
 from slipfree.problem.solve import run_problem

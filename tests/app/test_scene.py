@@ -26,8 +26,8 @@ from slipfree.core.trajectory import Stop, Trajectory
 from slipfree.files import netcdf
 from slipfree.models.poses import part_poses, wheel_poses
 from slipfree.models.slip import measured_slip
+from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.plan.transcription import CollocationMesh, variable_layout
-from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.input_files import digest
 from slipfree.problem.result import shown

@@ -33,7 +33,7 @@ from slipfree.control.sensor_noise import Noise, measured
 from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import SolverError
 from slipfree.models.obstacle_ending import obstacle_ending
-from slipfree.plan.external_nlp import solve_nlp
+from slipfree.plan.ipopt import solve_nlp
 from slipfree.terrain.solids import placed
 
 UNTIL = 13.0

@@ -13,9 +13,8 @@ from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.plan.ipopt import Solution, solve_program
-from slipfree.plan.optimality import check_optimality
+from slipfree.plan.optimality import check_optimality, limit_prices, prices_words
 from slipfree.plan.plan import plan
-from slipfree.plan.prices import limit_prices, prices_words
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, TimedCondition, transcribe
 

@@ -30,9 +30,10 @@ from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
 from slipfree.files.tables import write_rows
 from slipfree.fit import estimate
-from slipfree.plan import ipopt, tracking, verification
+from slipfree.plan import ipopt, mpc, verification
 from slipfree.plan import plan as planning
-from slipfree.plan.external_nlp import solve_nlp
+from slipfree.plan import search as searching
+from slipfree.plan.ipopt import solve_nlp
 from slipfree.plan.mpc import horizon
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.verbs import compare
@@ -363,13 +364,13 @@ def test_in_a_search(where, name, monkeypatch):
 
 
 def test_swallowed_between_two_searches(monkeypatch):
-    function = planning.sample_plan
+    function = searching.sample_plan
 
     def swallowing(*args):
         lost()
         return function(*args)
 
-    monkeypatch.setattr(planning, "sample_plan", swallowing)
+    monkeypatch.setattr(searching, "sample_plan", swallowing)
     with pytest.raises(KeyboardInterrupt):
         planned()
 
@@ -395,7 +396,7 @@ def test_a_look_that_deals_with_it_keeps_the_iterate():
         return iterate.number < 2
 
     found = planned(progress)
-    assert found.solution.status == planning.STOPPED_STATUS
+    assert found.solution.status == ipopt.STOPPED_STATUS
     assert [stage.iterations for stage in found.stages] == [2]
 
 
@@ -736,10 +737,10 @@ def test_a_comparison_keeps_its_finished_vehicles(monkeypatch):
 
 def test_a_tracking_keeps_its_cycles(monkeypatch):
     dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
-    pressed, _ = pressing(tracking._drive, at=3)
-    monkeypatch.setattr(tracking, "_drive", pressed)
+    pressed, _ = pressing(mpc._drive, at=3)
+    monkeypatch.setattr(mpc, "_drive", pressed)
     frame = horizon(planned(), span=1.0)
     with held_interrupt():
-        found = tracking.track_plan(frame, dae, settle(dae), period=0.25)
+        found = mpc.track_plan(frame, dae, settle(dae), period=0.25)
     assert found.run.stop.name == "interrupted"
     assert_allclose(found.run.t[-1], 0.5)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from slipfree.cli.progress import Reports
-    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.problem.problem import Problem
     from slipfree.problem.result import Result
     from slipfree.problem.verbs.base import MotionVerb
@@ -209,7 +209,7 @@ def _solve(problem: Problem[Any], reports: Reports, former: SavedPlan | None, ou
 def _resumed_plan(file: Path | None) -> SavedPlan | None:
     """Return the plan in the file of ``--resume``; None without the option."""
     from slipfree.files.netcdf import read_arrays
-    from slipfree.plan.warm_start import from_arrays
+    from slipfree.plan.polynomial_motion import from_arrays
 
     return None if file is None else from_arrays(read_arrays(file), str(file))
 

@@ -12,8 +12,7 @@ from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.plan.bound_conflicts import conflicts
-from slipfree.plan.messages import LIMITED_SUFFIX
+from slipfree.plan.constraints import LIMITED_SUFFIX, conflicts
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import PlanTask, TimedCondition
 from slipfree.solve.whole_turns import TURN, periodic_states

@@ -19,8 +19,7 @@ from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.records import field_overview, leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.plan.constraints import role_of
-from slipfree.plan.messages import number
+from slipfree.plan.constraints import number, role_of
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import limit_name, limit_values, local_rows, tolerated_excess

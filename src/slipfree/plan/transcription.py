@@ -19,9 +19,8 @@ from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import found_column, needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, Mask, field_overview, leaves
-from slipfree.plan.nlp_block import Index as Index
-from slipfree.plan.nlp_block import NlpBlock, nlp_block
-from slipfree.plan.sparse_assembly import ProgramFunctions, assemble
+from slipfree.plan.sparse_assembly import Index as Index
+from slipfree.plan.sparse_assembly import NlpBlock, ProgramFunctions, assemble, nlp_block
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.system import System, with_inputs

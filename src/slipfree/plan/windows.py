@@ -20,17 +20,20 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, field_overview, leaves, overview
 from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory, joined
 from slipfree.geometry.path import Path
-from slipfree.plan.plan import SAMPLE_STEP, Plan, PlanProgress, SolvedStage, cost_terms, plan
+from slipfree.plan.plan import SAMPLE_STEP, Plan, plan
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
+    SavedPlan,
     first_intervals,
     joined_motions,
+    local_motion,
+    save_motion,
     transfer_motion,
 )
 from slipfree.plan.problem import Range, bounds_of
+from slipfree.plan.search import PlanProgress, SolvedStage, cost_terms
 from slipfree.plan.transcription import PlanTask, transcribe
 from slipfree.plan.verification import simulate_plan
-from slipfree.plan.warm_start import SavedPlan, local_motion, save_motion
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.system.forks import computing

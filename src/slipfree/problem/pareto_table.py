@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slipfree.plan.messages import unit_words
+from slipfree.plan.constraints import unit_words
 from slipfree.problem.pareto import PlanFront
 from slipfree.problem.summary import Lines
 

@@ -23,7 +23,7 @@ from slipfree.core.facts import starting_with
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
-from slipfree.plan.convergence import Convergence
+from slipfree.plan.ipopt import Convergence
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.ground_drawing import Window

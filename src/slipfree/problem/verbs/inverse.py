@@ -78,7 +78,7 @@ from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Coordinate, Vehicle
 
 if TYPE_CHECKING:
-    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.show.plots import Plot
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)

@@ -28,13 +28,18 @@ from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
-from slipfree.plan.convergence import convergence_arrays, convergence_from
-from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
-from slipfree.plan.messages import missed_words
-from slipfree.plan.plan import Plan, PlanProgress
-from slipfree.plan.polynomial_motion import motion_of
+from slipfree.plan.constraints import missed_words
+from slipfree.plan.ipopt import (
+    SOLVED_STATUS,
+    STOPPED_STATUS,
+    Iterate,
+    convergence_arrays,
+    convergence_from,
+)
+from slipfree.plan.plan import Plan
+from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
+from slipfree.plan.search import PlanProgress
 from slipfree.plan.verification import simulate_plan
-from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
 from slipfree.plan.windows import LongPlan
 from slipfree.problem.build_common import (
     Setup,

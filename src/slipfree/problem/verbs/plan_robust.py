@@ -20,7 +20,6 @@ from slipfree.core.facts import Fact, Facts
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import PLAN_SHARE, Stop, Trajectory
 from slipfree.plan.plan import Plan as FoundPlan
-from slipfree.plan.plan import PlanProgress
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.robust import (
     CONFIDENCE,
@@ -33,6 +32,7 @@ from slipfree.plan.robust import (
     replay_of,
     robust_plan,
 )
+from slipfree.plan.search import PlanProgress
 from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
 from slipfree.problem.build_common import build_start
 from slipfree.problem.build_model import build_model
