@@ -58,7 +58,7 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.plan.ipopt import Iterate
 from slipfree.show.sweep_figures import save_sweep_figures
-from slipfree.solve import simulate as module
+from slipfree.solve import integrator as module
 from slipfree.sweep.grid import sweep_of
 from slipfree.sweep.log import Row
 from slipfree.sweep.run import run_sweep

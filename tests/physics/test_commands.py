@@ -45,8 +45,7 @@ from slipfree.models.steering_guide import MAX_STEERING_RATE, STOP_CLEARANCE, st
 from slipfree.models.wheel_authority import check_authority, wheel_rates
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import load_problem
-from slipfree.solve.replay import replay, round_trip
-from slipfree.solve.trim import apply_inputs, trim_states
+from slipfree.solve.replay import apply_inputs, replay, round_trip, trim_states
 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)

@@ -39,7 +39,7 @@ from slipfree.plan.verification import simulate_plan
 from slipfree.problem.verbs import compare
 from slipfree.problem.verbs import driving as runner
 from slipfree.problem.verbs import plan as plan_verb
-from slipfree.solve import simulate, zero_order_hold
+from slipfree.solve import integrator, simulate, zero_order_hold
 from slipfree.system import codegen_cache
 from slipfree.system.interrupt import (
     InterruptGuard,
@@ -232,8 +232,8 @@ def moved(method="cvodes", progress=None):
 
 @pytest.mark.parametrize("method", ["idas", "cvodes"])
 def test_at_the_entry_of_a_step(method, monkeypatch):
-    pressed, _ = pressing(simulate._doubles, at=5)
-    monkeypatch.setattr(simulate, "_doubles", pressed)
+    pressed, _ = pressing(integrator._doubles, at=5)
+    monkeypatch.setattr(integrator, "_doubles", pressed)
     times = []
     with pytest.raises(KeyboardInterrupt):
         moved(method, times.append)
@@ -243,8 +243,8 @@ def test_at_the_entry_of_a_step(method, monkeypatch):
 @pytest.mark.parametrize(
     ("where", "name"),
     [
-        (simulate._Relay, "has_eval_buffer"),
-        (simulate._Relay, "get_sparsity_in"),
+        (integrator._Relay, "has_eval_buffer"),
+        (integrator._Relay, "get_sparsity_in"),
         (simulate, "with_inputs"),
         (simulate, "to_trajectory"),
     ],
@@ -256,16 +256,18 @@ def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
         moved()
 
 
-@pytest.mark.parametrize("name", ["suppress_messages", "correct_samples"])
-def test_swallowed_around_a_call(name, monkeypatch):
+@pytest.mark.parametrize(
+    ("where", "name"), [(integrator, "suppress_messages"), (simulate, "correct_samples")]
+)
+def test_swallowed_around_a_call(where, name, monkeypatch):
     """As in CasADi's own code: the call goes on, or fails with words of its own."""
-    function = getattr(simulate, name)
+    function = getattr(where, name)
 
     def swallowing(*args):
         lost()
         return function(*args)
 
-    monkeypatch.setattr(simulate, name, swallowing)
+    monkeypatch.setattr(where, name, swallowing)
     with pytest.raises(KeyboardInterrupt):
         moved()
 
@@ -590,7 +592,7 @@ def test_a_run_interrupted_twice_in_its_integration_writes_nothing(folder, monke
         press()
         return memory
 
-    monkeypatch.setattr(simulate, "_doubles", pressed)
+    monkeypatch.setattr(integrator, "_doubles", pressed)
     found = run("p.toml", "-o", "p.nc")
     assert (found.exit_code, found.stderr) == (130, "interrupted\n")
     assert (folder / "p.nc").read_bytes() == OLD

@@ -36,8 +36,8 @@ from slipfree.plan.transcription import (
 )
 from slipfree.plan.verification import inputs_along
 from slipfree.solve.options import SolverOptions
+from slipfree.solve.sampling import same_turn
 from slipfree.solve.simulate import interrupted_at, simulate
-from slipfree.solve.whole_turns import same_turn
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import interrupt_requested, with_interrupt_guard
 

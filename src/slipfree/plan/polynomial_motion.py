@@ -22,8 +22,8 @@ from slipfree.plan.transcription import (
     completed,
     variable_layout,
 )
+from slipfree.solve.collocation import radau_basis
 from slipfree.solve.initial_conditions import solve_initial_conditions
-from slipfree.solve.radau import radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.system import with_inputs
 

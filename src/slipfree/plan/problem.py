@@ -15,7 +15,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import LIMITED_SUFFIX, conflicts
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import PlanTask, TimedCondition
-from slipfree.solve.whole_turns import TURN, periodic_states
+from slipfree.solve.sampling import TURN, periodic_states
 
 HALF_TURN = np.pi + 1e-3  # such as a goal of 3.1416: both ways are short [rad]
 Range = tuple[float, float]

@@ -23,7 +23,7 @@ from slipfree.plan.constraints import number, role_of
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import limit_name, limit_values, local_rows, tolerated_excess
-from slipfree.solve.whole_turns import periodic_states, same_turn
+from slipfree.solve.sampling import periodic_states, same_turn
 
 P = TypeVar("P")
 Draw = tuple[int, int, int]

@@ -72,8 +72,7 @@ from slipfree.problem.verbs.inverse_facts import (
 from slipfree.problem.verbs.inverse_schema import Inverse
 from slipfree.solve.collocation import drive
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.replay import replay, round_trip, spline_inputs
-from slipfree.solve.trim import apply_inputs, trim_states
+from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Coordinate, Vehicle
 

@@ -17,7 +17,7 @@ from slipfree.plan.plan import Plan
 from slipfree.plan.windows import LongPlan
 from slipfree.problem.verbs.plan_goals import spelled
 from slipfree.problem.verbs.plan_setup import Planning
-from slipfree.solve.whole_turns import TURN
+from slipfree.solve.sampling import TURN
 
 ROBUST = "robust plan"
 IN_SOIL = "simulated with inertia"
