@@ -61,9 +61,8 @@ from slipfree.show.sweep_figures import save_sweep_figures
 from slipfree.solve import integrator as module
 from slipfree.sweep.grid import sweep_of
 from slipfree.sweep.log import Row
-from slipfree.sweep.run import run_sweep
-from slipfree.sweep.table import choose_figures, grids
-from slipfree.sweep.task import Done, Task, own_settings
+from slipfree.sweep.pools import Done, Task, own_settings
+from slipfree.sweep.run import choose_figures, grids, run_sweep
 from slipfree.sweep.worker import work
 from slipfree.system.threads import NAMES
 from slipfree.vehicle.sections.torus import Torus

@@ -24,7 +24,7 @@ from pathlib import Path
 
 from common import HERE, PROBLEMS
 
-from slipfree.sweep.task import Task
+from slipfree.sweep.pools import Task
 from slipfree.sweep.worker import KEPT, work
 
 PROBLEM = PROBLEMS / "paper_direct.toml"

@@ -38,10 +38,18 @@ from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import Film, arrow_lines, film_writer
 from slipfree.show.ground_drawing import brightness
 from slipfree.show.html_page import with_legend
-from slipfree.show.map_lines import CONTOURS, LIFT, round_step
-from slipfree.show.mesh_refinement import MOST, refined
-from slipfree.show.meshes import clipped, extruded, plate, rod, spokes
-from slipfree.show.scene import ARROWS, BLOCKED, TYRE, framed, rgb, scale_words
+from slipfree.show.meshes import MOST, clipped, extruded, plate, refined, rod, spokes
+from slipfree.show.scene import (
+    ARROWS,
+    BLOCKED,
+    CONTOURS,
+    LIFT,
+    TYRE,
+    framed,
+    rgb,
+    round_step,
+    scale_words,
+)
 from slipfree.show.style import PALETTE
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic

@@ -30,17 +30,16 @@ from helpers.sweep_cases import (
 )
 from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
+from slipfree.core.facts import Swept, Varied
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.units import unit_of
 from slipfree.show import sweep_figures as show
-from slipfree.show.sweep_results import Swept, Varied
-from slipfree.sweep import cluster
+from slipfree.sweep import pools
 from slipfree.sweep.grid import axis_of, sweep_of
 from slipfree.sweep.log import Log, Row
-from slipfree.sweep.pools import ProcessPool
-from slipfree.sweep.table import drawn_grids, grids, sweep_facts, write_table
-from slipfree.sweep.task import Task
+from slipfree.sweep.pools import ProcessPool, Task
+from slipfree.sweep.run import drawn_grids, grids, sweep_facts, write_table
 from slipfree.sweep.worker import work
 from slipfree.system import processes
 from slipfree.system.processes import finish_tasks
@@ -642,7 +641,7 @@ def test_units_of_keys_are_those_of_their_descriptions(file: Path) -> None:
 
 
 def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT", 0.3)
+    monkeypatch.setattr(pools, "CONNECT", 0.3)
     result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1")
     assert result.exit_code == 2
     assert "expected the address of a running Dask scheduler" in result.stderr
@@ -723,7 +722,7 @@ def test_a_bad_grid_names_the_value(file: Path) -> None:
 
 
 def test_a_scheduler_that_does_not_answer(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT", 0.3)
+    monkeypatch.setattr(pools, "CONNECT", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as dead:
         address = f"tcp://127.0.0.1:{dead.getsockname()[1]}"
         begun = time.monotonic()

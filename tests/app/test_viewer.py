@@ -323,11 +323,11 @@ def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: P
 @pytest.fixture
 def server() -> Iterator[Any]:
     pytest.importorskip("viser")
-    from slipfree.show import guard, viewer
+    from slipfree.show import local_server, viewer
 
     found, _ = viewer._server(0)
     yield found
-    guard.stop(found)
+    local_server.stop(found)
 
 
 def test_parts_may_be_called_like_nodes_of_the_page(files: list[Path], server: Any) -> None:

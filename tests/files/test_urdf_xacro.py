@@ -26,8 +26,8 @@ from slipfree.problem.solve import build
 from slipfree.problem.verbs.driving import vehicle_of
 from slipfree.problem.verbs.plan_setup import source_of
 from slipfree.sweep.grid import sweep_of
+from slipfree.sweep.pools import Task
 from slipfree.sweep.run import _tasks as tasks_of
-from slipfree.sweep.task import Task
 from slipfree.sweep.worker import work
 
 NAMES = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'

@@ -13,7 +13,7 @@ import psutil
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.sweep.task import Task
+from slipfree.sweep.pools import Task
 
 PROBLEM = """\
 verb = "direct"

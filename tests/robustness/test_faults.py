@@ -28,7 +28,7 @@ from slipfree.show.film import film_writer, write_film
 from slipfree.show.plots import Plot
 from slipfree.show.plots import save as save_figures
 from slipfree.sweep.log import WORDS, Log, Row
-from slipfree.system.atomic_files import replace_file
+from slipfree.system.regular_files import replace_file
 
 pytestmark = pytest.mark.slow
 

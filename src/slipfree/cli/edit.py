@@ -44,8 +44,7 @@ def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
     from slipfree.files.urdf.xacro import trusted_paths
     from slipfree.problem.plan_document import read_document
     from slipfree.problem.plan_session import Desk, state_of
-    from slipfree.show.guard import Gate
-    from slipfree.show.local_server import json_content, start_server
+    from slipfree.show.local_server import Gate, json_content, start_server
 
     desk = Desk(read_document(file, trusted_paths(trust)), _page_drawer())
     get = {

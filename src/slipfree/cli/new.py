@@ -57,7 +57,7 @@ def write_new_file(text: str, out: Path, force: bool) -> None:
         raise DataError(
             f"{out}: expected a new file, found an existing one; replace it with --force"
         )
-    from slipfree.system.atomic_files import replace_file
+    from slipfree.system.regular_files import replace_file
 
     replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
     add_json_file(out)

@@ -29,8 +29,8 @@ def report(
     """
     with reported(), about(file):
         from slipfree.problem.report import report as made
-        from slipfree.show.html_report import page
-        from slipfree.system.atomic_files import replace_file
+        from slipfree.show.html_page import page
+        from slipfree.system.regular_files import replace_file
 
         with regular_file(file, "a result file of slipfree"):
             target = out or file.with_suffix(".html")

@@ -64,7 +64,7 @@ def show(
             add_json_file(animation)
         if html is not None:
             from slipfree.show.viewer import page
-            from slipfree.system.atomic_files import replace_file
+            from slipfree.system.regular_files import replace_file
 
             text = page(scene, _title(found), color)
             replace_file(html, lambda part: _write(part, text))
@@ -95,9 +95,9 @@ def _write(part: Path, text: str) -> None:
 
 def _read(files: Sequence[Path], folder: Path | None) -> list[Any]:
     """Return the motions in the result files."""
+    from slipfree.core.trajectory import SCENE_SAMPLES
     from slipfree.problem.result import open_result
     from slipfree.problem.verbs.registry import verb_of
-    from slipfree.show.thinning import SCENE_SAMPLES
 
     results, found = [], []
     for file in files:

@@ -48,7 +48,7 @@ def wheel(
         print_facts(wheel_facts(test))
         if picture is not None:
             from slipfree.show.plots import save as save_plots
-            from slipfree.show.wheel_figures import DrawnWheel, wheel_plot
+            from slipfree.show.sweep_figures import DrawnWheel, wheel_plot
 
             values = {name: getattr(test.curves, name) for name in QUANTITIES}
             drawn = DrawnWheel(*test.curves[:2], test.load, values, test.measured)

@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.nlp import Nlp
+from slipfree.core.outcome import ipopt_words
 from slipfree.core.records import Array, field_overview
-from slipfree.core.solver_codes import ipopt_words
 from slipfree.core.trajectory import SolverError
 from slipfree.plan.transcription import Program, completed
 from slipfree.system.interrupt import InterruptGuard, with_interrupt_guard

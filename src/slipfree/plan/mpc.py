@@ -20,8 +20,8 @@ import numpy as np
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
+from slipfree.core.outcome import ipopt_words
 from slipfree.core.records import Array, Record, field_overview, leaves
-from slipfree.core.solver_codes import ipopt_words
 from slipfree.core.trajectory import SolverError, Trajectory, joined
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan

@@ -19,9 +19,7 @@ from slipfree.models.poses import FramePoses, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
-from slipfree.show.map_lines import map_lines
-from slipfree.show.mesh_refinement import Refined, refined
-from slipfree.show.meshes import clipped, extruded, joined, rod, spokes
+from slipfree.show.meshes import Refined, clipped, extruded, joined, refined, rod, spokes
 from slipfree.show.scene import (
     BLOCKED,
     PLAN,
@@ -39,6 +37,7 @@ from slipfree.show.scene import (
     color_of,
     framed,
     layer,
+    map_lines,
     stopped,
 )
 from slipfree.terrain.base import Grid

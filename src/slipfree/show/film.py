@@ -21,7 +21,7 @@ from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.scene import ARROWS, PLAN, Actor, Color, Scene, scale_words
 from slipfree.show.style import MM, PAGE, STYLE
-from slipfree.system.atomic_files import replace_file
+from slipfree.system.regular_files import replace_file
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")

@@ -30,9 +30,8 @@ from slipfree.show.force_figures import (
     utilisation_map_plot,
     utilisation_plot,
 )
-from slipfree.show.ground_drawing import HEATMAP, Window
+from slipfree.show.ground_drawing import HEATMAP, Window, side_plot
 from slipfree.show.plots import Drive, Panel, Plot, stack
-from slipfree.show.side_view import side_plot
 from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic

@@ -21,7 +21,7 @@ from slipfree.core.errors import DataError, ModelError
 from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
 from slipfree.show.style import DPI, MM, PAGE, STYLE
-from slipfree.system.atomic_files import replace_file
+from slipfree.system.regular_files import replace_file
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.solids import Prism
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
-from slipfree.show.guard import Guard, stop
 from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
+from slipfree.show.local_server import Guard, stop
 from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Lines, Scene, scale_words
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import run_buffered
+from slipfree.core.outcome import NO_START, sundials_words
 from slipfree.core.records import Array
-from slipfree.core.solver_codes import NO_START, sundials_words
 from slipfree.core.trajectory import SolverError
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.initial_conditions import solve_initial_conditions

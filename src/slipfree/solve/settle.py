@@ -13,9 +13,9 @@ import numpy as np
 from slipfree.core.dae import Dae, Standing
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import check_order, needed_lookups
+from slipfree.core.outcome import ipopt_words
 from slipfree.core.rearrange import blocks, rearrange, variables
 from slipfree.core.records import Array, leaves, unpack
-from slipfree.core.solver_codes import ipopt_words
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions

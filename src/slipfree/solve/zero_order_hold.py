@@ -13,9 +13,8 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import run_buffered
 from slipfree.core.lookups import found_column
-from slipfree.core.outcome import Outcome
+from slipfree.core.outcome import Outcome, sundials_words
 from slipfree.core.records import Array, Record, leaves, unpack
-from slipfree.core.solver_codes import sundials_words
 from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.solve.integrator import COUNTS, MAX_STEPS, Progress, suppress_messages
 from slipfree.solve.options import SolverOptions

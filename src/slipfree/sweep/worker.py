@@ -1,21 +1,24 @@
-"""Computation of one run of a sweep."""
+"""Computation of one run of a sweep, and its metrics."""
 
 from __future__ import annotations
 
 import os
 import threading
 import time
+from math import isfinite
 from pathlib import Path
+from typing import Any
 
 from slipfree.core.errors import SlipfreeError
-from slipfree.core.trajectory import SolverError
+from slipfree.core.facts import Fact, numbers
+from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.problem.load import load_again
+from slipfree.problem.problem import Problem
 from slipfree.problem.sharing import Shared, sharing
 from slipfree.problem.solve import run_problem
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.log import FAILED, LOST, Row
-from slipfree.sweep.metrics import figures_of
-from slipfree.sweep.task import Done, Task, own_settings, without_motion
+from slipfree.sweep.pools import COMPLETE, Done, Task, own_settings, without_motion
 
 ALONE = threading.Lock()  # CasADi's objects are not thread-safe
 KEPT: Shared = {}  # map and model of the latest run
@@ -68,3 +71,38 @@ def _worked(task: Task, begin: float) -> Done:
         time.perf_counter() - begin,
     )
     return Done(row, motion, result.arrays) if task.keep else Done(row)
+
+
+Figures = dict[str, tuple[float, str]]
+CLOCK = "seconds"  # statistics with this in their names are not reproducible
+
+
+def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
+    """Return the metrics of a motion by name: value and unit.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    problem : Problem
+        Its problem.
+
+    Returns
+    -------
+    dict of str to (float, str)
+        Values at the end (``end_x``), extremes over time and wheels (``pitch_largest``, of absolute
+        values; ``clearance_least``), ``slip_rms`` over time and wheels, ``tilt_largest`` of all
+        tilt angles, differences between end and start (``work``), and the solver's statistics
+        except computing times. Values that are not finite are omitted. ``complete`` is 1 if the
+        motion reached its end. ``within_limits`` of a plan is 1 if its simulation is complete and
+        violates no limit by more than ``plan.accuracy``.
+    """
+    verb = verb_of(problem)
+    found = {COMPLETE: Fact(float(run.stop is None), "1")}
+    found |= numbers(verb.facts(run))
+    found |= {name: Fact(value) for name, value in run.statistics.items()}
+    return {
+        name: (float(fact.value), fact.unit)
+        for name, fact in found.items()
+        if CLOCK not in name and isfinite(fact.value)
+    }

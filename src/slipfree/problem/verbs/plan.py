@@ -12,9 +12,8 @@ from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact, Facts, starting_with
-from slipfree.core.outcome import Outcome
+from slipfree.core.outcome import Outcome, ipopt_words
 from slipfree.core.records import Array, leaves
-from slipfree.core.solver_codes import ipopt_words
 from slipfree.core.trajectory import (
     PLAN_ACCURACY,
     Column,
