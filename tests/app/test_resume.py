@@ -82,7 +82,7 @@ def interrupt_search(monkeypatch, calls):
         if next(left, None) is None:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("slipfree.cli.progress.check_interrupt", poll)
+    monkeypatch.setattr("slipfree.cli.messages.check_interrupt", poll)
 
 
 @pytest.fixture

@@ -15,9 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 import slipfree
-from slipfree.cli.edit import edit
-from slipfree.cli.examples import examples
-from slipfree.cli.fit import fit
+from slipfree.cli.fit import fit, wheel
 from slipfree.cli.inspect import check, compare, export, info, vehicle
 from slipfree.cli.messages import (
     BAD_INPUT,
@@ -34,14 +32,11 @@ from slipfree.cli.messages import (
     visible,
     with_output_options,
 )
-from slipfree.cli.new import new
-from slipfree.cli.pareto import pareto
-from slipfree.cli.report import report
+from slipfree.cli.new import examples, new
+from slipfree.cli.plans import pareto, track
 from slipfree.cli.run import run
-from slipfree.cli.show import show
+from slipfree.cli.show import edit, report, show
 from slipfree.cli.sweep import sweep
-from slipfree.cli.track import track
-from slipfree.cli.wheel import wheel
 
 UsageError: Any = typer.BadParameter.__bases__[
     0

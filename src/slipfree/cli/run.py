@@ -17,7 +17,6 @@ from slipfree.cli.common import (
     reported,
     show,
 )
-from slipfree.cli.json_output import motion_json
 from slipfree.cli.messages import (
     INTERRUPTED,
     add_json,
@@ -26,18 +25,25 @@ from slipfree.cli.messages import (
     note_failure,
     print_error,
     print_line,
+    reporting,
     warn,
 )
-from slipfree.cli.outcomes import print_incomplete, resume_command
-from slipfree.cli.outputs import OUTPUT, check_default_outputs, check_outputs, save
-from slipfree.cli.progress import reporting
+from slipfree.cli.outputs import (
+    OUTPUT,
+    check_default_outputs,
+    check_outputs,
+    motion_json,
+    print_incomplete,
+    resume_command,
+    save,
+)
 from slipfree.core.errors import SlipfreeError, WriteError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from slipfree.cli.progress import Reports
+    from slipfree.cli.messages import Reports
     from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.problem.problem import Problem
     from slipfree.problem.result import Result
