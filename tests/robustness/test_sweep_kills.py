@@ -30,7 +30,7 @@ from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
 from slipfree.sweep import pools
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import Log
+from slipfree.sweep.log import RunLog
 from slipfree.sweep.pools import Cluster, ProcessPool
 from slipfree.sweep.run import sweep_facts
 from slipfree.sweep.worker import work
@@ -227,7 +227,7 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
     assert done.row.words == "OSError: [Errno 28] No space left on device"
     sweep = sweep_of(file, ["time.step=0.1,0.05"])
     failed = done.row._replace(run=2, outcome="failed", words="by chance")
-    with Log(file.parent / "out" / "runs.jsonl", sweep.head) as log:
+    with RunLog(file.parent / "out" / "runs.jsonl", sweep.head) as log:
         log.append(done.row)
         log.append(failed)
         told = dict(sweep_facts(sweep, log.rows, {}, ()))

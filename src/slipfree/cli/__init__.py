@@ -43,7 +43,7 @@ UsageError: Any = typer.BadParameter.__bases__[
 ]  # class of click, or of the copy of click in typer
 
 
-class _Commands(TyperGroup):
+class _CommandGroup(TyperGroup):
     """Group of the commands; with ``--json`` it prints errors of the command line as JSON."""
 
     def make_context(self, info_name: Any, args: list[str], *rest: Any, **more: Any) -> Any:
@@ -75,7 +75,7 @@ class _Commands(TyperGroup):
 
 app = typer.Typer(
     name="slipfree",
-    cls=_Commands,
+    cls=_CommandGroup,
     help="Compute how a wheeled vehicle moves over a height map, and plan its motion.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

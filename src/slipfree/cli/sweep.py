@@ -143,13 +143,13 @@ def sweep(
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     """Print the facts of a sweep, and its remaining time, estimated from finished runs."""
-    from slipfree.sweep.log import NAME, Log
+    from slipfree.sweep.log import NAME, RunLog
     from slipfree.sweep.run import plan_facts
 
     facts, log = plan_facts(plan), folder / NAME
     left, words = plan.count, "not known before the first run"
     if log.is_file():
-        with Log(log, plan.head) as opened:
+        with RunLog(log, plan.head) as opened:
             rows = opened.rows
             left -= len(rows)
             facts.append(("finished", f"{len(rows)} in {folder}"))

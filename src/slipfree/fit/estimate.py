@@ -254,7 +254,7 @@ def estimate(
     is_interrupted = False
     for k in range(REWEIGHTINGS):
         deviations = _deviations(predict(values).end - windows.end)
-        search = _Search(predict, windows, deviations, priors)
+        search = _Estimation(predict, windows, deviations, priors)
         try:
             found = scipy.optimize.least_squares(
                 search.residual,
@@ -390,7 +390,7 @@ def _deviations(residual: Array) -> Array:
     )
 
 
-class _Search:
+class _Estimation:
     """Functions of residuals and of their Jacobian, without unit; accepted and rejected values.
 
     `scipy.optimize.least_squares` rejects a trial whose residuals are not finite, and requests the

@@ -10,7 +10,7 @@ import casadi as ca
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
-from slipfree.core.rearrange import Variable, new_variable, variables
+from slipfree.core.rearrange import ModelVariable, new_variable, variables
 from slipfree.core.records import Label, leaves, pack
 from slipfree.laws.least_slip import slip_unit
 from slipfree.vehicle.tree import Vehicle
@@ -38,9 +38,9 @@ class Imposed(NamedTuple):
 
     Attributes
     ----------
-    inputs : tuple of Variable
+    inputs : tuple of ModelVariable
         The given rates.
-    rates : tuple of Variable
+    rates : tuple of ModelVariable
         Unknown rates of the direct model that are not given.
     rows : SX, shape (n, 1)
         Equations of the direct model, and one for each given rate that is not among its unknowns.
@@ -48,8 +48,8 @@ class Imposed(NamedTuple):
         Labels of the equations.
     """
 
-    inputs: tuple[Variable, ...]
-    rates: tuple[Variable, ...]
+    inputs: tuple[ModelVariable, ...]
+    rates: tuple[ModelVariable, ...]
     rows: ca.SX
     labels: tuple[Label, ...]
 
@@ -103,7 +103,7 @@ class Minimum(NamedTuple):
 
     Attributes
     ----------
-    unknowns : tuple of Variable
+    unknowns : tuple of ModelVariable
         Optimisation variables and multipliers of the constraints.
     rows : SX, shape (n, 1)
         The conditions, one for each unknown.
@@ -111,7 +111,7 @@ class Minimum(NamedTuple):
         Labels of the conditions.
     """
 
-    unknowns: tuple[Variable, ...]
+    unknowns: tuple[ModelVariable, ...]
     rows: ca.SX
     labels: tuple[Label, ...]
 
@@ -120,7 +120,7 @@ def minimum(
     direct: Dae,
     goal: ca.SX,
     constraints: ca.SX,
-    unknowns: Sequence[Variable],
+    unknowns: Sequence[ModelVariable],
     multipliers: Sequence[Label],
     label: Label,
 ) -> Minimum:
@@ -134,7 +134,7 @@ def minimum(
         The objective, such as the squared slip. [m2/s2]
     constraints : SX, shape (n, 1)
         Expressions that vanish at the minimum.
-    unknowns : sequence of Variable
+    unknowns : sequence of ModelVariable
         Optimisation variables.
     multipliers : sequence of n Label
         Labels of the multipliers of the constraints.

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Dae
-from slipfree.core.rearrange import Variable, new_variable
+from slipfree.core.rearrange import ModelVariable, new_variable
 from slipfree.core.records import Label, pack
 from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import slip_unit
@@ -42,7 +42,7 @@ class Guide(NamedTuple):
     """
 
     conditions: Minimum
-    motion: tuple[Variable, ...]
+    motion: tuple[ModelVariable, ...]
 
 
 def steering_effects(
@@ -67,7 +67,7 @@ def steering_effects(
     return found
 
 
-def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> Guide:
+def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[ModelVariable]) -> Guide:
     """Return the guiding motion: least sideways slip of unsteered wheels under given rates.
 
     ``inputs`` are the given rates.
@@ -112,7 +112,9 @@ def _pose_rates(rates: Any) -> tuple[Any, ...]:
     return (*rates[:6], *rates.suspension)
 
 
-def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]) -> list[ca.SX]:
+def guided(
+    direct: Dae, motion: Sequence[ModelVariable], expressions: Sequence[ca.SX]
+) -> list[ca.SX]:
     """Return expressions with the rates of the guiding motion; wheels and joints are at rest."""
     rates = direct.z.rates
     still = pack((direct.u, rates.free, rates.passive))
@@ -121,7 +123,9 @@ def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]
     return list(ca.substitute(found, [ca.vertcat(*_pose_rates(rates))], [symbols]))
 
 
-def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -> dict[str, ca.SX]:
+def steering_errors(
+    vehicle: Vehicle, direct: Dae, motion: Sequence[ModelVariable]
+) -> dict[str, ca.SX]:
     """Return the errors of steered coordinates, target minus actual value, by name [rad, m].
 
     Small errors are Gauss-Newton steps that minimise the velocity ``across`` the wheels. The

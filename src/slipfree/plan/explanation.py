@@ -25,7 +25,7 @@ from slipfree.plan.constraints import (
     subject,
     worst_violations,
 )
-from slipfree.plan.ipopt import INFEASIBLE_STATUS, STOPPED_STATUS, Solution, solve_program
+from slipfree.plan.ipopt import INFEASIBLE_STATUS, STOPPED_STATUS, NlpSolution, solve_program
 from slipfree.plan.transcription import Index, Program, completed
 
 MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
@@ -135,7 +135,7 @@ def relax(program: Program, first: Array) -> Relaxation:
     )
 
 
-def _least_cost(elastic: Program, found: Solution, weights: Array, count: int) -> Array:
+def _least_cost(elastic: Program, found: NlpSolution, weights: Array, count: int) -> Array:
     """Return the unknowns of least cost with the slacks of ``found``.
 
     If the search fails, return the unknowns of ``found``.
@@ -155,7 +155,7 @@ def _least_cost(elastic: Program, found: Solution, weights: Array, count: int) -
 
 
 def _opposing_bounds(
-    program: Program, soft: list[tuple[ConstraintGroup, float]], found: Solution
+    program: Program, soft: list[tuple[ConstraintGroup, float]], found: NlpSolution
 ) -> Iterator[OpposingBound]:
     """Yield each relaxable bound and the duration, with shares computed from multipliers."""
     counts = [group.where.size for group, _ in soft]
@@ -293,7 +293,7 @@ class Explanation(NamedTuple):
 
 
 def violations(
-    program: Program, solution: Solution, tolerance: float = VIOLATION_TOLERANCE
+    program: Program, solution: NlpSolution, tolerance: float = VIOLATION_TOLERANCE
 ) -> list[Violation]:
     """Return the largest violation of each violated constraint, the worst constraint first.
 
@@ -304,7 +304,7 @@ def violations(
     ----------
     program : Program
         From `transcribe`.
-    solution : Solution
+    solution : NlpSolution
         Last or best iterate of the program.
     tolerance : float
         Largest violation of a satisfied constraint, in the unit of its quantity.
@@ -328,14 +328,14 @@ def violation_words(violation: Violation) -> str:
     return f"{subject(label, role)} is {size} {side} {number(label, violation.bound)} {at}"
 
 
-def explanation(program: Program, solution: Solution, first: Array) -> Explanation:
+def explanation(program: Program, solution: NlpSolution, first: Array) -> Explanation:
     """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax.
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
-    solution : Solution
+    solution : NlpSolution
         Last or best iterate of the program.
     first : ndarray, shape (n_w,)
         Initial guess of the search, not scaled.

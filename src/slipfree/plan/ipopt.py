@@ -127,7 +127,7 @@ class Iterate(NamedTuple):
     program: Program
 
 
-class Solution(NamedTuple):
+class NlpSolution(NamedTuple):
     """Solution of a nonlinear program; if the search failed, its best or last iterate.
 
     Attributes
@@ -238,11 +238,11 @@ def solve_program(
     weights: Array,
     first: Array,
     *,
-    warm: Solution | None = None,
+    warm: NlpSolution | None = None,
     iterations: int = MAX_ITERATIONS,
     on_iterate: IterateCallback | None = None,
     growth: float = MAX_VIOLATION_GROWTH,
-) -> Solution:
+) -> NlpSolution:
     """Return the solution of a nonlinear program.
 
     If IPOPT fails, return the iterate with the smallest constraint violation. If IPOPT reports an
@@ -257,7 +257,7 @@ def solve_program(
     first : ndarray, shape (n_w,)
         Initial guess, not scaled. Roots of squared cost terms (see `stage_functions`) are ignored
         and recomputed from the other unknowns.
-    warm : Solution, optional
+    warm : NlpSolution, optional
         Solution whose multipliers are used for a warm start.
     iterations : int
         Maximum number of iterations.
@@ -338,11 +338,11 @@ def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, An
     return ca.nlpsol("plan", "ipopt", program.problem, every | options)
 
 
-def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> Solution:
+def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> NlpSolution:
     times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
     total = times.get("t_wall_total", 0.0)
     functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
-    return Solution(
+    return NlpSolution(
         np.array(found["x"]).ravel() * program.scale,
         np.array(found["g"]).ravel(),
         float(found["f"]),
@@ -357,7 +357,7 @@ def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any])
 
 
 @with_interrupt_guard
-def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> Solution:
+def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> NlpSolution:
     """Return the solution of a nonlinear program, found by IPOPT with exact derivatives.
 
     Parameters
@@ -412,7 +412,7 @@ def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> Solution:
     x, rows, row_multipliers, bound_multipliers = (
         np.array(found[name]).ravel() for name in ("x", "g", "lam_g", "lam_x")
     )
-    return Solution(
+    return NlpSolution(
         x * nlp.scale,
         rows,
         float(found["f"]),

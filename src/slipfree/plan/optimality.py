@@ -33,7 +33,7 @@ from slipfree.plan.constraints import (
     number,
     subject,
 )
-from slipfree.plan.ipopt import IPOPT_TOLERANCE, Solution
+from slipfree.plan.ipopt import IPOPT_TOLERANCE, NlpSolution
 from slipfree.plan.transcription import Index, Program
 
 WEAK = float(
@@ -105,7 +105,7 @@ class Optimality(NamedTuple):
         return f"not shown to be a minimum: {where}; start from other guesses{weak}"
 
 
-def active_set(program: Program, solution: Solution) -> ActiveSet:
+def active_set(program: Program, solution: NlpSolution) -> ActiveSet:
     """Return the active constraints of a solution.
 
     At a solution of an interior point method, the distance of each inequality from its bound or its
@@ -132,14 +132,14 @@ def active_set(program: Program, solution: Solution) -> ActiveSet:
     return ActiveSet(found[0], found[1], weak)
 
 
-def check_optimality(program: Program, solution: Solution, weights: Array) -> Optimality:
+def check_optimality(program: Program, solution: NlpSolution, weights: Array) -> Optimality:
     """Check the second-order sufficient conditions at a solution.
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
-    solution : Solution
+    solution : NlpSolution
         Solution of the program.
     weights : ndarray, shape (n_costs + 1,)
         Weights of the costs; the last one is the weight of the smoothness.
@@ -180,7 +180,7 @@ def check_optimality(program: Program, solution: Solution, weights: Array) -> Op
 
 
 def _derivatives(
-    program: Program, solution: Solution, weights: Array
+    program: Program, solution: NlpSolution, weights: Array
 ) -> tuple[scipy.sparse.csc_matrix, scipy.sparse.csr_matrix]:
     """Return the Hessian of the Lagrangian and the Jacobian of the rows, for scaled unknowns."""
     w = solution.unknowns / program.scale
@@ -296,14 +296,14 @@ class Price(NamedTuple):
         )
 
 
-def limit_prices(program: Program, solution: Solution) -> tuple[Price, ...]:
+def limit_prices(program: Program, solution: NlpSolution) -> tuple[Price, ...]:
     """Return the shadow prices of the active limits of a solution, largest saving per step first.
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
-    solution : Solution
+    solution : NlpSolution
         Solution of the program; shares are relative to its cost.
     """
     multipliers = np.append(solution.row_multipliers, solution.bound_multipliers / program.scale)

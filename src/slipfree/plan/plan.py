@@ -23,7 +23,7 @@ from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory
 from slipfree.plan.explanation import explanation
 from slipfree.plan.ipopt import (
     STOPPED_STATUS,
-    Solution,
+    NlpSolution,
 )
 from slipfree.plan.optimality import Optimality, Price, check_optimality, limit_prices
 from slipfree.plan.polynomial_motion import (
@@ -89,7 +89,7 @@ class Plan:
     accurate : bool
         Whether differences and violations are within the given accuracy, and the replay
         reaches the end of the plan.
-    program, solution : Program, Solution
+    program, solution : Program, NlpSolution
         Last program and its solution.
     stages : tuple of SolvedStage
         Programs that were solved, in order.
@@ -110,7 +110,7 @@ class Plan:
     success: bool
     accurate: bool
     program: Program
-    solution: Solution
+    solution: NlpSolution
     stages: tuple[SolvedStage, ...]
     saved: SavedPlan
     optima: tuple[LocalOptimum, ...] = ()

@@ -13,7 +13,7 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array, field_overview, leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.plan.ipopt import Solution
+from slipfree.plan.ipopt import NlpSolution
 from slipfree.plan.transcription import (
     CollocationMesh,
     Index,
@@ -324,7 +324,7 @@ class SavedPlan(NamedTuple):
         }
 
 
-def save_plan(program: Program, found: Solution) -> SavedPlan:
+def save_plan(program: Program, found: NlpSolution) -> SavedPlan:
     """Return the arrays of a solution for a later warm start."""
     motion = motion_of(program, found.unknowns)
     return save_motion(motion, program.task.dae)._replace(

@@ -56,7 +56,7 @@ class Bound(NamedTuple):
 Tightening = Mapping[Bound, float]
 
 
-class Replay(NamedTuple):
+class DisturbedRun(NamedTuple):
     """Simulation of a plan in a drawn world, compared with the bounds.
 
     Attributes
@@ -84,11 +84,11 @@ class Replays(NamedTuple):
 
     Attributes
     ----------
-    each : tuple of Replay
+    each : tuple of DisturbedRun
         One simulation for each draw.
     """
 
-    each: tuple[Replay, ...]
+    each: tuple[DisturbedRun, ...]
 
     def __repr__(self) -> str:
         return f"Replays: {self.held} of {self.draws} satisfy all bounds"
@@ -315,7 +315,7 @@ def replay_of(
     *,
     accuracy: float,
     goal: float | None,
-) -> Replay:
+) -> DisturbedRun:
     """Compare a simulation in a drawn world with the bounds of the plan and of its model.
 
     Parameters
@@ -339,7 +339,7 @@ def replay_of(
     excess = [*_excess(dae, limits, samples, "", accuracy, None)]
     if run.stop is not None:
         excess.append(_excess_at_stop(*planned, run))
-        return Replay(_largest(excess), np.nan)
+        return DisturbedRun(_largest(excess), np.nan)
     parts = run.t / found.duration
     periodic = periodic_states(dae, samples[1][:, 0], limits)
     given = timed_conditions(dae, arguments["goal"], arguments["way_points"])
@@ -356,7 +356,7 @@ def replay_of(
     names = [label.full for label in leaves(dae.labels.x)]
     rows = [names.index(name) for name in "xy"]
     gaps = samples[1][rows, -1] - found.states(np.ones(1))[rows, 0]
-    return Replay(_largest(excess), float(np.hypot(*gaps)))
+    return DisturbedRun(_largest(excess), float(np.hypot(*gaps)))
 
 
 def _model_limits(dae: Dae, given: Sequence[Limit]) -> Iterator[Limit]:

@@ -22,7 +22,7 @@ from slipfree.plan.ipopt import (
     STUCK_STATUSES,
     Convergence,
     Iterate,
-    Solution,
+    NlpSolution,
     largest_violation,
     solve_program,
 )
@@ -220,7 +220,7 @@ class SearchState(NamedTuple):
     """
 
     program: Program
-    found: Solution
+    found: NlpSolution
     first: Array
     stages: tuple[SolvedStage, ...]
     run: Trajectory | None = None
@@ -386,7 +386,7 @@ def _solve_stage(
     words: str,
     part: float,
     progress: PlanProgress | None,
-    warm: Solution | None = None,
+    warm: NlpSolution | None = None,
 ) -> SearchState:
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
     weights = cost_weights(program, part)
@@ -410,7 +410,7 @@ def _solve_stage(
     return SearchState(program, found, first, tuple(stages))
 
 
-def _stage_of(words: str, found: Solution) -> SolvedStage:
+def _stage_of(words: str, found: NlpSolution) -> SolvedStage:
     return SolvedStage(
         words, found.iterations, found.status, found.seconds, found.cost, found.convergence
     )
@@ -460,10 +460,10 @@ def _solve_anew(
     return more._replace(stages=stages, name=search.name, number=search.number)
 
 
-def _warm_guess(program: Program, first: Array) -> Solution:
+def _warm_guess(program: Program, first: Array) -> NlpSolution:
     """Return a solution with the given unknowns and zero multipliers, for a warm start."""
     rows, bounds = np.zeros(program.g_lower.size), np.zeros(first.size)
-    return Solution(first, rows, np.nan, rows, bounds, "", True, 0, {})
+    return NlpSolution(first, rows, np.nan, rows, bounds, "", True, 0, {})
 
 
 def _violated_limits(task: PlanTask, run: Trajectory, beyond: float) -> list[Limit]:

@@ -28,11 +28,11 @@ from slipfree.show.scene import (
     Actor,
     Arrows,
     Backdrop,
-    Body,
     Color,
-    Ground,
     Layer,
     Scene,
+    SceneBody,
+    SceneGround,
     chassis,
     color_of,
     framed,
@@ -126,7 +126,7 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
     solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
     shade = fine.interpolated(ground_drawing.brightness(drawn)).ravel()
     lines = map_lines(drawn, first.terrain, window, origin, reach)
-    ground = _with_solids(Ground(fine.mesh(origin), tuple(layers), shade, lines), solids)
+    ground = _with_solids(SceneGround(fine.mesh(origin), tuple(layers), shade, lines), solids)
     backdrop = _backdrop(first, window, origin, reach, solids)
     return framed(ground, actors_of(drives, origin), origin, reach, backdrop, notes, warnings)
 
@@ -164,7 +164,7 @@ def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> Me
     return extruded(outline, (sides[1] - sides[0]) * axes[:, 1])
 
 
-def _with_solids(ground: Ground, solids: Sequence[Mesh]) -> Ground:
+def _with_solids(ground: SceneGround, solids: Sequence[Mesh]) -> SceneGround:
     """Return a ground with meshes of solids, which are gray in every layer."""
     if not solids:
         return ground
@@ -287,7 +287,7 @@ def _actor(
     )
 
 
-def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[Body]:
+def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[SceneBody]:
     """Return the bodies of a vehicle and its wheels, with their motion in map coordinates.
 
     Parameters
@@ -305,7 +305,7 @@ def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[Body
 
 def _part_bodies(
     vehicle: Vehicle, parts: FramePoses, wheels: FramePoses, color: Color
-) -> Iterable[Body]:
+) -> Iterable[SceneBody]:
     """Yield the bodies of platform and joints: rods to the joints and wheels that they carry.
 
     The platform and each other half of the vehicle has a plate.
@@ -331,7 +331,7 @@ def _part_bodies(
             away = wheels.origins[0] - origins[0]
             meshes.append(chassis(away @ rotations[0], spans[name], radius))
         if meshes:
-            yield Body(name, ((joined(*meshes), color),), origins, rotations)
+            yield SceneBody(name, ((joined(*meshes), color),), origins, rotations)
 
 
 def _plate_spans(
@@ -371,13 +371,13 @@ def _is_carried(part: str, by: str, parents: Mapping[str, str]) -> bool:
     return by == part
 
 
-def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body]:
+def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[SceneBody]:
     for k, wheel in enumerate(vehicle.wheels):
         looks = ((wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color))
-        yield Body(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
+        yield SceneBody(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
 
 
-def _hidden(bodies: Iterable[Body], drive: Driven) -> Iterable[Body]:
+def _hidden(bodies: Iterable[SceneBody], drive: Driven) -> Iterable[SceneBody]:
     """Yield the simple bodies that no mesh of the URDF replaces; the platform has no mesh."""
     shown = {wheel_name(joint.name) for joint in _joints_with_visuals(drive)}
     names = {wheel.name for wheel in drive.vehicle.wheels} - shown
@@ -391,11 +391,11 @@ def _joints_with_visuals(drive: Driven) -> Iterable[UrdfJoint]:
     return (joint for joint in joints if joint.child in drive.visuals)
 
 
-def _link_bodies(drive: Driven, robot: Robot, color: Color) -> Iterable[Body]:
+def _link_bodies(drive: Driven, robot: Robot, color: Color) -> Iterable[SceneBody]:
     """Yield the links of a URDF that have meshes."""
     for link in poses_on_map(drive.run, drive.vehicle, robot):
         if mesh := drive.visuals.get(link.child):
-            yield Body(link.child, ((mesh, color),), link.origins, link.rotation.as_matrix())
+            yield SceneBody(link.child, ((mesh, color),), link.origins, link.rotation.as_matrix())
 
 
 def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> list[Arrows]:

@@ -21,7 +21,7 @@ from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
 from slipfree.show.meshes import clipped
-from slipfree.show.plots import Drive, Plot
+from slipfree.show.plots import Plot, PlottedDrive
 from slipfree.show.style import MM, PAGE
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.solids import Prism, Profile, section_of
@@ -249,7 +249,7 @@ ROOM = 0.04  # margin around the motion [m]
 LATEST = 0.85  # used part of the colour scale: its yellow end is too light for lines
 
 
-def side_plot(drive: Drive) -> Plot | None:
+def side_plot(drive: PlottedDrive) -> Plot | None:
     """Return the side view of a motion; None without solids, or if it leaves the plane x = 0."""
     run = drive.run
     if not drive.prisms or run["x"].any() or any(prism.heading for prism in drive.prisms):

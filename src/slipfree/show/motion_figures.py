@@ -31,7 +31,7 @@ from slipfree.show.force_figures import (
     utilisation_plot,
 )
 from slipfree.show.ground_drawing import HEATMAP, Window, side_plot
-from slipfree.show.plots import Drive, Panel, Plot, stack
+from slipfree.show.plots import Panel, Plot, PlottedDrive, stack
 from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
@@ -310,22 +310,22 @@ def motion_plots(
     tuple of Plot
         Figures of `FIGURES` that have content, 120 or 180 mm wide; not drawn yet.
     """
-    drive = Drive(run, grid, surface or Bicubic(grid), prisms)
+    drive = PlottedDrive(run, grid, surface or Bicubic(grid), prisms)
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
 
 
-def map_plot(drive: Drive) -> Plot:
+def map_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of ground and path in plan view."""
     return Plot("map", "Ground and path in plan view.", lambda: _map(drive))
 
 
-def elevation_plot(drive: Drive) -> Plot:
+def elevation_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of heights and slopes along the path."""
     caption = "Heights and slopes along the path."
     return Plot("elevation", caption, lambda: _elevation(drive.run, drive.surface))
 
 
-def slip_plot(drive: Drive) -> Plot | None:
+def slip_plot(drive: PlottedDrive) -> Plot | None:
     """Return the figure of the slip; None if the wheels do not slip."""
     run = drive.run
     panels = [Panel(partial(slip, run, direction)) for direction in slipping_directions(run)]
@@ -333,7 +333,7 @@ def slip_plot(drive: Drive) -> Plot | None:
     return Plot("slip", caption, lambda: stack(run, panels, _law(run))) if panels else None
 
 
-def tilts_plot(drive: Drive) -> Plot | None:
+def tilts_plot(drive: PlottedDrive) -> Plot | None:
     """Return the figure of the joints' angles; None if no joint moves."""
     if not _moving_joints(drive.run):
         return None
@@ -342,13 +342,13 @@ def tilts_plot(drive: Drive) -> Plot | None:
     return Plot("tilts", caption, lambda: stack(drive.run, panels, width=COLUMN))
 
 
-def checks_plot(drive: Drive) -> Plot:
+def checks_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of residuals and margins."""
     caption = "Accuracy and validity: residuals and margins over time."
     return Plot("checks", caption, lambda: _checks(drive.run))
 
 
-def rates_plot(drive: Drive) -> Plot:
+def rates_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of the rates of wheels and joints."""
     run, caption = drive.run, "Rates of wheels and joints over time."
     joints = [f"{name}_rate" for name in _moving_joints(run) if f"{name}_rate" in run]
@@ -358,7 +358,7 @@ def rates_plot(drive: Drive) -> Plot:
     return Plot("rates", caption, lambda: stack(run, panels))
 
 
-def loci_plot(drive: Drive) -> Plot | None:
+def loci_plot(drive: PlottedDrive) -> Plot | None:
     """Return the figure of the paths of platform, wheels and contacts; None if they coincide."""
     run = drive.run
     if not _tracks_differ(run, float(max(np.ptp(run["x"]), np.ptp(run["y"])))):
@@ -366,13 +366,13 @@ def loci_plot(drive: Drive) -> Plot | None:
     return Plot("loci", "Paths of platform, wheels and contact points.", lambda: _loci(run))
 
 
-def terrain_plot(drive: Drive) -> Plot:
+def terrain_plot(drive: PlottedDrive) -> Plot:
     """Return the view of the ground around the path."""
     caption = "Ground around the path, platform and tracks of the contact points."
     return Plot("terrain", caption, lambda: _terrain(drive))
 
 
-FIGURES: tuple[Callable[[Drive], Plot | None], ...] = (
+FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
     side_plot,
     map_plot,
     elevation_plot,
@@ -390,7 +390,7 @@ FIGURES: tuple[Callable[[Drive], Plot | None], ...] = (
 )  # of a motion over terrain, the most important first
 
 
-def _map(drive: Drive) -> Figure:
+def _map(drive: PlottedDrive) -> Figure:
     run, grid = drive.run, drive.grid
     whole, window = ground_drawing.whole(grid), ground_drawing.around(run, grid, pad=0.15)
     spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
@@ -421,7 +421,7 @@ def _tracks_differ(run: Trajectory, width: float) -> bool:
     return bool(np.hypot(*away).max() > DISTINCT * width)
 
 
-def _terrain(drive: Drive) -> Figure:
+def _terrain(drive: PlottedDrive) -> Figure:
     figure = Figure(figsize=(COLUMN, 80 * MM))
     ax = terrain(drive.run, drive.grid, figure.add_subplot(projection="3d"), drive.prisms)
     style.finished(figure, drive.run, [ax])

@@ -66,7 +66,7 @@ class Plot(NamedTuple):
     make: Callable[[], Figure]
 
 
-class Drive(NamedTuple):
+class PlottedDrive(NamedTuple):
     """Data for the figures of a motion over terrain.
 
     Attributes

@@ -88,7 +88,7 @@ class Lines(NamedTuple):
     labels: tuple[tuple[str, Array], ...] = ()
 
 
-class Ground(NamedTuple):
+class SceneGround(NamedTuple):
     """Ground of a scene.
 
     Attributes
@@ -116,7 +116,7 @@ class Ground(NamedTuple):
         return np.asarray(np.rint(found * self.shade[:, None]), dtype=np.uint8)
 
 
-class Body(NamedTuple):
+class SceneBody(NamedTuple):
     """A rigid body over time.
 
     Attributes
@@ -171,7 +171,7 @@ class Actor(NamedTuple):
         Red, green and blue of the platform, from 0 to 255.
     t : ndarray, shape (n,)
         Times of the samples of bodies, contacts and arrows. [s]
-    bodies : tuple of Body
+    bodies : tuple of SceneBody
         Parts of the vehicle, the platform first, and wheels.
     contacts : ndarray, shape (n, k, 3)
         Contact points; NaN without contact. [m]
@@ -187,7 +187,7 @@ class Actor(NamedTuple):
     name: str
     color: Color
     t: Array
-    bodies: tuple[Body, ...]
+    bodies: tuple[SceneBody, ...]
     contacts: Array
     arrows: tuple[Arrows, ...]
     ghost: bool = False
@@ -224,7 +224,7 @@ class Scene(NamedTuple):
 
     Attributes
     ----------
-    ground : Ground
+    ground : SceneGround
         The ground.
     actors : tuple of Actor
         The motions.
@@ -242,7 +242,7 @@ class Scene(NamedTuple):
         Notes that are always shown.
     """
 
-    ground: Ground
+    ground: SceneGround
     actors: tuple[Actor, ...]
     origin: Array
     reach: float
@@ -271,7 +271,7 @@ class Scene(NamedTuple):
 
 
 def framed(
-    ground: Ground,
+    ground: SceneGround,
     actors: Iterable[Actor],
     origin: Array,
     reach: float,

@@ -17,7 +17,16 @@ from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
 from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
 from slipfree.show.local_server import Guard, stop
-from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Lines, Scene, scale_words
+from slipfree.show.scene import (
+    ARROWS,
+    Actor,
+    Arrows,
+    Colors,
+    Lines,
+    Scene,
+    SceneGround,
+    scale_words,
+)
 
 if TYPE_CHECKING:
     import viser
@@ -72,7 +81,7 @@ def serve(
     server, url = _server(port, warn)
     try:
         stage = Stage(server, scene, color)
-        panel = _Panel(server, stage, scene, title, color)
+        panel = _Controls(server, stage, scene, title, color)
         ready(url)
         while True:
             time.sleep(1 / RATE)
@@ -173,7 +182,7 @@ class Stage:
             if layer.name != color:
                 colors = scene.ground.colors(layer.name, shaded=True)
                 _add_ground(server, scene.ground, layer.name, colors, visible=False)
-        self.actors = [_Drawn(server, scene, k) for k in range(len(scene.actors))]
+        self.actors = [_RunNodes(server, scene, k) for k in range(len(scene.actors))]
         self.anchor: Array | None = None
         _set_camera(server, scene)
         self.show(scene.span[0])
@@ -224,7 +233,7 @@ class Stage:
                 node.visible = each == name
 
 
-class _Drawn:
+class _RunNodes:
     """Nodes of one motion in viser.
 
     Parameters
@@ -327,7 +336,12 @@ def _lines(arrows: Arrows, k: int, scale: float, origin: Array) -> Array:
 
 
 def _add_ground(
-    server: viser.ViserServer, ground: Ground, name: str, colors: Colors, *, visible: bool = True
+    server: viser.ViserServer,
+    ground: SceneGround,
+    name: str,
+    colors: Colors,
+    *,
+    visible: bool = True,
 ) -> Any:
     import trimesh
 
@@ -428,7 +442,7 @@ class _Action(NamedTuple):
     act: Callable[[], None]
 
 
-class _Panel:
+class _Controls:
     """Controls of the page: time, speed, ground, arrows and runs."""
 
     def __init__(

@@ -277,7 +277,7 @@ def collocation_schemes(system: System, free_states: Mask) -> list[CollocationSc
     ]
 
 
-class Drive(NamedTuple):
+class CollocatedMotion(NamedTuple):
     """Result of `drive`: a motion, and its unknowns at the collocation points.
 
     Attributes
@@ -304,7 +304,7 @@ def drive(
     *,
     free_states: Sequence[str],
     options: SolverOptions = SolverOptions(),
-) -> Drive:
+) -> CollocatedMotion:
     """Return the motion of a model with states that have no initial value.
 
     Elements are shortened until the solutions of two polynomial degrees agree on these states
@@ -357,7 +357,7 @@ def drive(
     }
     times, unknowns = best.points(elements)
     names = [label.full for label in leaves(dae.labels.z)][: len(unknowns)]
-    return Drive(
+    return CollocatedMotion(
         replace(run, statistics=statistics), times, dict(zip(names, unknowns, strict=True))
     )
 

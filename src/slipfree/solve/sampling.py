@@ -251,7 +251,7 @@ def _check_margins(check: SampledCheck, samples: Samples) -> Array:
         return np.concatenate([_check_margins(check, sample) for sample in each])
 
 
-class _Quantity(NamedTuple):
+class _QuantityRows(NamedTuple):
     """Label of a quantity and the indices of its rows; quantities of wheels have several."""
 
     label: Label
@@ -262,7 +262,7 @@ class _Quantity(NamedTuple):
 @lru_cache(maxsize=8)
 def _group_by_quantity(
     dae: Dae, report: tuple[str, ...]
-) -> tuple[tuple[_Quantity, ...], tuple[str, ...]]:
+) -> tuple[tuple[_QuantityRows, ...], tuple[str, ...]]:
     """Return the quantities of a model and its report, in the order of rows, and the wheels."""
     labels = [
         *leaves(dae.labels[:5]),
@@ -284,7 +284,7 @@ def _group_by_quantity(
                 "twice; rename a coordinate of the vehicle or an output"
             )
         group[label.wheel] = row
-    wheels, found = tuple[str, ...](), list[_Quantity]()
+    wheels, found = tuple[str, ...](), list[_QuantityRows]()
     for name, group in groups.items():
         rows = tuple(group.values())
         label = labels[rows[0]]
@@ -292,7 +292,7 @@ def _group_by_quantity(
             wheels = tuple(map(str, group))
             words = label.words.replace(f"wheel {label.wheel}", "the wheel")
             label = Label(name, label.unit, words)
-        found.append(_Quantity(label, rows, None not in group))
+        found.append(_QuantityRows(label, rows, None not in group))
     return tuple(found), wheels
 
 

@@ -30,7 +30,7 @@ MAX_RUNS = 100_000
 SEED = "seed"  # last part of the keys that repetitions change
 
 
-class Axis(NamedTuple):
+class SweepAxis(NamedTuple):
     """Varied key of a sweep, and its values.
 
     Attributes
@@ -84,7 +84,7 @@ class Sweep:
         Problem of the first run.
     settings : tuple of str
         Settings of all runs.
-    axes : tuple of Axis
+    axes : tuple of SweepAxis
         Varied keys.
     seeds : tuple of str
         Keys of the seeds that every repetition changes; empty without repetitions.
@@ -98,7 +98,7 @@ class Sweep:
 
     problem: Problem[Any]
     settings: tuple[str, ...]
-    axes: tuple[Axis, ...]
+    axes: tuple[SweepAxis, ...]
     seeds: tuple[str, ...]
     repeat: int
     seed: int
@@ -214,7 +214,7 @@ def sweep_of(
     return replace(bare, seeds=seeds, repeat=repeat)
 
 
-def _checked_points(axes: Sequence[Axis]) -> Iterator[list[str]]:
+def _checked_points(axes: Sequence[SweepAxis]) -> Iterator[list[str]]:
     """Yield the first point of a grid, then those that differ from it in one value."""
     first = [f"{axis.key}={axis.values[0]}" for axis in axes]
     yield first
@@ -223,7 +223,7 @@ def _checked_points(axes: Sequence[Axis]) -> Iterator[list[str]]:
             yield [*first[:k], f"{axis.key}={value}", *first[k + 1 :]]
 
 
-def axis_of(text: str) -> Axis:
+def axis_of(text: str) -> SweepAxis:
     """Return the key and the values of ``key=a:b:n`` or ``key=v1,v2,...``.
 
     Raises
@@ -255,7 +255,7 @@ def axis_of(text: str) -> Axis:
             raise DataError(
                 f"--vary {text}: expected values that differ, found {same} {also}; remove one"
             )
-    return Axis(spelled, values)
+    return SweepAxis(spelled, values)
 
 
 def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
@@ -283,7 +283,7 @@ def _comparison_key(value: str) -> object:
     return found if isinstance(found, str) else repr(found)
 
 
-def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
+def _check_keys(axes: Sequence[SweepAxis], settings: Sequence[str]) -> None:
     """Raise DataError for varied keys that are repeated, set, or part of another varied key.
 
     A table may be set and one of its keys varied; the varied values then replace the key's value.

@@ -15,14 +15,14 @@ from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.core.version import __version__
 from slipfree.files.netcdf import NOTHING
-from slipfree.sweep.log import LOST, Row
+from slipfree.sweep.log import LOST, RunRow
 from slipfree.system.processes import Pool as AnyPool
 from slipfree.system.processes import ProcessDiedError, Processes
 
 COMPLETE = "complete"  # figure of every run: 1 if it reached its end
 
 
-class Task(NamedTuple):
+class RunTask(NamedTuple):
     """Task for a process: one run, with the text of the problem but not its input files.
 
     Attributes
@@ -61,7 +61,7 @@ class Done(NamedTuple):
 
     Attributes
     ----------
-    row : Row
+    row : RunRow
         Row for log and table.
     trajectory : Trajectory or None
         The motion, if it is requested and exists.
@@ -69,34 +69,34 @@ class Done(NamedTuple):
         Arrays of a plan for a warm start; empty for other motions.
     """
 
-    row: Row
+    row: RunRow
     trajectory: Trajectory | None = None
     arrays: Mapping[str, Array] = NOTHING
 
 
-def without_motion(task: Task, outcome: str, words: str, seconds: float = 0.0) -> Done:
+def without_motion(task: RunTask, outcome: str, words: str, seconds: float = 0.0) -> Done:
     """Return the result of a failed or lost run, with the reason; it has no motion."""
     return Done(
-        Row(task.run, own_settings(task), outcome, words, None, {COMPLETE: (0.0, "1")}, seconds)
+        RunRow(task.run, own_settings(task), outcome, words, None, {COMPLETE: (0.0, "1")}, seconds)
     )
 
 
-def own_settings(task: Task) -> tuple[str, ...]:
+def own_settings(task: RunTask) -> tuple[str, ...]:
     """Return the settings of a task that are specific to its run."""
     return task.settings[len(task.settings) - task.own :]
 
 
-def run_task(task: Task) -> Done:
+def run_task(task: RunTask) -> Done:
     """Execute a task with `slipfree.sweep.worker.work`, and return its result."""
     from slipfree.sweep.worker import work  # imports the solvers, which the parent does not need
 
     return work(task)
 
 
-Pool = AnyPool[Task, Done]
+Pool = AnyPool[RunTask, Done]
 
 
-class ProcessPool(Processes[Task, Done]):
+class ProcessPool(Processes[RunTask, Done]):
     """Pool of processes with one thread each.
 
     Parameters
@@ -108,7 +108,7 @@ class ProcessPool(Processes[Task, Done]):
     def __init__(self, count: int) -> None:
         super().__init__(count, run_task)
 
-    def result(self, future: Future[Done], task: Task) -> Done:
+    def result(self, future: Future[Done], task: RunTask) -> Done:
         """Return the result of a future, with outcome ``lost`` if its process died.
 
         Raises
@@ -177,13 +177,13 @@ class Cluster:
                 self._warn(f"--scheduler {self._address}: {BACK if self._workers else NONE_LEFT}")
         return max(1, AHEAD * self._workers)
 
-    def submit(self, task: Task) -> Any:
+    def submit(self, task: RunTask) -> Any:
         """Return the future of a task."""
         key = f"slipfree-{os.urandom(8).hex()}"
         self._open[key] = self._client.submit(run_task, task, key=key)
         return self._open[key]
 
-    def result(self, future: Any, task: Task) -> Done:
+    def result(self, future: Any, task: RunTask) -> Done:
         """Return the result of a future, with outcome ``lost`` if its worker failed.
 
         Raises

@@ -18,8 +18,8 @@ from slipfree.files.tables import write_rows
 from slipfree.problem.units import unit_of
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.grid import Run, Sweep
-from slipfree.sweep.log import FAILED, LOST, NAME, Log, Row, Rows
-from slipfree.sweep.pools import COMPLETE, Pool, Task
+from slipfree.sweep.log import FAILED, LOST, NAME, Rows, RunLog, RunRow
+from slipfree.sweep.pools import COMPLETE, Pool, RunTask
 from slipfree.system.processes import Poll, finish_tasks
 from slipfree.system.regular_files import check_name
 
@@ -56,7 +56,7 @@ def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:
     write_rows(file, head, lines)
 
 
-def _line(run: Run, row: Row, names: Iterable[str]) -> list[object]:
+def _line(run: Run, row: RunRow, names: Iterable[str]) -> list[object]:
     values = [row.figures[name][0] if name in row.figures else "" for name in names]
     time = "" if row.t is None else row.t
     return [run.number, *run.values, *run.seeds, row.outcome, _line_of(row.words), time, *values]
@@ -244,7 +244,7 @@ def run_sweep(
             f"{folder}: expected a folder for the sweep, found a file; choose another folder with "
             "-o"
         )
-    with Log(folder / NAME, sweep.head, again=again) as log:
+    with RunLog(folder / NAME, sweep.head, again=again) as log:
         try:
             progress(log.rows)
             if len(log.rows) < sweep.count:
@@ -260,14 +260,14 @@ def run_sweep(
         return log.rows
 
 
-def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[Task]:
+def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[RunTask]:
     """Yield the tasks of all runs that are not finished."""
     path, text = str(sweep.problem.source.path.resolve()), sweep.problem.source.text
     files = json.dumps(dict(sweep.files))
     for run in sweep.runs():
         if run.number not in rows:
             own, trusted = len(sweep.keys), sweep.problem.trusted
-            yield Task(run.number, path, text, run.settings, own, keep, files, trusted)
+            yield RunTask(run.number, path, text, run.settings, own, keep, files, trusted)
 
 
 def result_path(folder: Path, sweep: Sweep, number: int) -> Path:

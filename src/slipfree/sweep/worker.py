@@ -17,14 +17,14 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.sharing import Shared, sharing
 from slipfree.problem.solve import run_problem
 from slipfree.problem.verbs.registry import verb_of
-from slipfree.sweep.log import FAILED, LOST, Row
-from slipfree.sweep.pools import COMPLETE, Done, Task, own_settings, without_motion
+from slipfree.sweep.log import FAILED, LOST, RunRow
+from slipfree.sweep.pools import COMPLETE, Done, RunTask, own_settings, without_motion
 
 ALONE = threading.Lock()  # CasADi's objects are not thread-safe
 KEPT: Shared = {}  # map and model of the latest run
 
 
-def work(task: Task) -> Done:
+def work(task: RunTask) -> Done:
     """Execute a task; return its result, whose row reports every error.
 
     The outcome is ``lost`` after an error of the operating system, such as a full disk, or if the
@@ -45,7 +45,7 @@ def work(task: Task) -> Done:
     return without_motion(task, outcome, words, time.perf_counter() - begin)
 
 
-def _worked(task: Task, begin: float) -> Done:
+def _worked(task: RunTask, begin: float) -> Done:
     problem = load_again(Path(task.file), task.text, task.settings, task.trusted)
     try:
         result = run_problem(problem)
@@ -61,7 +61,7 @@ def _worked(task: Task, begin: float) -> Done:
         figures = figures_of(motion, problem)
     except Exception as error:  # failed metrics must not lose the motion
         outcome, words, figures = FAILED, f"metrics: {type(error).__name__}: {error}", {}
-    row = Row(
+    row = RunRow(
         task.run,
         own_settings(task),
         outcome,
