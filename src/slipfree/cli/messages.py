@@ -177,16 +177,10 @@ def visible(text: str) -> str:
     return CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
-def print_line(
-    words: str = "", *, nl: bool = True, err: bool = False, file: TextIO | None = None
-) -> None:
-    """Print a line, with control characters escaped, on stdout, stderr or another stream.
-
-    The line ends with a newline unless ``nl`` is False. ``file`` is the stream; without it, ``err``
-    selects stderr.
-    """
+def print_line(words: str = "", *, err: bool = False, file: TextIO | None = None) -> None:
+    """Print a line, with control characters escaped, on ``file``, with ``err`` on stderr."""
     try:
-        typer.echo(visible(words), nl=nl, err=err, file=file)
+        typer.echo(visible(words), err=err, file=file)
     except OSError as error:
         error.filename = error.filename or ("stderr" if err or file else "stdout")
         raise
@@ -433,14 +427,14 @@ def _bar(duration: float | None) -> Iterator[Reports]:
         yield Reports(show_time, show_search)
 
 
-def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[Any], None]:
-    """Return a callback that calls ``show`` at most once per ``apart`` seconds."""
+def throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a callback that calls ``show`` at most once per `REFRESH` seconds."""
     last = 0.0
 
     def throttle(value: Any) -> None:
         nonlocal last
         now = time.monotonic()
-        if now - last > apart:
+        if now - last > REFRESH:
             last = now
             show(value)
 

@@ -178,19 +178,10 @@ def _interval_groups(program: Program, row_block: RowBlock) -> Iterator[Constrai
         )
 
 
-def worst_violations(
-    program: Program, values: Array, tolerance: float
-) -> Iterator[tuple[float, Violation]]:
+def worst_violations(program: Program, values: Array) -> Iterator[tuple[float, Violation]]:
     """Yield the largest violation of each violated bound, with its relative size first.
 
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    values : ndarray, shape (n_g + n_w,)
-        Values of the rows, then of the unknowns (not scaled).
-    tolerance : float
-        Largest violation that is ignored, in the unit of the quantity.
+    ``values`` are those of the rows, then of the unknowns, not scaled, shape (n_g + n_w,).
     """
     duration = values[program.g_lower.size + program.layout.duration]
     for group in constraint_groups(program):
@@ -199,10 +190,10 @@ def worst_violations(
             bound, here = bound_of(group, sign), values[group.where]
             over = sign * (bound - here)
             worst = over.max()
-            if not worst > tolerance:
+            if not worst > VIOLATION_TOLERANCE:
                 continue
             # The earliest of equally large violations is reported.
-            k = int(np.flatnonzero(over >= worst - tolerance)[0])
+            k = int(np.flatnonzero(over >= worst - VIOLATION_TOLERANCE)[0])
             yield (
                 worst / size,
                 Violation(

@@ -117,9 +117,7 @@ def relax(program: Program, first: Array) -> Relaxation:
     found = solve_program(elastic, 0 * weights, begin, iterations=most)
     unknowns = _least_cost(elastic, found, weights, len(soft))[: first.size]
     values = np.append(_row_values(program, unknowns, weights), unknowns)
-    relaxed = sorted(
-        worst_violations(program, values, VIOLATION_TOLERANCE), key=lambda pair: -pair[0]
-    )
+    relaxed = sorted(worst_violations(program, values), key=lambda pair: -pair[0])
     gave = {(each.role, each.label.full) for _, each in relaxed}
     opposing = [
         each
@@ -292,26 +290,15 @@ class Explanation(NamedTuple):
     words: str
 
 
-def violations(
-    program: Program, solution: NlpSolution, tolerance: float = VIOLATION_TOLERANCE
-) -> list[Violation]:
+def violations(program: Program, solution: NlpSolution) -> list[Violation]:
     """Return the largest violation of each violated constraint, the worst constraint first.
 
     Violations are sorted by their size relative to the range of the bounds or to a typical size of
     the quantity (`size_of`).
-
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    solution : NlpSolution
-        Last or best iterate of the program.
-    tolerance : float
-        Largest violation of a satisfied constraint, in the unit of its quantity.
     """
     worst: dict[tuple[str, str], tuple[float, Violation]] = {}
     values = np.concatenate([solution.rows, solution.unknowns])
-    for size, violation in worst_violations(program, values, tolerance):
+    for size, violation in worst_violations(program, values):
         key = violation.role, violation.label.full
         if key not in worst or size > worst[key][0]:
             worst[key] = size, violation

@@ -94,18 +94,10 @@ class Driven(NamedTuple):
 
 
 def drive_scene(drives: Sequence[Driven]) -> Scene:
-    """Return the scene of motions over one ground, that of the first motion.
+    """Return the scene of at least one motion, over the ground of the first.
 
-    Parameters
-    ----------
-    drives : sequence of Driven
-        Motions to draw, at least one.
-
-    Raises
-    ------
-    ModelError
-        If a motion leaves the ground of the first one, or if its own ground differs from that by
-        more than a wheel radius.
+    Raises ModelError if a motion leaves this ground, or if its own ground differs from it by more
+    than a wheel radius.
     """
     first, grid = drives[0], drives[0].terrain.grid
     reach = max(extents(drive.vehicle)[2] for drive in drives)
@@ -290,14 +282,7 @@ def _actor(
 def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[SceneBody]:
     """Return the bodies of a vehicle and its wheels, with their motion in map coordinates.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    run : Trajectory
-        Motion with the platform's pose, every coordinate and the wheel angles.
-    color : tuple of 3 ints
-        Colour of the vehicle.
+    The motion has the platform's pose, every coordinate and the wheel angles.
     """
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     return [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]

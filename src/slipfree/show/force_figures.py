@@ -47,17 +47,7 @@ def tangential_forces(run: Trajectory, ax: Axes) -> Axes:
 
 
 def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
-    """Draw the nonzero efforts of the drives of wheels and joints over time.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    ax : Axes
-        The axes.
-    unit : {"N m", "N"}
-        ``"N m"`` for the torques of wheels and joints, ``"N"`` for the forces of sliding joints.
-    """
+    """Draw the nonzero torques, or with ``unit="N"`` forces, of wheels and joints over time."""
     if unit == "N m":
         style.by_wheel(run, run["drive_torque"], ax, zeros=False)
     for k, name in enumerate(_joints(run), start=len(run.wheels)):
@@ -103,16 +93,7 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     """Draw the tracks of the contact points in plan view, coloured by utilisation, on grey ground.
 
     The colour between two samples is that of the larger value. Where tracks cross, the track with
-    the larger value is on top.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    grid : Grid
-        The ground.
-    ax : Axes
-        The axes; their aspect becomes equal.
+    the larger value is on top. The aspect of the axes becomes equal.
     """
     ground_drawing.muted(grid, ax, ground_drawing.around(run, grid, pad=0.15))
     x, y, values = run["contact_x"], run["contact_y"], run["utilisation"]

@@ -125,20 +125,7 @@ def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
 def hatch(grid: Grid, nodes: Mask | None, window: Window, words: str, color: str, ax: Axes) -> Axes:
     """Hatch the cells of a ground that touch marked nodes, with an entry for the legend.
 
-    Parameters
-    ----------
-    grid : Grid
-        The ground.
-    nodes : ndarray of bool, shape (n_x, n_y), or None
-        Marked nodes, such as ``grid.holes``; None for no node.
-    window : tuple of 4 floats
-        Drawn part: ``x_min, x_max, y_min, y_max``. [m]
-    words : str
-        Words of the legend.
-    color : str
-        Colour of the hatching.
-    ax : Axes
-        The axes.
+    ``nodes`` has the shape (n_x, n_y), such as ``grid.holes``; None marks no node.
     """
     x, y = np.linspace(*window[:2], HEATMAP), np.linspace(*window[2:], HEATMAP)
     marked = grid.touches(nodes, x[:, None], y[None, :])
@@ -165,11 +152,7 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
     """Return the window around positions, with the proportions of the map if possible [m].
 
     The margin on each side is at least ``pad`` times the extent of the positions, within the map.
-
-    Raises
-    ------
-    ModelError
-        If all positions are outside the map.
+    Raises ModelError if all positions are outside the map.
     """
     west, east, south, north = whole(grid)
     sides = []
@@ -191,18 +174,10 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
 
 
 def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
-    """Return coordinates x, y and heights of a part of the ground, interpolated by bicubic splines.
+    """Return coordinates x, y and heights of a window, interpolated by bicubic splines [m].
 
-    Heights are NaN in holes.
-
-    Parameters
-    ----------
-    grid : Grid
-        The ground.
-    window : tuple of 4 floats
-        Part to return: ``x_min, x_max, y_min, y_max``. [m]
-    count : int
-        Number of nodes per side, in the result and, at most, in the interpolation.
+    The result has ``count`` nodes per side, the interpolation at most as many. Heights are NaN in
+    holes.
     """
     kept, fine = [], []
     for axis, low, high in ((grid.x, *window[:2]), (grid.y, *window[2:])):
@@ -218,21 +193,9 @@ def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
 
 
 def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
-    """Return the slope angle of a ground along headings at map points.
+    """Return the slope angle of a ground at map points, positive uphill along headings [rad].
 
-    Parameters
-    ----------
-    ground : Terrain
-        The ground.
-    x, y : ndarray, shape (n,)
-        Map coordinates. [m]
-    heading : ndarray, shape (n,)
-        Directions from the x axis, counter-clockwise. [rad]
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Angle of the tangent to the surface, positive uphill. [rad]
+    Headings are measured from the x axis, counter-clockwise.
     """
     at = ca.SX.sym("x"), ca.SX.sym("y")
     lookups = LookupTable()
@@ -265,28 +228,20 @@ def _side(run: Trajectory, section: Profile) -> Figure:
     return figure
 
 
-def side_view(run: Trajectory, section: Profile, ax: Axes, count: int = POSES) -> Axes:
-    """Draw the solids, the paths of the wheels, and the vehicle at equal intervals of time.
+def side_view(run: Trajectory, section: Profile, ax: Axes) -> Axes:
+    """Draw solids, paths of the wheels, and a planar vehicle at equal intervals of time.
 
-    Parameters
-    ----------
-    run : Trajectory
-        A motion of a planar vehicle.
-    section : Profile
-        Ground and solids, see `slipfree.terrain.solids.section_of`.
-    ax : Axes
-        The axes; their aspect becomes equal.
-    count : int
-        Number of drawn positions of the vehicle.
+    The section is that of ground and solids, see `slipfree.terrain.solids.section_of`. The aspect
+    of the axes becomes equal.
     """
     for solid in section.solids:
         ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
-    y, z, count = run["center_y"], run["center_z"], max(count, 2)
+    y, z = run["center_y"], run["center_z"]
     away = np.hypot(run["contact_y"] - y, run["contact_z"] - z)
     order = np.argsort(y[0])
     ax.plot(y, z, color="0.5", lw=0.6, zorder=2)
-    for number, k in enumerate(np.linspace(0, run.t.size - 1, count).astype(int)):
-        color = colormaps["viridis"](LATEST * number / (count - 1))
+    for number, k in enumerate(np.linspace(0, run.t.size - 1, POSES).astype(int)):
+        color = colormaps["viridis"](LATEST * number / (POSES - 1))
         ax.plot(y[k, order], z[k, order], "o-", color=color, lw=1.3, ms=2.6, mfc="white", zorder=3)
         for place in zip(y[k], z[k], np.nanmedian(away, axis=0), strict=True):
             ax.add_patch(Circle(place[:2], place[2], fc="none", ec=color, lw=0.9, zorder=3))

@@ -52,20 +52,9 @@ def warned(scene: Scene) -> str:
 
 
 def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable[str]) -> str:
-    """Return a page that plays a scene with title and legend added.
+    """Return a page exported by viser with title, legend and further notes ``words`` added.
 
-    Parameters
-    ----------
-    html : str
-        HTML of the page, as exported by viser.
-    scene : Scene
-        The scene.
-    title : str
-        Title of the page.
-    color : str
-        Name of the layer of the ground.
-    words : iterable of str
-        Further notes.
+    ``color`` is the name of the layer of the ground that is shown first.
     """
     runs = "".join(
         _switch(

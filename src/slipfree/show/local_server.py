@@ -58,19 +58,8 @@ class Gate:
     ) -> tuple[str, str]:
         """Return the path of a request without the secret, and the message of a refusal.
 
-        Parameters
-        ----------
-        path : str
-            Path of the request.
-        hosts, origins, port
-            See `is_own_request`.
-
-        Returns
-        -------
-        path : str
-            Path from ``/``; empty for a refused request.
-        refusal : str
-            Message for the client; empty for a request that is answered.
+        One of the two is empty: the path, from ``/``, of a refused request, or the message for the
+        client.
         """
         prefix, rest = path[: len(self._prefix)], path[len(self._prefix) :]
         prefix = f"{prefix.rstrip('/')}/"  # viser's page connects to its address without this slash
@@ -116,12 +105,8 @@ class Guard:
     def start(self, port: int) -> viser.ViserServer:
         """Return a server on this machine; port zero selects a free port.
 
-        Raises
-        ------
-        ImportError
-            If viser is not installed.
-        DataError
-            If this version of viser starts its server in a way that cannot be guarded.
+        Raises ImportError without viser, and DataError if its version starts the server in a way
+        that cannot be guarded.
         """
         import viser
         from websockets.asyncio import server as web
@@ -222,15 +207,7 @@ def _with_script(response: Any, script: bytes) -> Any:
 
 
 def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> bool:
-    """Return whether a request addresses this machine and comes from its own page.
-
-    Parameters
-    ----------
-    hosts, origins : sequence of str
-        Values of the headers ``Host`` and ``Origin``.
-    port : int
-        Port of the server.
-    """
+    """Return whether the headers ``Host`` and ``Origin`` address this machine from its own page."""
     own = {f"{name}:{port}" for name in NAMES} | ({*NAMES} if port == DEFAULT_PORT else set())
     lower = [each.lower() for each in hosts]
     is_same = [each.lower() for each in origins] == [f"http://{each}" for each in lower]
@@ -302,22 +279,10 @@ def start_server(
 ) -> ThreadingHTTPServer:
     """Return an HTTP server for the requests of its own page; the caller must start it.
 
-    Parameters
-    ----------
-    port : int
-        Port; zero selects a free one.
-    get : mapping of str to callable
-        Functions that return the content of a path.
-    post : mapping of str to callable
-        Functions that take the JSON value sent to a path and return a JSON value. A `SlipfreeError`
-        becomes a response with status 400, a `ConflictError` one with status 409 and its state.
-    gate : Gate
-        Checks of the requests.
-
-    Raises
-    ------
-    DataError
-        If the port is in use.
+    Functions of ``get`` return the content of a path; those of ``post`` take the JSON value sent to
+    a path and return one. Their `SlipfreeError` becomes a response with status 400, a
+    `ConflictError` one with status 409 and its state. Port zero selects a free one. Raises
+    DataError if the port is in use.
     """
 
     class Handler(BaseHTTPRequestHandler):

@@ -52,12 +52,7 @@ def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: fl
 def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
     """Return the mesh of a convex outline extruded along a vector, with closed ends.
 
-    Parameters
-    ----------
-    outline : ndarray, shape (n, 3)
-        Corners, counter-clockwise when viewed from the end of the vector. [m]
-    along : array_like, shape (3,)
-        Direction and length of the extrusion. [m]
+    The corners, shape (n, 3), are counter-clockwise when viewed from the end of the vector. [m]
     """
     n = len(outline)
     side = sheet(np.stack([outline, outline + np.asarray(along)], axis=1), closed=(True, False))
@@ -155,15 +150,8 @@ class Refined(NamedTuple):
     def spread(self, colors: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Return colours of all nodes of the mesh, interpolated from those of the grid.
 
-        Parameters
-        ----------
-        colors : ndarray of uint8, shape (n_x n_y, 3)
-            Red, green and blue of the nodes of the grid.
-
-        Returns
-        -------
-        ndarray of uint8, shape (n, 3)
-            Colours of the nodes of the grid, followed by those of divided cells.
+        Colours are red, green and blue, one row per node: first those of the grid, then those of
+        divided cells.
         """
         return np.asarray(np.rint(self.interpolated(colors.astype(float))), dtype=np.uint8)
 
@@ -245,22 +233,10 @@ class Refined(NamedTuple):
 def refined(
     grid: Grid, terrain: Terrain, paths: Iterable[Array], margin: float, spacing: float
 ) -> Refined:
-    """Return a grid with divided cells near paths, with at most about 60 000 added nodes.
+    """Return a grid whose cells within a margin of paths are divided, to a desired spacing.
 
-    No cell is divided if the grid is fine enough, or if there are too many cells near the paths.
-
-    Parameters
-    ----------
-    grid : Grid
-        Heights to draw.
-    terrain : Terrain
-        The ground itself.
-    paths : iterable of ndarray, shape (n, 2)
-        Paths of vehicles in map coordinates. [m]
-    margin : float
-        Distance from the paths within which cells are divided. [m]
-    spacing : float
-        Desired distance between nodes in divided cells; larger if it needs too many nodes. [m]
+    Paths have the shape (n, 2), in map coordinates [m]. At most about 60 000 nodes are added: the
+    spacing becomes larger, or no cell is divided if there are too many near the paths.
     """
     whole = Refined(grid, np.zeros((grid.x.size - 1, grid.y.size - 1), bool), 1, terrain)
     cell = float(max(grid.spacing))

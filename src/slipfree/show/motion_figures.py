@@ -59,17 +59,7 @@ CHECKS = {
 
 
 def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
-    """Draw the heights of a ground as a shaded map with contour lines and a colour bar.
-
-    Parameters
-    ----------
-    grid : Grid
-        The ground.
-    ax : Axes
-        The axes; their aspect becomes equal.
-    window : tuple of 4 floats, optional
-        ``x_min, x_max, y_min, y_max`` of the part to draw; the whole by default. [m]
-    """
+    """Draw the heights of a ground as a shaded map with contour lines and a colour bar."""
     window = window or ground_drawing.whole(grid)
     x, y, z = ground_drawing.patch(grid, window, HEATMAP)
     heights = ax.imshow(z.T, **_colours(z), **ground_drawing.extent(x, y))
@@ -117,17 +107,7 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
 def terrain(run: Trajectory, grid: Grid, ax: Any, prisms: Sequence[Prism] = ()) -> Any:
     """Draw the ground around the path as a surface, with platform and contact tracks.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    grid : Grid
-        The ground.
-    ax : Axes3D
-        Axes from ``figure.add_subplot(projection="3d")``. Heights of low relief are drawn enlarged;
-        the label of the height axis contains the factor.
-    prisms : sequence of Prism
-        Solids on the ground.
+    Heights of low relief are drawn enlarged; the label of the height axis contains the factor.
     """
     window = ground_drawing.around(run, grid, pad=0.4)
     x, y, z = ground_drawing.patch(grid, window, MESH)
@@ -188,14 +168,7 @@ def tilts(run: Trajectory, ax: Axes) -> Axes:
 def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
     """Draw the paths of the platform's centre, the wheel centres and the contact points.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    ax : Axes
-        The axes.
-    view : tuple of two of {"x", "y", "z"}
-        Axes of the view to the right and up; ``("x", "y")`` is the plan.
+    ``view`` names the axes of the view to the right and up; ``("x", "y")`` is the plan.
     """
     a, b = view
     broad, fine = {"lw": 2.6, "alpha": 0.4}, {"lw": 0.9}
@@ -229,17 +202,7 @@ def elevation(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
 
 
 def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
-    """Draw the slope of the ground below the platform along its heading, and the pitch.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    ground : Terrain
-        The ground.
-    ax : Axes
-        The axes.
-    """
+    """Draw the slope of the ground below the platform along its heading, and the pitch."""
     heading = run.in_frame("rep103")["heading"]
     s, rise = _distance(run), ground_drawing.slope_along(ground, run["x"], run["y"], heading)
     ax.plot(s, rise, **BELOW, label="ground along the heading")
@@ -249,17 +212,7 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
 
 
 def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
-    """Draw the slip velocity of every wheel over time.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    direction : {"along", "across"}
-        Component of the slip velocity: along the rolling direction of the wheel or across it.
-    ax : Axes
-        The axes; velocities are drawn in mm/s.
-    """
+    """Draw the slip of every wheel over time in mm/s, ``"along"`` or ``"across"`` its direction."""
     style.by_wheel(run, 1e3 * run[f"slip_{direction}"], ax)
     ax.set_ylabel(f"slip {direction} the wheel [mm/s]")
     return style.time_axis(run, ax)
@@ -292,23 +245,9 @@ def motion_plots(
     surface: Terrain | None = None,
     prisms: tuple[Prism, ...] = (),
 ) -> tuple[Plot, ...]:
-    """Return the figures of a motion, the most important first.
+    """Return the figures of `FIGURES` that have content, the most important first, not drawn yet.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    grid : Grid
-        The ground.
-    surface : Terrain, optional
-        Surface of the ground in the model; by default the bicubic spline through the grid.
-    prisms : tuple of Prism
-        Solids on the ground.
-
-    Returns
-    -------
-    tuple of Plot
-        Figures of `FIGURES` that have content, 120 or 180 mm wide; not drawn yet.
+    The surface of the model is by default the bicubic spline through the grid.
     """
     drive = PlottedDrive(run, grid, surface or Bicubic(grid), prisms)
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)

@@ -88,18 +88,9 @@ class PlottedDrive(NamedTuple):
 
 
 def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float = PAGE) -> Figure:
-    """Return a figure of panels over a common axis, with one legend.
+    """Return a figure of panels over a common axis, with one legend; the width is in inches.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion; a note gives the reason of an early end.
-    panels : sequence of Panel
-        Panels from top to bottom.
-    note : str
-        Text below the figure.
-    width : float
-        Width of the figure. [in]
+    A note below the figure also gives the reason of an early end of the motion.
     """
     heights = [panel.height for panel in panels]
     figure = style.figure(width, (sum(heights) + MARGIN) * MM)

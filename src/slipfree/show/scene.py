@@ -308,19 +308,7 @@ def rgb(name: str) -> Color:
 
 
 def layer(name: str, values: Array, legend: str, low: float, high: float) -> Layer:
-    """Return the colouring of n vertices by a quantity.
-
-    Parameters
-    ----------
-    name : {"height", "slope", "traversability"}
-        The quantity.
-    values : ndarray, shape (n,)
-        Values at the vertices.
-    legend : str
-        Description of the range of values, with unit.
-    low, high : float
-        Values at the ends of the colour scale.
-    """
+    """Return the colouring of vertices by a quantity; ``low`` and ``high`` end the colour scale."""
     scale = colormaps[MAPS[name]]
     parts = np.clip((values - low) / max(high - low, style.FLAT), 0, 1)
     ends = tuple(rgb(scale(part)) for part in np.linspace(0, 1, 9))
@@ -328,16 +316,10 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
 
 
 def chassis(positions: Array, span: tuple[float, float], radius: float) -> Mesh:
-    """Return the plate of a part of a vehicle.
+    """Return the plate of a part of a vehicle, in the part's frame, x right, y forward [m].
 
-    Parameters
-    ----------
-    positions : ndarray, shape (k, 3)
-        Positions of all wheels' centres in the part's frame, x right, y forward. [m]
-    span : tuple of float
-        Rear and front end of the plate in this frame. [m]
-    radius : float
-        Radius of the wheels. [m]
+    ``positions`` are those of all wheels' centres, shape (k, 3); ``span`` are the rear and the
+    front end of the plate.
     """
     half = NARROW * float(np.abs(positions[:, 0]).max())
     return plate(half, *span, PLATE * radius)
@@ -400,20 +382,9 @@ GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 def map_lines(
     drawn: Grid, terrain: Terrain, window: Window, origin: Array, reach: float
 ) -> tuple[Lines, ...]:
-    """Return contours, grid and north arrow of the drawn ground.
+    """Return contours, grid and north arrow of the drawn ground, relative to the scene's origin.
 
-    Parameters
-    ----------
-    drawn : Grid
-        Heights at the nodes of the drawn ground.
-    terrain : Terrain
-        The ground.
-    window : tuple of 4 floats
-        Drawn part: ``x_min, x_max, y_min, y_max``. [m]
-    origin : ndarray, shape (3,)
-        Map coordinates of the scene's origin. [m]
-    reach : float
-        Radius of a circle around the vehicle. [m]
+    ``reach`` is the radius of a circle around the vehicle. [m]
     """
     above = origin - np.array([0.0, 0.0, LIFT * reach])
     found = [contours(drawn), *_grid_and_north(drawn, terrain, window)]

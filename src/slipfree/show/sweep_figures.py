@@ -126,21 +126,8 @@ def save_sweep_figures(
 ) -> list[Path]:
     """Write one figure per metric to a folder, and return the paths of the files.
 
-    Parameters
-    ----------
-    quantities : sequence of Swept
-        Metrics.
-    folder : str or Path
-        Folder for the files; it is created if it does not exist.
-    formats : sequence of str
-        Endings such as ``"png"``, ``"pdf"`` or ``"svg"``.
-
-    Raises
-    ------
-    ModelError
-        If more than two keys were varied, no run has a value, or a format is unknown.
-    DataError
-        If the folder or a file cannot be written.
+    Raises ModelError if more than two keys were varied, no run has a value, or a format is unknown,
+    and DataError if the folder or a file cannot be written.
     """
     return save(
         [Plot(each.name, "", partial(figure, each)) for each in quantities], folder, formats

@@ -56,27 +56,11 @@ def serve(
     warn: Callable[[str], None],
     ready: Callable[[str], None],
 ) -> None:
-    """Show a scene in a web page on this machine, until Ctrl-C.
+    """Show a scene in a web page on this machine, until Ctrl-C; port zero selects a free one.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    title : str
-        Title of the page.
-    color : str
-        Name of the initial layer of the ground.
-    port : int
-        Port of the server; zero for a free port.
-    warn : callable
-        Function called, from any thread, with warnings about refused requests and values.
-    ready : callable
-        Function called with the address when the page can be opened.
-
-    Raises
-    ------
-    DataError
-        If viser is not installed or has an unsupported version, or if the port is in use.
+    ``warn`` is called, from any thread, with warnings about refused requests and values, ``ready``
+    with the address when the page can be opened. Raises DataError if viser is not installed or has
+    an unsupported version, or if the port is in use.
     """
     server, url = _server(port, warn)
     try:
@@ -93,21 +77,9 @@ def serve(
 
 
 def page(scene: Scene, title: str, color: str) -> str:
-    """Return a self-contained HTML page that plays a scene.
+    """Return a self-contained HTML page that plays a scene; ``color`` is the layer of the ground.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    title : str
-        Title of the page.
-    color : str
-        Name of the layer of the ground.
-
-    Raises
-    ------
-    DataError
-        If viser is not installed or has an unsupported version.
+    Raises DataError if viser is not installed or has an unsupported version.
     """
     server, _ = _server(0)
     try:

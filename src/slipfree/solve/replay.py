@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -153,22 +153,6 @@ def _consistent_start(system: System, x: Array, z: Array) -> Trajectory:
 SPLINE_DEGREE = 5  # degree of the spline through the inputs
 
 
-class Replay(NamedTuple):
-    """A motion repeated by a second model.
-
-    Attributes
-    ----------
-    motion : Trajectory
-        Motion of the second model.
-    difference : dict of str to float
-        Largest absolute difference between the two motions, by state of the second model.
-        [m, rad]
-    """
-
-    motion: Trajectory
-    difference: dict[str, float]
-
-
 def round_trip(
     dae: Dae,
     run: Trajectory,
@@ -216,7 +200,7 @@ def replay(
     *,
     jumps: Sequence[float] = (),
     options: SolverOptions = SolverOptions(),
-) -> Replay:
+) -> tuple[Trajectory, dict[str, float]]:
     """Repeat a motion by another model, from the same start under the same inputs.
 
     Parameters
@@ -232,6 +216,13 @@ def replay(
         Times at which inputs may jump. Samples at these times have the inputs after the jump. [s]
     options : SolverOptions
         Options of the solvers.
+
+    Returns
+    -------
+    motion : Trajectory
+        Motion of the model.
+    difference : dict of str to float
+        Largest absolute difference between the two motions, by state of the model. [m, rad]
 
     Raises
     ------
@@ -263,7 +254,7 @@ def replay(
     periodic = periodic_states(dae, dae.rows("x", motion, 0))
     gaps = np.abs(same_turn(first, second, periodic) - second).max(axis=1, initial=0.0)
     names = [label.full for label in leaves(dae.labels.x)]
-    return Replay(motion, dict(zip(names, gaps.tolist(), strict=True)))
+    return motion, dict(zip(names, gaps.tolist(), strict=True))
 
 
 def _first_values(run: Trajectory, record: Any) -> dict[str, float]:

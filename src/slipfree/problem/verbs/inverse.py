@@ -436,10 +436,9 @@ def _with_replay(setup: Setup, inputs: Any, options: SolverOptions, run: Traject
         if run.t.size > 1:
             jumps = _jumps(setup, run)
             _check_samples(run.t, jumps)
-            again = replay(direct, run, inputs, jumps=jumps, options=options)
-            gaps = again.difference.items()
-            facts |= {f"{REPLAY}{name}": Fact(gap, unit_of(name)) for name, gap in gaps}
-            if (stop := again.motion.stop) is not None and run.stop is None:
+            motion, gaps = replay(direct, run, inputs, jumps=jumps, options=options)
+            facts |= {f"{REPLAY}{name}": Fact(gap, unit_of(name)) for name, gap in gaps.items()}
+            if (stop := motion.stop) is not None and run.stop is None:
                 facts["stopped_replay"] = Fact(f"at {stop.t:.6g} s: {stop.words}")
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         facts["stopped_replay"] = Fact(str(error))
