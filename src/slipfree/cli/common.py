@@ -93,11 +93,9 @@ def reported() -> Iterator[None]:
 def about(file: Path) -> Iterator[None]:
     """Name the result file in the message of an error that the block raises.
 
-    Raises
-    ------
-    DataError
-        If the block raises a ModelError or DataError whose message lacks the name, or a KeyError:
-        every result of ``slipfree run`` has the requested quantities, statistics and attributes.
+    Raises DataError if the block raises a ModelError or DataError whose message lacks the name, or
+    a KeyError: every result of ``slipfree run`` has the requested quantities, statistics and
+    attributes.
     """
     try:
         yield

@@ -149,10 +149,8 @@ def _list(shipped: Mapping[str, Traversable]) -> None:
 def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
     """Copy shipped problems with their input files to a folder.
 
-    Raises
-    ------
-    DataError
-        If files exist already and ``force`` is not set, or a file or folder cannot be written.
+    Raises DataError if files exist already and ``force`` is not set, or a file or folder cannot be
+    written.
     """
     texts = {}
     while wanted:

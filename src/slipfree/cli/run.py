@@ -139,10 +139,7 @@ def _output_paths(
 ) -> tuple[Path, Path | None]:
     """Return the result file and the folder for figures, None without figures.
 
-    Raises
-    ------
-    DataError
-        If a default path could overwrite other files; see `check_default_outputs`.
+    Raises DataError if a default path could overwrite other files; see `check_default_outputs`.
     """
     is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
     out = out or Path(output_of(problem))

@@ -362,14 +362,8 @@ class _Bounds(NamedTuple):
 def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
     """Return one sentence for each pair of contradictory bounds.
 
-    Parameters
-    ----------
-    task : PlanTask
-        Optimal control problem.
-    start : Trajectory or None
-        Trajectory whose last sample is the start of the plan. If it is None, the algebraic unknowns
-        at the start are not known, and only bounds on functions of the states are compared with
-        the start.
+    Without a start the algebraic unknowns there are not known, and only bounds on functions of the
+    states are compared with the start.
     """
     asked = list(_all_bounds(task))
     along = [bounds for bounds in asked if np.isnan(bounds.fraction)]

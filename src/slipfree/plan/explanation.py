@@ -87,15 +87,9 @@ def relax(program: Program, first: Array) -> Relaxation:
     The equations, the start and the bounds of the duration are kept. Each other bound is relaxed by
     a slack that is the same at all times. The sum of the slacks, each relative to the size of its
     bound (`size_of`), is minimised; most slacks are then zero. This is a local minimum: other
-    initial guesses may lead to smaller sums. Among the motions with these slacks, a second search
-    minimises the cost; if it fails, the motion of the first search is returned.
-
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    first : ndarray, shape (n_w,)
-        Initial guess, not scaled.
+    initial guesses ``first``, not scaled, may lead to smaller sums. Among the motions with these
+    slacks, a second search minimises the cost; if it fails, the motion of the first search is
+    returned.
     """
     weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
     first = completed(program, first)
@@ -318,14 +312,7 @@ def violation_words(violation: Violation) -> str:
 def explanation(program: Program, solution: NlpSolution, first: Array) -> Explanation:
     """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax.
 
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    solution : NlpSolution
-        Last or best iterate of the program.
-    first : ndarray, shape (n_w,)
-        Initial guess of the search, not scaled.
+    ``first`` is the initial guess of the search, not scaled.
     """
     found = violations(program, solution)
     is_infeasible = solution.status == INFEASIBLE_STATUS

@@ -360,22 +360,8 @@ def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any])
 def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> NlpSolution:
     """Return the solution of a nonlinear program, found by IPOPT with exact derivatives.
 
-    Parameters
-    ----------
-    nlp : Nlp
-        Nonlinear program; its cost and rows are functions of the scaled unknowns.
-    iterations : int
-        Maximum number of iterations.
-
-    Returns
-    -------
-    Solution
-        Unknowns in their units, values of the rows, and multipliers.
-
-    Raises
-    ------
-    SolverError
-        If IPOPT finds no solution.
+    Cost and rows of the program are functions of the scaled unknowns; the result has the unknowns
+    in their units. Raises SolverError if IPOPT finds no solution.
     """
     options: dict[str, Any] = {
         "ipopt": {

@@ -135,14 +135,7 @@ def active_set(program: Program, solution: NlpSolution) -> ActiveSet:
 def check_optimality(program: Program, solution: NlpSolution, weights: Array) -> Optimality:
     """Check the second-order sufficient conditions at a solution.
 
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    solution : NlpSolution
-        Solution of the program.
-    weights : ndarray, shape (n_costs + 1,)
-        Weights of the costs; the last one is the weight of the smoothness.
+    ``weights`` are those of the costs and, last, of the smoothness.
     """
     active = active_set(program, solution)
     free = ~active.bounds

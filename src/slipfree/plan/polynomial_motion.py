@@ -363,10 +363,8 @@ def _model_number(dae: Dae) -> Array:
 def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
     """Return a saved motion in the local coordinates of a model.
 
-    Raises
-    ------
-    ModelError
-        If the model and the saved plan have different states, algebraic unknowns or inputs.
+    Raises ModelError if the model and the saved plan have different states, algebraic unknowns or
+    inputs.
     """
     if not np.array_equal(former.model, _model_number(dae)):
         raise ModelError(
@@ -386,10 +384,7 @@ def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
 def from_arrays(arrays: Mapping[str, Array], where: str) -> SavedPlan:
     """Return the saved plan in the arrays of a file; ``where`` names the file in error messages.
 
-    Raises
-    ------
-    DataError
-        If an array of a plan is missing.
+    Raises DataError if an array of a plan is missing.
     """
     multipliers = {"bound_multipliers", "row_multipliers"}
     found = {name: arrays.get(f"{ARRAY_PREFIX}{name}") for name in SavedPlan._fields}

@@ -265,12 +265,8 @@ def tightened_arguments(
 ) -> dict[str, Any]:
     """Return arguments of `plan` with tightened limits, goal and way-points.
 
-    Equal bounds are not changed. Limits of the model whose bounds are tightened are added.
-
-    Raises
-    ------
-    ModelError
-        If tightened bounds of a quantity exclude each other.
+    Equal bounds are not changed. Limits of the model whose bounds are tightened are added. Raises
+    ModelError if tightened bounds of a quantity exclude each other.
     """
     way_points = {
         fraction: tuple(_tightened(limits_of(dae, given), tightening, role_of(fraction)))

@@ -233,10 +233,7 @@ def named_guesses(
 ) -> list[tuple[str, Trajectory]]:
     """Return names and motions of initial guesses: those given, then further ones up to ``starts``.
 
-    Raises
-    ------
-    ModelError
-        If no guess is given.
+    Raises ModelError if no guess is given.
     """
     if not given:
         raise ModelError(

@@ -436,10 +436,7 @@ def _former_part(
 ) -> _Part:
     """Return an earlier plan as the first part of a long plan, simulated again.
 
-    Raises
-    ------
-    ModelError
-        If it is a plan of another model, or its simulation ends early.
+    Raises ModelError if it is a plan of another model, or its simulation ends early.
     """
     motion = local_motion(saved, dae)
     replay = simulate_plan(dae, start, motion, step=step, options=options)

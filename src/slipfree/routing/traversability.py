@@ -28,10 +28,7 @@ from slipfree.vehicle.tree import Vehicle
 def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
     """Return the axes of the cost grid; the axes of the ground if they have the given spacing.
 
-    Raises
-    ------
-    ModelError
-        If the spacing is not positive or more than half the smaller side of the map.
+    Raises ModelError if the spacing is not positive or more than half the smaller side of the map.
     """
     extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
     if not spacing > 0:
@@ -456,13 +453,6 @@ def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str
 
     Edge and keep-out regions are evaluated at the position itself, the ground at the nearest node.
     Off the map, the edge is the only reason.
-
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-    x, y : float
-        Map coordinates. [m]
     """
     limits, words = layers.limits, {}
     inside = float(to_edge(limits, np.asarray(x), np.asarray(y)))

@@ -447,10 +447,7 @@ def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]
 def _others(drives: Sequence[Driven]) -> Iterable[str]:
     """Yield notes on differences between the drawn ground and the grounds of the other motions.
 
-    Raises
-    ------
-    ModelError
-        If a ground differs by more than a wheel's radius along its motion.
+    Raises ModelError if a ground differs by more than a wheel's radius along its motion.
     """
     first = drives[0]
     west, east, south, north = first.terrain.domain

@@ -43,10 +43,7 @@ def distribution(swept: Swept, ax: Axes) -> Axes:
 def curve(swept: Swept, ax: Axes) -> Axes:
     """Draw mean and range over repetitions, and the value of every run, over one varied key.
 
-    Raises
-    ------
-    ModelError
-        If not exactly one key was varied.
+    Raises ModelError if not exactly one key was varied.
     """
     (varied,) = _axes(swept, 1)
     x, values = _positions(varied), swept.values
@@ -73,10 +70,7 @@ def curve(swept: Swept, ax: Axes) -> Axes:
 def heat_map(swept: Swept, ax: Axes) -> Axes:
     """Draw a heat map of the mean over repetitions against two keys; cells without value are grey.
 
-    Raises
-    ------
-    ModelError
-        If not exactly two keys were varied.
+    Raises ModelError if not exactly two keys were varied.
     """
     across, up = _axes(swept, 2)
     mean = _over(np.nanmean, swept.values)
@@ -98,10 +92,7 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
 def figure(swept: Swept) -> Figure:
     """Return the figure of a metric over at most two varied keys.
 
-    Raises
-    ------
-    ModelError
-        If more keys were varied, or no run has a value.
+    Raises ModelError if more keys were varied, or no run has a value.
     """
     if not np.isfinite(swept.values).any():
         raise ModelError(

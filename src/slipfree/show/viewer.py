@@ -104,10 +104,7 @@ def _server(
 ) -> tuple[viser.ViserServer, str]:
     """Return a guarded viser server on a port, and the address of its page.
 
-    Raises
-    ------
-    DataError
-        If viser is missing or unsuitable, or if the port is in use.
+    Raises DataError if viser is missing or unsuitable, or if the port is in use.
     """
     guard = Guard(warn, page_script("viewer_keys.js"))
     try:

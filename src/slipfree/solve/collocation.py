@@ -149,19 +149,10 @@ class CollocationScheme:
     point: ca.Function
 
     def march(self, t: Array, first: Array, z: Array) -> list[CollocationElement]:
-        """Return the elements of a motion, solved one after the other.
+        """Return the elements of a motion between times ``t``, solved one after the other.
 
-        Parameters
-        ----------
-        t : ndarray, shape (n + 1,)
-            Times of the ends of the n elements. [s]
-        first, z : ndarray, shape (n_x,) and (n_z,)
-            States at the beginning, and an initial guess of the unknowns of the motion.
-
-        Raises
-        ------
-        SolverError
-            If Newton's method fails on an element.
+        ``first`` are the states at the beginning, ``z`` an initial guess of the unknowns of the
+        motion. Raises SolverError if Newton's method fails on an element.
         """
         elements: list[CollocationElement] = []
         degree, x = len(self.basis.points), first

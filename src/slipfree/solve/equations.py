@@ -71,20 +71,9 @@ class _ModelEquations(NamedTuple):
 def motion_equations(
     dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX, *, compiled: bool
 ) -> MotionEquations:
-    """Return the equations of a motion under given inputs.
+    """Return the equations of a motion with the first ``count`` unknowns of ``z``, under inputs.
 
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    count : int
-        Number of unknowns of the motion, the first ones of ``z``.
-    law : sequence of SX
-        One expression per input, in the symbols of the model and ``u``.
-    u : SX
-        Symbols of the numbers in ``law``.
-    compiled : bool
-        Whether to compile the equations of the model.
+    ``law`` has one expression per input, in the symbols of the model and the numbers ``u``.
     """
     x, z, _ = dae.columns()
     model, m = _model_equations(dae, count, compiled=compiled), z[:count]
@@ -119,16 +108,9 @@ def motion_equations(
 
 
 def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.Function:
-    """Return the Jacobian for states and unknowns that are divided by their sizes.
+    """Return the Jacobian of `motion_equations` for states and unknowns divided by their sizes.
 
     Entries are multiplied by one number each, since products with diagonal matrices take longer.
-
-    Parameters
-    ----------
-    jacobian : casadi Function
-        From `motion_equations`.
-    x_size, m_size : ndarray, shape (n_x,) and (n_m,)
-        Sizes of the states and of the unknowns.
     """
     t, x, m, p, u = jacobian.mx_in()
     one = np.ones(m_size.size)  # residuals have no unit
@@ -196,19 +178,7 @@ def model_function(
     *,
     compiled: bool,
 ) -> ca.Function:
-    """Return expressions of a model as a function without derivatives, which may be compiled.
-
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    name : str
-        Name of the function.
-    symbols, expressions : sequence of SX
-        Arguments and results of the function.
-    compiled : bool
-        Whether to compile the function.
-    """
+    """Return expressions of a model as a function without derivatives, which may be compiled."""
     lookups = needed_lookups(dae.lookups, expressions)
     plain = ca.Function(name, [*symbols, found_column(lookups)], [*expressions], {"cse": True})
     (plain,) = compiled_functions(plain, (name,), lambda: [plain], compiled=compiled)
@@ -240,29 +210,11 @@ def block_functions(
     *,
     compiled: bool,
 ) -> tuple[ca.Function, ca.Function]:
-    """Return the residual of a block under given inputs, and a function with its Jacobian.
+    """Return the residual without unit of a block under inputs, and a function with its Jacobian.
 
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    span : tuple of 2 int
-        Indices of the first unknown of the block in ``z`` and of the first after it.
-    law : sequence of SX
-        One expression per input, in the symbols of the model and ``u``.
-    u : SX
-        Symbols of the numbers in ``law``.
-    continuation : SX
-        Symbol of the continuation parameter.
-    compiled : bool
-        Whether to compile the equations of the model.
-
-    Returns
-    -------
-    residual : casadi Function
-        ``(t, x, z, u, continuation) ->`` the residual without unit.
-    newton : casadi Function
-        The same arguments to the residual and its Jacobian by the unknowns of the block.
+    Both take ``(t, x, z, u, continuation)``; the second one also returns the Jacobian by the
+    unknowns of the block, ``z[span[0]:span[1]]``. ``law`` has one expression per input, in the
+    symbols of the model and the numbers ``u``.
     """
     x, z, _ = dae.columns()
     own, driven = z[slice(*span)], ca.vertcat(ca.SX(0, 1), *law)

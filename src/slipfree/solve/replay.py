@@ -35,10 +35,8 @@ def apply_inputs(
 ) -> Trajectory:
     """Return a start whose unknowns satisfy the equations under given inputs.
 
-    Raises
-    ------
-    ModelError
-        If the equations have no solution or do not determine the unknowns, or a limit is violated.
+    Raises ModelError if the equations have no solution or do not determine the unknowns, or a limit
+    is violated.
     """
     return _consistent_start(
         with_inputs(dae, inputs, 0, options), dae.rows("x", start, -1), _known_unknowns(dae, start)

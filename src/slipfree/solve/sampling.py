@@ -322,16 +322,8 @@ def periodic_states(dae: Dae, x: Array, limits: Iterable[Limit] = ()) -> Mask:
     """Return which states are angles that mean the same after a whole turn, shape (n_x,).
 
     Such states are headings, and joints without stop and spring, such as casters. Rates, equations
-    and limits of the model are compared at a state and one turn further.
-
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    x : ndarray, shape (n_x,)
-        A state, in local coordinates.
-    limits : iterable of Limit
-        Further limits; the state is not periodic if a turn changes one of them.
+    and limits of the model, and further limits, are compared at a state in local coordinates and
+    one turn further.
     """
     angles = np.array([label.unit == "rad" for label in leaves(dae.labels.x)], dtype=bool)
     expressions = (limit.expression for limit in (*dae.limits, *limits))

@@ -101,18 +101,8 @@ def limit_at_failure(
 
     Equations may become singular at a limit: the contact of a wheel moves infinitely fast where the
     ground becomes as concave as the wheel, and a distribution of forces by loads fails where a
-    wheel lifts off. The motion then ends shortly before the limit.
-
-    Parameters
-    ----------
-    system : System
-        The model under inputs.
-    run : Trajectory
-        The motion up to the failure.
-    samples : Samples
-        Samples that the integrator reached.
-    violation : int or None
-        Index of the sample that does not satisfy the equations; None if the integrator failed.
+    wheel lifts off. The motion then ends shortly before the limit. ``violation`` is the index of
+    the sample that does not satisfy the equations, or None if the integrator failed.
     """
     nearest, least = None, NEARLY_REACHED
     for limit in system.dae.limits:
@@ -140,15 +130,8 @@ MIN_LASTING_JUMP = 5e-3  # the same, if at least half of the jump occurs in the 
 def diagnose_stop(system: System, samples: Samples, violation: int | None) -> Stop | None:
     """Return the stop explained by the equations of the model; None if they do not explain it.
 
-    Parameters
-    ----------
-    system : System
-        The model under inputs.
-    samples : Samples
-        Samples that the integrator reached.
-    violation : int or None
-        Index of the sample that does not satisfy the equations. If None, the states shortly after
-        the last sample are predicted and tested.
+    ``violation`` is the index of the sample that does not satisfy the equations. If it is None, the
+    states shortly after the last sample are predicted and tested.
     """
     if system.dae.continuation is None:
         return None
@@ -249,11 +232,8 @@ class WatchedEvent(NamedTuple):
 def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
     """Return the events with their expressions as functions.
 
-    Raises
-    ------
-    ModelError
-        If a name is used by two events or by a limit of the model, or an expression is not a scalar
-        in the symbols of the model.
+    Raises ModelError if a name is used by two events or by a limit of the model, or an expression
+    is not a scalar in the symbols of the model.
     """
     symbols, watched = (dae.t, *dae.columns()), list[WatchedEvent]()
     names = {limit.label.full for limit in dae.limits}

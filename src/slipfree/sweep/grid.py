@@ -226,10 +226,8 @@ def _checked_points(axes: Sequence[SweepAxis]) -> Iterator[list[str]]:
 def axis_of(text: str) -> SweepAxis:
     """Return the key and the values of ``key=a:b:n`` or ``key=v1,v2,...``.
 
-    Raises
-    ------
-    DataError
-        If the text has neither form, a value is empty or given twice, or a range is not valid.
+    Raises DataError if the text has neither form, a value is empty or given twice, or a range is
+    not valid.
     """
     key, equals, rest = text.partition("=")
     text = shortened(text)
@@ -318,10 +316,8 @@ def _check_keys(axes: Sequence[SweepAxis], settings: Sequence[str]) -> None:
 def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
     """Return equally spaced numbers as text; integers if the ends and the step are integers.
 
-    Raises
-    ------
-    DataError
-        If there are fewer than 2 or more than 100 000 values, or the ends are equal or not finite.
+    Raises DataError if there are fewer than 2 or more than 100 000 values, or the ends are equal or
+    not finite.
     """
     low, high, n = float(first), float(last), int(count)
     if not 2 <= n <= MAX_RUNS:
@@ -351,10 +347,7 @@ def _values(text: str) -> tuple[str, ...]:
 def _spelled(value: Any) -> str:
     """Return a value as TOML text, which equals JSON for strings, numbers, booleans and arrays.
 
-    Raises
-    ------
-    TypeError
-        If the value is a table or a date.
+    Raises TypeError if the value is a table or a date.
     """
     if isinstance(value, dict):
         raise TypeError(value)

@@ -183,10 +183,7 @@ class RunLog:
     def append(self, row: RunRow) -> None:
         """Write a row and synchronise it to disk.
 
-        Raises
-        ------
-        DataError
-            If the file cannot be written.
+        Raises DataError if the file cannot be written.
         """
         self.rows.add(row, self._write(row._asdict()))
         self.rows.last = row
@@ -208,10 +205,7 @@ class RunLog:
     def _lock(self) -> None:
         """Lock the file for other processes until it is closed or this process ends.
 
-        Raises
-        ------
-        DataError
-            If another process has locked it.
+        Raises DataError if another process has locked it.
         """
         if fcntl is None:
             return

@@ -162,10 +162,7 @@ class Cluster:
     def room(self) -> int:
         """Return the largest number of open tasks; warn if all workers are lost or some are back.
 
-        Raises
-        ------
-        SlipfreeError
-            If the connection to the scheduler is lost.
+        Raises SlipfreeError if the connection to the scheduler is lost.
         """
         if self._client.status != "running":
             raise self._gone()
@@ -215,10 +212,8 @@ class Cluster:
 def _connect(address: str) -> Any:
     """Return a Dask client of a scheduler after a check of its workers.
 
-    Raises
-    ------
-    DataError
-        If distributed is not installed, no scheduler responds, or the workers cannot be used.
+    Raises DataError if distributed is not installed, no scheduler responds, or the workers cannot
+    be used.
     """
     try:
         from distributed import Client

@@ -42,12 +42,7 @@ def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:
 
     The columns are number, varied keys, seeds, outcome, words, time reached [s] and metrics in the
     units of the log; values that a run does not have are empty. Wall times are only in the log, so
-    that the same sweep gives the same table.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be written.
+    that the same sweep gives the same table. Raises DataError if the file cannot be written.
     """
     units = rows.units
     head = ["run", *sweep.keys, "outcome", "words", "time_reached", *units]
@@ -71,10 +66,7 @@ def _line_of(words: str) -> str:
 def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str, ...]:
     """Return the requested metrics, by default the usual metrics of the verb.
 
-    Raises
-    ------
-    DataError
-        If no run has a requested metric.
+    Raises DataError if no run has a requested metric.
     """
     known = rows.units
     if not names:
