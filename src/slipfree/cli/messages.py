@@ -48,6 +48,11 @@ Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="Print every step with its time on stderr.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+FIRST_LINE = 2.0  # time before the first line of a computation [s]
+NEW_PHASE = 1.0  # shortest time between lines of different phases [s]
+SAME_PHASE = 10.0  # shortest time between lines of the same phase [s]
+REFRESH = 0.1  # shortest time between updates of the progress bar [s]
+INTEGRATION = "integrated"
 
 
 class OutputOptions(NamedTuple):
@@ -305,13 +310,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-FIRST_LINE = 2.0  # time before the first line of a computation [s]
-NEW_PHASE = 1.0  # shortest time between lines of different phases [s]
-SAME_PHASE = 10.0  # shortest time between lines of the same phase [s]
-REFRESH = 0.1  # shortest time between updates of the progress bar [s]
-INTEGRATION = "integrated"
 
 
 class Reports(NamedTuple):

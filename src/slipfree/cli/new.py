@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 STARTERS = "starters"  # folder of the templates in the package
 HOLE = "FILE"  # placeholder of the file name in the comments of a template
+SHIPPED = "problems"  # in the package
+NEED = ("file", "friction")  # keys whose values are names of input files
 
 
 class Kind(StrEnum):
@@ -66,10 +68,6 @@ def write_new_file(text: str, out: Path, force: bool) -> None:
 
     replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
     add_json_file(out)
-
-
-SHIPPED = "problems"  # in the package
-NEED = ("file", "friction")  # keys whose values are names of input files
 
 
 def _complete(begun: str) -> list[str]:

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from slipfree.problem.problem import Problem
     from slipfree.problem.verbs.compare import Drive, Row
 
+OUTPUT = ("output", "file")  # key of a problem file with the name of its result
+FIGURE = b"\x89PNG"  # first bytes of a PNG file
+PAGES = (".html", ".htm")  # endings of pages
+
 
 def motion_json(run: Trajectory, facts: Facts) -> dict[str, Any]:
     """Return the JSON object of a motion: times, stop, wheels, ranges of quantities, facts."""
@@ -114,11 +118,6 @@ def resume_command(run: Trajectory, out: Path, *options: str) -> str:
     file = Path(found["problem_folder"]) / found["problem_file"]
     settings = [part for each in found.get("settings", "").splitlines() for part in ("--set", each)]
     return shlex.join(["slipfree", "run", str(file), *settings, *options, "--resume", str(out)])
-
-
-OUTPUT = ("output", "file")  # key of a problem file with the name of its result
-FIGURE = b"\x89PNG"  # first bytes of a PNG file
-PAGES = (".html", ".htm")  # endings of pages
 
 
 def check_outputs(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from slipfree.show.scene import Scene
 
 Layer = Literal["height", "slope", "traversability"]
+STEP = 0.05  # longest time between steps of the session [s]
 
 
 def show(
@@ -188,9 +189,6 @@ def report(
         text = page(found)
         _write_page(target, text)
         print_line(f"wrote {target}")
-
-
-STEP = 0.05  # longest time between steps of the session [s]
 
 
 def edit(

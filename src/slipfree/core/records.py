@@ -26,6 +26,12 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 LINE_WIDTH, MAX_LINES = 92, 5  # largest width and number of lines of a repr
 MAX_VALUE = 60  # largest number of characters of a value in a repr
+BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
+    "gt": (">", lambda value, edge: value > edge),
+    "ge": (">=", lambda value, edge: value >= edge),
+    "lt": ("<", lambda value, edge: value < edge),
+    "le": ("<=", lambda value, edge: value <= edge),
+}
 
 
 @dataclass(frozen=True)
@@ -137,14 +143,6 @@ def _short(value: Any) -> str:
 def quantity_names(labels: Any) -> tuple[str, ...]:
     """Return the names of the quantities in a record of labels, without repetition per wheel."""
     return tuple(dict.fromkeys(label.name for label in leaves(labels)))
-
-
-BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
-    "gt": (">", lambda value, edge: value > edge),
-    "ge": (">=", lambda value, edge: value >= edge),
-    "lt": ("<", lambda value, edge: value < edge),
-    "le": ("<=", lambda value, edge: value <= edge),
-}
 
 
 def check_bounds(record: Any) -> None:

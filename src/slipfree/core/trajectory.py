@@ -30,6 +30,8 @@ HEADING = "counter-clockwise angle of the forward axis from the {} axis"
 PLAN, PLAN_ACCURACY, PLAN_SHARE = "plan", "plan_accuracy", "plan_share"
 PLAN_UNVERIFIED = "plan_unverified"
 PLAN_STOPS = (PLAN, PLAN_ACCURACY, PLAN_SHARE, PLAN_UNVERIFIED)  # names of stops of plans
+FIGURE_SAMPLES = 4000  # number of samples in figures, a few per pixel
+SCENE_SAMPLES = 20_000  # number of samples in scenes and films
 
 
 class Stop(NamedTuple):
@@ -387,10 +389,6 @@ def path_length(run: Trajectory) -> float:
     """Return the length of the platform's path over the samples [m]."""
     steps = [np.diff(run[name]) for name in ("x", "y", "z")]
     return float(np.sqrt(sum(step**2 for step in steps)).sum())
-
-
-FIGURE_SAMPLES = 4000  # number of samples in figures, a few per pixel
-SCENE_SAMPLES = 20_000  # number of samples in scenes and films
 
 
 def thin(run: Trajectory, count: int) -> Trajectory:

@@ -18,6 +18,19 @@ from slipfree.plan.transcription import Index, PlanTask, Program, RowBlock, Time
 VIOLATION_TOLERANCE = 1e-6  # smaller violations count as rounding, in the unit of the quantity
 EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"
 COST = "cost"
+MODEL = "model"  # role of limits of the model that the program does not contain yet
+DURATION = "duration"
+LIMITED_SUFFIX = " is limited by the plan"  # end of the description of a limit of the plan
+FIXED_POINT_FROM = 1000.0  # larger values have three decimals, since four digits are too few
+BOUND_TOLERANCE = 1e-9  # largest gap between consistent bounds, in their unit
+REMEDIES = {
+    "start": "start elsewhere",
+    LIMIT: "widen the limit",
+    INPUT: "widen the bounds of the input",
+    GOAL: "move the goal",
+    WAY_POINT: "move the way-point",
+    MODEL: "adapt vehicle or ground",
+}
 
 
 class Violation(NamedTuple):
@@ -262,12 +275,6 @@ def quantity_label(label: Label) -> Label:
     return replace(label, name=label.name.removesuffix("_limit"))
 
 
-MODEL = "model"  # role of limits of the model that the program does not contain yet
-DURATION = "duration"
-LIMITED_SUFFIX = " is limited by the plan"  # end of the description of a limit of the plan
-FIXED_POINT_FROM = 1000.0  # larger values have three decimals, since four digits are too few
-
-
 def rate_of(label: Label) -> Label:
     """Return the label of the rate of an input, in 1/s2."""
     return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
@@ -330,17 +337,6 @@ def unit_words(unit: str) -> str:
     over = [part for part in parts if "-" not in part and part != "1"]
     under = [part.replace("-", "").removesuffix("1") for part in parts if "-" in part]
     return "/".join([" ".join(over) or "1", *under]) if under else " ".join(over)
-
-
-BOUND_TOLERANCE = 1e-9  # largest gap between consistent bounds, in their unit
-REMEDIES = {
-    "start": "start elsewhere",
-    LIMIT: "widen the limit",
-    INPUT: "widen the bounds of the input",
-    GOAL: "move the goal",
-    WAY_POINT: "move the way-point",
-    MODEL: "adapt vehicle or ground",
-}
 
 
 class _Bounds(NamedTuple):

@@ -31,6 +31,7 @@ from slipfree.plan.transcription import Index, Program, completed
 MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
 MIN_SHARE = 0.05  # smallest reported effect of a bound on the relaxation, per unit of the bound
 SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # lower bounds have sign 1, upper ones -1
+MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
 
 
 class OpposingBound(NamedTuple):
@@ -262,9 +263,6 @@ def _sparse_matrix(values: Array, rows: Index, columns: Index, shape: tuple[int,
 def _row_values(program: Program, unknowns: Array, weights: Array) -> Array:
     """Return the values of all rows for unknowns that are not scaled, shape (n_g,)."""
     return np.array(program.jacobian(unknowns / program.scale, weights)[0]).ravel()
-
-
-MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
 
 
 class Explanation(NamedTuple):

@@ -17,6 +17,27 @@ from slipfree.system.interrupt import InterruptGuard, with_interrupt_guard
 
 PREFIX = "convergence_"  # prefix of the names of the arrays in a file
 IPOPT_NAMES = ("obj", "inf_pr", "inf_du", "mu")
+INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
+SOLVED_STATUS = "Solve_Succeeded"
+STOPPED_STATUS = "User_Requested_Stop"  # status after the callback returned False
+MAX_ITERATIONS = 500
+MAX_VIOLATION_GROWTH = 10.0  # searches stall more often with larger values
+OTHER_VIOLATION_GROWTH = 100.0  # for the repetition of a search without progress
+STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
+IPOPT_TOLERANCE = 1e-8
+WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
+WARM_MONOTONE_BARRIER = 1e-3  # the same with the monotone strategy, for models with a replay
+WARM_PUSH = 1e-9  # smallest distance of scaled unknowns from their bounds in a warm start
+WARM_OPTIONS: dict[str, Any] = {
+    "warm_start_init_point": "yes",
+    **{f"warm_start_{name}_push": WARM_PUSH for name in ("bound", "slack_bound", "mult_bound")},
+    "warm_start_bound_frac": WARM_PUSH,
+    "warm_start_slack_bound_frac": WARM_PUSH,
+}
+QUASI_DENSE_ORDERING = (
+    6  # of MUMPS: suits matrices with a few dense rows, such as that of a free duration
+)
+IterateCallback = Callable[["Iterate"], bool]
 
 
 class Convergence(NamedTuple):
@@ -78,29 +99,6 @@ def convergence_from(arrays: Mapping[str, Array]) -> dict[int, Convergence]:
         int(k): Convergence(*(values[name][numbers == k] for name in Convergence._fields))
         for k in np.unique(numbers)
     }
-
-
-INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
-SOLVED_STATUS = "Solve_Succeeded"
-STOPPED_STATUS = "User_Requested_Stop"  # status after the callback returned False
-MAX_ITERATIONS = 500
-MAX_VIOLATION_GROWTH = 10.0  # searches stall more often with larger values
-OTHER_VIOLATION_GROWTH = 100.0  # for the repetition of a search without progress
-STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
-IPOPT_TOLERANCE = 1e-8
-WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
-WARM_MONOTONE_BARRIER = 1e-3  # the same with the monotone strategy, for models with a replay
-WARM_PUSH = 1e-9  # smallest distance of scaled unknowns from their bounds in a warm start
-WARM_OPTIONS: dict[str, Any] = {
-    "warm_start_init_point": "yes",
-    **{f"warm_start_{name}_push": WARM_PUSH for name in ("bound", "slack_bound", "mult_bound")},
-    "warm_start_bound_frac": WARM_PUSH,
-    "warm_start_slack_bound_frac": WARM_PUSH,
-}
-QUASI_DENSE_ORDERING = (
-    6  # of MUMPS: suits matrices with a few dense rows, such as that of a free duration
-)
-IterateCallback = Callable[["Iterate"], bool]
 
 
 class Iterate(NamedTuple):

@@ -43,6 +43,10 @@ REGULARISATION = 1e-12  # of the KKT matrix, for dependent constraints
 LANCZOS_STEPS = 40  # number of Lanczos steps for the extreme eigenvalues
 ROUNDING = 1e-10  # eigenvalues below this fraction of the largest one count as zero
 Operator = Callable[[Array], Array]
+STEP_FRACTION = 0.01  # change of a bound in messages, relative to its power of ten; in m for goals
+MAX_NAMED_PRICES = 5  # number of prices in a message
+MIN_SHARE = 1e-4  # smallest reported saving by a step, relative to the cost
+AT_MOST, AT_LEAST, VALUE = "at most", "at least", "value"
 
 
 class ActiveSet(NamedTuple):
@@ -147,6 +151,7 @@ def check_optimality(program: Program, solution: NlpSolution, weights: Array) ->
     if not h.count_nonzero():
         return Optimality(n - m, 0.0, active.weak)
     largest = abs(a).max(axis=1).toarray().ravel()
+    # Rows of equal size, so that one REGULARISATION suits all of them.
     a = scipy.sparse.diags(1 / np.where(largest > 0, largest, 1.0)) @ a
     layout, place = program.layout, np.cumsum(free) - 1
     chosen = np.append(layout.inputs.ravel(), layout.duration)
@@ -162,10 +167,12 @@ def check_optimality(program: Program, solution: NlpSolution, weights: Array) ->
         found: Array = solve(full)[inputs]
         return found
 
+    # With the identity as Hessian, the block is the projection onto the null space.
     project = _kkt_solver(scipy.sparse.identity(n), a)
     weakest, largest = _extreme_eigenvalues(inverse, inputs.size)
     # Large negative curvatures are lost by rounding in the inverse.
     strongest, _ = _extreme_eigenvalues(lambda v: project(h @ project(v)), n)
+    # The eigenvalues of the inverse are reciprocal curvatures: the largest belongs to the smallest.
     positive = 1 / largest if largest > 0 else np.inf
     curvature = 1 / weakest if weakest < 0 else strongest if strongest < 0 else positive
     is_flat = abs(curvature) < REGULARISATION * float(abs(h).max())
@@ -195,6 +202,7 @@ def _kkt_solver(h: scipy.sparse.spmatrix, a: scipy.sparse.spmatrix) -> Operator:
     """
     n, m = h.shape[0], a.shape[0]
     below = -REGULARISATION * scipy.sparse.identity(m)
+    # LU, since SciPy has no sparse factorisation of symmetric indefinite matrices.
     factors = scipy.sparse.linalg.splu(scipy.sparse.bmat([[h, a.T], [a, below]]).tocsc())
 
     def solve(v: Array) -> Array:
@@ -229,12 +237,6 @@ def _extreme_eigenvalues(operator: Operator, size: int) -> tuple[float, float]:
     noise = ROUNDING * float(np.abs(values).max())
     low, high = (float(value) if abs(value) > noise else 0.0 for value in values[[0, -1]])
     return low, high
-
-
-STEP_FRACTION = 0.01  # change of a bound in messages, relative to its power of ten; in m for goals
-MAX_NAMED_PRICES = 5  # number of prices in a message
-MIN_SHARE = 1e-4  # smallest reported saving by a step, relative to the cost
-AT_MOST, AT_LEAST, VALUE = "at most", "at least", "value"
 
 
 class Price(NamedTuple):

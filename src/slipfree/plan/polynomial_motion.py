@@ -29,6 +29,7 @@ from slipfree.solve.system import with_inputs
 
 SAME_STATE_DISTANCE = 1e-6  # largest distance of states that count as equal [m, rad]
 FRACTION_TOLERANCE = 1e-12  # relative difference of times that count as equal
+ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays in a file
 
 
 class PolynomialMotion(NamedTuple):
@@ -270,9 +271,6 @@ def _integrate(rates: Array, lengths: Array) -> Array:
     before = np.cumsum(parts[:, :, -1], axis=1) - parts[:, :, -1]
     total = (parts + before[:, :, None]).reshape(len(rates), count * degree)
     return np.column_stack([np.zeros(len(rates)), total])
-
-
-ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays in a file
 
 
 class SavedPlan(NamedTuple):

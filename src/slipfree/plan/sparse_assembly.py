@@ -24,6 +24,7 @@ from slipfree.system.codegen_cache import compiled_functions
 
 Index = npt.NDArray[np.intp]
 DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian
+Columns = Sequence[ca.MX]
 
 
 class BlockLookup(NamedTuple):
@@ -149,9 +150,6 @@ def nlp_block(
         *indices,
         constants,
     )
-
-
-Columns = Sequence[ca.MX]
 
 
 class ProgramFunctions(NamedTuple):

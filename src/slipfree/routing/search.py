@@ -29,6 +29,15 @@ from slipfree.routing.traversability import (
 
 Ray = tuple[slice, slice]  # nodes from an obstacle to the border of the map, along an axis
 CORNERS = np.ones((3, 3), dtype=int)  # no move passes between nodes that touch at a corner
+# neighbours on the grid and knight's moves: headings 27 degrees apart, routes at most 2.8 % longer
+MOVES = tuple(
+    (i, j)
+    for i in range(-2, 3)
+    for j in range(-2, 3)
+    if max(abs(i), abs(j)) and (math.gcd(i, j) == 1)
+)
+MAX_SEARCHES = 4  # largest number of searches per route
+MAX_COST_RATIO = 2.0  # largest cost of an alternative, relative to the cheapest route
 
 
 def obstacle_points(layers: Traversability) -> Array:
@@ -125,18 +134,6 @@ def close_rays(cost: Array, rays: Iterable[Ray]) -> Array:
     for ray in rays:
         closed[ray] = math.inf
     return closed
-
-
-# neighbours on the grid and knight's moves: headings 27 degrees apart, routes at most 2.8 % longer
-MOVES = tuple(
-    (i, j)
-    for i in range(-2, 3)
-    for j in range(-2, 3)
-    if max(abs(i), abs(j)) and (math.gcd(i, j) == 1)
-)
-
-MAX_SEARCHES = 4  # largest number of searches per route
-MAX_COST_RATIO = 2.0  # largest cost of an alternative, relative to the cheapest route
 
 
 class Route(NamedTuple):

@@ -24,6 +24,17 @@ from slipfree.terrain.bicubic import Bicubic, friction_map
 from slipfree.terrain.grid_ops import hole_distance
 from slipfree.vehicle.tree import Vehicle
 
+Point = tuple[float, float] | Array
+# Costs per metre, added to the cost 1 of level ground. The steepest slope that can be climbed, and
+# full use of the friction, leave no margin: each adds 4. Roughness as large as the wheel radius is
+# an obstacle and adds 10; so does a footprint that is too concave everywhere, which the wheels can
+# straddle only by chance.
+SLOPE = 4.0
+FRICTION = 4.0
+ROUGHNESS = 10.0
+HOLLOW = 10.0
+MAX_SLOPE = math.radians(30)  # on ground without friction coefficient; loose soil slides at 30-35
+
 
 def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
     """Return the axes of the cost grid; the axes of the ground if they have the given spacing.
@@ -174,19 +185,6 @@ def nearest_nodes(axis: Array, at: Array) -> npt.NDArray[np.intp]:
     """Return the indices of the nodes of a uniform axis nearest to positions."""
     cells = np.rint((at - axis[0]) / axis_step(axis))
     return np.asarray(np.clip(cells, 0, axis.size - 1), dtype=np.intp)
-
-
-Point = tuple[float, float] | Array
-
-# Costs per metre, added to the cost 1 of level ground. The steepest slope that can be climbed, and
-# full use of the friction, leave no margin: each adds 4. Roughness as large as the wheel radius is
-# an obstacle and adds 10; so does a footprint that is too concave everywhere, which the wheels can
-# straddle only by chance.
-SLOPE = 4.0
-FRICTION = 4.0
-ROUGHNESS = 10.0
-HOLLOW = 10.0
-MAX_SLOPE = math.radians(30)  # on ground without friction coefficient; loose soil slides at 30-35
 
 
 class Limits(NamedTuple):

@@ -36,6 +36,9 @@ INSIDE = 0.44  # largest distance of text on a map from its middle [width of the
 SOLID: dict[str, Any] = {"fc": (0.55, 0.55, 0.55, 0.45), "ec": "black", "lw": 0.8, "zorder": 2}
 
 Window = tuple[float, float, float, float]
+POSES = 8  # number of drawn positions of the vehicle
+ROOM = 0.04  # margin around the motion [m]
+LATEST = 0.85  # used part of the colour scale: its yellow end is too light for lines
 
 
 def extent(x: Array, y: Array) -> dict[str, Any]:
@@ -205,11 +208,6 @@ def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
     rise = gradient(ca.DM(x - x_0).T, ca.DM(y - y_0).T)
     along = np.stack([np.cos(heading), np.sin(heading)])
     return np.asarray(np.arctan(np.sum(along * np.array(rise), axis=0)))
-
-
-POSES = 8  # number of drawn positions of the vehicle
-ROOM = 0.04  # margin around the motion [m]
-LATEST = 0.85  # used part of the colour scale: its yellow end is too light for lines
 
 
 def side_plot(drive: PlottedDrive) -> Plot | None:

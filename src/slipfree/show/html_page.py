@@ -29,6 +29,24 @@ SQUARE = "display:inline-block;width:12px;height:12px;margin-right:6px"
 WARNING = "color:#a00"
 CHECK = "margin:0 6px 0 0"
 SAVED_KEYS = "Keys: space: play or pause; left, right: step; home, end: first and last time."
+MOST = 400_000  # larger vector graphics become raster graphics [bytes]
+PIXELS = 120  # pixels of the page per inch of a figure
+VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
+STYLES = """
+body { font: 16px/1.45 system-ui, sans-serif; color: #1a1a1a; background: #fff;
+       max-width: 60rem; margin: 0 auto; padding: 1rem 1.2rem 4rem; }
+h1 { line-height: 1.15; margin-bottom: .2rem; } h2 { margin-top: 2.2rem; }
+nav a { margin-right: 1rem; } .lead { color: #444; margin-top: 0; }
+.bad { border-left: .4rem solid #D55E00; padding-left: .8rem; }
+table { border-collapse: collapse; width: 100%; font-size: .92rem; }
+td, th { text-align: left; vertical-align: top; padding: .22rem .8rem .22rem 0;
+         border-bottom: 1px solid #e3e3e3; overflow-wrap: anywhere; }
+th { font-weight: 600; width: 14rem; } th.below { font-weight: 400; padding-left: 1rem; }
+figure { margin: 1.4rem 0; break-inside: avoid; } figure img { max-width: 100%; height: auto; }
+figcaption { color: #444; font-size: .92rem; }
+pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .85rem; }
+"""
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
 def legend(layer: Layer) -> str:
@@ -116,26 +134,6 @@ def _switch(words: str, nodes: Sequence[str]) -> str:
 
 def _css(color: Color) -> str:
     return "rgb({},{},{})".format(*color)
-
-
-MOST = 400_000  # larger vector graphics become raster graphics [bytes]
-PIXELS = 120  # pixels of the page per inch of a figure
-VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
-STYLES = """
-body { font: 16px/1.45 system-ui, sans-serif; color: #1a1a1a; background: #fff;
-       max-width: 60rem; margin: 0 auto; padding: 1rem 1.2rem 4rem; }
-h1 { line-height: 1.15; margin-bottom: .2rem; } h2 { margin-top: 2.2rem; }
-nav a { margin-right: 1rem; } .lead { color: #444; margin-top: 0; }
-.bad { border-left: .4rem solid #D55E00; padding-left: .8rem; }
-table { border-collapse: collapse; width: 100%; font-size: .92rem; }
-td, th { text-align: left; vertical-align: top; padding: .22rem .8rem .22rem 0;
-         border-bottom: 1px solid #e3e3e3; overflow-wrap: anywhere; }
-th { font-weight: 600; width: 14rem; } th.below { font-weight: 400; padding-left: 1rem; }
-figure { margin: 1.4rem 0; break-inside: avoid; } figure img { max-width: 100%; height: auto; }
-figcaption { color: #444; font-size: .92rem; }
-pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .85rem; }
-"""
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
 class Report(NamedTuple):

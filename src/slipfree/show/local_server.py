@@ -31,6 +31,13 @@ NAMES = (HOST, "localhost", "[::1]")  # names of this machine
 DEFAULT_PORT = 80  # port of http, which browsers omit
 MAX_WARNINGS = 20  # maximum number of warnings
 LONGEST = 60  # maximum number of characters of a value in a warning
+MAX_REQUEST = 1_000_000  # maximum size of a request [bytes]
+TIMEOUT = 20.0  # longest wait for the rest of a request [s]
+POLICY = (
+    "default-src 'none'; img-src 'self' data:; connect-src 'self'; style-src 'unsafe-inline'; "
+    "script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+Post = Callable[[object], object]
 
 
 class Gate:
@@ -241,14 +248,6 @@ def _short(value: object) -> str:
     return words if len(words) <= LONGEST else f"{words[:LONGEST]}..."
 
 
-MAX_REQUEST = 1_000_000  # maximum size of a request [bytes]
-TIMEOUT = 20.0  # longest wait for the rest of a request [s]
-POLICY = (
-    "default-src 'none'; img-src 'self' data:; connect-src 'self'; style-src 'unsafe-inline'; "
-    "script-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-
-
 class Content(NamedTuple):
     """Body of a response and its media type."""
 
@@ -257,7 +256,6 @@ class Content(NamedTuple):
 
 
 Get = Callable[[], Content]
-Post = Callable[[object], object]
 
 
 class ConflictError(SlipfreeError):

@@ -17,6 +17,7 @@ from slipfree.terrain.base import Grid, Terrain
 ROD = 8  # faces around a rod
 SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel radius]
 NEAR = 1e-9  # smaller lengths count as zero [m]
+MOST = 60_000  # maximum number of added nodes
 
 
 def joined(*meshes: Mesh) -> Mesh:
@@ -105,9 +106,6 @@ def _cut(points: Array, axis: int, bound: float, sign: float) -> Array:
         if here >= 0:
             kept.append(points[k])
     return np.array(kept).reshape(-1, 2)
-
-
-MOST = 60_000  # maximum number of added nodes
 
 
 class Refined(NamedTuple):

@@ -41,6 +41,12 @@ FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
 PLAN, SECTION = (0, 1), (1, 2)  # indices of the coordinates drawn to the right and up
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
+LIFT = 0.01  # height of lines above the ground, so that it does not hide them [reach]
+CONTOURS, CELLS = 12, 8  # maximum number of contours, and of grid cells along the longer side
+STEPS = (1, 2, 5, 10)  # round numbers, times a power of ten
+SAMPLES = 240  # samples of a grid line
+ARROW = 0.09  # length of the arrow to the north [longer side of the drawn ground]
+GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 
 
 class Layer(NamedTuple):
@@ -369,14 +375,6 @@ def scale_words(scene: Scene, name: str) -> str:
     """Return the scale of the arrows of a quantity as text; empty without arrows."""
     scale = scene.scales[name]
     return f"1 m of arrow length represents {1 / scale:.4g} {UNITS[name]}" if scale else ""
-
-
-LIFT = 0.01  # height of lines above the ground, so that it does not hide them [reach]
-CONTOURS, CELLS = 12, 8  # maximum number of contours, and of grid cells along the longer side
-STEPS = (1, 2, 5, 10)  # round numbers, times a power of ten
-SAMPLES = 240  # samples of a grid line
-ARROW = 0.09  # length of the arrow to the north [longer side of the drawn ground]
-GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 
 
 def map_lines(

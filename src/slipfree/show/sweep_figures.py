@@ -27,6 +27,17 @@ COLOURS = "viridis"
 NOTHING = "0.85"  # colour of cells without a run
 MOST_WORDS = 8  # maximum number of cells per side with numbers
 ROOM = 7  # maximum number of horizontal texts at an axis
+WIDE = 30.0  # smallest ratio of values drawn on a logarithmic axis
+TANGENT = 0.06  # length of a tangent on each side [second objective]
+FAILED_HEIGHT = 0.03  # height of the marks of unsolved points [axes]
+PANELS = (
+    ("pull", "drawbar pull [N]", 1.0),
+    ("side", "side force [N]", 1.0),
+    ("torque", "torque [N m]", 1.0),
+    ("sinkage", "sinkage [mm]", 1e3),
+)  # quantity, axis label, factor from SI units
+SAME_LOAD = 0.01  # relative difference from the load of the curves [1]
+SAME_ANGLE = np.deg2rad(0.5)  # measured points within this angle of a curve have its colour [rad]
 
 
 def distribution(swept: Swept, ax: Axes) -> Axes:
@@ -186,11 +197,6 @@ def _labelled(name: str, unit: str) -> str:
     return f"{name} [{style.unit(unit)}]" if unit else name
 
 
-WIDE = 30.0  # smallest ratio of values drawn on a logarithmic axis
-TANGENT = 0.06  # length of a tangent on each side [second objective]
-FAILED_HEIGHT = 0.03  # height of the marks of unsolved points [axes]
-
-
 class DrawnFront(NamedTuple):
     """Data for the figure of a Pareto front of n points.
 
@@ -281,16 +287,6 @@ def _draw_tangents(front: DrawnFront, ax: Axes) -> None:
         if values.min() > 0:
             ax.plot(front.second[k] + away, values, lw=2.5, alpha=0.5, color="0.4", label=label)
             label = ""
-
-
-PANELS = (
-    ("pull", "drawbar pull [N]", 1.0),
-    ("side", "side force [N]", 1.0),
-    ("torque", "torque [N m]", 1.0),
-    ("sinkage", "sinkage [mm]", 1e3),
-)  # quantity, axis label, factor from SI units
-SAME_LOAD = 0.01  # relative difference from the load of the curves [1]
-SAME_ANGLE = np.deg2rad(0.5)  # measured points within this angle of a curve have its colour [rad]
 
 
 class DrawnWheel(NamedTuple):

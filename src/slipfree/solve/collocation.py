@@ -31,6 +31,17 @@ from slipfree.solve.stops import first_violation, invalid_start
 from slipfree.solve.system import System, with_inputs
 from slipfree.system.forks import computing
 
+TRIED_DEGREES = (8, 10, 12, 14)  # degrees of the polynomials, tried in this order
+MAX_ELEMENTS = 4096
+NOISE_GROWTH = 3.0  # growth of the difference of degrees that shows amplified noise
+MAX_VAIN_REFINEMENTS = 2  # maximum number of consecutive refinements without improvement
+MAX_NEWTON_STEPS = 20  # maximum number of Newton steps per element
+CONVERGED_RESIDUAL = 1e-13  # residual of an element's equations, without unit
+ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not halve it
+WEAK_SINGULAR_VALUE = (
+    1e-2  # relative singular value below which a rate stays out of the first guess
+)
+
 
 class RadauBasis(NamedTuple):
     """Polynomials on the interval [0, 1], represented by their values at Radau points.
@@ -92,18 +103,6 @@ def _lagrange_derivatives(nodes: Array) -> Array:
     np.fill_diagonal(matrix, 0.0)
     np.fill_diagonal(matrix, -matrix.sum(axis=1))
     return matrix
-
-
-TRIED_DEGREES = (8, 10, 12, 14)  # degrees of the polynomials, tried in this order
-MAX_ELEMENTS = 4096
-NOISE_GROWTH = 3.0  # growth of the difference of degrees that shows amplified noise
-MAX_VAIN_REFINEMENTS = 2  # maximum number of consecutive refinements without improvement
-MAX_NEWTON_STEPS = 20  # maximum number of Newton steps per element
-CONVERGED_RESIDUAL = 1e-13  # residual of an element's equations, without unit
-ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not halve it
-WEAK_SINGULAR_VALUE = (
-    1e-2  # relative singular value below which a rate stays out of the first guess
-)
 
 
 class CollocationElement(NamedTuple):
@@ -204,10 +203,12 @@ class CollocationScheme:
         t = element.begin + h * self.basis.points
         ode, alg, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
         slope = element.x @ tied[:, 1:].T + np.outer(element.first, tied[:, 0])
+        # The polynomials of free states have no node at the beginning.
         slope[self.free_states] = element.x[self.free_states] @ free.T
         size = self.system.dae.sizes.x
         residual = np.concatenate([((slope - h * ode) / size[:, None]).ravel(), alg.ravel()])
         jac = jac.reshape(n, k, n)
+        # Rows are divided by the sizes of the states, so that one tolerance suits all equations.
         jac[:n_x] *= -h / size[:, None, None]
         matrix = np.zeros((n, k, n, k))
         matrix[:, np.arange(k), :, np.arange(k)] = jac.transpose(1, 0, 2)

@@ -148,6 +148,7 @@ def _integrate_between_jumps(
                 solver, StepObserver(solver.guard), at, span, u[:, : span.size - 1]
             ), end
         except SolverError:
+            # The number of steps to leave out is doubled, so that few calls are needed.
             seen, left_out = seen[:-left_out], 2 * left_out
     return at, dict.fromkeys(COUNTS, 0.0), end
 
@@ -188,6 +189,7 @@ def _call_integrator(
     x, found = x * x_size, z
     z = np.full((len(at.z), t.size), np.nan)
     z[: len(found)] = found * m_size
+    # Scaling and the consistent start of IDAS change the first sample: restore it.
     x[:, :1], z[:, :1] = at.x, at.z
     counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
     inputs = np.column_stack([u, u[:, -1:]])

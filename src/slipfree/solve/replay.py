@@ -28,6 +28,7 @@ from slipfree.solve.system import Block, System, with_inputs
 
 MAX_EVALUATIONS = 50  # maximum number of evaluations per state to find
 TRIM_TOLERANCE = 1e-13  # relative change at which states count as found
+SPLINE_DEGREE = 5  # degree of the spline through the inputs
 
 
 def apply_inputs(
@@ -146,9 +147,6 @@ def _consistent_start(system: System, x: Array, z: Array) -> Trajectory:
     if fault is not None:
         raise invalid_start(fault[1].words)
     return run
-
-
-SPLINE_DEGREE = 5  # degree of the spline through the inputs
 
 
 def round_trip(

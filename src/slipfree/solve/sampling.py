@@ -24,6 +24,8 @@ STRIDE = 16  # samples per singular value, which would take as long as all other
 SOLVED_RESIDUAL = 1e-12  # residual, without unit, at which a sample needs no further step
 UNSOLVED_RESIDUAL = 1e-10  # residual of a sample above which it exceeds rounding
 ROUNDING_STEP = 1e-13  # step, in typical sizes, below which only rounding is left
+TURN = 2 * np.pi
+ROUNDING = 1e-7  # relative difference of expressions that counts as rounding
 
 
 class Samples(NamedTuple):
@@ -74,6 +76,7 @@ def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str
         steps.append(step)
         lefts.append(left)
     size = np.max([_max_abs(left) for left in lefts], axis=0)
+    # The negation also selects residuals that are NaN.
     if (astray := ~(size < UNSOLVED_RESIDUAL)).any():
         z = _solve_from_neighbours(system, samples, z, astray)
         corrected = samples._replace(z=z)
@@ -95,6 +98,7 @@ def _correct_block(block: Block, samples: Samples) -> tuple[Array, Array, Array]
         first = first if k else _max_abs(step)
         (left,) = _evaluate_block(block.residual, block, samples._replace(z=z))
         size = _max_abs(left)
+        # Rounding limits a small residual that a step does not halve.
         rough &= (size > SOLVED_RESIDUAL) & ~((size < UNSOLVED_RESIDUAL) & (size > former / 2))
         if not rough.any():
             break
@@ -114,6 +118,7 @@ def _solve_from_neighbours(system: System, samples: Samples, z: Array, astray: M
     z[:, astray] = samples.z[:, astray]
     for k in np.flatnonzero(astray):
         for j in (k - 1, k + 1):
+            # A later sample that is astray too has not been solved yet.
             if not 0 <= j < astray.size or (astray[j] and j > k):
                 continue
             point = (float(samples.t[k]), samples.x[:, k], z[:, j], samples.u[:, k])
@@ -312,10 +317,6 @@ def _report_label(dae: Dae, name: str) -> Label:
             f"largest residual of equations {name.removesuffix('_residual')!r} after Newton steps",
         ),
     )
-
-
-TURN = 2 * np.pi
-ROUNDING = 1e-7  # relative difference of expressions that counts as rounding
 
 
 def periodic_states(dae: Dae, x: Array, limits: Iterable[Limit] = ()) -> Mask:

@@ -20,6 +20,10 @@ from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples
 from slipfree.solve.system import System
 
 NEARLY_REACHED = 1e-3  # margin at a failure [largest margin of the motion]
+PREDICTION_TIME = 1e-3  # time of prediction after the last sample of the integrator [s]
+SHARE = 0.1  # fraction of the prediction time after which a small jump is tested again
+MIN_JUMP = 0.05  # smallest jump of an unknown in the prediction time [its typical size]
+MIN_LASTING_JUMP = 5e-3  # the same, if at least half of the jump occurs in the fraction `SHARE`
 
 
 def _limit_message(limit: Limit, value: float, x: Array, z: Array) -> str:
@@ -119,12 +123,6 @@ def limit_at_failure(
     k = -1 if violation is None else violation
     words = _limit_message(nearest, value, samples.x[:, k], samples.z[:, k])
     return Stop(nearest.label.full, float(run.t[-1]), words, nearest.outcome)
-
-
-PREDICTION_TIME = 1e-3  # time of prediction after the last sample of the integrator [s]
-SHARE = 0.1  # fraction of the prediction time after which a small jump is tested again
-MIN_JUMP = 0.05  # smallest jump of an unknown in the prediction time [its typical size]
-MIN_LASTING_JUMP = 5e-3  # the same, if at least half of the jump occurs in the fraction `SHARE`
 
 
 def diagnose_stop(system: System, samples: Samples, violation: int | None) -> Stop | None:

@@ -20,6 +20,11 @@ from slipfree.system.processes import Pool as AnyPool
 from slipfree.system.processes import ProcessDiedError, Processes
 
 COMPLETE = "complete"  # figure of every run: 1 if it reached its end
+CONNECT = 10.0  # timeout for the connection to a scheduler [s]
+PATIENCE = 1.0  # time between checks of the number of workers [s]
+NONE_LEFT = "no workers are left; waiting for workers (Ctrl-C ends the sweep)"
+BACK = "workers are available again; the sweep continues"
+AHEAD = 2  # tasks per worker, so that it need not wait for the next one
 
 
 class RunTask(NamedTuple):
@@ -124,13 +129,6 @@ class ProcessPool(Processes[RunTask, Done]):
             raise SlipfreeError(
                 f"{error}; finished runs are kept; repeat the command to continue"
             ) from error
-
-
-CONNECT = 10.0  # timeout for the connection to a scheduler [s]
-PATIENCE = 1.0  # time between checks of the number of workers [s]
-NONE_LEFT = "no workers are left; waiting for workers (Ctrl-C ends the sweep)"
-BACK = "workers are available again; the sweep continues"
-AHEAD = 2  # tasks per worker, so that it need not wait for the next one
 
 
 class Cluster:

@@ -22,6 +22,8 @@ from slipfree.sweep.pools import COMPLETE, Done, RunTask, own_settings, without_
 
 ALONE = threading.Lock()  # CasADi's objects are not thread-safe
 KEPT: Shared = {}  # map and model of the latest run
+Figures = dict[str, tuple[float, str]]
+CLOCK = "seconds"  # statistics with this in their names are not reproducible
 
 
 def work(task: RunTask) -> Done:
@@ -71,10 +73,6 @@ def _worked(task: RunTask, begin: float) -> Done:
         time.perf_counter() - begin,
     )
     return Done(row, motion, result.arrays) if task.keep else Done(row)
-
-
-Figures = dict[str, tuple[float, str]]
-CLOCK = "seconds"  # statistics with this in their names are not reproducible
 
 
 def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
