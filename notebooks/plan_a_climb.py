@@ -25,11 +25,11 @@
 from pathlib import Path
 
 import numpy as np
-from slipfree.plan.warm_start import from_arrays
 
 import slipfree
 from slipfree import SolverOptions, quasi_statics, settle
 from slipfree.core.trajectory import path_length
+from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
