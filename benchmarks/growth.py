@@ -58,12 +58,11 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.plan.ipopt import Iterate
 from slipfree.show.sweep_figures import save_sweep_figures
-from slipfree.solve import simulate as module
+from slipfree.solve import integrator as module
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import Row
-from slipfree.sweep.run import run_sweep
-from slipfree.sweep.table import choose_figures, grids
-from slipfree.sweep.task import Done, Task, own_settings
+from slipfree.sweep.log import RunRow
+from slipfree.sweep.pools import Done, RunTask, own_settings
+from slipfree.sweep.run import choose_figures, grids, run_sweep
 from slipfree.sweep.worker import work
 from slipfree.system.threads import NAMES
 from slipfree.vehicle.sections import Torus
@@ -247,20 +246,20 @@ def of_plan(intervals: int) -> Costs:
 class Idle:
     """Pool whose runs all end like the first one, without computation."""
 
-    def __init__(self, row: Row) -> None:
+    def __init__(self, row: RunRow) -> None:
         self.row = row
 
     def room(self) -> int:
         """Return the number of tasks at a time."""
         return 1
 
-    def submit(self, task: Task) -> Future[Done]:
+    def submit(self, task: RunTask) -> Future[Done]:
         """Return the finished future of a task."""
         future = Future[Done]()
         future.set_result(Done(self.row._replace(run=task.run, settings=own_settings(task))))
         return future
 
-    def result(self, future: Future[Done], _task: Task) -> Done:
+    def result(self, future: Future[Done], _task: RunTask) -> Done:
         """Return the result of a future."""
         return future.result()
 
@@ -272,7 +271,7 @@ def of_sweep(points: int) -> Costs:
     """Return the costs of a sweep by number of points, without the runs."""
     sweep, checking = timed(lambda: sweep_of(PROBLEM, [f"start.heading=0:1:{points}"]))
     first = next(sweep.runs())
-    task = Task(1, str(PROBLEM), PROBLEM.read_text(), first.settings, 1, keep=False, files="")
+    task = RunTask(1, str(PROBLEM), PROBLEM.read_text(), first.settings, 1, keep=False, files="")
     pool = Idle(work(task).row)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -213,8 +213,8 @@ def in_time() -> None:
         if sought:
             found = drive(dae, begin, inputs, t, free_states=["steer"])
             back = found.run
-            again = replay(direct, back, spline_inputs(direct, found.t, found.unknowns))
-            repeated = f", replay within {max(again.difference.values()):.1e} m, rad"
+            _, gaps = replay(direct, back, spline_inputs(direct, found.t, found.unknowns))
+            repeated = f", replay within {max(gaps.values()):.1e} m, rad"
         else:
             back = simulate(dae, begin, inputs, t, options=SolverOptions(tolerance=1e-10))
         error = max(float(np.abs(back[name] - run[name]).max()) for name in WHEEL_RATES)

@@ -58,7 +58,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.models.montana import montana_kinematics
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.initial_conditions import solve_initial_conditions
-from slipfree.solve.simulate import NEWTON_SHARE, motion_scales
+from slipfree.solve.integrator import NEWTON_SHARE, motion_scales
 from slipfree.solve.system import System, _solve_symbolically, with_inputs
 from slipfree.system.codegen_cache import FOLDER
 

@@ -64,7 +64,7 @@ from slipfree.problem.result import motion_facts
 from slipfree.problem.solve import run_problem
 from slipfree.problem.verbs.fit import estimate_rows, facts, fit
 from slipfree.problem.verbs.registry import verb_of
-from slipfree.show.html_report import page
+from slipfree.show.html_page import page
 from slipfree.show.plots import save
 from slipfree.solve import simulate
 from slipfree.terrain.synthetic import blank, power_law

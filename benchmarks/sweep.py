@@ -24,7 +24,7 @@ from pathlib import Path
 
 from common import HERE, PROBLEMS
 
-from slipfree.sweep.task import Task
+from slipfree.sweep.pools import RunTask
 from slipfree.sweep.worker import KEPT, work
 
 PROBLEM = PROBLEMS / "paper_direct.toml"
@@ -95,7 +95,7 @@ def shared(name: str, key: str, values: tuple[float, ...]) -> str:
     """Return the CPU time of runs that share their model, and whether results are identical."""
     file = PROBLEM.with_name(f"{name}.toml")
     tasks = [
-        Task(k, str(file), file.read_text(), (f"{key}={value}",), 1, keep=False, files="")
+        RunTask(k, str(file), file.read_text(), (f"{key}={value}",), 1, keep=False, files="")
         for k, value in enumerate(values)
     ]
 

@@ -29,8 +29,8 @@ import numpy as np
 import slipfree
 from slipfree import SolverOptions, quasi_statics, settle
 from slipfree.core.trajectory import path_length
+from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.plan.verification import simulate_plan
-from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.show import ground_drawing, style

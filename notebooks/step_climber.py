@@ -50,7 +50,7 @@ from slipfree.climb.metrics import (
 )
 from slipfree.problem.solve import build
 from slipfree.show import style
-from slipfree.show.side_view import side_view
+from slipfree.show.ground_drawing import side_view
 from slipfree.terrain.solids import section_of
 from slipfree.terrain.solids import step as step_profile
 

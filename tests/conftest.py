@@ -20,7 +20,7 @@ os.environ["SLIPFREE_CACHE"] = ""  # nothing that was compiled before
 @pytest.fixture(autouse=True)
 def _no_progress_lines(monkeypatch):
     """Keep slow runs from printing lines that fast ones do not print."""
-    monkeypatch.setattr("slipfree.cli.progress.FIRST_LINE", np.inf)
+    monkeypatch.setattr("slipfree.cli.messages.FIRST_LINE", np.inf)
 
 
 @pytest.fixture

@@ -308,12 +308,12 @@ def test_as_a_module(folder: Path) -> None:
 
 
 def test_progress_is_throttled(monkeypatch: pytest.MonkeyPatch) -> None:
-    from slipfree.cli import common
+    from slipfree.cli import messages
 
     clock = iter(np.arange(1.0, 2.0, 0.04))
-    monkeypatch.setattr(common.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(messages.time, "monotonic", lambda: next(clock))
     shown: list[float] = []
-    show = common.throttled(shown.append)
+    show = messages.throttled(shown.append)
     for t in range(10):
         show(t)
     assert shown == [0, 3, 6, 9]

@@ -22,7 +22,7 @@ from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
 from slipfree.show import motion_figures
-from slipfree.sweep.metrics import figures_of
+from slipfree.sweep.worker import figures_of
 
 PROBLEM = """\
 verb = "direct"

@@ -14,12 +14,12 @@ from typer.testing import CliRunner
 from slipfree.cli import app
 from slipfree.show import motion_figures
 from slipfree.show.motion_figures import FIGURES, history
-from slipfree.show.plots import Drive, Panel, Plot, stack
+from slipfree.show.plots import Panel, Plot, PlottedDrive, stack
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "paper_direct.toml"
 
 
-def pitch_plot(drive: Drive) -> Plot:
+def pitch_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of pitch and roll."""
     panels = [Panel(partial(history, drive.run, name)) for name in ("pitch", "roll")]
     return Plot("attitude", "Pitch and roll over time.", lambda: stack(drive.run, panels))

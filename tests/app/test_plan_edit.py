@@ -35,8 +35,14 @@ from slipfree.problem.plan_session import (
     state_of,
 )
 from slipfree.problem.plan_worker import FoundError, FoundIterate, FoundPlan
-from slipfree.show.guard import Gate, is_own_request
-from slipfree.show.local_server import ConflictError, Content, json_content, start_server
+from slipfree.show.local_server import (
+    ConflictError,
+    Content,
+    Gate,
+    is_own_request,
+    json_content,
+    start_server,
+)
 from slipfree.show.plan_page import PlanPage
 
 PROBLEMS = Path(__file__).parents[2] / "problems"

@@ -10,9 +10,8 @@ import pytest
 from slipfree.core.outcome import Outcome
 from slipfree.files.netcdf import write
 from slipfree.files.toml.source import ProblemError
-from slipfree.plan import plan as planning
-from slipfree.plan.convergence import convergence_from
-from slipfree.plan.ipopt import IPOPT_TOLERANCE
+from slipfree.plan import search as searching
+from slipfree.plan.ipopt import IPOPT_TOLERANCE, convergence_from
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import motion_facts, open_result
 from slipfree.problem.solve import build, run_problem
@@ -202,7 +201,7 @@ def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
 
 @pytest.mark.slow
 def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
-    monkeypatch.setattr(planning, "MAX_REFINEMENTS", 1)
+    monkeypatch.setattr(searching, "MAX_REFINEMENTS", 1)
     settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
     stop = run_problem(load_problem(HILLS, settings)).trajectory.stop
     assert stop.name == "plan_accuracy"

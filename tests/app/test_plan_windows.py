@@ -10,7 +10,7 @@ import pytest
 
 from slipfree.core.outcome import Outcome
 from slipfree.files.toml.source import ProblemError
-from slipfree.plan.warm_start import from_arrays
+from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import motion_facts
 from slipfree.problem.solve import build, run_problem

@@ -13,7 +13,7 @@ import slipfree as sf
 from slipfree.core.facts import Fact
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
-from slipfree.plan.convergence import Convergence, convergence_arrays, convergence_from
+from slipfree.plan.ipopt import Convergence, convergence_arrays, convergence_from
 from slipfree.routing.traversability import blocked_by, traversability
 from slipfree.show import ground_drawing, plan_figures, plots
 from slipfree.terrain.synthetic import blank, craters

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from slipfree.cli import app, progress
+from slipfree.cli import app, messages
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PLAN = ["run", str(PROBLEMS / "plan_rigid_hills.toml"), "-o", "p.nc", "--no-draw"]
@@ -22,7 +22,7 @@ ITERATE = r"iteration \d+, cost [\d.e+-]+, violation [\d.e+-]+"
 def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("FIRST_LINE", "NEW_PHASE"):
-        monkeypatch.setattr(progress, name, 0.0)
+        monkeypatch.setattr(messages, name, 0.0)
 
 
 @pytest.mark.slow
@@ -37,7 +37,7 @@ def test_a_line_when_a_phase_of_a_search_begins() -> None:
 
 
 def test_more_lines_of_a_phase_that_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(progress, "SAME_PHASE", 0.0)
+    monkeypatch.setattr(messages, "SAME_PHASE", 0.0)
     result = CliRunner().invoke(app, DIRECT)
     lines = result.stderr.splitlines()
     times = [float(re.fullmatch(r"integrated to ([\d.e-]+) of 1.5 s", line)[1]) for line in lines]

@@ -11,7 +11,7 @@ import slipfree
 from slipfree import Analytic, Bicubic, catalog, direct_kinematics, settle, simulate, straight
 from slipfree.files.maps.elevation import Map, jacksboro
 from slipfree.plan.mpc import first_cycle, horizon
-from slipfree.solve.events import Event
+from slipfree.solve.stops import Event
 
 PAGE = 60  # lines of a terminal
 LINES, WIDTH = 5, 100  # of a repr

@@ -24,7 +24,7 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
 from slipfree.problem.solve import run_problem
 from slipfree.problem.summary import has_friction
-from slipfree.show.html_report import MOST, Report, image, page
+from slipfree.show.html_page import MOST, Report, image, page
 
 ROOT = Path(__file__).parents[2]
 STARTERS = ROOT / "src" / "slipfree" / "starters"

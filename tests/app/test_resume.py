@@ -15,7 +15,7 @@ from slipfree import DataError
 from slipfree.cli import app
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
-from slipfree.plan.warm_start import from_arrays
+from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
 from slipfree.problem.solve import run_problem
@@ -82,7 +82,7 @@ def interrupt_search(monkeypatch, calls):
         if next(left, None) is None:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("slipfree.cli.progress.check_interrupt", poll)
+    monkeypatch.setattr("slipfree.cli.messages.check_interrupt", poll)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from slipfree.cli import app
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
-from slipfree.plan.warm_start import from_arrays
+from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs.plan_robust import ReplayTask, replay_draw

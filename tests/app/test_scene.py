@@ -25,8 +25,8 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import Stop, Trajectory
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip, part_poses, wheel_poses
+from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.plan.transcription import CollocationMesh, variable_layout
-from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.input_files import digest
 from slipfree.problem.result import shown
@@ -37,10 +37,18 @@ from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import Film, arrow_lines, film_writer
 from slipfree.show.ground_drawing import brightness
 from slipfree.show.html_page import with_legend
-from slipfree.show.map_lines import CONTOURS, LIFT, round_step
-from slipfree.show.mesh_refinement import MOST, refined
-from slipfree.show.meshes import clipped, extruded, plate, rod, spokes
-from slipfree.show.scene import ARROWS, BLOCKED, TYRE, framed, rgb, scale_words
+from slipfree.show.meshes import MOST, clipped, extruded, plate, refined, rod, spokes
+from slipfree.show.scene import (
+    ARROWS,
+    BLOCKED,
+    CONTOURS,
+    LIFT,
+    TYRE,
+    framed,
+    rgb,
+    round_step,
+    scale_words,
+)
 from slipfree.show.style import PALETTE
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic

@@ -30,17 +30,16 @@ from helpers.sweep_cases import (
 )
 from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
+from slipfree.core.facts import Swept, Varied
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.units import unit_of
 from slipfree.show import sweep_figures as show
-from slipfree.show.sweep_results import Swept, Varied
-from slipfree.sweep import cluster
+from slipfree.sweep import pools
 from slipfree.sweep.grid import axis_of, sweep_of
-from slipfree.sweep.log import Log, Row
-from slipfree.sweep.pools import ProcessPool
-from slipfree.sweep.table import drawn_grids, grids, sweep_facts, write_table
-from slipfree.sweep.task import Task
+from slipfree.sweep.log import RunLog, RunRow
+from slipfree.sweep.pools import ProcessPool, RunTask
+from slipfree.sweep.run import drawn_grids, grids, sweep_facts, write_table
 from slipfree.sweep.worker import work
 from slipfree.system import processes
 from slipfree.system.processes import finish_tasks
@@ -152,7 +151,7 @@ def test_a_dry_run_says_what_would_be_run(file: Path) -> None:
     assert "not known before the first run" in result.stdout
     assert not (file.parent / "out").exists()
     sweep = sweep_of(file, ["time.step=0.05:0.3:11"], repeat=2)
-    with Log(file.parent / "out" / "runs.jsonl", sweep.head) as log:
+    with RunLog(file.parent / "out" / "runs.jsonl", sweep.head) as log:
         log.append(ROW._replace(seconds=6.0))
         log.append(ROW._replace(run=2, seconds=8.0))
     result = sweep_in(file.parent, *words, "--dry-run")
@@ -303,11 +302,11 @@ def test_results_of_another_problem_are_not_mixed(file: Path) -> None:
     head = sweep_of(file, []).head
     file.write_bytes(PROBLEM.replace("\n", "\r\n").encode())
     assert sweep_of(file, []).head == head  # the same text on another machine
-    with Log(file.parent / "runs.jsonl", head):
+    with RunLog(file.parent / "runs.jsonl", head):
         pass
     file.write_text(PROBLEM.replace("hurst = 0.9", "hurst = 0.8"))
     with pytest.raises(DataError, match="some with another problem file; choose another folder"):
-        Log(file.parent / "runs.jsonl", sweep_of(file, []).head)
+        RunLog(file.parent / "runs.jsonl", sweep_of(file, []).head)
 
 
 @pytest.mark.parametrize(
@@ -330,13 +329,13 @@ def test_results_of_other_input_files_are_not_mixed(
     changed = folder / name
     changed.write_text("one")
     log, head = folder / "runs.jsonl", sweep_of(file, vary, settings).head
-    with Log(log, head):
+    with RunLog(log, head):
         pass
-    with Log(log, sweep_of(file, vary, settings).head):
+    with RunLog(log, sweep_of(file, vary, settings).head):
         pass
     changed.write_text("other")
     with pytest.raises(DataError, match=f"some with another input file: {name}; choose another"):
-        Log(log, sweep_of(file, vary, settings).head)
+        RunLog(log, sweep_of(file, vary, settings).head)
     changed.unlink()
     assert sweep_of(file, vary, settings).files[name] == "missing"
 
@@ -351,7 +350,7 @@ def test_the_urdf_of_any_vehicle_file_is_an_input(file: Path) -> None:
     assert set(sweep_of(file, [], settings).files) == {"of.toml"}
 
 
-ROW = Row(1, ("a=1",), "complete", "", 0.5, {"end_x": (1.25, "m")}, 0.1)
+ROW = RunRow(1, ("a=1",), "complete", "", 0.5, {"end_x": (1.25, "m")}, 0.1)
 HEAD: dict[str, Any] = {
     "slipfree": "0",
     "problem": "",
@@ -365,18 +364,18 @@ HEAD: dict[str, Any] = {
 
 def test_the_log_keeps_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "new" / "runs.jsonl"
-    with Log(path, HEAD) as log:
+    with RunLog(path, HEAD) as log:
         assert list(log.rows) == []
         log.append(ROW)
         with pytest.raises(DataError, match="no other process writes, found one in use"):
-            Log(path, HEAD)
+            RunLog(path, HEAD)
     whole = path.read_bytes()
     path.write_bytes(whole + b'{"run": 2, "sett')
-    with Log(path, HEAD) as log:
+    with RunLog(path, HEAD) as log:
         assert list(log.rows) == [ROW]
     assert path.read_bytes() == whole
     path.write_bytes(whole[:20])  # not even the first line
-    with Log(path, HEAD) as log:
+    with RunLog(path, HEAD) as log:
         assert list(log.rows) == []
 
 
@@ -384,17 +383,17 @@ def test_runs_that_were_lost_are_done_again(tmp_path: Path) -> None:
     path, rows = tmp_path / "runs.jsonl", []
     for number, outcome in enumerate(("complete", "lost", "failed"), 1):
         rows.append(ROW._replace(run=number, outcome=outcome))
-    with Log(path, HEAD) as log:
+    with RunLog(path, HEAD) as log:
         for row in rows:
             log.append(row)
-    with Log(path, HEAD) as log:
+    with RunLog(path, HEAD) as log:
         assert list(log.rows) == [rows[0], rows[2]]
-    with Log(path, HEAD, again=True) as log:
+    with RunLog(path, HEAD, again=True) as log:
         assert list(log.rows) == [rows[0]]
         assert log.rows.outcomes["failed"] == 0
         for row in rows[1:]:
             log.append(row._replace(outcome="complete"))
-    with Log(path, HEAD) as log:
+    with RunLog(path, HEAD) as log:
         assert [(row.run, row.outcome) for row in log.rows] == [(k, "complete") for k in (1, 2, 3)]
 
 
@@ -412,8 +411,8 @@ def test_results_that_were_not_kept_are_told(file: Path) -> None:
 
 def test_long_words_are_one_line_in_table_and_summary(file: Path) -> None:
     sweep = sweep_of(file, [])
-    row = Row(1, (), "failed", "one\n  two\n" + "x" * 1000, None, {}, 0.1)
-    with Log(file.parent / "runs.jsonl", sweep.head) as log:
+    row = RunRow(1, (), "failed", "one\n  two\n" + "x" * 1000, None, {}, 0.1)
+    with RunLog(file.parent / "runs.jsonl", sweep.head) as log:
         log.append(row)
         write_table(file.parent / "out.csv", sweep, log.rows)
         told = dict(sweep_facts(sweep, log.rows, {}, ()))
@@ -426,7 +425,7 @@ def test_long_words_are_one_line_in_table_and_summary(file: Path) -> None:
 
 def test_a_summary_tells_of_ten_values_a_key(file: Path) -> None:
     sweep = sweep_of(file, ["time.step=0.01:0.3:30"])
-    with Log(file.parent / "runs.jsonl", sweep.head) as log:
+    with RunLog(file.parent / "runs.jsonl", sweep.head) as log:
         for k in range(1, 31):
             log.append(ROW._replace(run=k, figures={"end_x": (float(k), "m")}))
     told = sweep_facts(sweep, log.rows, grids(sweep, log.rows, ["end_x"]), ["end_x"])
@@ -472,13 +471,13 @@ def test_figures_that_cannot_be_written_are_told(
 )
 def test_a_damaged_log_is_refused_by_line(tmp_path: Path, line: bytes) -> None:
     path = tmp_path / "runs.jsonl"
-    with Log(path, HEAD) as log:
+    with RunLog(path, HEAD) as log:
         log.append(ROW)
     path.write_bytes(path.read_bytes() + line)
     with pytest.raises(
         DataError, match=r"runs.jsonl:3: expected one line of JSON .* remove the line"
     ):
-        Log(path, HEAD)
+        RunLog(path, HEAD)
 
 
 @pytest.mark.slow
@@ -586,7 +585,7 @@ def test_runs_with_other_input_files_share_nothing(
 )
 def test_every_verb_has_figures(file: str, settings: tuple[str, ...], figures: set[str]) -> None:
     path = PROBLEMS / file
-    row = work(Task(1, str(path), path.read_text(), settings, 0, False, "")).row
+    row = work(RunTask(1, str(path), path.read_text(), settings, 0, False, "")).row
     assert row.outcome == "complete", row.words
     assert figures <= set(row.figures)
     if "within_limits" in figures:
@@ -600,14 +599,14 @@ def test_every_verb_has_figures(file: str, settings: tuple[str, ...], figures: s
 def test_a_run_that_stops_is_told_by_name(file: Path) -> None:
     sweep = sweep_of(file, [f"{SPEED}=1.0,6.0"])
     rows = [
-        work(Task(run.number, str(file), PROBLEM, run.settings, 1, False, "")).row
+        work(RunTask(run.number, str(file), PROBLEM, run.settings, 1, False, "")).row
         for run in sweep.runs()
     ]
     assert [row.outcome for row in rows] == ["complete", "stopped by map_margin[front]"]
     assert "leaves the map" in rows[1].words
     assert rows[1].t == pytest.approx(1.25 / 6.0, abs=1e-3)
     assert rows[1].settings == (f"{SPEED}=6.0",)
-    with Log(file.parent / "runs.jsonl", sweep.head) as log:
+    with RunLog(file.parent / "runs.jsonl", sweep.head) as log:
         for row in rows:
             log.append(row)
     share = drawn_grids(log.rows, grids(sweep, log.rows, ["end_y"]), ["end_y"])[-1]
@@ -642,7 +641,7 @@ def test_units_of_keys_are_those_of_their_descriptions(file: Path) -> None:
 
 
 def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT", 0.3)
+    monkeypatch.setattr(pools, "CONNECT", 0.3)
     result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1")
     assert result.exit_code == 2
     assert "expected the address of a running Dask scheduler" in result.stderr
@@ -723,7 +722,7 @@ def test_a_bad_grid_names_the_value(file: Path) -> None:
 
 
 def test_a_scheduler_that_does_not_answer(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT", 0.3)
+    monkeypatch.setattr(pools, "CONNECT", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as dead:
         address = f"tcp://127.0.0.1:{dead.getsockname()[1]}"
         begun = time.monotonic()

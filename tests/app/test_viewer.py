@@ -323,11 +323,11 @@ def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: P
 @pytest.fixture
 def server() -> Iterator[Any]:
     pytest.importorskip("viser")
-    from slipfree.show import guard, viewer
+    from slipfree.show import local_server, viewer
 
     found, _ = viewer._server(0)
     yield found
-    guard.stop(found)
+    local_server.stop(found)
 
 
 def test_parts_may_be_called_like_nodes_of_the_page(files: list[Path], server: Any) -> None:
@@ -354,7 +354,9 @@ def test_what_follows_keeps_the_vehicle_where_it_is_seen(files: list[Path], serv
     from slipfree.show import viewer
 
     scene = scene_of(files)
-    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title", "height")
+    panel = viewer._Controls(
+        server, viewer.Stage(server, scene, "height"), scene, "title", "height"
+    )
     world = server.scene.get_handle_by_name("/world")
     origins = scene.actors[0].bodies[0].origins
     panel.stage.show(4.0)
@@ -414,7 +416,9 @@ def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) 
     from slipfree.show import viewer
 
     scene = scene_of(files[:1])
-    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title", "height")
+    panel = viewer._Controls(
+        server, viewer.Stage(server, scene, "height"), scene, "title", "height"
+    )
     panel.advance(0.5)
     assert panel.time.value == 0
     panel.playing.value = True
@@ -439,7 +443,9 @@ def test_keys_step_through_the_time_and_change_the_speed(files: list[Path], serv
     from slipfree.show import viewer
 
     scene = scene_of(files[:1])
-    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title", "height")
+    panel = viewer._Controls(
+        server, viewer.Stage(server, scene, "height"), scene, "title", "height"
+    )
     by_key = {each.key: each.act for each in panel._actions()}
     by_key["arrowright"]()
     assert panel.time.value == pytest.approx(0.08)

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app
 from slipfree.core.errors import DataError
-from slipfree.show.guard import Guard, stop
+from slipfree.show.local_server import Guard, stop
 
 viser = pytest.importorskip("viser")
 msgpack = pytest.importorskip("msgspec.msgpack")  # which viser needs, as the others
@@ -197,7 +197,7 @@ def test_warnings_are_few_and_plain(server: Any, told: list[str]) -> None:
 def test_values_that_fit_no_control_are_ignored(
     server: Any, told: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slipfree.show.guard.MOST", 100)
+    monkeypatch.setattr("slipfree.show.local_server.MAX_WARNINGS", 100)
     gui = server.gui
     controls = {
         "speed": gui.add_dropdown("speed", ("1x", "2x"), initial_value="1x"),

@@ -17,9 +17,8 @@ from scipy.io import netcdf_file
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
-from slipfree.core.trajectory import Column, Stop, Trajectory
+from slipfree.core.trajectory import Column, Stop, Trajectory, thin
 from slipfree.files import netcdf
-from slipfree.show.thinning import thin
 
 N = 7
 

@@ -26,8 +26,8 @@ from slipfree.problem.solve import build
 from slipfree.problem.verbs.driving import vehicle_of
 from slipfree.problem.verbs.plan_setup import source_of
 from slipfree.sweep.grid import sweep_of
+from slipfree.sweep.pools import RunTask
 from slipfree.sweep.run import _tasks as tasks_of
-from slipfree.sweep.task import Task
 from slipfree.sweep.worker import work
 
 NAMES = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
@@ -122,7 +122,7 @@ def test_programs_run_only_if_the_command_line_trusts_the_file():
             read_vehicle(name, trust=["cart.urdf.xacro"])
     for name in ("evil.xacro", "v.toml", "link.urdf"):
         assert "xacro is a program" in called("check", f"{name}.p.toml")
-        task = Task(1, f"{name}.p.toml", Path(f"{name}.p.toml").read_text(), (), 0, True, "")
+        task = RunTask(1, f"{name}.p.toml", Path(f"{name}.p.toml").read_text(), (), 0, True, "")
         assert "xacro is a program" in work(task).row.words
     for words in (["run", "v.toml.p.toml"], ["vehicle", "evil.urdf"], ["vehicle", "v.toml.p.toml"]):
         assert "xacro is a program" in called(*words)

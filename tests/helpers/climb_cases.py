@@ -18,7 +18,7 @@ from slipfree.climb.time_scaling import climb as program
 from slipfree.control.step_climbing import StepClimbing, climbing
 from slipfree.core.trajectory import Trajectory
 from slipfree.laws.compliant import Compliant
-from slipfree.plan.external_nlp import solve_nlp
+from slipfree.plan.ipopt import solve_nlp
 from slipfree.terrain.solids import Profile, placed, ramp, step
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 

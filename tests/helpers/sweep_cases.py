@@ -13,7 +13,7 @@ import psutil
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.sweep.task import Task
+from slipfree.sweep.pools import RunTask
 
 PROBLEM = """\
 verb = "direct"
@@ -98,8 +98,8 @@ def table_rows(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def tasks_of(file: Path, *settings: str) -> list[Task]:
+def tasks_of(file: Path, *settings: str) -> list[RunTask]:
     return [
-        Task(k, str(file), PROBLEM, (setting,), 1, False, "")
+        RunTask(k, str(file), PROBLEM, (setting,), 1, False, "")
         for k, setting in enumerate(settings, 1)
     ]

@@ -22,7 +22,7 @@ from slipfree.climb.time_scaling import MIN_ACCELERATION, climb, history, in_seq
 from slipfree.core.errors import ModelError
 from slipfree.core.nlp import Nlp
 from slipfree.core.trajectory import SolverError
-from slipfree.plan.external_nlp import solve_nlp
+from slipfree.plan.ipopt import solve_nlp
 from slipfree.terrain.solids import kerb, ramp, stairs, step
 
 SPEED, WEIGHT = 0.25, 9.81 * 21.6

@@ -31,7 +31,7 @@ from slipfree.control.reference_speeds import Noise, PerAxle, Tilts, measured
 from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import SolverError
 from slipfree.models.samples import obstacle_ending
-from slipfree.plan.external_nlp import solve_nlp
+from slipfree.plan.ipopt import solve_nlp
 from slipfree.terrain.solids import placed
 
 UNTIL = 13.0

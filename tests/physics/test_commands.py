@@ -49,8 +49,7 @@ from slipfree.models.given_rates import GAIN as STEERING_GAIN
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import load_problem
-from slipfree.solve.replay import replay, round_trip
-from slipfree.solve.trim import apply_inputs, trim_states
+from slipfree.solve.replay import apply_inputs, replay, round_trip, trim_states
 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
@@ -139,7 +138,7 @@ def test_on_hills_the_platform_follows_within_the_announced_error(name, command)
     run = simulate(dae, start, inputs, np.linspace(0, 2, 21), options=SolverOptions(tolerance=1e-8))
     assert run.stop is None
     assert max(round_trip(direct, run, MOTION).values()) < 1e-11
-    again = replay(direct, run).motion  # wheel and joint rates alone
+    again = replay(direct, run)[0]  # wheel and joint rates alone
     assert again.t.size == run.t.size
     missed = np.array(command)[:, None] - planar(again)
     assert_allclose(missed, announced(run), rtol=0, atol=1e-4)
@@ -231,7 +230,7 @@ def test_commands_may_jump_and_reverse():
     assert np.abs(announced(run)[:, t < 1.99]).max() < 2e-3
     assert np.abs(announced(run)[:, -1]).max() < 2e-3
     assert np.abs(run["steer_rear_left_rate"]).max() < MAX_STEERING_RATE
-    again = replay(direct, run, jumps=[t[40]]).motion
+    again = replay(direct, run, jumps=[t[40]])[0]
     assert_allclose(again["x"], run["x"], atol=1e-4)
     assert_allclose(again["y"], run["y"], atol=1e-4)
 
@@ -450,7 +449,7 @@ def test_without_steering_all_but_the_velocity_across_is_met():
     missed = np.array([[0.3], [0.0], [0.2]]) - planar(run)
     assert_allclose(missed[[0, 2]], 0, rtol=0, atol=1e-9)
     assert_allclose(announced(run), missed, rtol=0, atol=1e-9)
-    again = planar(replay(direct, run).motion)
+    again = planar(replay(direct, run)[0])
     assert_allclose(again[[0, 2]], [[0.3] * run.t.size, [0.2] * run.t.size], rtol=0, atol=1e-6)
 
 
@@ -592,7 +591,7 @@ def test_rates_may_jump_or_be_formulas_and_the_replay_agrees():
     run = simulate(dae, start, inputs, t)
     assert_allclose(named_rates(run)["forward"], 0.2 + 0.05 * np.sin(3 * t), rtol=0, atol=1e-12)
     assert_allclose(named_rates(run)["yaw_rate"][:-1], jump, rtol=0, atol=1e-12)
-    again = replay(direct, run, jumps=[t[20]]).motion
+    again = replay(direct, run, jumps=[t[20]])[0]
     assert_allclose(again.t, t)
     assert_allclose(again["x"], run["x"], rtol=0, atol=1e-5)
     assert_allclose(again["y"], run["y"], rtol=0, atol=1e-5)

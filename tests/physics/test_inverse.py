@@ -196,9 +196,9 @@ def test_path_passes_where_the_contact_crosses_the_steering_axis():
     assert_allclose(found.run["wheel_angle"], run["wheel_angle"], rtol=0, atol=1e-7)
     assert found.run["no_slip_residual"].max() < 1e-7
     assert found.run["closure_residual"].max() < 1e-12
-    again = repeated(direct, found)
-    assert again.motion.stop is None
-    assert max(again.difference.values()) < 2e-6
+    motion, difference = repeated(direct, found)
+    assert motion.stop is None
+    assert max(difference.values()) < 2e-6
 
 
 def test_collocation_of_a_system_with_a_known_slow_solution():

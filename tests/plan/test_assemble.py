@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from slipfree.plan.nlp_block import nlp_block
-from slipfree.plan.sparse_assembly import _evaluate_by_columns, assemble
+from slipfree.plan.sparse_assembly import _evaluate_by_columns, assemble, nlp_block
 
 
 def branches(a, b):

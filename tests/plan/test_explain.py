@@ -12,9 +12,8 @@ from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
-from slipfree.plan.bound_conflicts import conflicts
-from slipfree.plan.elastic import relax
-from slipfree.plan.explanation import explanation, violation_words, violations
+from slipfree.plan.constraints import conflicts
+from slipfree.plan.explanation import explanation, relax, violation_words, violations
 from slipfree.plan.ipopt import solve_program
 from slipfree.plan.polynomial_motion import guess_unknowns
 from slipfree.plan.problem import limits_of

@@ -21,9 +21,8 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import differential_drive, three_wheeler
-from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, replan
+from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, replan, track_plan
 from slipfree.plan.plan import plan
-from slipfree.plan.tracking import track_plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.terrain.grid_ops import disturbed
 

@@ -12,10 +12,9 @@ from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
-from slipfree.plan.ipopt import Solution, solve_program
-from slipfree.plan.optimality import check_optimality
+from slipfree.plan.ipopt import NlpSolution, solve_program
+from slipfree.plan.optimality import check_optimality, limit_prices, prices_words
 from slipfree.plan.plan import plan
-from slipfree.plan.prices import limit_prices, prices_words
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, TimedCondition, transcribe
 
@@ -46,7 +45,7 @@ def checked(program, unknowns=None):
         assert found.success
     else:
         zeros = np.zeros(program.g_lower.size), np.zeros(program.scale.size)
-        found = Solution(unknowns, zeros[0], 0.0, *zeros, "", True, 0, {})
+        found = NlpSolution(unknowns, zeros[0], 0.0, *zeros, "", True, 0, {})
     return check_optimality(program, found, weights)
 
 

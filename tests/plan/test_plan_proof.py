@@ -21,7 +21,7 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
-from slipfree.plan import plan as planning
+from slipfree.plan import search as searching
 from slipfree.plan.ipopt import MAX_VIOLATION_GROWTH
 from slipfree.plan.plan import plan
 from slipfree.plan.polynomial_motion import motion_of, transfer_motion
@@ -117,7 +117,7 @@ def test_a_mesh_is_refined_until_the_simulation_agrees(model):
 def test_refinement_ends_if_the_error_remains(coarse, monkeypatch, errors, count):
     """The angle of a caster driven backwards differs from the plan on every mesh."""
     program, left = coarse.program, iter(errors)
-    search = planning._SearchState(program, coarse.solution, coarse.solution.unknowns, ())
+    search = searching.SearchState(program, coarse.solution, coarse.solution.unknowns, ())
     verified = []
 
     def verify(_search):
@@ -136,10 +136,10 @@ def test_refinement_ends_if_the_error_remains(coarse, monkeypatch, errors, count
     def solved(search, _task, mesh, *_):
         return search._replace(program=replace(search.program, mesh=mesh))
 
-    monkeypatch.setattr(planning, "refine_mesh", halved)
-    monkeypatch.setattr(planning, "_solve_anew", solved)
-    monkeypatch.setattr(planning, "_add_limits", lambda found, _progress: found)
-    _, verification = planning._refine(search, verify, None)
+    monkeypatch.setattr(searching, "refine_mesh", halved)
+    monkeypatch.setattr(searching, "_solve_anew", solved)
+    monkeypatch.setattr(searching, "_add_limits", lambda found, _progress: found)
+    _, verification = searching._refine(search, verify, None)
     assert len(verified) == count
     assert verification.difference["x"] == min(verified)
 
@@ -169,7 +169,7 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
 
 @pytest.mark.slow
 def test_a_search_that_gets_stuck_is_made_again_with_a_wider_filter(model, monkeypatch):
-    growths, solve = [], planning.solve_program
+    growths, solve = [], searching.solve_program
 
     def stuck(*args, growth=MAX_VIOLATION_GROWTH, **options):
         growths.append(growth)
@@ -177,9 +177,9 @@ def test_a_search_that_gets_stuck_is_made_again_with_a_wider_filter(model, monke
         failed = {"status": "Restoration_Failed", "success": False}
         return found._replace(**failed) if len(growths) == 1 else found
 
-    monkeypatch.setattr(planning, "solve_program", stuck)
+    monkeypatch.setattr(searching, "solve_program", stuck)
     plan = asked(model)
-    assert growths[:2] == [MAX_VIOLATION_GROWTH, planning.OTHER_VIOLATION_GROWTH]
+    assert growths[:2] == [MAX_VIOLATION_GROWTH, searching.OTHER_VIOLATION_GROWTH]
     assert [stage.words for stage in plan.stages[:2]] == [
         "without slip cost",
         "without slip cost, again",
@@ -272,7 +272,7 @@ def test_the_plan_of_another_vehicle_is_refused(coarse):
 
 @pytest.mark.slow
 def test_an_accuracy_that_is_not_reached_and_a_goal_that_is_missed_are_told(model, monkeypatch):
-    monkeypatch.setattr(planning, "MAX_REFINEMENTS", 1)
+    monkeypatch.setattr(searching, "MAX_REFINEMENTS", 1)
     found = asked(model, intervals=2, degree=1, accuracy=1e-9, costs={"effort": 1.0})
     assert found.success
     assert not found.accurate

@@ -31,7 +31,7 @@ from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
 from slipfree.plan import plan as planning
 from slipfree.plan.plan import plan
-from slipfree.plan.starts import count_distinct, distances, further_guesses
+from slipfree.plan.search import count_distinct, distances, further_guesses
 from slipfree.plan.verification import verify_plan
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"

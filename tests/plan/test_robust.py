@@ -10,8 +10,8 @@ from slipfree.core.errors import ModelError
 from slipfree.plan.robust import (
     MAX_ROUNDS,
     Bound,
+    DisturbedRun,
     Draw,
-    Replay,
     Replays,
     added_tightening,
     robust_plan,
@@ -35,14 +35,14 @@ def replay(values: Sequence[float], draws: Sequence[Draw], spread: float = SPREA
     SEEN.append(draws)
     errors = [spread * np.random.default_rng(draw).normal() for draw in draws]
     return [
-        Replays(tuple(Replay({LIMIT: value + error - 1}, abs(error)) for error in errors))
+        Replays(tuple(DisturbedRun({LIMIT: value + error - 1}, abs(error)) for error in errors))
         for value in values
     ]
 
 
 def replays(*excess: dict[Bound, float]) -> Replays:
     """Return simulations with a given excess of bounds."""
-    return Replays(tuple(Replay(each, 0.0) for each in excess))
+    return Replays(tuple(DisturbedRun(each, 0.0) for each in excess))
 
 
 def test_share_is_reached_at_the_quantile_of_the_disturbance() -> None:
@@ -84,7 +84,7 @@ def test_unsolvable_problem_keeps_the_plan() -> None:
 
 def test_failed_motions_count_as_violations_but_do_not_tighten() -> None:
     def failing(values: Sequence[float], draws: Sequence[Draw]) -> list[Replays]:
-        each = Replays(tuple(Replay({Bound("motion"): np.inf}, np.nan) for _ in draws))
+        each = Replays(tuple(DisturbedRun({Bound("motion"): np.inf}, np.nan) for _ in draws))
         return [each for _ in values]
 
     found = robust_plan(1.0, solve, failing, share=0.9, draws=5, final_draws=5, seed=0)

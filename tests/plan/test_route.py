@@ -17,8 +17,7 @@ from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
 from slipfree.routing import smoothing
-from slipfree.routing.homotopy import homotopy_class, obstacle_points
-from slipfree.routing.search import route, routes
+from slipfree.routing.search import homotopy_class, obstacle_points, route, routes
 from slipfree.routing.traversability import MAX_SLOPE, blocking_reasons, traversability
 from slipfree.terrain.synthetic import blank, craters, ramp
 from slipfree.vehicle.sections import Torus

@@ -9,7 +9,7 @@ from helpers.toy_models import task, toy
 from slipfree import ModelError
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
-from slipfree.plan.bound_conflicts import conflicts
+from slipfree.plan.constraints import conflicts
 from slipfree.plan.explanation import violations
 from slipfree.plan.ipopt import solve_program
 from slipfree.plan.transcription import (

@@ -29,16 +29,14 @@ from slipfree.cli import app
 from slipfree.contact.touch import search_function
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves
-from slipfree.plan.nlp_block import nlp_block
 from slipfree.plan.problem import task_of
-from slipfree.plan.sparse_assembly import assemble
+from slipfree.plan.sparse_assembly import assemble, nlp_block
 from slipfree.plan.transcription import CollocationMesh, transcribe
 from slipfree.problem.contact_start import settle_contact
 from slipfree.solve.equations import _compiled_lookup
-from slipfree.solve.replay import replay
-from slipfree.solve.starts import settle_nearest
+from slipfree.solve.replay import apply_inputs, replay, trim_states
+from slipfree.solve.settle import settle_nearest
 from slipfree.solve.system import with_inputs
-from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.system import codegen_cache
 from slipfree.vehicle.sections import Torus
 

@@ -27,8 +27,8 @@ from slipfree.files import netcdf
 from slipfree.show.film import film_writer, write_film
 from slipfree.show.plots import Plot
 from slipfree.show.plots import save as save_figures
-from slipfree.sweep.log import WORDS, Log, Row
-from slipfree.system.atomic_files import replace_file
+from slipfree.sweep.log import WORDS, RunLog, RunRow
+from slipfree.system.regular_files import replace_file
 
 pytestmark = pytest.mark.slow
 
@@ -157,13 +157,13 @@ except DataError as error:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.startswith("refused: "), done.stderr
-    with Log(tmp_path / "runs.jsonl", HEAD) as log:
+    with RunLog(tmp_path / "runs.jsonl", HEAD) as log:
         assert list(log.rows) == []
 
 
 def test_a_log_on_a_full_disk_tells_so_and_goes_on_later(tmp_path: Path) -> None:
-    row = Row(1, (), "complete", "", 1.0, {"x": (1.0, "m")}, 0.1)
-    with Log(tmp_path / "runs.jsonl", HEAD) as log:
+    row = RunRow(1, (), "complete", "", 1.0, {"x": (1.0, "m")}, 0.1)
+    with RunLog(tmp_path / "runs.jsonl", HEAD) as log:
         log.append(row)
     size = (tmp_path / "runs.jsonl").stat().st_size
     code = f"""
@@ -181,7 +181,7 @@ except DataError as error:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.startswith("refused: "), done.stderr
     assert "cannot be written (File too large)" in done.stderr
-    with Log(tmp_path / "runs.jsonl", HEAD) as log:
+    with RunLog(tmp_path / "runs.jsonl", HEAD) as log:
         assert list(log.rows) == [row]
 
 

@@ -30,15 +30,16 @@ from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
 from slipfree.files.tables import write_rows
 from slipfree.fit import estimate
-from slipfree.plan import ipopt, tracking, verification
+from slipfree.plan import ipopt, mpc, verification
 from slipfree.plan import plan as planning
-from slipfree.plan.external_nlp import solve_nlp
+from slipfree.plan import search as searching
+from slipfree.plan.ipopt import solve_nlp
 from slipfree.plan.mpc import horizon
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.verbs import compare
 from slipfree.problem.verbs import driving as runner
 from slipfree.problem.verbs import plan as plan_verb
-from slipfree.solve import simulate, zero_order_hold
+from slipfree.solve import integrator, simulate, zero_order_hold
 from slipfree.system import codegen_cache
 from slipfree.system.interrupt import (
     InterruptGuard,
@@ -231,8 +232,8 @@ def moved(method="cvodes", progress=None):
 
 @pytest.mark.parametrize("method", ["idas", "cvodes"])
 def test_at_the_entry_of_a_step(method, monkeypatch):
-    pressed, _ = pressing(simulate._doubles, at=5)
-    monkeypatch.setattr(simulate, "_doubles", pressed)
+    pressed, _ = pressing(integrator._doubles, at=5)
+    monkeypatch.setattr(integrator, "_doubles", pressed)
     times = []
     with pytest.raises(KeyboardInterrupt):
         moved(method, times.append)
@@ -242,8 +243,8 @@ def test_at_the_entry_of_a_step(method, monkeypatch):
 @pytest.mark.parametrize(
     ("where", "name"),
     [
-        (simulate._Relay, "has_eval_buffer"),
-        (simulate._Relay, "get_sparsity_in"),
+        (integrator._Relay, "has_eval_buffer"),
+        (integrator._Relay, "get_sparsity_in"),
         (simulate, "with_inputs"),
         (simulate, "to_trajectory"),
     ],
@@ -255,16 +256,18 @@ def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
         moved()
 
 
-@pytest.mark.parametrize("name", ["suppress_messages", "correct_samples"])
-def test_swallowed_around_a_call(name, monkeypatch):
+@pytest.mark.parametrize(
+    ("where", "name"), [(integrator, "suppress_messages"), (simulate, "correct_samples")]
+)
+def test_swallowed_around_a_call(where, name, monkeypatch):
     """As in CasADi's own code: the call goes on, or fails with words of its own."""
-    function = getattr(simulate, name)
+    function = getattr(where, name)
 
     def swallowing(*args):
         lost()
         return function(*args)
 
-    monkeypatch.setattr(simulate, name, swallowing)
+    monkeypatch.setattr(where, name, swallowing)
     with pytest.raises(KeyboardInterrupt):
         moved()
 
@@ -363,13 +366,13 @@ def test_in_a_search(where, name, monkeypatch):
 
 
 def test_swallowed_between_two_searches(monkeypatch):
-    function = planning.sample_plan
+    function = searching.sample_plan
 
     def swallowing(*args):
         lost()
         return function(*args)
 
-    monkeypatch.setattr(planning, "sample_plan", swallowing)
+    monkeypatch.setattr(searching, "sample_plan", swallowing)
     with pytest.raises(KeyboardInterrupt):
         planned()
 
@@ -395,7 +398,7 @@ def test_a_look_that_deals_with_it_keeps_the_iterate():
         return iterate.number < 2
 
     found = planned(progress)
-    assert found.solution.status == planning.STOPPED_STATUS
+    assert found.solution.status == ipopt.STOPPED_STATUS
     assert [stage.iterations for stage in found.stages] == [2]
 
 
@@ -589,7 +592,7 @@ def test_a_run_interrupted_twice_in_its_integration_writes_nothing(folder, monke
         press()
         return memory
 
-    monkeypatch.setattr(simulate, "_doubles", pressed)
+    monkeypatch.setattr(integrator, "_doubles", pressed)
     found = run("p.toml", "-o", "p.nc")
     assert (found.exit_code, found.stderr) == (130, "interrupted\n")
     assert (folder / "p.nc").read_bytes() == OLD
@@ -736,10 +739,10 @@ def test_a_comparison_keeps_its_finished_vehicles(monkeypatch):
 
 def test_a_tracking_keeps_its_cycles(monkeypatch):
     dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
-    pressed, _ = pressing(tracking._drive, at=3)
-    monkeypatch.setattr(tracking, "_drive", pressed)
+    pressed, _ = pressing(mpc._drive, at=3)
+    monkeypatch.setattr(mpc, "_drive", pressed)
     frame = horizon(planned(), span=1.0)
     with held_interrupt():
-        found = tracking.track_plan(frame, dae, settle(dae), period=0.25)
+        found = mpc.track_plan(frame, dae, settle(dae), period=0.25)
     assert found.run.stop.name == "interrupted"
     assert_allclose(found.run.t[-1], 0.5)

@@ -28,12 +28,11 @@ from helpers.sweep_cases import (
 )
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
-from slipfree.sweep import cluster
-from slipfree.sweep.cluster import Cluster
+from slipfree.sweep import pools
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import Log
-from slipfree.sweep.pools import ProcessPool
-from slipfree.sweep.table import sweep_facts
+from slipfree.sweep.log import RunLog
+from slipfree.sweep.pools import Cluster, ProcessPool
+from slipfree.sweep.run import sweep_facts
 from slipfree.sweep.worker import work
 from slipfree.system.processes import finish_tasks
 
@@ -166,7 +165,7 @@ def test_ctrl_c_keeps_what_is_finished(file: Path) -> None:
 
 
 def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 0.05)
+    monkeypatch.setattr(pools, "PATIENCE", 0.05)
     said: list[str] = []
     with distributed.LocalCluster(
         n_workers=1,
@@ -228,7 +227,7 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
     assert done.row.words == "OSError: [Errno 28] No space left on device"
     sweep = sweep_of(file, ["time.step=0.1,0.05"])
     failed = done.row._replace(run=2, outcome="failed", words="by chance")
-    with Log(file.parent / "out" / "runs.jsonl", sweep.head) as log:
+    with RunLog(file.parent / "out" / "runs.jsonl", sweep.head) as log:
         log.append(done.row)
         log.append(failed)
         told = dict(sweep_facts(sweep, log.rows, {}, ()))
@@ -247,6 +246,6 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
 
 
 def test_a_cluster_that_does_not_fit_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "__version__", "9.9")
+    monkeypatch.setattr(pools, "__version__", "9.9")
     with pytest.raises(DataError, match=f"that have slipfree 9.9, found {__version__};"):
         Cluster(dask, print)

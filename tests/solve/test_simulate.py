@@ -27,8 +27,9 @@ from slipfree.core.dae import LIMIT_ROUNDING, Limit, PiecewiseLinear
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label, symbols
 from slipfree.core.trajectory import joined
+from slipfree.solve import integrator
 from slipfree.solve import simulate as module
-from slipfree.solve.events import Event
+from slipfree.solve.stops import Event
 from slipfree.solve.system import _with_numbers as with_numbers
 
 
@@ -381,7 +382,7 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
     start, t = settle(dae), np.linspace(0, 1, 6)
     inputs = dae.inputs(**PAPER_RATES)
     plain = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-6))
-    run_integrator, first = module._run, []
+    run_integrator, first = integrator._run, []
 
     def rejecting(*given):
         if first:
@@ -389,7 +390,7 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
         first.append(given)
         raise RuntimeError("IDA_LINESEARCH_FAIL")
 
-    monkeypatch.setattr(module, "_run", rejecting)
+    monkeypatch.setattr(integrator, "_run", rejecting)
     shifted = module._initial_sample(module.with_inputs(dae, inputs, 5), start, 0.0)
     shifted = shifted._replace(z=shifted.z + 1e-3)
     monkeypatch.setattr(module, "_initial_sample", lambda *_: shifted)
@@ -461,27 +462,27 @@ def test_integrators_are_kept_for_later_calls_and_end_with_their_model(monkeypat
     dae, made, make = follows_input(), [], ca.integrator
     monkeypatch.setattr(ca, "integrator", lambda *args: made.append(args[4]) or make(*args))
     t = np.linspace(0, 2, 5)
-    monkeypatch.setattr(module, "_IDLE", WeakKeyDictionary())
+    monkeypatch.setattr(integrator, "_IDLE", WeakKeyDictionary())
     for rates in ((1.0, 1.0, 2.0, 2.0), (3.0, 3.0, 4.0, 4.0)):
         simulate(dae, settle(dae), dae.inputs(drive=np.array(rates)), t)
-        assert module.count_idle() == len(made) == 2
+        assert integrator.count_idle() == len(made) == 2
     simulate(dae, settle(dae), dae.inputs(drive=-dae.x.values[0]), t)  # a law has its own functions
     assert len(made) == 3
-    assert module.count_idle() == 2
-    monkeypatch.setattr(module, "MAX_IDLE", 3)
+    assert integrator.count_idle() == 2
+    monkeypatch.setattr(integrator, "MAX_IDLE", 3)
     other = follows_input()
     simulate(other, settle(other), other.inputs(drive=np.array([1.0, 1.0, 2.0, 2.0])), t)
-    assert module.count_idle() == 3
+    assert integrator.count_idle() == 3
     simulate(dae, settle(dae), dae.inputs(drive=1.0), t)
-    assert module.count_idle() == 3
+    assert integrator.count_idle() == 3
     with_numbers.cache_clear()
-    assert module.count_idle() == 0
+    assert integrator.count_idle() == 0
 
 
 @pytest.mark.slow
 def test_new_starts_after_failures_pass_kinks(monkeypatch):
     """The integrator fails at every second sample: more often than one interval allows."""
-    dae, solve = follows_input(), module._call_integrator
+    dae, solve = follows_input(), integrator._call_integrator
 
     def failing(solver, observer, at, t, u):
         if t.size > 3 and t[-1] == 3.0:
@@ -489,13 +490,13 @@ def test_new_starts_after_failures_pass_kinks(monkeypatch):
             raise SolverError("none of those")
         return solve(solver, observer, at, t, u)
 
-    t = np.linspace(0, 3, 2 * module.MAX_RESTARTS + 21)
+    t = np.linspace(0, 3, 2 * integrator.MAX_RESTARTS + 21)
     rate, way = zigzag(t, np.random.default_rng(2).uniform(-1, 1, t.size))
     given = dae, settle(dae), dae.inputs(drive=rate), t
     levels = [Event(dae.x.values[0] - at, name=f"way {at}") for at in (way[1:8] + way[:7]) / 2]
     options = SolverOptions(tolerance=1e-10)
     expected = simulate(*given, options=options, events=levels).events
-    monkeypatch.setattr(module, "_call_integrator", failing)
+    monkeypatch.setattr(integrator, "_call_integrator", failing)
     run = simulate(*given, options=options, events=levels)
     assert_array_equal(run.t, t)
     assert_allclose(run["x0"], way, rtol=0, atol=1e-7)
@@ -514,7 +515,7 @@ def test_steps_are_bounded_by_the_pace_under_later_inputs(share, calls, monkeypa
     dae = replace(dae, pace=30 * (share * own + (1 - share) * dae.x.values[0]))
     made = []
     monkeypatch.setattr(
-        module, "_run", lambda *a, run=module._run: made.append(run(*a)) or made[-1]
+        integrator, "_run", lambda *a, run=integrator._run: made.append(run(*a)) or made[-1]
     )
     inputs = dae.inputs(drive=ca.tanh(3 * dae.t))
     run = simulate(dae, settle(dae, x0=0.0), inputs, np.linspace(0, 4, 3))

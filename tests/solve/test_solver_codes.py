@@ -3,7 +3,7 @@
 import casadi as ca
 import pytest
 
-from slipfree.core.solver_codes import IPOPT_STATUSES, SUNDIALS_FLAGS, ipopt_words, sundials_words
+from slipfree.core.outcome import IPOPT_STATUSES, SUNDIALS_FLAGS, ipopt_words, sundials_words
 
 CASADI = "casadi/interfaces/sundials/idas_interface.cpp:620: IDASolve returned "
 

@@ -17,7 +17,7 @@ from slipfree.core.records import leaves
 from slipfree.plan.mpc import first_cycle, horizon
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import _compare
-from slipfree.solve.whole_turns import periodic_states, same_turn
+from slipfree.solve.sampling import periodic_states, same_turn
 
 GROUND = Analytic(lambda x, y: 0.1 * x * y)
 

@@ -15,9 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 import slipfree
-from slipfree.cli.edit import edit
-from slipfree.cli.examples import examples
-from slipfree.cli.fit import fit
+from slipfree.cli.fit import fit, wheel
 from slipfree.cli.inspect import check, compare, export, info, vehicle
 from slipfree.cli.messages import (
     BAD_INPUT,
@@ -34,21 +32,18 @@ from slipfree.cli.messages import (
     visible,
     with_output_options,
 )
-from slipfree.cli.new import new
-from slipfree.cli.pareto import pareto
-from slipfree.cli.report import report
+from slipfree.cli.new import examples, new
+from slipfree.cli.plans import pareto, track
 from slipfree.cli.run import run
-from slipfree.cli.show import show
+from slipfree.cli.show import edit, report, show
 from slipfree.cli.sweep import sweep
-from slipfree.cli.track import track
-from slipfree.cli.wheel import wheel
 
 UsageError: Any = typer.BadParameter.__bases__[
     0
 ]  # class of click, or of the copy of click in typer
 
 
-class _Commands(TyperGroup):
+class _CommandGroup(TyperGroup):
     """Group of the commands; with ``--json`` it prints errors of the command line as JSON."""
 
     def make_context(self, info_name: Any, args: list[str], *rest: Any, **more: Any) -> Any:
@@ -80,7 +75,7 @@ class _Commands(TyperGroup):
 
 app = typer.Typer(
     name="slipfree",
-    cls=_Commands,
+    cls=_CommandGroup,
     help="Compute how a wheeled vehicle moves over a height map, and plan its motion.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

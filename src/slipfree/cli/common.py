@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,7 +34,6 @@ NO_MEMORY = (
     "'time.step', or use fewer intervals of the plan"
 )
 MAX_PROCESSES = 1000  # more need hundreds of gigabytes
-REFRESH = 0.1  # shortest time between updates of the progress bar [s]
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Problem file (TOML).")]
 Settings = Annotated[
@@ -95,11 +93,9 @@ def reported() -> Iterator[None]:
 def about(file: Path) -> Iterator[None]:
     """Name the result file in the message of an error that the block raises.
 
-    Raises
-    ------
-    DataError
-        If the block raises a ModelError or DataError whose message lacks the name, or a KeyError:
-        every result of ``slipfree run`` has the requested quantities, statistics and attributes.
+    Raises DataError if the block raises a ModelError or DataError whose message lacks the name, or
+    a KeyError: every result of ``slipfree run`` has the requested quantities, statistics and
+    attributes.
     """
     try:
         yield
@@ -148,20 +144,6 @@ def begins_with(file: Path, head: bytes) -> bool:
             return stream.read(len(head)) == head
     except DataError:
         return False
-
-
-def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[Any], None]:
-    """Return a callback that calls ``show`` at most once per ``apart`` seconds."""
-    last = 0.0
-
-    def throttle(value: Any) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last > apart:
-            last = now
-            show(value)
-
-    return throttle
 
 
 def print_facts(facts: list[tuple[str, str]]) -> None:

@@ -21,7 +21,6 @@ from slipfree.cli.common import (
     reported,
     show,
 )
-from slipfree.cli.json_output import motion_json, quantities, row_json
 from slipfree.cli.messages import (
     INTERRUPTED,
     add_json,
@@ -33,8 +32,7 @@ from slipfree.cli.messages import (
     visible,
 )
 from slipfree.cli.new import write_new_file
-from slipfree.cli.outcomes import resume_command
-from slipfree.cli.outputs import check_outputs
+from slipfree.cli.outputs import check_outputs, motion_json, quantities, resume_command, row_json
 from slipfree.core.errors import DataError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 

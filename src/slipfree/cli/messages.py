@@ -1,9 +1,10 @@
-"""Output of the commands: common options, messages, details and JSON.
+"""Output of the commands: common options, messages, details, JSON and progress.
 
 Commands print to stdout: text by default, nothing with ``--quiet``, and with ``--json`` one object
 with facts, values added by `add_json`, and the meaning of the exit code. Errors, warnings and
-details are lines on stderr. `print_line` escapes the control characters of all texts, since names
-and titles in files must not control the terminal.
+details are lines on stderr, as is progress: a bar on a terminal, otherwise occasional lines.
+`print_line` escapes the control characters of all texts, since names and titles in files must not
+control the terminal.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from typing import Annotated, Any, NamedTuple, NoReturn, TextIO, get_type_hints
 
 import typer
 
+from slipfree.system.interrupt import check_interrupt, held_interrupt
+
 DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANINGS = {
     DONE: "done",
@@ -45,6 +48,11 @@ Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="Print every step with its time on stderr.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+FIRST_LINE = 2.0  # time before the first line of a computation [s]
+NEW_PHASE = 1.0  # shortest time between lines of different phases [s]
+SAME_PHASE = 10.0  # shortest time between lines of the same phase [s]
+REFRESH = 0.1  # shortest time between updates of the progress bar [s]
+INTEGRATION = "integrated"
 
 
 class OutputOptions(NamedTuple):
@@ -174,16 +182,10 @@ def visible(text: str) -> str:
     return CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
-def print_line(
-    words: str = "", *, nl: bool = True, err: bool = False, file: TextIO | None = None
-) -> None:
-    """Print a line, with control characters escaped, on stdout, stderr or another stream.
-
-    The line ends with a newline unless ``nl`` is False. ``file`` is the stream; without it, ``err``
-    selects stderr.
-    """
+def print_line(words: str = "", *, err: bool = False, file: TextIO | None = None) -> None:
+    """Print a line, with control characters escaped, on ``file``, with ``err`` on stderr."""
     try:
-        typer.echo(visible(words), nl=nl, err=err, file=file)
+        typer.echo(visible(words), err=err, file=file)
     except OSError as error:
         error.filename = error.filename or ("stderr" if err or file else "stdout")
         raise
@@ -308,3 +310,130 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class Reports(NamedTuple):
+    """Callables that report progress; both raise KeyboardInterrupt after Ctrl-C.
+
+    Attributes
+    ----------
+    time : callable
+        Called with the time reached. [s]
+    search : callable
+        Called with the phase of a search and a line that describes its iterate.
+    """
+
+    time: Callable[[float], None]
+    search: Callable[[str, str], None]
+
+
+@contextmanager
+def reporting(duration: float | None) -> Iterator[Reports]:
+    """Yield callables that report the progress of a computation.
+
+    Ctrl-C is held back inside the context, see `held_interrupt`.
+    With ``--verbose`` every iterate is printed; with ``--quiet`` and ``--json`` nothing is printed.
+
+    Parameters
+    ----------
+    duration : float or None
+        Duration of the motion; None for a search over the whole motion. [s]
+    """
+    with held_interrupt():
+        if is_verbose():
+            yield _reports(_detailed(), lambda _, line: detail(line), duration)
+        elif not has_bar():
+            yield Reports(lambda _: check_interrupt(), lambda *_: check_interrupt())
+        elif sys.stderr.isatty():
+            with _bar(duration) as reports:
+                yield reports
+        else:
+            stderr = sys.stderr  # the current one: integrators redirect sys.stderr
+            show = _sparse(lambda line: print_line(line, file=stderr), SAME_PHASE)
+            yield _reports(show, show, duration)
+
+
+def _reports(
+    integration: Callable[[str, str], None],
+    search: Callable[[str, str], None],
+    duration: float | None,
+) -> Reports:
+    of = "" if duration is None else f" of {duration:g}"
+
+    def show_time(t: float) -> None:
+        check_interrupt()
+        integration(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
+
+    def show_search(phase: str, line: str) -> None:
+        check_interrupt()
+        search(phase, line)
+
+    return Reports(show_time, show_search)
+
+
+def _detailed() -> Callable[[str, str], None]:
+    """Return a callback for ``--verbose`` that prints the start of the integration, then times."""
+    seldom, begun = _sparse(detail, NEW_PHASE), False
+
+    def integrated(phase: str, line: str) -> None:
+        nonlocal begun
+        if not begun:
+            begun = True
+            detail("settled the vehicle at the start; integrating")
+        seldom(phase, line)
+
+    return integrated
+
+
+def _sparse(show: Callable[[str], None], apart: float) -> Callable[[str, str], None]:
+    """Return a callback of phase and line that shows at most one line per ``apart`` seconds.
+
+    The first line of a new phase is shown `NEW_PHASE` seconds after the previous line.
+    """
+    last, former = time.monotonic() + FIRST_LINE - NEW_PHASE, ""
+
+    def seldom(phase: str, line: str) -> None:
+        nonlocal last, former
+        now = time.monotonic()
+        if now - last >= (NEW_PHASE if phase != former else apart):
+            last, former = now, phase
+            show(line)
+
+    return seldom
+
+
+@contextmanager
+def _bar(duration: float | None) -> Iterator[Reports]:
+    """Yield callables that update a progress bar."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import Progress
+
+    with Progress(console=Console(file=sys.stderr), transient=True) as bar:
+        task = bar.add_task("solving", total=duration)
+        move = throttled(lambda t: bar.update(task, completed=t))
+        describe = throttled(lambda line: bar.update(task, description=escape(visible(line))))
+
+        def show_time(t: float) -> None:
+            check_interrupt()
+            move(t)
+
+        def show_search(_phase: str, line: str) -> None:
+            check_interrupt()
+            describe(line)
+
+        yield Reports(show_time, show_search)
+
+
+def throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a callback that calls ``show`` at most once per `REFRESH` seconds."""
+    last = 0.0
+
+    def throttle(value: Any) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last > REFRESH:
+            last = now
+            show(value)
+
+    return throttle

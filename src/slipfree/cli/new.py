@@ -1,21 +1,29 @@
-"""``slipfree new``: a commented problem file as a template."""
+"""New problem files: ``slipfree new`` writes a template, ``slipfree examples`` copies problems."""
 
 from __future__ import annotations
 
 import shlex
+import tomllib
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
-from pathlib import Path
-from typing import Annotated
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from slipfree.cli.common import reported
-from slipfree.cli.messages import add_json_file, print_line
+from slipfree.cli.messages import add_json, add_json_file, print_line
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError
+from slipfree.system.regular_files import check_name, replace_file
 
-FOLDER = "starters"  # folder of the templates in the package
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+STARTERS = "starters"  # folder of the templates in the package
 HOLE = "FILE"  # placeholder of the file name in the comments of a template
+SHIPPED = "problems"  # in the package
+NEED = ("file", "friction")  # keys whose values are names of input files
 
 
 class Kind(StrEnum):
@@ -44,7 +52,7 @@ def new(
                 "another name"
             )
         out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
-        text = (files("slipfree") / FOLDER / f"{kind}.toml").read_text(encoding="utf-8")
+        text = (files("slipfree") / STARTERS / f"{kind}.toml").read_text(encoding="utf-8")
         word = shlex.quote(str(out))
         write_new_file(text.replace(f" {HOLE}", f" {word}"), out, force)
         print_line(f"wrote {out}: slipfree check {word} && slipfree run {word}")
@@ -57,7 +65,137 @@ def write_new_file(text: str, out: Path, force: bool) -> None:
         raise DataError(
             f"{out}: expected a new file, found an existing one; replace it with --force"
         )
-    from slipfree.system.atomic_files import replace_file
 
     replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
     add_json_file(out)
+
+
+def _complete(begun: str) -> list[str]:
+    return [name for name in _shipped() if name.startswith(begun)]
+
+
+def examples(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME",
+            help="Problems to copy; all if only --to is given.",
+            autocompletion=_complete,
+        ),
+    ] = None,
+    to: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Destination folder, created if needed; default: the current one."
+        ),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace files of the same names.")
+    ] = False,
+) -> None:
+    """List the shipped problems, or copy them.
+
+    Copies include the input files that the problems need.
+    """
+    with reported():
+        shipped = _shipped()
+        if not names and to is None:
+            _list(shipped)
+            return
+        wanted = dict.fromkeys(name.removesuffix(".toml") for name in names or shipped)
+        for name in wanted:
+            if name not in shipped:
+                raise DataError(_unknown(name, list(shipped)))
+        _copy([*wanted], shipped, Path() if to is None else to, force)
+
+
+def _shipped() -> dict[str, Traversable]:
+    """Return the shipped problems and vehicles by name."""
+
+    def below(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:
+        for each in sorted(folder.iterdir(), key=lambda each: (each.is_dir(), each.name)):
+            if each.is_dir():
+                yield from below(each, f"{path}{each.name}/")
+            elif each.name.endswith(".toml"):
+                yield path + each.name.removesuffix(".toml"), each
+
+    return dict(below(_folder(), ""))
+
+
+def _folder() -> Traversable:
+    """Return the folder of the shipped problems."""
+    from importlib.resources import files
+
+    return files("slipfree") / SHIPPED
+
+
+def _list(shipped: Mapping[str, Traversable]) -> None:
+    """Print name, verb and title of each shipped problem and vehicle."""
+    rows = []
+    for name, file in shipped.items():
+        data = tomllib.loads(file.read_text(encoding="utf-8"))
+        rows.append((name, data.get("verb", "vehicle"), data.get("title") or data.get("name", "")))
+    add_json(
+        "examples", lambda: [dict(zip(("name", "verb", "title"), row, strict=True)) for row in rows]
+    )
+    width = max(len(name) for name, *_ in rows)
+    for name, verb, title in rows:
+        print_line(f"{name:{width}}  {verb:8} {title}")
+    print_line("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
+
+
+def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
+    """Copy shipped problems with their input files to a folder.
+
+    Raises DataError if files exist already and ``force`` is not set, or a file or folder cannot be
+    written.
+    """
+    texts = {}
+    while wanted:
+        name = wanted.pop()
+        texts[f"{name}.toml"] = text = shipped[name].read_text(encoding="utf-8")
+        above = PurePosixPath(name).parent
+        for each in {(above / file).as_posix() for file in _files(tomllib.loads(text))} - {*texts}:
+            if (other := each.removesuffix(".toml")) in shipped:
+                wanted.append(other)
+            elif (data := _folder() / each).is_file():
+                texts[each] = data.read_text(encoding="utf-8")
+    places = {to / name: text for name, text in sorted(texts.items())}
+    for out in places:
+        check_name(out)
+    taken = [str(out) for out in places if out.exists()]
+    if taken and not force:
+        raise DataError(
+            f"examples: expected new files, found existing: {', '.join(taken)}; use --force to "
+            "replace, or choose another folder: --to DIR"
+        )
+    for out, text in places.items():
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(
+                f"{out.parent}: expected a folder that exists or can be created, found that it "
+                f"cannot be created ({error.strerror}); choose another folder: --to DIR"
+            ) from error
+        write_new_file(text, out, force)
+        print_line(f"wrote {out}")
+
+
+def _files(table: Any) -> Iterator[str]:
+    """Yield the names of the input files of a problem, from its parsed TOML table."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _files(value) if key != "output" else ()
+        elif key in NEED and isinstance(value, str):
+            yield value
+
+
+def _unknown(name: str, known: list[str]) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return (
+        f"NAME: expected the name of a shipped problem, found {name!r}; {hint}list them with "
+        "slipfree examples"
+    )

@@ -1,4 +1,4 @@
-"""Output files of the commands: checks before a computation, and writing after it."""
+"""Output files of the commands, checked before and written after a computation; their JSON."""
 
 from __future__ import annotations
 
@@ -10,17 +10,114 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slipfree.cli.common import begins_with
-from slipfree.cli.messages import add_json_file, note_failure, print_error, warn
+from slipfree.cli.messages import add_json_file, is_quiet, note_failure, print_error, warn
 from slipfree.core.errors import DataError, WriteError
+from slipfree.core.outcome import Outcome
 from slipfree.system.interrupt import held_interrupt
 from slipfree.system.regular_files import check_name, resolve_links
 
 if TYPE_CHECKING:
+    from slipfree.core.facts import Facts
+    from slipfree.core.trajectory import Stop, Trajectory
     from slipfree.problem.problem import Problem
+    from slipfree.problem.verbs.compare import Drive, Row
 
 OUTPUT = ("output", "file")  # key of a problem file with the name of its result
 FIGURE = b"\x89PNG"  # first bytes of a PNG file
 PAGES = (".html", ".htm")  # endings of pages
+
+
+def motion_json(run: Trajectory, facts: Facts) -> dict[str, Any]:
+    """Return the JSON object of a motion: times, stop, wheels, ranges of quantities, facts."""
+    return {
+        "samples": run.t.size,
+        "time": {"unit": "s", "first": run.t[0], "last": run.t[-1]},
+        "stop": stop_json(run.stop),
+        "wheels": run.wheels,
+        "quantities": quantities(run),
+        "facts": {name: fact._asdict() for name, fact in facts.items()},
+        "statistics": run.statistics,
+    }
+
+
+def stop_json(stop: Stop | None) -> dict[str, Any] | None:
+    """Return name, time [s] and description of a stop; None without a stop."""
+    return None if stop is None else {"name": stop.name, "time": stop.t, "words": stop.words}
+
+
+def quantities(run: Trajectory) -> dict[str, Any]:
+    """Return description, unit, first, last, smallest and largest value of each quantity by name.
+
+    For quantities of wheels, first and last values are arrays of shape (n_wheels,), and smallest
+    and largest values are taken over all wheels. Headings refer to the frame of the problem file.
+    """
+    return {
+        name: {
+            "words": label.words,
+            "unit": label.unit,
+            "first": values[0],
+            "last": values[-1],
+            "min": values.min(),
+            "max": values.max(),
+        }
+        for name, (label, values) in run.columns.items()
+    }
+
+
+def row_json(row: Row) -> dict[str, Any]:
+    """Return the JSON object of one vehicle of ``slipfree compare``."""
+    return {
+        "name": row.name,
+        "wheels": row.wheels,
+        "rank": row.rank,
+        "conditions": row.conditions,
+        "same_rates": _drive(row.same),
+        "driving_law": _drive(row.fitting),
+    }
+
+
+def _drive(drive: Drive) -> dict[str, Any]:
+    """Return the JSON object of one motion of a vehicle: extremes over time, and its stop.
+
+    Values of slip are arrays with one entry per wheel.
+    """
+    return {
+        "slip_along": {"unit": "m s-1", "max": drive.along},
+        "slip_across": {"unit": "m s-1", "max": drive.across},
+        "slip_measured": {"unit": "m s-1", "max": drive.measured},
+        "friction_needed": {"unit": "1", "max": drive.friction},
+        "tilt": {"unit": "rad", "max": drive.tilt},
+        "axle": {"unit": "m", "min": drive.width[0], "max": drive.width[1]},
+        "stop": stop_json(drive.stop),
+    }
+
+
+def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
+    """Print the outcome of an incomplete motion, its file, and the command that resumes it.
+
+    With ``--quiet``, which omits the summary, print also the reason of the outcome. ``go_on`` is
+    the command, empty if there is none.
+    """
+    from slipfree.core.trajectory import outcome_title, outcome_words
+
+    words = outcome_words(run) if is_quiet() else outcome_title(run)
+    print_error(f"{words}; {out} contains the result so far")
+    if go_on:
+        print_error(f"to resume: {go_on}")
+
+
+def resume_command(run: Trajectory, out: Path, *options: str) -> str:
+    """Return the command that resumes an interrupted plan; empty for other motions."""
+    from slipfree.problem.verbs.base import RESUME, VERB_ATTRIBUTE
+    from slipfree.problem.verbs.registry import find_motion_verb
+
+    found = run.attributes
+    verb = find_motion_verb(found.get(VERB_ATTRIBUTE))
+    if run.outcome is not Outcome.INTERRUPTED or verb is None or RESUME not in verb.options:
+        return ""
+    file = Path(found["problem_folder"]) / found["problem_file"]
+    settings = [part for each in found.get("settings", "").splitlines() for part in ("--set", each)]
+    return shlex.join(["slipfree", "run", str(file), *settings, *options, "--resume", str(out)])
 
 
 def check_outputs(

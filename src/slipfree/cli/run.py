@@ -17,7 +17,6 @@ from slipfree.cli.common import (
     reported,
     show,
 )
-from slipfree.cli.json_output import motion_json
 from slipfree.cli.messages import (
     INTERRUPTED,
     add_json,
@@ -26,19 +25,26 @@ from slipfree.cli.messages import (
     note_failure,
     print_error,
     print_line,
+    reporting,
     warn,
 )
-from slipfree.cli.outcomes import print_incomplete, resume_command
-from slipfree.cli.outputs import OUTPUT, check_default_outputs, check_outputs, save
-from slipfree.cli.progress import reporting
+from slipfree.cli.outputs import (
+    OUTPUT,
+    check_default_outputs,
+    check_outputs,
+    motion_json,
+    print_incomplete,
+    resume_command,
+    save,
+)
 from slipfree.core.errors import SlipfreeError, WriteError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from slipfree.cli.progress import Reports
-    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.cli.messages import Reports
+    from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.problem.problem import Problem
     from slipfree.problem.result import Result
     from slipfree.problem.verbs.base import MotionVerb
@@ -133,10 +139,7 @@ def _output_paths(
 ) -> tuple[Path, Path | None]:
     """Return the result file and the folder for figures, None without figures.
 
-    Raises
-    ------
-    DataError
-        If a default path could overwrite other files; see `check_default_outputs`.
+    Raises DataError if a default path could overwrite other files; see `check_default_outputs`.
     """
     is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
     out = out or Path(output_of(problem))
@@ -209,7 +212,7 @@ def _solve(problem: Problem[Any], reports: Reports, former: SavedPlan | None, ou
 def _resumed_plan(file: Path | None) -> SavedPlan | None:
     """Return the plan in the file of ``--resume``; None without the option."""
     from slipfree.files.netcdf import read_arrays
-    from slipfree.plan.warm_start import from_arrays
+    from slipfree.plan.polynomial_motion import from_arrays
 
     return None if file is None else from_arrays(read_arrays(file), str(file))
 

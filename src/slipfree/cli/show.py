@@ -1,4 +1,4 @@
-"""``slipfree show``: show results in a browser, or save them as a page or an animation."""
+"""Pages: ``slipfree show`` plays results, ``report`` describes one, ``edit`` plans by hand."""
 
 from __future__ import annotations
 
@@ -6,22 +6,27 @@ import atexit
 import os
 import sys
 import tempfile
+import threading
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slipfree.cli.common import InputFolder, about, reported
-from slipfree.cli.messages import add_json_file, print_line, warn
+from slipfree.cli.common import InputFolder, Trust, about, reported
+from slipfree.cli.messages import add_json_file, detail, print_line, warn
 from slipfree.cli.outputs import check_outputs, check_page
-from slipfree.system.regular_files import escape_name
+from slipfree.system.regular_files import escape_name, regular_file, replace_file
 
 if TYPE_CHECKING:
+    from slipfree.problem.plan_document import Document
+    from slipfree.show.plan_page import PlanPage
     from slipfree.show.scene import Scene
 
 Layer = Literal["height", "slope", "traversability"]
+STEP = 0.05  # longest time between steps of the session [s]
 
 
 def show(
@@ -64,11 +69,9 @@ def show(
             add_json_file(animation)
         if html is not None:
             from slipfree.show.viewer import page
-            from slipfree.system.atomic_files import replace_file
 
             text = page(scene, _title(found), color)
-            replace_file(html, lambda part: _write(part, text))
-            add_json_file(html)
+            _write_page(html, text)
             print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
         if html is None and animation is None:
             from slipfree.show.viewer import serve
@@ -87,17 +90,19 @@ def _check_outputs(files: Sequence[Path], html: Path | None, animation: Path | N
         film_writer(animation, FRAMES)
 
 
-def _write(part: Path, text: str) -> None:
-    part.write_text(
-        text, encoding="utf-8", errors="backslashreplace"
-    )  # file names may have invalid characters
+def _write_page(file: Path, text: str) -> None:
+    def write(part: Path) -> None:  # file names in the text may have invalid characters
+        part.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+    replace_file(file, write)
+    add_json_file(file)
 
 
 def _read(files: Sequence[Path], folder: Path | None) -> list[Any]:
     """Return the motions in the result files."""
+    from slipfree.core.trajectory import SCENE_SAMPLES
     from slipfree.problem.result import open_result
     from slipfree.problem.verbs.registry import verb_of
-    from slipfree.show.thinning import SCENE_SAMPLES
 
     results, found = [], []
     for file in files:
@@ -154,3 +159,107 @@ def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
             file.write(f'<meta http-equiv="refresh" content="0; url={url}">')
         atexit.register(Path(name).unlink, missing_ok=True)
         webbrowser.open(Path(name).as_uri())
+
+
+def report(
+    file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="OUT.html", help="Page to write; default: OUT.html."
+        ),
+    ] = None,
+    folder: InputFolder = None,
+) -> None:
+    """Write a result as one HTML page.
+
+    The page has facts, checks, figures, the problem file and versions.
+    """
+    with reported(), about(file):
+        from slipfree.problem.report import report as made
+        from slipfree.show.html_page import page
+
+        with regular_file(file, "a result file of slipfree"):
+            target = out or file.with_suffix(".html")
+        check_page(target, [file])
+        found = made(file, folder)
+        detail(f"made {len(found.figures)} figures of {file}")
+        if found.note and not found.figures:
+            warn(found.note)
+        text = page(found)
+        _write_page(target, text)
+        print_line(f"wrote {target}")
+
+
+def edit(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Planning problem (TOML).")],
+    port: Annotated[
+        int,
+        typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port."),
+    ] = 0,
+    browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
+    trust: Trust = None,
+) -> None:
+    """Plan by hand: drag start, goal and keep-out regions on a map in a web page.
+
+    The page shows the search while it runs and compares the plan with the last one. It saves the
+    start, goal and regions to the problem file.
+    """
+    with reported():
+        _serve(file, port, trust or [], browser=browser)
+
+
+def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
+    """Serve the page of a problem until Ctrl-C."""
+    from slipfree.files.urdf.xacro import trusted_paths
+    from slipfree.problem.plan_document import read_document
+    from slipfree.problem.plan_session import Desk, state_of
+    from slipfree.show.local_server import Gate, json_content, start_server
+
+    desk = Desk(read_document(file, trusted_paths(trust)), _page_drawer())
+    get = {
+        "/": lambda: desk.session.page.html,
+        "/map.png": lambda: desk.session.page.image,
+        "/state": lambda: json_content(state_of(desk.session)),
+    }
+    post = {f"/{name}": desk.accept(name) for name in ("plan", "cancel", "save")}
+    gate = Gate("slipfree edit", warn)
+    server = start_server(port, get, post, gate)
+    thread = threading.Thread(target=server.serve_forever, args=(STEP,), daemon=True)
+    thread.start()
+    try:
+        open_page(gate.url(server.server_port), browser, "edits the plan")
+        with suppress(KeyboardInterrupt):
+            while True:
+                desk.step(STEP)
+    finally:
+        desk.close()
+        server.shutdown()
+        server.server_close()
+
+
+def _page_drawer() -> Callable[[Document], PlanPage]:
+    """Return a function that draws the page of a document, again only if other keys changed."""
+    from slipfree.problem.build_common import build_vehicle
+    from slipfree.problem.build_ground import at, build_ground
+    from slipfree.problem.plan_document import PLACES
+    from slipfree.problem.plan_edit import way_points_in
+    from slipfree.show.plan_page import PlanMap, plan_page
+
+    last: tuple[object, PlanPage] | None = None
+
+    def draw(document: Document) -> PlanPage:
+        nonlocal last
+        problem = document.problem
+        spec, file = problem.spec, document.path
+        others = spec.model_dump(exclude={*PLACES})
+        if last is None or last[0] != others:
+            ground = build_ground(problem)
+            with at(problem, ("vehicle",)):
+                vehicle = build_vehicle(spec.vehicle, problem)
+            title, way_points = spec.title or file.stem, way_points_in(problem)
+            plan_map = PlanMap(title, file, spec.frame, ground.grid, vehicle, way_points)
+            last = others, plan_page(plan_map)
+        return last[1]
+
+    return draw

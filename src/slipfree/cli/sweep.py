@@ -26,7 +26,7 @@ from slipfree.core.errors import DataError
 from slipfree.system.interrupt import check_interrupt, held_interrupt
 
 if TYPE_CHECKING:
-    from slipfree.show.sweep_results import Swept
+    from slipfree.core.facts import Swept
     from slipfree.sweep.grid import Sweep
     from slipfree.sweep.log import Rows
     from slipfree.sweep.pools import Pool
@@ -108,7 +108,7 @@ def sweep(
         from slipfree.problem.input_files import files_read
         from slipfree.sweep.grid import sweep_of
         from slipfree.sweep.log import FAILED, LOST
-        from slipfree.sweep.table import NAME, choose_figures, drawn_grids, grids, sweep_facts
+        from slipfree.sweep.run import TABLE, choose_figures, drawn_grids, grids, sweep_facts
         from slipfree.system.codegen_cache import obstacle
         from slipfree.system.processes import available_cores
 
@@ -131,8 +131,8 @@ def sweep(
         names = choose_figures(plan, rows, figures or [])
         found = grids(plan, rows, names)
         print_facts(sweep_facts(plan, rows, found, names))
-        add_json_file(folder / NAME)
-        print_line(f"wrote {folder / NAME}")
+        add_json_file(folder / TABLE)
+        print_line(f"wrote {folder / TABLE}")
         if keep:
             _warn_missing(plan, rows, folder)
         if draw:
@@ -143,13 +143,13 @@ def sweep(
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     """Print the facts of a sweep, and its remaining time, estimated from finished runs."""
-    from slipfree.sweep.log import NAME, Log
-    from slipfree.sweep.table import plan_facts
+    from slipfree.sweep.log import NAME, RunLog
+    from slipfree.sweep.run import plan_facts
 
     facts, log = plan_facts(plan), folder / NAME
     left, words = plan.count, "not known before the first run"
     if log.is_file():
-        with Log(log, plan.head) as opened:
+        with RunLog(log, plan.head) as opened:
             rows = opened.rows
             left -= len(rows)
             facts.append(("finished", f"{len(rows)} in {folder}"))
@@ -187,8 +187,7 @@ def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
 
 
 def _pool(count: int | None, scheduler: str | None) -> Callable[[], Pool]:
-    from slipfree.sweep.cluster import Cluster
-    from slipfree.sweep.pools import ProcessPool
+    from slipfree.sweep.pools import Cluster, ProcessPool
     from slipfree.system.processes import available_cores
 
     if scheduler is None:

@@ -50,10 +50,9 @@ from slipfree.climb.contact_path import (
 )
 from slipfree.control.reference_speeds import PerAxle
 from slipfree.control.step_climbing import Commands, ControlState, Motors, Sensed, limited
-from slipfree.core.bounds import check_bounds
 from slipfree.core.errors import ModelError
 from slipfree.core.nlp import Nlp
-from slipfree.core.records import Array, Label
+from slipfree.core.records import Array, Label, check_bounds
 from slipfree.core.trajectory import Column, Trajectory, joined
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import GRAVITY

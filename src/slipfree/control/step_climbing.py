@@ -26,10 +26,9 @@ from slipfree.control.reference_speeds import (
     measured,
     reference,
 )
-from slipfree.core.bounds import check_bounds
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Label, leaves, symbols
+from slipfree.core.records import Label, check_bounds, leaves, symbols
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle

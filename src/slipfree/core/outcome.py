@@ -1,11 +1,70 @@
-"""Outcomes of motions and plans: complete, or the category of the stop reason."""
+"""Outcomes of motions and plans, and the meanings of the status codes of IPOPT and SUNDIALS."""
 
 from __future__ import annotations
 
+import re
 from enum import Enum
 
 INTERRUPTED_EXIT_CODE = 130  # convention of shells for programs ended by Ctrl-C
 INCOMPLETE_EXIT_CODE = 1
+NO_START = "no consistent initial conditions were found"
+SINGULAR = "the Jacobian is singular"
+NOT_FINITE = "the residuals of the equations are not finite"
+RATES_NOT_FINITE = "the rates are not finite"
+INTEGRAL_NOT_FINITE = "an integrated quantity is not finite"
+TOO_LONG = "the search reached its time limit"
+MALFORMED = "the nonlinear program is malformed: please report this as a bug in slipfree"
+IPOPT_STATUSES = {
+    "Solve_Succeeded": "the plan is solved",
+    "Solved_To_Acceptable_Level": "the plan is solved with reduced accuracy",
+    "Feasible_Point_Found": "a motion that meets the constraints was found, but not the best one",
+    "Infeasible_Problem_Detected": "the constraints contradict each other where the search ended",
+    "Restoration_Failed": "the search could not return to motions that meet the constraints",
+    "Maximum_Iterations_Exceeded": "the search reached its maximum number of iterations",
+    "Maximum_CpuTime_Exceeded": TOO_LONG,
+    "Maximum_WallTime_Exceeded": TOO_LONG,
+    "User_Requested_Stop": "the search was stopped",
+    "Diverging_Iterates": "the unknowns grow without bound: add bounds to quantities in the cost",
+    "Search_Direction_Becomes_Too_Small": "the search made no further progress",
+    "Error_In_Step_Computation": "the next step of the search could not be computed",
+    "Not_Enough_Degrees_Of_Freedom": "there are more equations than unknowns",
+    "Invalid_Number_Detected": "a function of the model was not finite during the search",
+    "Invalid_Problem_Definition": MALFORMED,
+    "Invalid_Option": MALFORMED,
+    "Insufficient_Memory": "there is not enough memory: use fewer intervals",
+}
+SUNDIALS_FLAGS = {  # flags of IDAS and CVODES without the prefixes IDA_ and CV_
+    "TOO_MUCH_WORK": "too many steps between two samples",
+    "TOO_MUCH_ACC": "the tolerance is too small for double precision",
+    "ERR_FAIL": "the error test failed at the smallest step",
+    "ERR_FAILURE": "the error test failed at the smallest step",
+    "CONV_FAIL": "the equations of a step could not be solved",
+    "CONV_FAILURE": "the equations of a step could not be solved",
+    "LINIT_FAIL": SINGULAR,
+    "LSETUP_FAIL": SINGULAR,
+    "LSOLVE_FAIL": SINGULAR,
+    "RES_FAIL": NOT_FINITE,
+    "FIRST_RES_FAIL": NOT_FINITE,
+    "REP_RES_ERR": NOT_FINITE,
+    "RHSFUNC_FAIL": RATES_NOT_FINITE,
+    "FIRST_RHSFUNC_ERR": RATES_NOT_FINITE,
+    "REPTD_RHSFUNC_ERR": RATES_NOT_FINITE,
+    "UNREC_RHSFUNC_ERR": RATES_NOT_FINITE,
+    "QRHS_FAIL": INTEGRAL_NOT_FINITE,
+    "FIRST_QRHS_ERR": INTEGRAL_NOT_FINITE,
+    "REP_QRHS_ERR": INTEGRAL_NOT_FINITE,
+    "QRHSFUNC_FAIL": INTEGRAL_NOT_FINITE,
+    "FIRST_QRHSFUNC_ERR": INTEGRAL_NOT_FINITE,
+    "REPTD_QRHSFUNC_ERR": INTEGRAL_NOT_FINITE,
+    "LINESEARCH_FAIL": NO_START,
+    "NO_RECOVERY": NO_START,
+    "BAD_EWT": "an unknown is not finite",
+    "ILL_INPUT": "an input of the integrator, such as an initial value, is invalid",
+    "TOO_CLOSE": "consecutive sample times are too close for double precision",
+    "MEM_FAIL": "there is not enough memory",
+}
+FLAG = re.compile(r"\b(IDA|CV)_([A-Z_]+)\b")
+SOURCE = re.compile(r"^\S+\.[ch]pp:\d+: ")  # line of CasADi's source code in a message
 
 
 class Outcome(Enum):
@@ -34,3 +93,18 @@ class Outcome(Enum):
         if self is Outcome.COMPLETE:
             return 0
         return INTERRUPTED_EXIT_CODE if self is Outcome.INTERRUPTED else INCOMPLETE_EXIT_CODE
+
+
+def ipopt_words(status: str) -> str:
+    """Return the meaning of a status of IPOPT, followed by the status in parentheses."""
+    return f"{IPOPT_STATUSES.get(status, 'the search failed')} (IPOPT: {status})"
+
+
+def sundials_words(message: str) -> str:
+    """Return the meaning of the SUNDIALS flag in an error message of CasADi, and the flag.
+
+    For a message without a flag, return its last line.
+    """
+    if found := FLAG.search(message):
+        return f"{SUNDIALS_FLAGS.get(found[2], 'the integrator failed')} ({found[0]})"
+    return SOURCE.sub("", message.strip().splitlines()[-1])

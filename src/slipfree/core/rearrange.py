@@ -16,7 +16,7 @@ from slipfree.core.records import Array, Label, leaves, pack, unpack
 
 
 @dataclass(frozen=True, eq=False)
-class Variable:
+class ModelVariable:
     """A state, unknown or input of a model.
 
     Attributes
@@ -44,7 +44,7 @@ class Variable:
 
 
 def variables(dae: Dae) -> tuple[Any, Any, Any]:
-    """Return the states, unknowns and inputs of a model as three records of `Variable`."""
+    """Return the states, unknowns and inputs of a model as three records of `ModelVariable`."""
     x = zip(leaves(dae.labels.x), leaves(dae.x), _entries(dae.ode), dae.shift[0], strict=True)
     z = zip(
         leaves(dae.labels.z),
@@ -57,8 +57,8 @@ def variables(dae: Dae) -> tuple[Any, Any, Any]:
     u = zip(leaves(dae.labels.u), leaves(dae.u), strict=True)
     zero = ca.SX(0)
     return (
-        unpack(dae.x, [Variable(n, s, rate, zero, dae.size_of(n), o) for n, s, rate, o in x]),
-        unpack(dae.z, [Variable(n, s, zero, guess, size, o) for n, s, guess, size, o in z]),
+        unpack(dae.x, [ModelVariable(n, s, rate, zero, dae.size_of(n), o) for n, s, rate, o in x]),
+        unpack(dae.z, [ModelVariable(n, s, zero, guess, size, o) for n, s, guess, size, o in z]),
         unpack(dae.u, [new_variable(dae, label, symbol) for label, symbol in u]),
     )
 
@@ -68,7 +68,7 @@ def _entries(column: ca.SX) -> list[ca.SX]:
     return ca.vertsplit(column) if column.numel() else []
 
 
-def new_variable(dae: Dae, label: Label, symbol: ca.SX | None = None) -> Variable:
+def new_variable(dae: Dae, label: Label, symbol: ca.SX | None = None) -> ModelVariable:
     """Return a variable with rate, guess and shift zero, and a model's scale for the label's unit.
 
     Parameters
@@ -81,7 +81,7 @@ def new_variable(dae: Dae, label: Label, symbol: ca.SX | None = None) -> Variabl
         Symbol of the variable; by default a new one.
     """
     symbol = ca.SX.sym(label.full) if symbol is None else symbol
-    return Variable(label, symbol, ca.SX(0), ca.SX(0), dae.size_of(label))
+    return ModelVariable(label, symbol, ca.SX(0), ca.SX(0), dae.size_of(label))
 
 
 def rearrange(
@@ -101,7 +101,7 @@ def rearrange(
     ----------
     dae : Dae
         The model.
-    x, z, u : record of Variable
+    x, z, u : record of ModelVariable
         States, unknowns (one record per block) and inputs of the new model.
     equations : sequence of (SX, sequence of Label)
         Residuals of each block of ``z`` as a column, and their labels.

@@ -14,8 +14,7 @@ from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.files.cf import map_positions
 from slipfree.files.netcdf import read, write_csv
-from slipfree.system.atomic_files import replace_file
-from slipfree.system.regular_files import resolve_links
+from slipfree.system.regular_files import replace_file, resolve_links
 
 ANGLES = ("heading", "pitch", "roll", "yaw")
 WGS84 = "EPSG:4326"  # default reference system of GeoJSON

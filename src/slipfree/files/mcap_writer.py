@@ -22,7 +22,7 @@ from slipfree.files.urdf.links import (
     to_rep103,
 )
 from slipfree.models.samples import wheel_poses
-from slipfree.system.atomic_files import replace_file
+from slipfree.system.regular_files import replace_file
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:

@@ -54,8 +54,7 @@ from slipfree.files.cf import (
     position_columns,
 )
 from slipfree.files.tables import write_rows
-from slipfree.system.atomic_files import replace_file
-from slipfree.system.regular_files import escape_name, regular_file
+from slipfree.system.regular_files import escape_name, regular_file, replace_file
 
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # attribute that identifies a result file

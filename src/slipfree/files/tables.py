@@ -21,8 +21,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.mcap_reader import is_mcap, read_mcap
-from slipfree.system.atomic_files import replace_file
-from slipfree.system.regular_files import read_bytes
+from slipfree.system.regular_files import read_bytes, replace_file
 
 SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
 SAMPLE = 200, 200_000  # most lines and characters from which the layout is inferred

@@ -262,10 +262,7 @@ def velocities(
 def _standing_poses(motion: BodyMotion, given: Array, p: Array) -> Array:
     """Return the unknowns of the vehicle at rest with the joints of each sample, shape (n, n_z).
 
-    Raises
-    ------
-    MotionError
-        If the relaxation does not converge, or the equilibrium is not stable.
+    Raises MotionError if the relaxation does not converge, or the equilibrium is not stable.
     """
     joints, first, inverse = np.unique(
         given[:, motion.inputs :], axis=0, return_index=True, return_inverse=True

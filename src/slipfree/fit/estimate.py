@@ -160,10 +160,8 @@ class Predictor:
     def __call__(self, values: Array) -> Prediction:
         """Return the prediction for values of the unknowns, in their units.
 
-        Raises
-        ------
-        MotionError
-            If the vehicle has no stable pose, or the model has no motion at a sample.
+        Raises MotionError if the vehicle has no stable pose, or the model has no motion at a
+        sample.
         """
         if self._last is not None and np.array_equal(self._last[0], values):
             return self._last[1]
@@ -254,7 +252,7 @@ def estimate(
     is_interrupted = False
     for k in range(REWEIGHTINGS):
         deviations = _deviations(predict(values).end - windows.end)
-        search = _Search(predict, windows, deviations, priors)
+        search = _Estimation(predict, windows, deviations, priors)
         try:
             found = scipy.optimize.least_squares(
                 search.residual,
@@ -364,10 +362,7 @@ def _bounds(
 ) -> tuple[Array, Array]:
     """Return lower and upper bounds, which leave out the ends of intervals.
 
-    Raises
-    ------
-    ModelError
-        If there are no unknowns, or a nominal value is not within its bounds.
+    Raises ModelError if there are no unknowns, or a nominal value is not within its bounds.
     """
     if not unknowns:
         raise ModelError("estimate: expected at least one unknown, found none; add one")
@@ -390,7 +385,7 @@ def _deviations(residual: Array) -> Array:
     )
 
 
-class _Search:
+class _Estimation:
     """Functions of residuals and of their Jacobian, without unit; accepted and rejected values.
 
     `scipy.optimize.least_squares` rejects a trial whose residuals are not finite, and requests the

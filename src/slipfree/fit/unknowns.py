@@ -186,10 +186,7 @@ SENSOR: dict[str, Label] = {
 def label_of(unknown: Unknown, law: Any) -> Label:
     """Return name, unit and description of an unknown.
 
-    Raises
-    ------
-    ModelError
-        If the quantity is unknown.
+    Raises ModelError if the quantity is unknown.
     """
     if unknown.quantity in QUANTITIES:
         found = QUANTITIES[unknown.quantity]
@@ -247,12 +244,8 @@ def value_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> float:
 def with_unknowns(vehicle: Vehicle, unknowns: Sequence[Unknown], values: Sequence[Any]) -> Vehicle:
     """Return a vehicle with other values of its unknowns, numbers or expressions.
 
-    Unknowns of the law and of the sensor are ignored.
-
-    Raises
-    ------
-    ModelError
-        If a wheel is unknown, or its section has no radius.
+    Unknowns of the law and of the sensor are ignored. Raises ModelError if a wheel is unknown, or
+    its section has no radius.
     """
     found = vehicle
     for unknown, value in zip(unknowns, values, strict=True):

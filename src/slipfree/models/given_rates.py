@@ -20,7 +20,7 @@ import numpy as np
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
-from slipfree.core.rearrange import Variable, new_variable, variables
+from slipfree.core.rearrange import ModelVariable, new_variable, variables
 from slipfree.core.records import Label, leaves, pack
 from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import slip_unit
@@ -58,8 +58,8 @@ class Imposed(NamedTuple):
     and one for each given rate that is not among its unknowns.
     """
 
-    inputs: tuple[Variable, ...]
-    rates: tuple[Variable, ...]
+    inputs: tuple[ModelVariable, ...]
+    rates: tuple[ModelVariable, ...]
     rows: ca.SX
     labels: tuple[Label, ...]
 
@@ -111,7 +111,7 @@ def omega(heading: ca.SX, roll: ca.SX) -> ca.SX:
 class Minimum(NamedTuple):
     """Conditions for a minimum under constraints, one for each variable and each multiplier."""
 
-    unknowns: tuple[Variable, ...]
+    unknowns: tuple[ModelVariable, ...]
     rows: ca.SX
     labels: tuple[Label, ...]
 
@@ -120,7 +120,7 @@ def minimum(
     direct: Dae,
     goal: ca.SX,
     constraints: ca.SX,
-    unknowns: Sequence[Variable],
+    unknowns: Sequence[ModelVariable],
     multipliers: Sequence[Label],
     label: Label,
 ) -> Minimum:
@@ -217,7 +217,7 @@ class GuidingMotion(NamedTuple):
     """
 
     conditions: Minimum
-    motion: tuple[Variable, ...]
+    motion: tuple[ModelVariable, ...]
 
 
 def steering_effects(
@@ -242,7 +242,7 @@ def steering_effects(
     return effects
 
 
-def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> GuidingMotion:
+def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[ModelVariable]) -> GuidingMotion:
     """Return the guiding motion: least sideways slip of unsteered wheels under given rates.
 
     ``inputs`` are the given rates.
@@ -287,7 +287,9 @@ def _pose_rates(rates: Any) -> tuple[Any, ...]:
     return (*rates[:6], *rates.suspension)
 
 
-def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]) -> list[ca.SX]:
+def guided(
+    direct: Dae, motion: Sequence[ModelVariable], expressions: Sequence[ca.SX]
+) -> list[ca.SX]:
     """Return expressions with the rates of the guiding motion; wheels and joints are at rest."""
     rates = direct.z.rates
     still = pack((direct.u, rates.free, rates.passive))
@@ -296,7 +298,9 @@ def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]
     return list(ca.substitute(moving, [ca.vertcat(*_pose_rates(rates))], [symbols]))
 
 
-def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -> dict[str, ca.SX]:
+def steering_errors(
+    vehicle: Vehicle, direct: Dae, motion: Sequence[ModelVariable]
+) -> dict[str, ca.SX]:
     """Return the errors of steered coordinates, target minus actual value, by name [rad, m].
 
     Small errors are Gauss-Newton steps that minimise the velocity ``across`` the wheels. The

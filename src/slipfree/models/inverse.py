@@ -47,7 +47,7 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import (
-    Variable,
+    ModelVariable,
     blocks,
     rearrange,
     substitute,
@@ -354,7 +354,7 @@ def _always_met(
 
 
 def _least_departure(
-    direct: Dae, motion: Sequence[Variable], off: Sequence[ca.SX], sizes: Sequence[float]
+    direct: Dae, motion: Sequence[ModelVariable], off: Sequence[ca.SX], sizes: Sequence[float]
 ) -> ca.SX:
     """Return half the squared slip along driven wheels plus half the weighted squared errors.
 

@@ -1,20 +1,36 @@
-"""Group the constraints of a program by quantity, and compute their violations."""
+"""Constraints of a plan: groups of rows, violations, messages, and contradictory bounds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import combinations
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from slipfree.core.dae import Limit
 from slipfree.core.records import Array, Label, leaves
-from slipfree.plan.transcription import Index, PlanTask, Program, RowBlock
+from slipfree.core.trajectory import Trajectory
+from slipfree.plan.transcription import Index, PlanTask, Program, RowBlock, TimedCondition
 
 VIOLATION_TOLERANCE = 1e-6  # smaller violations count as rounding, in the unit of the quantity
 EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"
 COST = "cost"
+MODEL = "model"  # role of limits of the model that the program does not contain yet
+DURATION = "duration"
+LIMITED_SUFFIX = " is limited by the plan"  # end of the description of a limit of the plan
+FIXED_POINT_FROM = 1000.0  # larger values have three decimals, since four digits are too few
+BOUND_TOLERANCE = 1e-9  # largest gap between consistent bounds, in their unit
+REMEDIES = {
+    "start": "start elsewhere",
+    LIMIT: "widen the limit",
+    INPUT: "widen the bounds of the input",
+    GOAL: "move the goal",
+    WAY_POINT: "move the way-point",
+    MODEL: "adapt vehicle or ground",
+}
 
 
 class Violation(NamedTuple):
@@ -175,19 +191,10 @@ def _interval_groups(program: Program, row_block: RowBlock) -> Iterator[Constrai
         )
 
 
-def worst_violations(
-    program: Program, values: Array, tolerance: float
-) -> Iterator[tuple[float, Violation]]:
+def worst_violations(program: Program, values: Array) -> Iterator[tuple[float, Violation]]:
     """Yield the largest violation of each violated bound, with its relative size first.
 
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    values : ndarray, shape (n_g + n_w,)
-        Values of the rows, then of the unknowns (not scaled).
-    tolerance : float
-        Largest violation that is ignored, in the unit of the quantity.
+    ``values`` are those of the rows, then of the unknowns, not scaled, shape (n_g + n_w,).
     """
     duration = values[program.g_lower.size + program.layout.duration]
     for group in constraint_groups(program):
@@ -196,10 +203,10 @@ def worst_violations(
             bound, here = bound_of(group, sign), values[group.where]
             over = sign * (bound - here)
             worst = over.max()
-            if not worst > tolerance:
+            if not worst > VIOLATION_TOLERANCE:
                 continue
             # The earliest of equally large violations is reported.
-            k = int(np.flatnonzero(over >= worst - tolerance)[0])
+            k = int(np.flatnonzero(over >= worst - VIOLATION_TOLERANCE)[0])
             yield (
                 worst / size,
                 Violation(
@@ -266,3 +273,206 @@ def role_of(fraction: float) -> str:
 def quantity_label(label: Label) -> Label:
     """Return the label of a limit without the suffix ``_limit`` of its name."""
     return replace(label, name=label.name.removesuffix("_limit"))
+
+
+def rate_of(label: Label) -> Label:
+    """Return the label of the rate of an input, in 1/s2."""
+    return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
+
+
+def subject(label: Label, role: str) -> str:
+    """Return a text for a constrained quantity, such as ``input right_rate``.
+
+    ``role`` is the kind of constraint, as in `slipfree.plan.constraints.Violation`.
+    """
+    whose = "the vehicle" if label.wheel is None else f"wheel {label.wheel}"
+    if role == INPUT:
+        return f"input {label.full}"
+    if role == DURATION:
+        return "duration"
+    if role == COST:
+        return f"cost {label.name}"
+    if role in (LIMIT, EQUATION, MODEL):
+        kind = "equation " if role == EQUATION else "model's own " if role == MODEL else ""
+        return f"{kind}{label.name} of {whose}"
+    return f"{label.full} at the {role}"
+
+
+def number(label: Label, value: float) -> str:
+    """Return a text for a value with the unit of its label, such as ``0.5 rad/s``."""
+    unit = unit_words(label.unit)
+    return f"{_digits(value)}{unit and ' '}{unit}"
+
+
+def missed_words(sizes: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Return violations as text, such as ``x at the goal by 3.1e-04 m``.
+
+    ``sizes`` and ``units`` are the violations and their units by name.
+    """
+    return ", ".join(
+        f"{name} by {size:.1e} {unit_words(units[name])}".rstrip() for name, size in sizes.items()
+    )
+
+
+def _digits(value: float) -> str:
+    """Return a value as text: four significant digits, or three decimals from 1000 on."""
+    value = round(value, 9) + 0.0
+    return f"{value:.4g}" if abs(value) < FIXED_POINT_FROM else f"{round(value, 3):.15g}"
+
+
+def bounds_words(label: Label, low: float, high: float) -> str:
+    """Return bounds as text with unit, such as ``0 to 1 m``, ``at most 1 m``, ``1 m`` if equal."""
+    if low == high:
+        return number(label, low)
+    if np.isfinite(low) and np.isfinite(high):
+        return f"{_digits(low)} to {number(label, high)}"
+    return (
+        f"at least {number(label, low)}" if np.isfinite(low) else f"at most {number(label, high)}"
+    )
+
+
+def unit_words(unit: str) -> str:
+    """Return a unit as a fraction, such as ``"rad/s"`` for ``"rad s-1"``."""
+    parts = unit.split()
+    over = [part for part in parts if "-" not in part and part != "1"]
+    under = [part.replace("-", "").removesuffix("1") for part in parts if "-" in part]
+    return "/".join([" ".join(over) or "1", *under]) if under else " ".join(over)
+
+
+class _Bounds(NamedTuple):
+    """Bounds of an expression before transcription: ``lower <= expression <= upper``.
+
+    ``fraction`` is the time at which the bounds apply as a fraction of the duration, nan if they
+    apply at all times. ``shift`` is the reported value minus the local value.
+    """
+
+    label: Label
+    role: str
+    expression: ca.SX
+    lower: float
+    upper: float
+    shift: float
+    fraction: float
+
+
+def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
+    """Return one sentence for each pair of contradictory bounds.
+
+    Without a start the algebraic unknowns there are not known, and only bounds on functions of the
+    states are compared with the start.
+    """
+    asked = list(_all_bounds(task))
+    along = [bounds for bounds in asked if np.isnan(bounds.fraction)]
+    begin = np.full(len(task.dae.scale), np.nan) if start is None else task.dae.rows("z", start, -1)
+    found = [
+        *_input_conflicts(task),
+        *_value_conflicts(task, along, "start", np.append(task.start, begin)),
+    ]
+    for condition in task.conditions:
+        formulas = [bounds for bounds in along if variable_of(task, bounds.expression) is None]
+        found += _value_conflicts(
+            task, formulas, role_of(condition.fraction), _condition_values(task, condition)
+        )
+    for one, other in combinations(asked, 2):
+        apart = max(one.lower - other.upper, other.lower - one.upper)
+        together = np.isnan([one.fraction, other.fraction]).any() or one.fraction == other.fraction
+        if apart > BOUND_TOLERANCE and together and ca.is_equal(one.expression, other.expression):
+            remedies = dict.fromkeys([_remedy_words(one.role), _remedy_words(other.role)])
+            found.append(f"{_bound_words(one)}, but {_bound_words(other)}: {' or '.join(remedies)}")
+    return found
+
+
+def _all_bounds(task: PlanTask) -> Iterator[_Bounds]:
+    """Yield the bounds of way-points, goal, limits, model and inputs, but not of input rates."""
+    for condition in task.conditions:
+        for limit in condition.limits:
+            yield _to_bounds(task, limit, role_of(condition.fraction), condition.fraction)
+    for limit in task.limits:
+        yield _to_bounds(task, limit, LIMIT)
+    for limit in task.dae.limits:
+        if not any(
+            ca.is_equal(limit.expression, own.expression) and limit.label == own.label
+            for own in task.limits
+        ):
+            yield _to_bounds(task, limit, MODEL)
+    for label, u, (low, high) in zip(
+        leaves(task.dae.labels.u), leaves(task.dae.u), task.inputs, strict=True
+    ):
+        yield _to_bounds(task, Limit(label, u, low, high), INPUT)
+
+
+def _to_bounds(task: PlanTask, limit: Limit, role: str, fraction: float = np.nan) -> _Bounds:
+    shift = shift_of(task, limit.expression)
+    return _Bounds(
+        quantity_label(limit.label),
+        role,
+        limit.expression,
+        limit.lower,
+        limit.upper,
+        shift,
+        fraction,
+    )
+
+
+def _input_conflicts(task: PlanTask) -> Iterator[str]:
+    """Yield a sentence for each contradiction in the bounds of an input and of its rate."""
+    for k, label in enumerate(leaves(task.dae.labels.u)):
+        rate = rate_of(label)
+        for own, (low, high) in ((label, task.inputs[k]), (rate, task.accelerations[k])):
+            if not low <= high:
+                yield (
+                    f"{subject(own, INPUT)} must be at least {number(own, low)} and at most "
+                    f"{number(own, high)}: exchange its bounds"
+                )
+        low, high = task.accelerations[k]
+        if low <= high and not low <= 0 <= high and not task.continuous:
+            yield (
+                f"{subject(rate, INPUT)} must be {bounds_words(rate, low, high)}, but all inputs "
+                "are constant on the last interval: widen the bounds so that they include 0"
+            )
+
+
+def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
+    """Return states and unknowns fixed by a condition, nan if not fixed, shape (n_x + n_z,)."""
+    n_x, n_z = task.start.size, task.dae.scale.size
+    known = np.full(n_x + n_z, np.nan)
+    for limit in condition.limits:
+        plain = variable_of(task, limit.expression)
+        if plain is not None and limit.lower == limit.upper:
+            known[plain[1] + (n_x if plain[0] == "z" else 0)] = limit.lower
+    return known
+
+
+def _value_conflicts(
+    task: PlanTask, along: list[_Bounds], role: str, known: Array
+) -> Iterator[str]:
+    """Yield a message for each bound that known values of states and algebraic unknowns violate.
+
+    ``known`` contains these values, and NaN where none is known, shape (n_x + n_z,).
+    """
+    x, z, u = task.dae.columns()
+    xz = ca.vertcat(x, z)
+    unknown = ca.vertcat(task.dae.t, u, xz[np.flatnonzero(np.isnan(known)).tolist()])
+    for bounds in along:
+        if ca.depends_on(bounds.expression, unknown):
+            continue
+        # Unknown values are not in the expression, but arguments must be numbers.
+        here = task.dae.function("here", [xz, u, task.dae.t], [bounds.expression])
+        value = float(here(np.nan_to_num(known), 0.0, 0.0))
+        if max(bounds.lower - value, value - bounds.upper) > VIOLATION_TOLERANCE:
+            plain = variable_of(task, bounds.expression) is not None
+            details = "" if plain else f" ({bounds.label.words.removesuffix(LIMITED_SUFFIX)})"
+            yield (
+                f"{_bound_words(bounds)}, but the {role} has "
+                f"{number(bounds.label, value + bounds.shift)}{details}: {_remedy_words(role)} or "
+                f"{_remedy_words(bounds.role)}"
+            )
+
+
+def _bound_words(bounds: _Bounds) -> str:
+    low, high = bounds.lower + bounds.shift, bounds.upper + bounds.shift
+    return f"{subject(bounds.label, bounds.role)} must be {bounds_words(bounds.label, low, high)}"
+
+
+def _remedy_words(role: str) -> str:
+    return REMEDIES[role.split(" ")[0]]

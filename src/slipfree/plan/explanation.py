@@ -1,21 +1,268 @@
-"""Explain why a search ended without a plan: violated constraints, and bounds to relax."""
+"""Explanation of a failed search: violated constraints, and the smallest relaxation that helps."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
+import scipy
 
-from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array
-from slipfree.core.solver_codes import ipopt_words
-from slipfree.plan.constraints import EQUATION, VIOLATION_TOLERANCE, Violation, worst_violations
-from slipfree.plan.elastic import Relaxation, relax
-from slipfree.plan.ipopt import INFEASIBLE_STATUS, STOPPED_STATUS, Solution
-from slipfree.plan.messages import number, subject
-from slipfree.plan.transcription import Program
+from slipfree.core.outcome import Outcome, ipopt_words
+from slipfree.core.records import Array, Label
+from slipfree.plan.constraints import (
+    DURATION,
+    EQUATION,
+    VIOLATION_TOLERANCE,
+    ConstraintGroup,
+    Violation,
+    bound_of,
+    constraint_groups,
+    number,
+    size_of,
+    subject,
+    worst_violations,
+)
+from slipfree.plan.ipopt import INFEASIBLE_STATUS, STOPPED_STATUS, NlpSolution, solve_program
+from slipfree.plan.transcription import Index, Program, completed
 
+MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
+MIN_SHARE = 0.05  # smallest reported effect of a bound on the relaxation, per unit of the bound
+SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # lower bounds have sign 1, upper ones -1
 MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
+
+
+class OpposingBound(NamedTuple):
+    """Bound that was not relaxed and conflicts with the relaxed bounds.
+
+    Attributes
+    ----------
+    label, role : Label, str
+        Bounded quantity and kind of constraint, as in `Violation`; the role may also be
+        ``"duration"``.
+    bound : float
+        Value of the bound, in the label's unit and in map coordinates.
+    side : str
+        ``"at least"`` or ``"at most"``; empty if lower and upper bound are equal.
+    share : float
+        Decrease of the sum of all relative relaxations per unit of the label by which this bound is
+        relaxed; for the duration, per relative change of the duration.
+    """
+
+    label: Label
+    role: str
+    bound: float
+    side: str
+    share: float
+
+
+class Relaxation(NamedTuple):
+    """Relaxed bounds with which the equations of motion have a solution.
+
+    Attributes
+    ----------
+    solution : ndarray, shape (n_w,)
+        Unknowns, not scaled, that satisfy the equations and the relaxed bounds.
+    relaxed : list of Violation
+        Largest violation of each relaxed bound, the largest relative violation first.
+    opposing : list of OpposingBound
+        Bounds that were not relaxed and conflict with the relaxed bounds, the largest share first.
+    success : bool
+        Whether the search for the smallest relaxation converged.
+    status : str
+        IPOPT's return status of this search.
+    """
+
+    solution: Array
+    relaxed: list[Violation]
+    opposing: list[OpposingBound]
+    success: bool
+    status: str
+
+
+def relax(program: Program, first: Array) -> Relaxation:
+    """Find the smallest relaxation of the bounds with which a program has a solution.
+
+    The equations, the start and the bounds of the duration are kept. Each other bound is relaxed by
+    a slack that is the same at all times. The sum of the slacks, each relative to the size of its
+    bound (`size_of`), is minimised; most slacks are then zero. This is a local minimum: other
+    initial guesses ``first``, not scaled, may lead to smaller sums. Among the motions with these
+    slacks, a second search minimises the cost; if it fails, the motion of the first search is
+    returned.
+    """
+    weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
+    first = completed(program, first)
+    values = np.append(_row_values(program, first, weights), first)
+    soft = [
+        (group, sign)
+        for group in constraint_groups(program)
+        if group.role != EQUATION
+        for sign in (1.0, -1.0)
+        if np.isfinite(bound_of(group, sign))
+    ]
+    sizes = np.array([size_of(group, values) for group, _ in soft])
+    over = [
+        (sign * (bound_of(group, sign) - values[group.where])).max(initial=0.0)
+        for group, sign in soft
+    ]
+    elastic = _elastic_program(program, soft, sizes)
+    most, begin = MAX_RELAXATION_ITERATIONS, np.append(first, over)
+    found = solve_program(elastic, 0 * weights, begin, iterations=most)
+    unknowns = _least_cost(elastic, found, weights, len(soft))[: first.size]
+    values = np.append(_row_values(program, unknowns, weights), unknowns)
+    relaxed = sorted(worst_violations(program, values), key=lambda pair: -pair[0])
+    gave = {(each.role, each.label.full) for _, each in relaxed}
+    opposing = [
+        each
+        for each in _opposing_bounds(program, soft, found)
+        if each.share > MIN_SHARE and (each.role, each.label.full) not in gave
+    ]
+    return Relaxation(
+        unknowns,
+        [each for _, each in relaxed],
+        sorted(opposing, key=lambda each: -each.share) if relaxed else [],
+        found.success,
+        found.status,
+    )
+
+
+def _least_cost(elastic: Program, found: NlpSolution, weights: Array, count: int) -> Array:
+    """Return the unknowns of least cost with the slacks of ``found``.
+
+    If the search fails, return the unknowns of ``found``.
+    """
+    if not found.success:
+        return found.unknowns
+    upper = elastic.upper.copy()
+    upper[-count:] = np.maximum(found.unknowns[-count:], 0.0) + VIOLATION_TOLERANCE / 2
+    cost = abs(float(elastic.gradient(found.unknowns / elastic.scale, weights)[0]))
+    again = solve_program(
+        replace(elastic, upper=upper),
+        weights / max(1.0, cost),
+        found.unknowns,
+        iterations=MAX_RELAXATION_ITERATIONS,
+    )
+    return again.unknowns if again.success else found.unknowns
+
+
+def _opposing_bounds(
+    program: Program, soft: list[tuple[ConstraintGroup, float]], found: NlpSolution
+) -> Iterator[OpposingBound]:
+    """Yield each relaxable bound and the duration, with shares computed from multipliers."""
+    counts = [group.where.size for group, _ in soft]
+    prices = found.row_multipliers[found.rows.size - sum(counts) :]
+    parts = np.split(prices, np.cumsum(counts)[:-1])
+    for k, (group, sign) in enumerate(soft):
+        equal, price, side = group.lower == group.upper, parts[k], SIDE_WORDS[sign]
+        if equal and sign < 0:
+            continue
+        if equal:
+            # Multipliers of the two equal bounds have opposite signs.
+            price, side = price + parts[k + 1], ""
+        share = float(np.abs(price).sum())
+        yield OpposingBound(
+            group.label, group.role, bound_of(group, sign) + group.shift, side, share
+        )
+    at = program.layout.duration
+    cost, duration = float(found.bound_multipliers[at]), float(found.unknowns[at])
+    label = Label(DURATION, "s", "duration of the plan")
+    # Multipliers of upper bounds are positive.
+    yield OpposingBound(
+        label, DURATION, duration, SIDE_WORDS[-np.sign(cost) or 1.0], abs(cost) * duration
+    )
+
+
+def _elastic_program(
+    program: Program, soft: list[tuple[ConstraintGroup, float]], sizes: Array
+) -> Program:
+    """Return the program with a slack for each bound in ``soft``, appended to the unknowns.
+
+    The slacks are scaled by ``sizes``. The cost is the sum of the scaled slacks plus the cost of
+    the original program with its weights.
+    """
+    hard = np.concatenate(
+        [group.where for group in constraint_groups(program) if group.role == EQUATION]
+    )
+    rows = np.concatenate([hard, *(group.where for group, _ in soft)])
+    counts = [group.where.size for group, _ in soft]
+    which = np.repeat(np.arange(len(soft)), counts)
+    own = hard.size + np.arange(which.size)
+    signs, sides = (
+        np.array(part)[which]
+        for part in zip(*((sign, bound_of(group, sign)) for group, sign in soft), strict=True)
+    )
+    n_all = program.g_lower.size + program.scale.size
+    pick = _sparse_matrix(np.ones(rows.size), np.arange(rows.size), rows, (rows.size, n_all))
+    move = _sparse_matrix(signs * sizes[which], own, which, (rows.size, len(soft)))
+    problem, gradient, jacobian, hessian = _elastic_functions(program, pick, move)
+    lower, upper = (
+        _start_bounds(program, side, free)
+        for side, free in ((program.lower, -np.inf), (program.upper, np.inf))
+    )
+    zeros = np.zeros(hard.size)
+    return replace(
+        program,
+        problem=problem,
+        gradient=gradient,
+        jacobian=jacobian,
+        hessian=hessian,
+        scale=np.append(program.scale, sizes),
+        lower=np.append(lower, np.zeros(len(soft))),
+        upper=np.append(upper, np.full(len(soft), np.inf)),
+        g_lower=np.append(zeros, np.where(signs > 0, sides, -np.inf)),
+        g_upper=np.append(zeros, np.where(signs > 0, np.inf, sides)),
+    )
+
+
+def _elastic_functions(
+    program: Program, pick: ca.DM, move: ca.DM
+) -> tuple[dict[str, Any], ca.Function, ca.Function, ca.Function]:
+    """Return the functions of the elastic program and its derivatives.
+
+    Its rows are ``pick @ (rows, unknowns) + move @ slacks``, with the rows and unknowns of
+    ``program``.
+    """
+    n_w, n_g, n_s = program.scale.size, program.g_lower.size, move.shape[1]
+    x, p = ca.MX.sym("x", n_w + n_s), program.problem["p"]
+    w, s = x[:n_w], x[n_w:]
+    cost = ca.Function(
+        "cost", [program.problem[name] for name in "xp"], [program.problem[name] for name in "fg"]
+    )
+    f, g = cost(w, p)
+    total = ca.sum1(s) + f
+    steep = ca.vertcat(program.gradient(w, p)[1], ca.MX.ones(n_s))
+    rows = pick @ ca.vertcat(g, w * program.scale) + move @ s
+    inner = program.jacobian(w, p)[1]
+    slopes = pick @ ca.vertcat(inner, ca.MX(ca.diag(ca.DM(program.scale))))
+    sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", rows.numel())
+    curved = program.hessian(w, p, sigma, pick[:, :n_g].T @ multipliers)
+    return (
+        {"x": x, "p": p, "f": total, "g": rows},
+        ca.Function("gradient", [x, p], [total, steep]),
+        ca.Function("jacobian", [x, p], [rows, ca.horzcat(slopes, ca.MX(move))]),
+        ca.Function("hessian", [x, p, sigma, multipliers], [ca.diagcat(curved, ca.MX(n_s, n_s))]),
+    )
+
+
+def _start_bounds(program: Program, bounds: Array, free: float) -> Array:
+    """Return bounds of the unknowns: kept for start and duration, ``free`` for all others."""
+    kept = np.full(bounds.size, free)
+    for where in (program.layout.first, program.layout.duration):
+        kept[where] = bounds[where]
+    return kept
+
+
+def _sparse_matrix(values: Array, rows: Index, columns: Index, shape: tuple[int, int]) -> ca.DM:
+    matrix = scipy.sparse.csc_matrix((values, (rows, columns)), shape)
+    starts, inside = matrix.indptr.tolist(), matrix.indices.tolist()
+    return ca.DM(ca.Sparsity(*shape, starts, inside), matrix.data)
+
+
+def _row_values(program: Program, unknowns: Array, weights: Array) -> Array:
+    """Return the values of all rows for unknowns that are not scaled, shape (n_g,)."""
+    return np.array(program.jacobian(unknowns / program.scale, weights)[0]).ravel()
 
 
 class Explanation(NamedTuple):
@@ -35,26 +282,15 @@ class Explanation(NamedTuple):
     words: str
 
 
-def violations(
-    program: Program, solution: Solution, tolerance: float = VIOLATION_TOLERANCE
-) -> list[Violation]:
+def violations(program: Program, solution: NlpSolution) -> list[Violation]:
     """Return the largest violation of each violated constraint, the worst constraint first.
 
     Violations are sorted by their size relative to the range of the bounds or to a typical size of
     the quantity (`size_of`).
-
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    solution : Solution
-        Last or best iterate of the program.
-    tolerance : float
-        Largest violation of a satisfied constraint, in the unit of its quantity.
     """
     worst: dict[tuple[str, str], tuple[float, Violation]] = {}
     values = np.concatenate([solution.rows, solution.unknowns])
-    for size, violation in worst_violations(program, values, tolerance):
+    for size, violation in worst_violations(program, values):
         key = violation.role, violation.label.full
         if key not in worst or size > worst[key][0]:
             worst[key] = size, violation
@@ -71,17 +307,10 @@ def violation_words(violation: Violation) -> str:
     return f"{subject(label, role)} is {size} {side} {number(label, violation.bound)} {at}"
 
 
-def explanation(program: Program, solution: Solution, first: Array) -> Explanation:
+def explanation(program: Program, solution: NlpSolution, first: Array) -> Explanation:
     """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax.
 
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    solution : Solution
-        Last or best iterate of the program.
-    first : ndarray, shape (n_w,)
-        Initial guess of the search, not scaled.
+    ``first`` is the initial guess of the search, not scaled.
     """
     found = violations(program, solution)
     is_infeasible = solution.status == INFEASIBLE_STATUS

@@ -1,18 +1,22 @@
-"""Solve a nonlinear program with IPOPT: progress reports, interruption, best iterate."""
+"""Solution of transcribed problems and of nonlinear programs with IPOPT, and its convergence."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from slipfree.core.nlp import Nlp
+from slipfree.core.outcome import ipopt_words
 from slipfree.core.records import Array, field_overview
-from slipfree.plan.convergence import NO_CONVERGENCE, Convergence, convergence_of
+from slipfree.core.trajectory import SolverError
 from slipfree.plan.transcription import Program, completed
-from slipfree.system.interrupt import InterruptGuard
+from slipfree.system.interrupt import InterruptGuard, with_interrupt_guard
 
+PREFIX = "convergence_"  # prefix of the names of the arrays in a file
+IPOPT_NAMES = ("obj", "inf_pr", "inf_du", "mu")
 INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
 SOLVED_STATUS = "Solve_Succeeded"
 STOPPED_STATUS = "User_Requested_Stop"  # status after the callback returned False
@@ -34,6 +38,67 @@ QUASI_DENSE_ORDERING = (
     6  # of MUMPS: suits matrices with a few dense rows, such as that of a free duration
 )
 IterateCallback = Callable[["Iterate"], bool]
+
+
+class Convergence(NamedTuple):
+    """Values of IPOPT at every iterate of a search, from the initial guess on.
+
+    Violation and dual infeasibility are those of the scaled program, which IPOPT's tolerance
+    refers to.
+
+    Attributes
+    ----------
+    cost : ndarray, shape (n,)
+        Cost, the sum of all weighted terms.
+    violation : ndarray, shape (n,)
+        Largest violation of a constraint.
+    dual_infeasibility : ndarray, shape (n,)
+        Largest component of the gradient of the Lagrangian.
+    barrier : ndarray, shape (n,)
+        Barrier parameter.
+    """
+
+    cost: Array
+    violation: Array
+    dual_infeasibility: Array
+    barrier: Array
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+
+NO_CONVERGENCE = Convergence(*np.zeros((4, 0)))
+
+
+def convergence_of(stats: Mapping[str, Any]) -> Convergence:
+    """Return the convergence of a search from the statistics of ``casadi.nlpsol``."""
+    iterations = stats.get("iterations") or {name: [] for name in IPOPT_NAMES}
+    return Convergence(*(np.array(iterations[name], dtype=float) for name in IPOPT_NAMES))
+
+
+def convergence_arrays(searches: Sequence[Convergence]) -> dict[str, Array]:
+    """Return consecutive searches as arrays for a file, by name; empty without iterates.
+
+    The array ``convergence_search`` has the index of the search of every iterate.
+    """
+    if not any(each.cost.size for each in searches):
+        return {}
+    found = {
+        f"{PREFIX}{name}": np.concatenate([getattr(each, name) for each in searches])
+        for name in Convergence._fields
+    }
+    numbers = [np.full(each.cost.size, float(k)) for k, each in enumerate(searches)]
+    return {**found, f"{PREFIX}search": np.concatenate(numbers)}
+
+
+def convergence_from(arrays: Mapping[str, Array]) -> dict[int, Convergence]:
+    """Return the searches in the arrays of a file, by index; empty if the file has none."""
+    numbers = arrays.get(f"{PREFIX}search", np.zeros(0))
+    values = {name: arrays.get(f"{PREFIX}{name}", np.zeros(0)) for name in Convergence._fields}
+    return {
+        int(k): Convergence(*(values[name][numbers == k] for name in Convergence._fields))
+        for k in np.unique(numbers)
+    }
 
 
 class Iterate(NamedTuple):
@@ -60,7 +125,7 @@ class Iterate(NamedTuple):
     program: Program
 
 
-class Solution(NamedTuple):
+class NlpSolution(NamedTuple):
     """Solution of a nonlinear program; if the search failed, its best or last iterate.
 
     Attributes
@@ -171,11 +236,11 @@ def solve_program(
     weights: Array,
     first: Array,
     *,
-    warm: Solution | None = None,
+    warm: NlpSolution | None = None,
     iterations: int = MAX_ITERATIONS,
     on_iterate: IterateCallback | None = None,
     growth: float = MAX_VIOLATION_GROWTH,
-) -> Solution:
+) -> NlpSolution:
     """Return the solution of a nonlinear program.
 
     If IPOPT fails, return the iterate with the smallest constraint violation. If IPOPT reports an
@@ -190,7 +255,7 @@ def solve_program(
     first : ndarray, shape (n_w,)
         Initial guess, not scaled. Roots of squared cost terms (see `stage_functions`) are ignored
         and recomputed from the other unknowns.
-    warm : Solution, optional
+    warm : NlpSolution, optional
         Solution whose multipliers are used for a warm start.
     iterations : int
         Maximum number of iterations.
@@ -271,11 +336,11 @@ def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, An
     return ca.nlpsol("plan", "ipopt", program.problem, every | options)
 
 
-def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> Solution:
+def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> NlpSolution:
     times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
     total = times.get("t_wall_total", 0.0)
     functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
-    return Solution(
+    return NlpSolution(
         np.array(found["x"]).ravel() * program.scale,
         np.array(found["g"]).ravel(),
         float(found["f"]),
@@ -286,4 +351,59 @@ def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any])
         int(stats["iter_count"]),
         {"total": total, "functions": functions, "rest": total - functions},
         convergence_of(stats),
+    )
+
+
+@with_interrupt_guard
+def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> NlpSolution:
+    """Return the solution of a nonlinear program, found by IPOPT with exact derivatives.
+
+    Cost and rows of the program are functions of the scaled unknowns; the result has the unknowns
+    in their units. Raises SolverError if IPOPT finds no solution.
+    """
+    options: dict[str, Any] = {
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": IPOPT_TOLERANCE,
+            "max_iter": iterations,
+            "mu_strategy": "adaptive",
+            "mumps_permuting_scaling": 0,
+        },
+        "print_time": False,
+        "error_on_fail": False,
+        "record_time": True,
+    }
+    solver = ca.nlpsol("nlp", "ipopt", {"x": nlp.x, "f": nlp.f, "g": nlp.g}, options)
+    found = solver(
+        x0=nlp.guess / nlp.scale,
+        lbx=nlp.lower / nlp.scale,
+        ubx=nlp.upper / nlp.scale,
+        lbg=nlp.g_lower,
+        ubg=nlp.g_upper,
+    )
+    stats = solver.stats()
+    status, count = str(stats["return_status"]), int(stats["iter_count"])
+    if not stats["success"]:
+        raise SolverError(
+            f"no solution of the nonlinear program was found: {ipopt_words(status)} after "
+            f"{count} iterations; widen limits that may contradict each other, or change the "
+            "number of nodes or the initial guess"
+        )
+    times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
+    functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
+    total = times.get("t_wall_total", 0.0)
+    x, rows, row_multipliers, bound_multipliers = (
+        np.array(found[name]).ravel() for name in ("x", "g", "lam_g", "lam_x")
+    )
+    return NlpSolution(
+        x * nlp.scale,
+        rows,
+        float(found["f"]),
+        row_multipliers,
+        bound_multipliers,
+        status,
+        True,
+        count,
+        {"total": total, "functions": functions, "rest": total - functions},
     )

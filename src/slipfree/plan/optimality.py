@@ -1,4 +1,4 @@
-"""Check the second-order sufficient conditions of optimality at the solution of a program.
+"""Check the optimality of a plan, and compute the shadow prices of its limits.
 
 A solution is a strict local minimum if the Hessian of the Lagrangian is positive definite on the
 null space of the active constraints (Nocedal and Wright, Numerical Optimization, 2nd ed., theorem
@@ -6,20 +6,35 @@ null space of the active constraints (Nocedal and Wright, Numerical Optimization
 duration determine the motion, the block of the inverse for them has the same numbers of positive
 and negative eigenvalues as the reduced Hessian. The Lanczos method computes its extreme eigenvalues
 from a sparse factorisation of the KKT matrix.
+
+A multiplier is the derivative of the optimal cost with respect to its bound (section 12.8). A
+limit bounds a quantity at all points of the mesh; its price is the sum of the multipliers there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 import scipy
 
-from slipfree.core.records import Array, Mask, field_overview
-from slipfree.plan.ipopt import IPOPT_TOLERANCE, Solution
-from slipfree.plan.transcription import Program
+from slipfree.core.records import Array, Label, Mask, field_overview
+from slipfree.plan.constraints import (
+    COST,
+    DURATION,
+    EQUATION,
+    INPUT,
+    LIMIT,
+    ConstraintGroup,
+    constraint_groups,
+    number,
+    subject,
+)
+from slipfree.plan.ipopt import IPOPT_TOLERANCE, NlpSolution
+from slipfree.plan.transcription import Index, Program
 
 WEAK = float(
     np.sqrt(IPOPT_TOLERANCE)
@@ -28,6 +43,10 @@ REGULARISATION = 1e-12  # of the KKT matrix, for dependent constraints
 LANCZOS_STEPS = 40  # number of Lanczos steps for the extreme eigenvalues
 ROUNDING = 1e-10  # eigenvalues below this fraction of the largest one count as zero
 Operator = Callable[[Array], Array]
+STEP_FRACTION = 0.01  # change of a bound in messages, relative to its power of ten; in m for goals
+MAX_NAMED_PRICES = 5  # number of prices in a message
+MIN_SHARE = 1e-4  # smallest reported saving by a step, relative to the cost
+AT_MOST, AT_LEAST, VALUE = "at most", "at least", "value"
 
 
 class ActiveSet(NamedTuple):
@@ -90,7 +109,7 @@ class Optimality(NamedTuple):
         return f"not shown to be a minimum: {where}; start from other guesses{weak}"
 
 
-def active_set(program: Program, solution: Solution) -> ActiveSet:
+def active_set(program: Program, solution: NlpSolution) -> ActiveSet:
     """Return the active constraints of a solution.
 
     At a solution of an interior point method, the distance of each inequality from its bound or its
@@ -117,17 +136,10 @@ def active_set(program: Program, solution: Solution) -> ActiveSet:
     return ActiveSet(found[0], found[1], weak)
 
 
-def check_optimality(program: Program, solution: Solution, weights: Array) -> Optimality:
+def check_optimality(program: Program, solution: NlpSolution, weights: Array) -> Optimality:
     """Check the second-order sufficient conditions at a solution.
 
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    solution : Solution
-        Solution of the program.
-    weights : ndarray, shape (n_costs + 1,)
-        Weights of the costs; the last one is the weight of the smoothness.
+    ``weights`` are those of the costs and, last, of the smoothness.
     """
     active = active_set(program, solution)
     free = ~active.bounds
@@ -139,6 +151,7 @@ def check_optimality(program: Program, solution: Solution, weights: Array) -> Op
     if not h.count_nonzero():
         return Optimality(n - m, 0.0, active.weak)
     largest = abs(a).max(axis=1).toarray().ravel()
+    # Rows of equal size, so that one REGULARISATION suits all of them.
     a = scipy.sparse.diags(1 / np.where(largest > 0, largest, 1.0)) @ a
     layout, place = program.layout, np.cumsum(free) - 1
     chosen = np.append(layout.inputs.ravel(), layout.duration)
@@ -154,10 +167,12 @@ def check_optimality(program: Program, solution: Solution, weights: Array) -> Op
         found: Array = solve(full)[inputs]
         return found
 
+    # With the identity as Hessian, the block is the projection onto the null space.
     project = _kkt_solver(scipy.sparse.identity(n), a)
     weakest, largest = _extreme_eigenvalues(inverse, inputs.size)
     # Large negative curvatures are lost by rounding in the inverse.
     strongest, _ = _extreme_eigenvalues(lambda v: project(h @ project(v)), n)
+    # The eigenvalues of the inverse are reciprocal curvatures: the largest belongs to the smallest.
     positive = 1 / largest if largest > 0 else np.inf
     curvature = 1 / weakest if weakest < 0 else strongest if strongest < 0 else positive
     is_flat = abs(curvature) < REGULARISATION * float(abs(h).max())
@@ -165,7 +180,7 @@ def check_optimality(program: Program, solution: Solution, weights: Array) -> Op
 
 
 def _derivatives(
-    program: Program, solution: Solution, weights: Array
+    program: Program, solution: NlpSolution, weights: Array
 ) -> tuple[scipy.sparse.csc_matrix, scipy.sparse.csr_matrix]:
     """Return the Hessian of the Lagrangian and the Jacobian of the rows, for scaled unknowns."""
     w = solution.unknowns / program.scale
@@ -187,6 +202,7 @@ def _kkt_solver(h: scipy.sparse.spmatrix, a: scipy.sparse.spmatrix) -> Operator:
     """
     n, m = h.shape[0], a.shape[0]
     below = -REGULARISATION * scipy.sparse.identity(m)
+    # LU, since SciPy has no sparse factorisation of symmetric indefinite matrices.
     factors = scipy.sparse.linalg.splu(scipy.sparse.bmat([[h, a.T], [a, below]]).tocsc())
 
     def solve(v: Array) -> Array:
@@ -221,3 +237,143 @@ def _extreme_eigenvalues(operator: Operator, size: int) -> tuple[float, float]:
     noise = ROUNDING * float(np.abs(values).max())
     low, high = (float(value) if abs(value) > noise else 0.0 for value in values[[0, -1]])
     return low, high
+
+
+class Price(NamedTuple):
+    """Shadow price of a limit of a plan: derivative of the optimal cost with respect to its bound.
+
+    Attributes
+    ----------
+    label : Label
+        Label of the limited quantity, without wheel: the price is the sum over all wheels.
+    role : str
+        Kind of limit: ``"limit"``, ``"input"``, ``"goal"``, ``"duration"``, ``"cost"``, or for a
+        way-point its name, for example ``"way-point at 0.5"``.
+    side : str
+        Side of the bound: ``"at most"``, ``"at least"``, or ``"value"`` for equal bounds.
+    bound : float
+        Value of the bound as reported (`Dae.reported`), in the label's unit.
+    rate : float
+        Derivative of the optimal cost with respect to the bound, per unit of the label.
+    share : float
+        ``rate`` divided by the cost of the plan. [1/unit of the label]
+    active : int
+        Number of active points, summed over the points of the mesh and the wheels.
+    """
+
+    label: Label
+    role: str
+    side: str
+    bound: float
+    rate: float
+    share: float
+    active: int
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+    @property
+    def step(self) -> float:
+        """Small change of the bound for which `words` gives the saving, in the label's unit."""
+        if self.role not in (LIMIT, INPUT, DURATION, COST) or not self.bound:
+            return STEP_FRACTION
+        return float(STEP_FRACTION * 10.0 ** np.floor(np.log10(abs(self.bound))))
+
+    @property
+    def words(self) -> str:
+        """Relative saving of cost for a small change of the bound, as a sentence."""
+        side = "" if self.side == VALUE else f" {self.side}"
+        more = "more" if self.rate < 0 else "less"
+        return (
+            f"{subject(self.label, self.role)}{side} {number(self.label, self.bound)}: "
+            f"{number(self.label, self.step)} {more} saves "
+            f"{100 * abs(self.share) * self.step:.2g} % of the cost"
+        )
+
+
+def limit_prices(program: Program, solution: NlpSolution) -> tuple[Price, ...]:
+    """Return the shadow prices of the active limits of a solution, largest saving per step first.
+
+    Parameters
+    ----------
+    program : Program
+        From `transcribe`.
+    solution : NlpSolution
+        Solution of the program; shares are relative to its cost.
+    """
+    multipliers = np.append(solution.row_multipliers, solution.bound_multipliers / program.scale)
+    active = np.append(*active_set(program, solution)[:2])
+    found: dict[tuple[str, ...], Price] = {}
+    for group in _limit_groups(program):
+        for side, bound, where in _sides(program, group, multipliers):
+            count = int(active[where].sum())
+            if not count:
+                continue
+            rate = -float(multipliers[where].sum())
+            label = replace(group.label, wheel=None)
+            share = rate / max(abs(solution.cost), IPOPT_TOLERANCE)
+            new = Price(label, group.role, side, bound + group.shift, rate, share, count)
+            key = group.role, label.name, side, f"{bound}"
+            old = found.get(key)
+            if old is not None:
+                new = new._replace(
+                    rate=old.rate + rate, share=old.share + share, active=old.active + count
+                )
+            found[key] = new
+    return tuple(sorted(found.values(), key=lambda price: -abs(price.share) * price.step))
+
+
+def price_rows(prices: Sequence[Price]) -> list[dict[str, Any]]:
+    """Return prices as rows of a table for files."""
+    return [
+        {
+            "quantity": price.label.name,
+            "unit": price.label.unit,
+            **{name: getattr(price, name) for name in Price._fields[1:]},
+        }
+        for price in prices
+    ]
+
+
+def prices_words(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a text with the largest prices in a table, at most five, and the number of the others.
+
+    Prices are omitted if a small change of the bound saves less than 0.01 % of the cost.
+    """
+    prices = [
+        Price(Label(row["quantity"], row["unit"], ""), *(row[name] for name in Price._fields[1:]))
+        for row in rows
+    ]
+    named = [each.words for each in prices if abs(each.share) * each.step >= MIN_SHARE]
+    if not named:
+        return "no limit increases the cost noticeably"
+    more = max(len(named) - MAX_NAMED_PRICES, 0)
+    rest = f"; {more} more limit{'s' * (more > 1)}" if more else ""
+    return "; ".join(named[:MAX_NAMED_PRICES]) + rest
+
+
+def _limit_groups(program: Program) -> Iterator[ConstraintGroup]:
+    """Yield the constraints of a program except equations, and the bounds of its duration."""
+    for group in constraint_groups(program):
+        if group.role != EQUATION:
+            yield group
+    at = np.array([program.g_lower.size + program.layout.duration])
+    label, none = Label(DURATION, "s", "duration"), np.zeros(1, dtype=np.intp)
+    yield ConstraintGroup(label, DURATION, at, none, np.ones(1), *program.task.duration, 0.0)
+
+
+def _sides(
+    program: Program, group: ConstraintGroup, multipliers: Array
+) -> Iterator[tuple[str, float, Index]]:
+    """Yield side, bound and indices into rows and unknowns for each side of a limit.
+
+    Points at which the program has a narrower bound are omitted.
+    """
+    lower = np.append(program.g_lower, program.lower)[group.where]
+    upper = np.append(program.g_upper, program.upper)[group.where]
+    prices = multipliers[group.where]
+    if group.lower == group.upper:
+        yield VALUE, group.lower, group.where
+        return
+    yield AT_LEAST, group.lower, group.where[(lower == group.lower) & (prices < 0)]
+    yield AT_MOST, group.upper, group.where[(upper == group.upper) & (prices > 0)]

@@ -12,11 +12,10 @@ from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.plan.bound_conflicts import conflicts
-from slipfree.plan.messages import LIMITED_SUFFIX
+from slipfree.plan.constraints import LIMITED_SUFFIX, conflicts
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import PlanTask, TimedCondition
-from slipfree.solve.whole_turns import TURN, periodic_states
+from slipfree.solve.sampling import TURN, periodic_states
 
 HALF_TURN = np.pi + 1e-3  # such as a goal of 3.1416: both ways are short [rad]
 Range = tuple[float, float]
@@ -27,10 +26,7 @@ ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bo
 def duration_of(value: float | Range) -> Range:
     """Return the smallest and the largest duration in s, from a number or a range.
 
-    Raises
-    ------
-    ModelError
-        If a duration is not positive and finite, or the range descends.
+    Raises ModelError if a duration is not positive and finite, or the range descends.
     """
     low, high = (value, value) if isinstance(value, int | float) else value
     if not 0 < low <= high < np.inf:
@@ -44,10 +40,7 @@ def duration_of(value: float | Range) -> Range:
 def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
     """Return the terms of the cost from weights by name, or the given terms unchanged.
 
-    Raises
-    ------
-    ModelError
-        If a name is unknown, or a weight is negative or not a number.
+    Raises ModelError if a name is unknown, or a weight is negative or not a number.
     """
     if not isinstance(given, Mapping):
         return tuple(given)
@@ -67,12 +60,8 @@ def cost_limits_of(
 ) -> tuple[tuple[Cost, ...], tuple[tuple[int, float], ...]]:
     """Return the terms of the cost and the limits of their integrals, by index of the term.
 
-    Limited terms that are not among the costs are added with weight 0.
-
-    Raises
-    ------
-    ModelError
-        If a name is unknown or a limit is not positive and finite.
+    Limited terms that are not among the costs are added with weight 0. Raises ModelError if a name
+    is unknown or a limit is not positive and finite.
     """
     names, terms = [cost.name for cost in costs], list(costs)
     limits = []
@@ -141,10 +130,7 @@ def _squared_unit(dae: Dae, name: str) -> str:
 def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
     """Return limits from ranges by name, in map coordinates, or the given limits unchanged.
 
-    Raises
-    ------
-    ModelError
-        If a name is unknown or a range descends.
+    Raises ModelError if a name is unknown or a range descends.
     """
     if not isinstance(given, Mapping):
         return tuple(given)
@@ -156,10 +142,7 @@ def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[L
 def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
     """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities.
 
-    Raises
-    ------
-    ModelError
-        If the name is unknown or the range descends.
+    Raises ModelError if the name is unknown or the range descends.
     """
     low, high = (bounds, bounds) if isinstance(bounds, int | float) else bounds
     if not low <= high:
@@ -207,10 +190,8 @@ def timed_conditions(
 ) -> Iterator[TimedCondition]:
     """Yield the conditions at the way-points in order of time, then those at the goal.
 
-    Raises
-    ------
-    ModelError
-        If a fraction is not above 0 and below 1, a name is unknown, or a range descends.
+    Raises ModelError if a fraction is not above 0 and below 1, a name is unknown, or a range
+    descends.
     """
     for fraction, wanted in sorted(way_points.items()):
         if not 0 < fraction < 1:
@@ -233,10 +214,7 @@ def _to_limits(
 def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
     """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2).
 
-    Raises
-    ------
-    ModelError
-        If a name is unknown or a range descends.
+    Raises ModelError if a name is unknown or a range descends.
     """
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
@@ -257,10 +235,7 @@ def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
 def _initial_bounds(dae: Dae, given: Mapping[str, Range], initial: Mapping[str, float]) -> Array:
     """Return the bounds of all inputs at the beginning, equal for given values, shape (n_u, 2).
 
-    Raises
-    ------
-    ModelError
-        If a name is unknown, or a value is outside the bounds of its input.
+    Raises ModelError if a name is unknown, or a value is outside the bounds of its input.
     """
     bounds = bounds_of(dae, given)
     values = bounds_of(dae, {name: (value, value) for name, value in initial.items()})
@@ -294,11 +269,8 @@ def task_of(
 ) -> PlanTask:
     """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`.
 
-    Raises
-    ------
-    ModelError
-        If a name is unknown, the goal is empty, a number is out of range, or start, goal and limits
-        contradict each other.
+    Raises ModelError if a name is unknown, the goal is empty, a number is out of range, or start,
+    goal and limits contradict each other.
     """
     if not goal:
         raise ModelError(
@@ -336,18 +308,8 @@ def near_conditions(
     """Return conditions with whole turns added to values and ranges of periodic states.
 
     A condition is kept if it is within half a turn of one of the motions, or if its range is a turn
-    or more; otherwise it gets the turns that bring it nearest to the first motion.
-
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    conditions : sequence of TimedCondition
-        Conditions at fractions of the duration.
-    periodic : ndarray of bool, shape (n_x,)
-        From `periodic_states`.
-    motions : sequence of callable
-        Functions that return the states at a fraction of the duration, shape (n_x,).
+    or more; otherwise it gets the turns that bring it nearest to the first motion. Motions are
+    functions that return the states at a fraction of the duration, shape (n_x,).
     """
     symbols = [(k, x) for k, x in enumerate(leaves(dae.x)) if periodic[k]]
     found = []

@@ -19,12 +19,11 @@ from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.records import field_overview, leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.plan.constraints import role_of
-from slipfree.plan.messages import number
+from slipfree.plan.constraints import number, role_of
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
 from slipfree.plan.verification import limit_name, limit_values, local_rows, tolerated_excess
-from slipfree.solve.whole_turns import periodic_states, same_turn
+from slipfree.solve.sampling import periodic_states, same_turn
 
 P = TypeVar("P")
 Draw = tuple[int, int, int]
@@ -57,7 +56,7 @@ class Bound(NamedTuple):
 Tightening = Mapping[Bound, float]
 
 
-class Replay(NamedTuple):
+class DisturbedRun(NamedTuple):
     """Simulation of a plan in a drawn world, compared with the bounds.
 
     Attributes
@@ -85,11 +84,11 @@ class Replays(NamedTuple):
 
     Attributes
     ----------
-    each : tuple of Replay
+    each : tuple of DisturbedRun
         One simulation for each draw.
     """
 
-    each: tuple[Replay, ...]
+    each: tuple[DisturbedRun, ...]
 
     def __repr__(self) -> str:
         return f"Replays: {self.held} of {self.draws} satisfy all bounds"
@@ -266,12 +265,8 @@ def tightened_arguments(
 ) -> dict[str, Any]:
     """Return arguments of `plan` with tightened limits, goal and way-points.
 
-    Equal bounds are not changed. Limits of the model whose bounds are tightened are added.
-
-    Raises
-    ------
-    ModelError
-        If tightened bounds of a quantity exclude each other.
+    Equal bounds are not changed. Limits of the model whose bounds are tightened are added. Raises
+    ModelError if tightened bounds of a quantity exclude each other.
     """
     way_points = {
         fraction: tuple(_tightened(limits_of(dae, given), tightening, role_of(fraction)))
@@ -316,7 +311,7 @@ def replay_of(
     *,
     accuracy: float,
     goal: float | None,
-) -> Replay:
+) -> DisturbedRun:
     """Compare a simulation in a drawn world with the bounds of the plan and of its model.
 
     Parameters
@@ -340,7 +335,7 @@ def replay_of(
     excess = [*_excess(dae, limits, samples, "", accuracy, None)]
     if run.stop is not None:
         excess.append(_excess_at_stop(*planned, run))
-        return Replay(_largest(excess), np.nan)
+        return DisturbedRun(_largest(excess), np.nan)
     parts = run.t / found.duration
     periodic = periodic_states(dae, samples[1][:, 0], limits)
     given = timed_conditions(dae, arguments["goal"], arguments["way_points"])
@@ -357,7 +352,7 @@ def replay_of(
     names = [label.full for label in leaves(dae.labels.x)]
     rows = [names.index(name) for name in "xy"]
     gaps = samples[1][rows, -1] - found.states(np.ones(1))[rows, 0]
-    return Replay(_largest(excess), float(np.hypot(*gaps)))
+    return DisturbedRun(_largest(excess), float(np.hypot(*gaps)))
 
 
 def _model_limits(dae: Dae, given: Sequence[Limit]) -> Iterator[Limit]:

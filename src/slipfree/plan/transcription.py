@@ -19,9 +19,8 @@ from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import found_column, needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, Mask, field_overview, leaves
-from slipfree.plan.nlp_block import Index as Index
-from slipfree.plan.nlp_block import NlpBlock, nlp_block
-from slipfree.plan.sparse_assembly import ProgramFunctions, assemble
+from slipfree.plan.sparse_assembly import Index as Index
+from slipfree.plan.sparse_assembly import NlpBlock, ProgramFunctions, assemble, nlp_block
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.system import System, with_inputs
@@ -77,7 +76,7 @@ class PlanTask:
     initial_inputs : ndarray, shape (n_u, 2), optional
         Smallest and largest value of each input at the beginning; by default those of ``inputs``.
     periodic : ndarray of bool, shape (n_x,)
-        States that mean the same after a whole turn (`slipfree.plan.whole_turns`).
+        States that mean the same after a whole turn (`slipfree.solve.whole_turns`).
     """
 
     dae: Dae

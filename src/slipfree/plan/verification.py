@@ -17,8 +17,8 @@ from slipfree.plan.constraints import quantity_label, role_of, shift_of
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
 from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
+from slipfree.solve.sampling import TURN, same_turn
 from slipfree.solve.simulate import simulate
-from slipfree.solve.whole_turns import TURN, same_turn
 
 LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit, relative to its range
 REFINED_FRACTION = 0.25  # neighbours with this fraction of a violation are also refined

@@ -20,17 +20,20 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, field_overview, leaves, overview
 from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory, joined
 from slipfree.geometry.path import Path
-from slipfree.plan.plan import SAMPLE_STEP, Plan, PlanProgress, SolvedStage, cost_terms, plan
+from slipfree.plan.plan import SAMPLE_STEP, Plan, plan
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
+    SavedPlan,
     first_intervals,
     joined_motions,
+    local_motion,
+    save_motion,
     transfer_motion,
 )
 from slipfree.plan.problem import Range, bounds_of
+from slipfree.plan.search import PlanProgress, SolvedStage, cost_terms
 from slipfree.plan.transcription import PlanTask, transcribe
 from slipfree.plan.verification import simulate_plan
-from slipfree.plan.warm_start import SavedPlan, local_motion, save_motion
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.system.forks import computing
@@ -45,7 +48,7 @@ TIME_TOLERANCE = 1e-9  # largest difference of times that count as equal [s]
 GOAL_SUFFIX = " at the goal"  # of the violations of conditions at the end of a plan
 
 
-class Window(NamedTuple):
+class RouteWindow(NamedTuple):
     """One window of a long plan.
 
     Attributes
@@ -88,7 +91,7 @@ class LongPlan:
     replay : Trajectory
         Simulated motion under the planned inputs, up to the goal or to the last hand-over before a
         window that was not solved.
-    windows : tuple of Window
+    windows : tuple of RouteWindow
         Windows in order.
     difference, violation, units, costs : dict
         As for `Plan`: largest differences and violations of all windows, and total costs.
@@ -104,7 +107,7 @@ class LongPlan:
 
     motion: PolynomialMotion
     replay: Trajectory
-    windows: tuple[Window, ...]
+    windows: tuple[RouteWindow, ...]
     difference: dict[str, float]
     violation: dict[str, float]
     units: dict[str, str]
@@ -133,7 +136,7 @@ class _Part(NamedTuple):
     The last five values are those of `Plan`.
     """
 
-    window: Window
+    window: RouteWindow
     motion: PolynomialMotion
     replay: Trajectory
     difference: dict[str, float]
@@ -408,7 +411,7 @@ def _first_part(
     iterations = sum(stage.iterations for stage in stages)
     seconds = sum(stage.seconds["total"] for stage in stages)
     return _Part(
-        Window(*span, t, float(own.t[-1]), iterations, seconds, found.accurate),
+        RouteWindow(*span, t, float(own.t[-1]), iterations, seconds, found.accurate),
         first_intervals(motion, count),
         own,
         found.difference,
@@ -433,10 +436,7 @@ def _former_part(
 ) -> _Part:
     """Return an earlier plan as the first part of a long plan, simulated again.
 
-    Raises
-    ------
-    ModelError
-        If it is a plan of another model, or its simulation ends early.
+    Raises ModelError if it is a plan of another model, or its simulation ends early.
     """
     motion = local_motion(saved, dae)
     replay = simulate_plan(dae, start, motion, step=step, options=options)
@@ -445,7 +445,7 @@ def _former_part(
             "plan: expected a saved plan that can be simulated to its end, found one that stops at "
             f"{replay.t[-1]:.6g} s: {replay.stop.words}; plan without the saved plan"
         )
-    window = Window(0.0, 0.0, 0.0, motion.duration, 0, 0.0, True)
+    window = RouteWindow(0.0, 0.0, 0.0, motion.duration, 0, 0.0, True)
     return _Part(window, motion, replay, {}, {}, {}, (), False)
 
 

@@ -7,7 +7,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.starts import settle_exchanged
+from slipfree.solve.settle import settle_exchanged
 
 
 def settle_contact(

@@ -19,8 +19,8 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, outcome_words
 from slipfree.files.toml.source import ProblemError
 from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
+from slipfree.plan.polynomial_motion import SavedPlan, from_arrays
 from slipfree.plan.problem import costs_of
-from slipfree.plan.warm_start import SavedPlan, from_arrays
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
 from slipfree.problem.solve import build, run_problem

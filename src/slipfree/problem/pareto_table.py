@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slipfree.plan.messages import unit_words
+from slipfree.plan.constraints import unit_words
 from slipfree.problem.pareto import PlanFront
 from slipfree.problem.summary import Lines
 
@@ -82,8 +82,8 @@ def front_rows(front: PlanFront) -> tuple[list[str], list[list[object]]]:
 
 def front_plot(front: PlanFront) -> Plot:
     """Return the figure of a front."""
-    from slipfree.show.pareto_figures import DrawnFront, front_figure
     from slipfree.show.plots import Plot
+    from slipfree.show.sweep_figures import DrawnFront, front_figure
 
     points, given = front.points, front.given
     drawn = DrawnFront(

@@ -22,7 +22,7 @@ from slipfree.problem.plan_edit import (
 )
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import Plan
-from slipfree.system.atomic_files import replace_file
+from slipfree.system.regular_files import replace_file
 
 PLACES = ("start", "goal", "keep_out")  # keys that the page changes
 

@@ -154,7 +154,7 @@ def _solve_requests(connection: Connection[Any, Any]) -> None:
 
 def _solve(request: PlanRequest, connection: Connection[Any, Any]) -> Message:
     """Return the plan of a problem, or the error; send iterates to a connection."""
-    from slipfree.plan.warm_start import from_arrays
+    from slipfree.plan.polynomial_motion import from_arrays
     from slipfree.problem.load import load_again
     from slipfree.problem.solve import run_problem
 

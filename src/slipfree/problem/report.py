@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from slipfree.core.trajectory import Trajectory, outcome_words
+from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
 from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
@@ -18,9 +18,8 @@ from slipfree.problem.stored_inputs import STORED
 from slipfree.problem.summary import Lines, outcome_fact, ranges
 from slipfree.problem.verbs.base import MotionVerb
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
-from slipfree.show.html_report import Report
+from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
-from slipfree.show.thinning import FIGURE_SAMPLES
 
 VERSION = "_version"
 ELSEWHERE = (  # attributes reported in other sections

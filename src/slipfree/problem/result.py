@@ -13,7 +13,7 @@ from typing import Any
 
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.facts import Fact
-from slipfree.core.trajectory import Trajectory
+from slipfree.core.trajectory import Trajectory, thin
 from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.files.toml.source import ProblemError
@@ -26,7 +26,6 @@ from slipfree.problem.summary import Lines, plain_facts
 from slipfree.problem.verbs.base import VERB_ATTRIBUTE
 from slipfree.problem.verbs.base import Result as Result
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
-from slipfree.show.thinning import thin
 from slipfree.system.regular_files import resolve_links, unescape_name
 
 
@@ -44,7 +43,7 @@ def open_result(
         folder and the current folder are searched, in this order.
     samples : int, optional
         Approximate number of samples to keep, in addition to all extremes (see
-        `slipfree.show.thinning.thin`); by default all are kept.
+        `slipfree.core.trajectory.thin`); by default all are kept.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from typing import Any
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Stop
-from slipfree.plan.warm_start import SavedPlan
+from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Motion, Runnable

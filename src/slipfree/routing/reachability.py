@@ -57,20 +57,10 @@ class Objection(NamedTuple):
 def unreachable(
     layers: Traversability, positions: Sequence[tuple[str, float, float]]
 ) -> list[Objection]:
-    """Return the reasons why a motion cannot pass given positions; empty if it can.
+    """Return the objections to named positions, of which the first is the start; empty if none.
 
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-    positions : sequence of (str, float, float)
-        Name, ``x`` and ``y`` of every position in map coordinates; the first is the start. [m]
-
-    Returns
-    -------
-    list of Objection
-        Objections to single positions, then objections to positions that cannot be reached from the
-        start.
+    Objections to single positions come first, then those to positions that cannot be reached from
+    the start.
     """
     found = [each for position in positions if (each := _position_objection(layers, *position))]
     off = {each.name: each.sure for each in found}

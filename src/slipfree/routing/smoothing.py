@@ -136,7 +136,9 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
         clearance = np.full(cost.shape, np.inf)
     else:
         to_blocked, nearest = scipy.ndimage.distance_transform_edt(free, h), _nearest_free(free, h)
+        # Negative inside blocked regions, so that the gradient leads out of them.
         clearance = to_blocked - scipy.ndimage.distance_transform_edt(~free, h)
+        # An infinite cost has no gradient: blocked nodes get that of the nearest free node.
         cost = cost[nearest]
     cost = scipy.ndimage.gaussian_filter(cost, BLUR, mode="nearest")
     clearance = np.minimum(clearance, 2 * CLEARANCE * max(h))  # larger clearances have no effect
@@ -169,6 +171,7 @@ def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
         change[1:-1] = -scipy.linalg.solveh_banded(held, gradient[1:-1].ravel()).reshape(-1, 2)
         new = _objective(field, p + change, aim)
         expected = float(np.sum(gradient * change))
+        # Armijo rule; a step beyond one cell would leave the model of the bilinear field.
         if np.abs(change).max() > field.spacing.min() or new[0] > total + 0.1 * expected:
             damping = max(4 * damping, INITIAL_DAMPING / aim.step)
             continue
@@ -195,6 +198,7 @@ def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, 
         approximation of the Hessian with respect to the inner points, in upper banded form [1/m].
     """
     edge = np.diff(p, axis=0)
+    # Lengths and curvatures are divisors, hence never exactly zero.
     length = np.linalg.norm(edge, axis=1) + 1e-9 * aim.step
     along, middle = edge / length[:, None], 0.5 * (p[1:] + p[:-1])
     cost, by_middle = _bilinear(field.cost, field, middle)
@@ -217,6 +221,7 @@ def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, 
     sharp = rule / aim.sharpest * (excess / curvature)[:, None, None] * np.eye(2)
     sharp += (rule / aim.sharpest**2 * (excess > 0))[:, None, None] * _squares(inward)
     hessians = (
+        # Second derivatives of clearance and cost are left out: they may be negative.
         (MIDDLE, (rule * (missing > 0))[:, None, None] * _squares(normal)),
         (
             EDGE,
@@ -257,6 +262,7 @@ def _banded(parts: Iterable[tuple[Array, Array]], count: int) -> Array:
     bands = np.zeros((6, 2 * inner))
     for o, c, d in np.ndindex(3, 2, 2):
         if 2 * o + d >= c:
+            # The diagonal is the last of the six rows, as LAPACK requires.
             bands[5 - (2 * o + d - c), 2 * o + d :: 2] = blocks[o, 1 : 1 + inner - o, c, d]
     return bands
 

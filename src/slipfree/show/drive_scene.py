@@ -19,9 +19,7 @@ from slipfree.models.samples import FramePoses, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
-from slipfree.show.map_lines import map_lines
-from slipfree.show.mesh_refinement import Refined, refined
-from slipfree.show.meshes import clipped, extruded, joined, rod, spokes
+from slipfree.show.meshes import Refined, clipped, extruded, joined, refined, rod, spokes
 from slipfree.show.scene import (
     BLOCKED,
     PLAN,
@@ -30,15 +28,16 @@ from slipfree.show.scene import (
     Actor,
     Arrows,
     Backdrop,
-    Body,
     Color,
-    Ground,
     Layer,
     Scene,
+    SceneBody,
+    SceneGround,
     chassis,
     color_of,
     framed,
     layer,
+    map_lines,
     stopped,
 )
 from slipfree.terrain.base import Grid
@@ -95,18 +94,10 @@ class Driven(NamedTuple):
 
 
 def drive_scene(drives: Sequence[Driven]) -> Scene:
-    """Return the scene of motions over one ground, that of the first motion.
+    """Return the scene of at least one motion, over the ground of the first.
 
-    Parameters
-    ----------
-    drives : sequence of Driven
-        Motions to draw, at least one.
-
-    Raises
-    ------
-    ModelError
-        If a motion leaves the ground of the first one, or if its own ground differs from that by
-        more than a wheel radius.
+    Raises ModelError if a motion leaves this ground, or if its own ground differs from it by more
+    than a wheel radius.
     """
     first, grid = drives[0], drives[0].terrain.grid
     reach = max(extents(drive.vehicle)[2] for drive in drives)
@@ -127,7 +118,7 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
     solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
     shade = fine.interpolated(ground_drawing.brightness(drawn)).ravel()
     lines = map_lines(drawn, first.terrain, window, origin, reach)
-    ground = _with_solids(Ground(fine.mesh(origin), tuple(layers), shade, lines), solids)
+    ground = _with_solids(SceneGround(fine.mesh(origin), tuple(layers), shade, lines), solids)
     backdrop = _backdrop(first, window, origin, reach, solids)
     return framed(ground, actors_of(drives, origin), origin, reach, backdrop, notes, warnings)
 
@@ -165,7 +156,7 @@ def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> Me
     return extruded(outline, (sides[1] - sides[0]) * axes[:, 1])
 
 
-def _with_solids(ground: Ground, solids: Sequence[Mesh]) -> Ground:
+def _with_solids(ground: SceneGround, solids: Sequence[Mesh]) -> SceneGround:
     """Return a ground with meshes of solids, which are gray in every layer."""
     if not solids:
         return ground
@@ -288,17 +279,10 @@ def _actor(
     )
 
 
-def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[Body]:
+def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[SceneBody]:
     """Return the bodies of a vehicle and its wheels, with their motion in map coordinates.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    run : Trajectory
-        Motion with the platform's pose, every coordinate and the wheel angles.
-    color : tuple of 3 ints
-        Colour of the vehicle.
+    The motion has the platform's pose, every coordinate and the wheel angles.
     """
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     return [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
@@ -306,7 +290,7 @@ def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[Body
 
 def _part_bodies(
     vehicle: Vehicle, parts: FramePoses, wheels: FramePoses, color: Color
-) -> Iterable[Body]:
+) -> Iterable[SceneBody]:
     """Yield the bodies of platform and joints: rods to the joints and wheels that they carry.
 
     The platform and each other half of the vehicle has a plate.
@@ -332,7 +316,7 @@ def _part_bodies(
             away = wheels.origins[0] - origins[0]
             meshes.append(chassis(away @ rotations[0], spans[name], radius))
         if meshes:
-            yield Body(name, ((joined(*meshes), color),), origins, rotations)
+            yield SceneBody(name, ((joined(*meshes), color),), origins, rotations)
 
 
 def _plate_spans(
@@ -372,13 +356,13 @@ def _is_carried(part: str, by: str, parents: Mapping[str, str]) -> bool:
     return by == part
 
 
-def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body]:
+def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[SceneBody]:
     for k, wheel in enumerate(vehicle.wheels):
         looks = ((wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color))
-        yield Body(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
+        yield SceneBody(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
 
 
-def _hidden(bodies: Iterable[Body], drive: Driven) -> Iterable[Body]:
+def _hidden(bodies: Iterable[SceneBody], drive: Driven) -> Iterable[SceneBody]:
     """Yield the simple bodies that no mesh of the URDF replaces; the platform has no mesh."""
     shown = {wheel_name(joint.name) for joint in _joints_with_visuals(drive)}
     names = {wheel.name for wheel in drive.vehicle.wheels} - shown
@@ -392,11 +376,11 @@ def _joints_with_visuals(drive: Driven) -> Iterable[UrdfJoint]:
     return (joint for joint in joints if joint.child in drive.visuals)
 
 
-def _link_bodies(drive: Driven, robot: Robot, color: Color) -> Iterable[Body]:
+def _link_bodies(drive: Driven, robot: Robot, color: Color) -> Iterable[SceneBody]:
     """Yield the links of a URDF that have meshes."""
     for link in poses_on_map(drive.run, drive.vehicle, robot):
         if mesh := drive.visuals.get(link.child):
-            yield Body(link.child, ((mesh, color),), link.origins, link.rotation.as_matrix())
+            yield SceneBody(link.child, ((mesh, color),), link.origins, link.rotation.as_matrix())
 
 
 def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> list[Arrows]:
@@ -463,10 +447,7 @@ def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]
 def _others(drives: Sequence[Driven]) -> Iterable[str]:
     """Yield notes on differences between the drawn ground and the grounds of the other motions.
 
-    Raises
-    ------
-    ModelError
-        If a ground differs by more than a wheel's radius along its motion.
+    Raises ModelError if a ground differs by more than a wheel's radius along its motion.
     """
     first = drives[0]
     west, east, south, north = first.terrain.domain

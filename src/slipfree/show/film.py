@@ -21,7 +21,7 @@ from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.scene import ARROWS, PLAN, Actor, Color, Scene, scale_words
 from slipfree.show.style import MM, PAGE, STYLE
-from slipfree.system.atomic_files import replace_file
+from slipfree.system.regular_files import replace_file
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")
@@ -41,19 +41,9 @@ T = TypeVar("T")
 
 
 def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
-    """Return the writer of a film, chosen by the ending of its file.
+    """Return the writer of a ``.gif`` or ``.mp4`` file with ``rate`` frames per second.
 
-    Parameters
-    ----------
-    file : Path
-        File to write, ending in ``.gif`` or ``.mp4``.
-    rate : int
-        Frames per second.
-
-    Raises
-    ------
-    DataError
-        If the ending is unknown, or if the file ends in ``.mp4`` and ffmpeg is not installed.
+    Raises DataError if the ending is another one, or if ffmpeg, which ``.mp4`` needs, is missing.
     """
     if file.suffix not in ENDINGS:
         raise DataError(
@@ -77,25 +67,10 @@ def write_film(
     show: Callable[[T], None],
     steps: Iterable[T],
 ) -> None:
-    """Write a film with one frame per step; an existing file is replaced when it is complete.
+    """Write a film with one frame per step, drawn by ``show(step)``.
 
-    Parameters
-    ----------
-    writer : AbstractMovieWriter
-        Writer from `film_writer`.
-    figure : Figure
-        The figure.
-    file : Path
-        File to write.
-    show : callable
-        ``show(step)`` updates the figure.
-    steps : iterable
-        Argument of ``show`` for each frame.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be written.
+    An existing file is replaced when the film is complete. Raises DataError if the file cannot be
+    written.
     """
 
     def fill(part: Path) -> None:
@@ -115,26 +90,10 @@ def write_film(
 
 
 def animate(scene: Scene, file: str | Path, title: str = "") -> str:
-    """Write the motions of a scene as a film.
+    """Write the motions of a scene as a ``.gif`` or ``.mp4`` film; return its speed in words.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene of one or more motions; the 3D view follows the first one.
-    file : str or Path
-        File to write, ending in ``.gif`` or ``.mp4``.
-    title : str
-        Title above the film.
-
-    Returns
-    -------
-    str
-        Speed of the film in words.
-
-    Raises
-    ------
-    DataError
-        If the ending is unknown, ffmpeg is missing, or the file cannot be written.
+    The 3D view follows the first motion. Raises DataError if the ending is unknown, ffmpeg is
+    missing, or the file cannot be written.
     """
     writer, (first, last) = film_writer(Path(file), FRAMES), scene.span
     count = int(np.clip(np.ceil(FRAMES * (last - first)) + 1, 2, MOST))
@@ -237,14 +196,8 @@ class Film:
 def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
     """Return the shafts and the two sides of the heads of arrows, shape (m, 2, 3).
 
-    Arrows with NaN and arrows of length zero are omitted.
-
-    Parameters
-    ----------
-    starts, vectors : ndarray, shape (n, 3)
-        Starting points, and vectors to the tips. [m]
-    sight : ndarray, shape (3,)
-        Direction to the camera; the heads are perpendicular to it.
+    ``starts`` and ``vectors`` have the shape (n, 3) [m]; arrows with NaN and of length zero are
+    omitted. The heads are perpendicular to ``sight``, the direction to the camera.
     """
     drawn = np.isfinite(starts + vectors).all(axis=1) & (vectors != 0).any(axis=1)
     starts, vectors = starts[drawn], vectors[drawn]

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.show import ground_drawing, style
-from slipfree.show.plots import Drive, Panel, Plot, stack
+from slipfree.show.plots import Panel, Plot, PlottedDrive, stack
 from slipfree.show.style import COLUMN, MM, PALETTE, PLATFORM
 from slipfree.terrain.base import Grid
 
@@ -47,17 +47,7 @@ def tangential_forces(run: Trajectory, ax: Axes) -> Axes:
 
 
 def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
-    """Draw the nonzero efforts of the drives of wheels and joints over time.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    ax : Axes
-        The axes.
-    unit : {"N m", "N"}
-        ``"N m"`` for the torques of wheels and joints, ``"N"`` for the forces of sliding joints.
-    """
+    """Draw the nonzero torques, or with ``unit="N"`` forces, of wheels and joints over time."""
     if unit == "N m":
         style.by_wheel(run, run["drive_torque"], ax, zeros=False)
     for k, name in enumerate(_joints(run), start=len(run.wheels)):
@@ -103,16 +93,7 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     """Draw the tracks of the contact points in plan view, coloured by utilisation, on grey ground.
 
     The colour between two samples is that of the larger value. Where tracks cross, the track with
-    the larger value is on top.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    grid : Grid
-        The ground.
-    ax : Axes
-        The axes; their aspect becomes equal.
+    the larger value is on top. The aspect of the axes becomes equal.
     """
     ground_drawing.muted(grid, ax, ground_drawing.around(run, grid, pad=0.15))
     x, y, values = run["contact_x"], run["contact_y"], run["utilisation"]
@@ -170,7 +151,7 @@ def power(run: Trajectory, ax: Axes) -> Axes:
     return style.time_axis(run, style.with_zero(ax))
 
 
-def utilisation_plot(scene: Drive) -> Plot | None:
+def utilisation_plot(scene: PlottedDrive) -> Plot | None:
     """Return the figure of the friction that the wheels need; None for a vehicle without mass."""
     run = scene.run
     if "utilisation" not in run:
@@ -182,7 +163,7 @@ def utilisation_plot(scene: Drive) -> Plot | None:
     return Plot("utilisation", caption, lambda: stack(run, panels))
 
 
-def forces_plot(scene: Drive) -> Plot | None:
+def forces_plot(scene: PlottedDrive) -> Plot | None:
     """Return the figure of the forces on wheels and in drives; None for a vehicle without mass."""
     run = scene.run
     if "force_normal" not in run:
@@ -218,7 +199,7 @@ def drawbar_reserve(run: Trajectory, ax: Axes) -> Axes:
     return style.time_axis(run, style.with_zero(ax))
 
 
-def contact_plot(scene: Drive) -> Plot | None:
+def contact_plot(scene: PlottedDrive) -> Plot | None:
     """Return the figure of depth, slip ratio and reserve; None for wheels on rigid ground."""
     run = scene.run
     if "slip_ratio" not in run or not {"depth", "sinkage"} & {*run}:
@@ -230,7 +211,7 @@ def contact_plot(scene: Drive) -> Plot | None:
     return Plot("contact", caption, lambda: stack(run, panels))
 
 
-def utilisation_map_plot(scene: Drive) -> Plot | None:
+def utilisation_map_plot(scene: PlottedDrive) -> Plot | None:
     """Return the map of the friction that the wheels need; None for a vehicle without mass."""
     if "utilisation" not in scene.run:
         return None
@@ -238,7 +219,7 @@ def utilisation_map_plot(scene: Drive) -> Plot | None:
     return Plot("utilisation_map", caption, lambda: _utilisation_map(scene))
 
 
-def energy_plot(scene: Drive) -> Plot | None:
+def energy_plot(scene: PlottedDrive) -> Plot | None:
     """Return the figure of work, energy and losses; None for a vehicle without mass."""
     run = scene.run
     if "work" not in run:
@@ -248,7 +229,7 @@ def energy_plot(scene: Drive) -> Plot | None:
     return Plot("energy", caption, lambda: stack(run, panels))
 
 
-def _utilisation_map(scene: Drive) -> Figure:
+def _utilisation_map(scene: PlottedDrive) -> Figure:
     run, grid = scene.run, scene.grid
     west, east, south, north = ground_drawing.around(run, grid, pad=0.15)
     panel = min(85 * MM * (north - south) / (east - west), 110 * MM)

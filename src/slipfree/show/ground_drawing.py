@@ -1,4 +1,4 @@
-"""Drawing of the ground in figures: part, resolution and shading."""
+"""Drawings of the ground in plan view, and of motions over solids from the side."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import LightSource
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon, Rectangle
 from scipy.interpolate import RectBivariateSpline
 
 from slipfree.core.errors import ModelError
@@ -19,8 +21,10 @@ from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
 from slipfree.show.meshes import clipped
+from slipfree.show.plots import Plot, PlottedDrive
+from slipfree.show.style import MM, PAGE
 from slipfree.terrain.base import Grid, Terrain
-from slipfree.terrain.solids import Prism
+from slipfree.terrain.solids import Prism, Profile, section_of
 
 HEATMAP = 600  # samples of a drawn map along an axis
 DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
@@ -32,6 +36,9 @@ INSIDE = 0.44  # largest distance of text on a map from its middle [width of the
 SOLID: dict[str, Any] = {"fc": (0.55, 0.55, 0.55, 0.45), "ec": "black", "lw": 0.8, "zorder": 2}
 
 Window = tuple[float, float, float, float]
+POSES = 8  # number of drawn positions of the vehicle
+ROOM = 0.04  # margin around the motion [m]
+LATEST = 0.85  # used part of the colour scale: its yellow end is too light for lines
 
 
 def extent(x: Array, y: Array) -> dict[str, Any]:
@@ -121,20 +128,7 @@ def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
 def hatch(grid: Grid, nodes: Mask | None, window: Window, words: str, color: str, ax: Axes) -> Axes:
     """Hatch the cells of a ground that touch marked nodes, with an entry for the legend.
 
-    Parameters
-    ----------
-    grid : Grid
-        The ground.
-    nodes : ndarray of bool, shape (n_x, n_y), or None
-        Marked nodes, such as ``grid.holes``; None for no node.
-    window : tuple of 4 floats
-        Drawn part: ``x_min, x_max, y_min, y_max``. [m]
-    words : str
-        Words of the legend.
-    color : str
-        Colour of the hatching.
-    ax : Axes
-        The axes.
+    ``nodes`` has the shape (n_x, n_y), such as ``grid.holes``; None marks no node.
     """
     x, y = np.linspace(*window[:2], HEATMAP), np.linspace(*window[2:], HEATMAP)
     marked = grid.touches(nodes, x[:, None], y[None, :])
@@ -161,11 +155,7 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
     """Return the window around positions, with the proportions of the map if possible [m].
 
     The margin on each side is at least ``pad`` times the extent of the positions, within the map.
-
-    Raises
-    ------
-    ModelError
-        If all positions are outside the map.
+    Raises ModelError if all positions are outside the map.
     """
     west, east, south, north = whole(grid)
     sides = []
@@ -187,18 +177,10 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
 
 
 def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
-    """Return coordinates x, y and heights of a part of the ground, interpolated by bicubic splines.
+    """Return coordinates x, y and heights of a window, interpolated by bicubic splines [m].
 
-    Heights are NaN in holes.
-
-    Parameters
-    ----------
-    grid : Grid
-        The ground.
-    window : tuple of 4 floats
-        Part to return: ``x_min, x_max, y_min, y_max``. [m]
-    count : int
-        Number of nodes per side, in the result and, at most, in the interpolation.
+    The result has ``count`` nodes per side, the interpolation at most as many. Heights are NaN in
+    holes.
     """
     kept, fine = [], []
     for axis, low, high in ((grid.x, *window[:2]), (grid.y, *window[2:])):
@@ -214,21 +196,9 @@ def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
 
 
 def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
-    """Return the slope angle of a ground along headings at map points.
+    """Return the slope angle of a ground at map points, positive uphill along headings [rad].
 
-    Parameters
-    ----------
-    ground : Terrain
-        The ground.
-    x, y : ndarray, shape (n,)
-        Map coordinates. [m]
-    heading : ndarray, shape (n,)
-        Directions from the x axis, counter-clockwise. [rad]
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Angle of the tangent to the surface, positive uphill. [rad]
+    Headings are measured from the x axis, counter-clockwise.
     """
     at = ca.SX.sym("x"), ca.SX.sym("y")
     lookups = LookupTable()
@@ -238,3 +208,44 @@ def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
     rise = gradient(ca.DM(x - x_0).T, ca.DM(y - y_0).T)
     along = np.stack([np.cos(heading), np.sin(heading)])
     return np.asarray(np.arctan(np.sum(along * np.array(rise), axis=0)))
+
+
+def side_plot(drive: PlottedDrive) -> Plot | None:
+    """Return the side view of a motion; None without solids, or if it leaves the plane x = 0."""
+    run = drive.run
+    if not drive.prisms or run["x"].any() or any(prism.heading for prism in drive.prisms):
+        return None
+    section = section_of(drive.prisms, float(drive.grid.z.max()))
+    return Plot("side", "Vehicle and solids from the side.", lambda: _side(run, section))
+
+
+def _side(run: Trajectory, section: Profile) -> Figure:
+    y, z = run["center_y"], run["center_z"]
+    figure = style.figure(PAGE, PAGE * (np.ptp(z) + 0.2) / (np.ptp(y) + 0.2) + 20 * MM)
+    side_view(run, section, figure.subplots())
+    return figure
+
+
+def side_view(run: Trajectory, section: Profile, ax: Axes, count: int = POSES) -> Axes:
+    """Draw solids, paths of the wheels, and a planar vehicle at equal intervals of time.
+
+    The section is that of ground and solids, see `slipfree.terrain.solids.section_of`. The aspect
+    of the axes becomes equal.
+    """
+    for solid in section.solids:
+        ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
+    y, z, count = run["center_y"], run["center_z"], max(count, 2)
+    away = np.hypot(run["contact_y"] - y, run["contact_z"] - z)
+    order = np.argsort(y[0])
+    ax.plot(y, z, color="0.5", lw=0.6, zorder=2)
+    for number, k in enumerate(np.linspace(0, run.t.size - 1, count).astype(int)):
+        color = colormaps["viridis"](LATEST * number / (count - 1))
+        ax.plot(y[k, order], z[k, order], "o-", color=color, lw=1.3, ms=2.6, mfc="white", zorder=3)
+        for place in zip(y[k], z[k], np.nanmedian(away, axis=0), strict=True):
+            ax.add_patch(Circle(place[:2], place[2], fc="none", ec=color, lw=0.9, zorder=3))
+    radius = float(np.nanmedian(away))
+    ax.set_aspect("equal")
+    ax.set(xlabel="forward $y$ [m]", ylabel="height $z$ [m]")
+    ax.set_xlim(y.min() - radius - ROOM, y.max() + radius + ROOM)
+    ax.set_ylim(z.min() - radius - ROOM, z.max() + radius + ROOM)
+    return ax

@@ -1,17 +1,23 @@
-"""Meshes of simple bodies, for drawings of vehicles and grounds."""
+"""Meshes of vehicles and solids, and of a ground that is finer near the paths of vehicles."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import product
+from math import ceil
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from slipfree.core.records import Array
 from slipfree.geometry.mesh import Mesh, sheet
+from slipfree.terrain.base import Grid, Terrain
 
 ROD = 8  # faces around a rod
 SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel radius]
 NEAR = 1e-9  # smaller lengths count as zero [m]
+MOST = 60_000  # maximum number of added nodes
 
 
 def joined(*meshes: Mesh) -> Mesh:
@@ -47,12 +53,7 @@ def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: fl
 def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
     """Return the mesh of a convex outline extruded along a vector, with closed ends.
 
-    Parameters
-    ----------
-    outline : ndarray, shape (n, 3)
-        Corners, counter-clockwise when viewed from the end of the vector. [m]
-    along : array_like, shape (3,)
-        Direction and length of the extrusion. [m]
+    The corners, shape (n, 3), are counter-clockwise when viewed from the end of the vector. [m]
     """
     n = len(outline)
     side = sheet(np.stack([outline, outline + np.asarray(along)], axis=1), closed=(True, False))
@@ -105,3 +106,152 @@ def _cut(points: Array, axis: int, bound: float, sign: float) -> Array:
         if here >= 0:
             kept.append(points[k])
     return np.array(kept).reshape(-1, 2)
+
+
+class Refined(NamedTuple):
+    """A grid with divided cells.
+
+    Attributes
+    ----------
+    grid : Grid
+        The grid.
+    near : ndarray of bool, shape (n_x - 1, n_y - 1)
+        Mask of the divided cells.
+    parts : int
+        Number of intervals on each side of a divided cell; 1 if no cell is divided.
+    terrain : Terrain
+        Ground that gives the heights inside divided cells.
+    """
+
+    grid: Grid
+    near: npt.NDArray[np.bool_]
+    parts: int
+    terrain: Terrain
+
+    @property
+    def spacing(self) -> float:
+        """Distance between nodes in divided cells, the larger of x and y [m]."""
+        return float(max(self.grid.spacing)) / self.parts
+
+    def mesh(self, origin: Array) -> Mesh:
+        """Return the surface relative to an origin: nodes of the grid, then of divided cells."""
+        x, y, z = self.grid.x, self.grid.y, self.grid.z
+        points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], z), axis=-1)
+        whole, empty = sheet(points - origin), self._empty()
+        kept = np.repeat(~(self.near | empty).ravel(), 2)  # a cell has two faces
+        if not self.near.any():
+            return Mesh(whole.vertices, whole.faces[kept])
+        x, y = self._places()
+        tiles = np.stack([x, y, self._sealed(self.terrain.elevation(x, y))], axis=-1) - origin
+        return joined(Mesh(whole.vertices, whole.faces[kept]), *map(sheet, tiles))
+
+    def spread(self, colors: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Return colours of all nodes of the mesh, interpolated from those of the grid.
+
+        Colours are red, green and blue, one row per node: first those of the grid, then those of
+        divided cells.
+        """
+        return np.asarray(np.rint(self.interpolated(colors.astype(float))), dtype=np.uint8)
+
+    def interpolated(self, values: Array) -> Array:
+        """Return values at all nodes of the mesh, interpolated from those at nodes of the grid.
+
+        ``values`` have the shape (n_x n_y, k); the result is float, shape (n, k).
+        """
+        whole = values.reshape(*self.grid.z.shape, -1)
+        i, j = np.nonzero(self.near)
+        a, b = self._shares()
+        corners = [
+            (whole[i + p, j + q], (a if p else 1 - a) * (b if q else 1 - b))
+            for p, q in product((0, 1), repeat=2)
+        ]
+        parts = [value[:, None, None, :] * share[None, :, :, None] for value, share in corners]
+        mixed = np.sum(parts, axis=0)
+        return np.concatenate([values, mixed.reshape(-1, whole.shape[-1])])
+
+    def height(self, x: Array, y: Array) -> Array:
+        """Return the height of the drawn surface, bilinear between its nodes [m]."""
+        at, (h_x, h_y) = self._cells(x, y), self.grid.spacing
+        i, j = at
+        k = np.where(self.near[i, j], self.parts, 1)
+        u, v = (x - self.grid.x[i]) * k / h_x, (y - self.grid.y[j]) * k / h_y
+        s, t = (np.clip(np.floor(each), 0, k - 1) for each in (u, v))
+        total = np.zeros(np.shape(x))
+        for p, q in product((0, 1), repeat=2):
+            fine = self.terrain.elevation(
+                self.grid.x[i] + (s + p) * h_x / k, self.grid.y[j] + (t + q) * h_y / k
+            )
+            corner = np.where(k > 1, fine, self.grid.z[i + p, j + q])
+            share = (u - s if p else 1 - u + s) * (v - t if q else 1 - v + t)
+            total += share * corner
+        return total
+
+    def _empty(self) -> npt.NDArray[np.bool_]:
+        """Return the mask of cells with all four corners in holes, shape (n_x - 1, n_y - 1)."""
+        holes = self.grid.holes
+        if holes is None:
+            return np.zeros_like(self.near)
+        return np.asarray(holes[:-1, :-1] & holes[1:, :-1] & holes[:-1, 1:] & holes[1:, 1:])
+
+    def _sealed(self, heights: Array) -> Array:
+        """Return the heights of divided cells, linear along edges to undivided cells."""
+        i, j = np.nonzero(self.near)
+        beside, share = np.pad(self.near, 1), np.arange(self.parts + 1) / self.parts
+        for along, last in product((0, 1), repeat=2):
+            there = (i + 1 + (2 * last - 1), j + 1) if along else (i + 1, j + 1 + (2 * last - 1))
+            edge = ~beside[there]
+            ends = [self.grid.z[(i + last, j + k) if along else (i + k, j + last)] for k in (0, 1)]
+            line = ends[0][:, None] * (1 - share) + ends[1][:, None] * share
+            side = (edge, -last) if along else (edge, slice(None), -last)
+            heights[side] = line[edge]
+        return heights
+
+    def _cells(self, x: Array, y: Array) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
+        """Return the indices, along x and along y, of the cells nearest to points."""
+        h_x, h_y = self.grid.spacing
+        i, j = np.floor((x - self.grid.x[0]) / h_x), np.floor((y - self.grid.y[0]) / h_y)
+        n, m = self.near.shape
+        return np.clip(i, 0, n - 1).astype(int), np.clip(j, 0, m - 1).astype(int)
+
+    def _shares(self) -> tuple[Array, Array]:
+        """Return x and y of a cell's nodes, from 0 to 1, shape (parts + 1, parts + 1) each."""
+        share = np.arange(self.parts + 1) / self.parts
+        a, b = np.meshgrid(share, share, indexing="ij")
+        return a, b
+
+    def _places(self) -> tuple[Array, Array]:
+        """Return x and y of the nodes of the n divided cells [m].
+
+        The arrays have shape (n, parts + 1, parts + 1).
+        """
+        (i, j), (a, b), (h_x, h_y) = np.nonzero(self.near), self._shares(), self.grid.spacing
+        return (self.grid.x[i][:, None, None] + a * h_x, self.grid.y[j][:, None, None] + b * h_y)
+
+
+def refined(
+    grid: Grid, terrain: Terrain, paths: Iterable[Array], margin: float, spacing: float
+) -> Refined:
+    """Return a grid whose cells within a margin of paths are divided, to a desired spacing.
+
+    Paths have the shape (n, 2), in map coordinates [m]. At most about 60 000 nodes are added: the
+    spacing becomes larger, or no cell is divided if there are too many near the paths.
+    """
+    whole = Refined(grid, np.zeros((grid.x.size - 1, grid.y.size - 1), bool), 1, terrain)
+    cell = float(max(grid.spacing))
+    if cell <= spacing:
+        return whole
+    near = whole.near.copy()
+    aside = np.linspace(-margin, margin, 2 * ceil(margin / min(grid.spacing)) + 1)
+    for path in paths:
+        points = _dense(path, min(cell, margin) / 2)
+        for dx, dy in product(aside, repeat=2):
+            near[whole._cells(points[:, 0] + dx, points[:, 1] + dy)] = True
+    parts = min(ceil(cell / spacing), int(np.sqrt(MOST / near.sum())) - 1)
+    return whole._replace(near=near, parts=parts) if parts > 1 else whole
+
+
+def _dense(path: Array, step: float) -> Array:
+    """Return points along a path, shape (m, 2), at most ``step`` metres apart."""
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    at = np.linspace(0, lengths[-1], max(2, ceil(lengths[-1] / step) + 1))
+    return np.stack([np.interp(at, lengths, each) for each in path.T], axis=1)

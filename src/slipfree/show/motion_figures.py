@@ -30,9 +30,8 @@ from slipfree.show.force_figures import (
     utilisation_map_plot,
     utilisation_plot,
 )
-from slipfree.show.ground_drawing import HEATMAP, Window
-from slipfree.show.plots import Drive, Panel, Plot, stack
-from slipfree.show.side_view import side_plot
+from slipfree.show.ground_drawing import HEATMAP, Window, side_plot
+from slipfree.show.plots import Panel, Plot, PlottedDrive, stack
 from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
@@ -60,17 +59,7 @@ CHECKS = {
 
 
 def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
-    """Draw the heights of a ground as a shaded map with contour lines and a colour bar.
-
-    Parameters
-    ----------
-    grid : Grid
-        The ground.
-    ax : Axes
-        The axes; their aspect becomes equal.
-    window : tuple of 4 floats, optional
-        ``x_min, x_max, y_min, y_max`` of the part to draw; the whole by default. [m]
-    """
+    """Draw the heights of a ground as a shaded map with contour lines and a colour bar."""
     window = window or ground_drawing.whole(grid)
     x, y, z = ground_drawing.patch(grid, window, HEATMAP)
     heights = ax.imshow(z.T, **_colours(z), **ground_drawing.extent(x, y))
@@ -118,17 +107,7 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
 def terrain(run: Trajectory, grid: Grid, ax: Any, prisms: Sequence[Prism] = ()) -> Any:
     """Draw the ground around the path as a surface, with platform and contact tracks.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    grid : Grid
-        The ground.
-    ax : Axes3D
-        Axes from ``figure.add_subplot(projection="3d")``. Heights of low relief are drawn enlarged;
-        the label of the height axis contains the factor.
-    prisms : sequence of Prism
-        Solids on the ground.
+    Heights of low relief are drawn enlarged; the label of the height axis contains the factor.
     """
     window = ground_drawing.around(run, grid, pad=0.4)
     x, y, z = ground_drawing.patch(grid, window, MESH)
@@ -189,14 +168,7 @@ def tilts(run: Trajectory, ax: Axes) -> Axes:
 def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
     """Draw the paths of the platform's centre, the wheel centres and the contact points.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    ax : Axes
-        The axes.
-    view : tuple of two of {"x", "y", "z"}
-        Axes of the view to the right and up; ``("x", "y")`` is the plan.
+    ``view`` names the axes of the view to the right and up; ``("x", "y")`` is the plan.
     """
     a, b = view
     broad, fine = {"lw": 2.6, "alpha": 0.4}, {"lw": 0.9}
@@ -230,17 +202,7 @@ def elevation(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
 
 
 def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
-    """Draw the slope of the ground below the platform along its heading, and the pitch.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    ground : Terrain
-        The ground.
-    ax : Axes
-        The axes.
-    """
+    """Draw the slope of the ground below the platform along its heading, and the pitch."""
     heading = run.in_frame("rep103")["heading"]
     s, rise = _distance(run), ground_drawing.slope_along(ground, run["x"], run["y"], heading)
     ax.plot(s, rise, **BELOW, label="ground along the heading")
@@ -250,17 +212,7 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
 
 
 def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
-    """Draw the slip velocity of every wheel over time.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    direction : {"along", "across"}
-        Component of the slip velocity: along the rolling direction of the wheel or across it.
-    ax : Axes
-        The axes; velocities are drawn in mm/s.
-    """
+    """Draw the slip of every wheel over time in mm/s, ``"along"`` or ``"across"`` its direction."""
     style.by_wheel(run, 1e3 * run[f"slip_{direction}"], ax)
     ax.set_ylabel(f"slip {direction} the wheel [mm/s]")
     return style.time_axis(run, ax)
@@ -293,40 +245,26 @@ def motion_plots(
     surface: Terrain | None = None,
     prisms: tuple[Prism, ...] = (),
 ) -> tuple[Plot, ...]:
-    """Return the figures of a motion, the most important first.
+    """Return the figures of `FIGURES` that have content, the most important first, not drawn yet.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    grid : Grid
-        The ground.
-    surface : Terrain, optional
-        Surface of the ground in the model; by default the bicubic spline through the grid.
-    prisms : tuple of Prism
-        Solids on the ground.
-
-    Returns
-    -------
-    tuple of Plot
-        Figures of `FIGURES` that have content, 120 or 180 mm wide; not drawn yet.
+    The surface of the model is by default the bicubic spline through the grid.
     """
-    drive = Drive(run, grid, surface or Bicubic(grid), prisms)
+    drive = PlottedDrive(run, grid, surface or Bicubic(grid), prisms)
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
 
 
-def map_plot(drive: Drive) -> Plot:
+def map_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of ground and path in plan view."""
     return Plot("map", "Ground and path in plan view.", lambda: _map(drive))
 
 
-def elevation_plot(drive: Drive) -> Plot:
+def elevation_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of heights and slopes along the path."""
     caption = "Heights and slopes along the path."
     return Plot("elevation", caption, lambda: _elevation(drive.run, drive.surface))
 
 
-def slip_plot(drive: Drive) -> Plot | None:
+def slip_plot(drive: PlottedDrive) -> Plot | None:
     """Return the figure of the slip; None if the wheels do not slip."""
     run = drive.run
     panels = [Panel(partial(slip, run, direction)) for direction in slipping_directions(run)]
@@ -334,7 +272,7 @@ def slip_plot(drive: Drive) -> Plot | None:
     return Plot("slip", caption, lambda: stack(run, panels, _law(run))) if panels else None
 
 
-def tilts_plot(drive: Drive) -> Plot | None:
+def tilts_plot(drive: PlottedDrive) -> Plot | None:
     """Return the figure of the joints' angles; None if no joint moves."""
     if not _moving_joints(drive.run):
         return None
@@ -343,13 +281,13 @@ def tilts_plot(drive: Drive) -> Plot | None:
     return Plot("tilts", caption, lambda: stack(drive.run, panels, width=COLUMN))
 
 
-def checks_plot(drive: Drive) -> Plot:
+def checks_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of residuals and margins."""
     caption = "Accuracy and validity: residuals and margins over time."
     return Plot("checks", caption, lambda: _checks(drive.run))
 
 
-def rates_plot(drive: Drive) -> Plot:
+def rates_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of the rates of wheels and joints."""
     run, caption = drive.run, "Rates of wheels and joints over time."
     joints = [f"{name}_rate" for name in _moving_joints(run) if f"{name}_rate" in run]
@@ -359,7 +297,7 @@ def rates_plot(drive: Drive) -> Plot:
     return Plot("rates", caption, lambda: stack(run, panels))
 
 
-def loci_plot(drive: Drive) -> Plot | None:
+def loci_plot(drive: PlottedDrive) -> Plot | None:
     """Return the figure of the paths of platform, wheels and contacts; None if they coincide."""
     run = drive.run
     if not _tracks_differ(run, float(max(np.ptp(run["x"]), np.ptp(run["y"])))):
@@ -367,13 +305,13 @@ def loci_plot(drive: Drive) -> Plot | None:
     return Plot("loci", "Paths of platform, wheels and contact points.", lambda: _loci(run))
 
 
-def terrain_plot(drive: Drive) -> Plot:
+def terrain_plot(drive: PlottedDrive) -> Plot:
     """Return the view of the ground around the path."""
     caption = "Ground around the path, platform and tracks of the contact points."
     return Plot("terrain", caption, lambda: _terrain(drive))
 
 
-FIGURES: tuple[Callable[[Drive], Plot | None], ...] = (
+FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
     side_plot,
     map_plot,
     elevation_plot,
@@ -391,7 +329,7 @@ FIGURES: tuple[Callable[[Drive], Plot | None], ...] = (
 )  # of a motion over terrain, the most important first
 
 
-def _map(drive: Drive) -> Figure:
+def _map(drive: PlottedDrive) -> Figure:
     run, grid = drive.run, drive.grid
     whole, window = ground_drawing.whole(grid), ground_drawing.around(run, grid, pad=0.15)
     spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
@@ -422,7 +360,7 @@ def _tracks_differ(run: Trajectory, width: float) -> bool:
     return bool(np.hypot(*away).max() > DISTINCT * width)
 
 
-def _terrain(drive: Drive) -> Figure:
+def _terrain(drive: PlottedDrive) -> Figure:
     figure = Figure(figsize=(COLUMN, 80 * MM))
     ax = terrain(drive.run, drive.grid, figure.add_subplot(projection="3d"), drive.prisms)
     style.finished(figure, drive.run, [ax])

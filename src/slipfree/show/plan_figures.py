@@ -23,7 +23,7 @@ from slipfree.core.facts import starting_with
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
-from slipfree.plan.convergence import Convergence
+from slipfree.plan.ipopt import Convergence
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.ground_drawing import Window
@@ -61,19 +61,7 @@ Place = tuple[str, float, float]
 
 
 def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Axes:
-    """Draw the cost per metre of path on a part of the map, and the reasons of blocked nodes.
-
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-    grid : Grid
-        The ground of the map.
-    ax : Axes
-        The axes; their aspect becomes equal.
-    window : tuple of 4 floats
-        ``x_min, x_max, y_min, y_max`` of the part to draw. [m]
-    """
+    """Draw the cost per metre of path in a window of the map, and the reasons of blocked nodes."""
     where = ground_drawing.extent(layers.x, layers.y) | {"interpolation": "nearest"}
     shown = (layers.x >= window[0]) & (layers.x <= window[1])
     part = shown[:, None] & (layers.y >= window[2]) & (layers.y <= window[3])
@@ -124,17 +112,7 @@ def initial_guess(points: Array, ax: Axes) -> Axes:
 
 
 def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
-    """Draw the planned path of the platform's centre, with start, way-points and goal.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    places : sequence of (str, float, float)
-        Name, x and y in map coordinates of start, way-points and goal. [m]
-    ax : Axes
-        The axes.
-    """
+    """Draw the planned path of the platform's centre, with start, way-points and goal."""
     ax.plot(
         run["x"],
         run["y"],
@@ -154,17 +132,7 @@ def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
 
 
 def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
-    """Draw the planned inputs over time, and their bounds.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    bounds : mapping of str to (float, float)
-        Lower and upper bound of every input by name; infinite without a bound.
-    ax : Axes
-        The axes.
-    """
+    """Draw the planned inputs over time, and their bounds, which are infinite if there are none."""
     ends: dict[float, list[str]] = {}
     for k, (name, pair) in enumerate(bounds.items()):
         ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
@@ -179,19 +147,7 @@ def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
 
 
 def limited(run: Trajectory, name: str, pair: Range, ax: Axes) -> Axes:
-    """Draw a quantity over time with its limits.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    name : str
-        Name of the quantity, or of quantity and wheel as in ``slip_along[left]``.
-    pair : (float, float)
-        Lower and upper limit in the unit of the quantity; infinite without a limit.
-    ax : Axes
-        The axes.
-    """
+    """Draw a quantity, or that of a wheel as in ``slip_along[left]``, over time with its limits."""
     quantity, _, wheel = name.removesuffix("]").partition("[")
     motion_figures.history(run, quantity, ax)
     for line in list(ax.lines) if wheel else []:
@@ -262,21 +218,9 @@ def plan_plots(
 def convergence_plots(
     run: Trajectory, searches: Mapping[int, Convergence], names: Sequence[str]
 ) -> tuple[Plot, ...]:
-    """Return the figure of the convergence of consecutive searches, without drawing it.
+    """Return the figure of the convergence of consecutive searches, or none without searches.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion; a note gives the reason of an early end.
-    searches : mapping of int to Convergence
-        Searches by index.
-    names : sequence of str
-        Names of all searches.
-
-    Returns
-    -------
-    tuple of Plot
-        ``convergence``; empty without searches.
+    ``names`` are those of all searches; the searches are given by their index among them.
     """
     if not searches:
         return ()
@@ -288,18 +232,9 @@ def convergence_plots(
 def convergence(
     name: str, searches: Mapping[int, Convergence], names: Sequence[str], ax: Axes
 ) -> Axes:
-    """Draw a value of IPOPT at every iterate of consecutive searches, which start at dotted lines.
+    """Draw a field of `Convergence` at every iterate of searches, which start at dotted lines.
 
-    Parameters
-    ----------
-    name : str
-        Field of `Convergence`.
-    searches : mapping of int to Convergence
-        Searches by index; on a logarithmic axis, values are at least `motion_figures.TINY`.
-    names : sequence of str
-        Names of all searches.
-    ax : Axes
-        The axes.
+    On a logarithmic axis, values are at least `motion_figures.TINY`.
     """
     label, scale = CONVERGENCE[name]
     first, colors = 0, dict[str, int]()  # searches of the same name have the same colour

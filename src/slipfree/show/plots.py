@@ -21,7 +21,7 @@ from slipfree.core.errors import DataError, ModelError
 from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
 from slipfree.show.style import DPI, MM, PAGE, STYLE
-from slipfree.system.atomic_files import replace_file
+from slipfree.system.regular_files import replace_file
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.solids import Prism
 
@@ -66,7 +66,7 @@ class Plot(NamedTuple):
     make: Callable[[], Figure]
 
 
-class Drive(NamedTuple):
+class PlottedDrive(NamedTuple):
     """Data for the figures of a motion over terrain.
 
     Attributes
@@ -88,18 +88,9 @@ class Drive(NamedTuple):
 
 
 def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float = PAGE) -> Figure:
-    """Return a figure of panels over a common axis, with one legend.
+    """Return a figure of panels over a common axis, with one legend; the width is in inches.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion; a note gives the reason of an early end.
-    panels : sequence of Panel
-        Panels from top to bottom.
-    note : str
-        Text below the figure.
-    width : float
-        Width of the figure. [in]
+    A note below the figure also gives the reason of an early end of the motion.
     """
     heights = [panel.height for panel in panels]
     figure = style.figure(width, (sum(heights) + MARGIN) * MM)

@@ -1,4 +1,4 @@
-"""Scene in 3D: ground, vehicles with their poses, arrows and colours.
+"""Scene in 3D: ground, vehicles with their poses, arrows, colours, and lines of a map.
 
 Positions are in scene coordinates: map coordinates minus ``Scene.origin``, z up. Scenes are drawn
 as a web page by `slipfree.show.viewer` and as a film by `slipfree.show.film`.
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from contourpy import contour_generator
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
@@ -20,7 +21,10 @@ from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.geometry.mesh import Mesh
 from slipfree.show import style
+from slipfree.show.ground_drawing import Window
 from slipfree.show.meshes import plate
+from slipfree.show.style import FLAT, LARGE
+from slipfree.terrain.base import Grid, Terrain
 
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
 NARROW = 0.55  # width of the platform [width of the vehicle]
@@ -37,6 +41,12 @@ FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
 PLAN, SECTION = (0, 1), (1, 2)  # indices of the coordinates drawn to the right and up
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
+LIFT = 0.01  # height of lines above the ground, so that it does not hide them [reach]
+CONTOURS, CELLS = 12, 8  # maximum number of contours, and of grid cells along the longer side
+STEPS = (1, 2, 5, 10)  # round numbers, times a power of ten
+SAMPLES = 240  # samples of a grid line
+ARROW = 0.09  # length of the arrow to the north [longer side of the drawn ground]
+GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 
 
 class Layer(NamedTuple):
@@ -84,7 +94,7 @@ class Lines(NamedTuple):
     labels: tuple[tuple[str, Array], ...] = ()
 
 
-class Ground(NamedTuple):
+class SceneGround(NamedTuple):
     """Ground of a scene.
 
     Attributes
@@ -112,7 +122,7 @@ class Ground(NamedTuple):
         return np.asarray(np.rint(found * self.shade[:, None]), dtype=np.uint8)
 
 
-class Body(NamedTuple):
+class SceneBody(NamedTuple):
     """A rigid body over time.
 
     Attributes
@@ -167,7 +177,7 @@ class Actor(NamedTuple):
         Red, green and blue of the platform, from 0 to 255.
     t : ndarray, shape (n,)
         Times of the samples of bodies, contacts and arrows. [s]
-    bodies : tuple of Body
+    bodies : tuple of SceneBody
         Parts of the vehicle, the platform first, and wheels.
     contacts : ndarray, shape (n, k, 3)
         Contact points; NaN without contact. [m]
@@ -183,7 +193,7 @@ class Actor(NamedTuple):
     name: str
     color: Color
     t: Array
-    bodies: tuple[Body, ...]
+    bodies: tuple[SceneBody, ...]
     contacts: Array
     arrows: tuple[Arrows, ...]
     ghost: bool = False
@@ -220,7 +230,7 @@ class Scene(NamedTuple):
 
     Attributes
     ----------
-    ground : Ground
+    ground : SceneGround
         The ground.
     actors : tuple of Actor
         The motions.
@@ -238,7 +248,7 @@ class Scene(NamedTuple):
         Notes that are always shown.
     """
 
-    ground: Ground
+    ground: SceneGround
     actors: tuple[Actor, ...]
     origin: Array
     reach: float
@@ -267,7 +277,7 @@ class Scene(NamedTuple):
 
 
 def framed(
-    ground: Ground,
+    ground: SceneGround,
     actors: Iterable[Actor],
     origin: Array,
     reach: float,
@@ -304,19 +314,7 @@ def rgb(name: str) -> Color:
 
 
 def layer(name: str, values: Array, legend: str, low: float, high: float) -> Layer:
-    """Return the colouring of n vertices by a quantity.
-
-    Parameters
-    ----------
-    name : {"height", "slope", "traversability"}
-        The quantity.
-    values : ndarray, shape (n,)
-        Values at the vertices.
-    legend : str
-        Description of the range of values, with unit.
-    low, high : float
-        Values at the ends of the colour scale.
-    """
+    """Return the colouring of vertices by a quantity; ``low`` and ``high`` end the colour scale."""
     scale = colormaps[MAPS[name]]
     parts = np.clip((values - low) / max(high - low, style.FLAT), 0, 1)
     ends = tuple(rgb(scale(part)) for part in np.linspace(0, 1, 9))
@@ -324,16 +322,10 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
 
 
 def chassis(positions: Array, span: tuple[float, float], radius: float) -> Mesh:
-    """Return the plate of a part of a vehicle.
+    """Return the plate of a part of a vehicle, in the part's frame, x right, y forward [m].
 
-    Parameters
-    ----------
-    positions : ndarray, shape (k, 3)
-        Positions of all wheels' centres in the part's frame, x right, y forward. [m]
-    span : tuple of float
-        Rear and front end of the plate in this frame. [m]
-    radius : float
-        Radius of the wheels. [m]
+    ``positions`` are those of all wheels' centres, shape (k, 3); ``span`` are the rear and the
+    front end of the plate.
     """
     half = NARROW * float(np.abs(positions[:, 0]).max())
     return plate(half, *span, PLATE * radius)
@@ -383,3 +375,89 @@ def scale_words(scene: Scene, name: str) -> str:
     """Return the scale of the arrows of a quantity as text; empty without arrows."""
     scale = scene.scales[name]
     return f"1 m of arrow length represents {1 / scale:.4g} {UNITS[name]}" if scale else ""
+
+
+def map_lines(
+    drawn: Grid, terrain: Terrain, window: Window, origin: Array, reach: float
+) -> tuple[Lines, ...]:
+    """Return contours, grid and north arrow of the drawn ground, relative to the scene's origin.
+
+    ``reach`` is the radius of a circle around the vehicle. [m]
+    """
+    above = origin - np.array([0.0, 0.0, LIFT * reach])
+    found = [contours(drawn), *_grid_and_north(drawn, terrain, window)]
+    return tuple(
+        each._replace(
+            segments=each.segments - above,
+            labels=tuple((words, place - above) for words, place in each.labels),
+        )
+        for each in found
+        if len(each.segments)
+    )
+
+
+def contours(drawn: Grid) -> Lines:
+    """Return the contours of a ground at round heights, in map coordinates."""
+    low, high = float(drawn.values.min()), float(drawn.values.max())
+    step = round_step((high - low) / CONTOURS)
+    if high - low < FLAT:
+        return Lines("contours", "", BROWN, np.zeros((0, 2, 3)))
+    mask = False if drawn.holes is None else drawn.holes.T
+    generator: Any = contour_generator(drawn.x, drawn.y, np.ma.array(drawn.z.T, mask=mask))
+    levels = step * np.arange(np.ceil(low / step), np.floor(high / step) + 1)
+    segments = [
+        _segments(np.column_stack([line, np.full(len(line), level)]))
+        for level in levels
+        for line in generator.lines(level)
+    ]
+    legend = f"every {step:g} m of height"
+    return Lines("contours", legend, BROWN, np.concatenate([np.zeros((0, 2, 3)), *segments]))
+
+
+def round_step(least: float) -> float:
+    """Return the smallest of 1, 2 and 5 times a power of ten that is at least a positive value."""
+    power = 10.0 ** np.floor(np.log10(max(least, FLAT / 10)))
+    return float(next(power * step for step in STEPS if power * step >= least * (1 - 1e-9)))
+
+
+def _grid_and_north(drawn: Grid, terrain: Terrain, window: Window) -> Iterable[Lines]:
+    """Yield lines of equal coordinates, and the arrow to the north, in map coordinates."""
+    west, east, south, north = window
+    long = max(east - west, north - south)
+    step = round_step(long / CELLS)
+
+    def draped(x: Array, y: Array) -> Array:
+        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+        z = np.where(drawn.touches(drawn.holes, x, y), np.nan, terrain.elevation(x, y))
+        return np.stack([x, y, z], axis=-1)
+
+    columns = step * np.arange(np.ceil(west / step), np.floor(east / step) + 1)
+    rows = step * np.arange(np.ceil(south / step), np.floor(north / step) + 1)
+    along_x, along_y = np.linspace(west, east, SAMPLES), np.linspace(south, north, SAMPLES)
+    lines = [*(draped(np.array(x), along_y) for x in columns)]
+    lines += [draped(along_x, np.array(y)) for y in rows]
+    labels = [(_coordinate("x", x), draped(np.array(x), np.array(south))) for x in columns]
+    labels += [(_coordinate("y", y), draped(np.array(west), np.array(y))) for y in rows]
+    segments = np.concatenate([np.zeros((0, 2, 3)), *map(_segments, lines)])
+    shown = tuple((words, place) for words, place in labels if np.isfinite(place).all())
+    yield Lines("grid", f"every {step:g} m", GRAY, segments, shown)
+    size = ARROW * long
+    tip, head = np.array([east - 0.5 * size, north - 0.3 * size]), 0.3 * size
+    corners = tip + np.array(
+        [[0, -size], [0, 0], [-0.4 * head, -head], [0, 0], [0.4 * head, -head]]
+    )
+    arrow = draped(corners[:, 0], corners[:, 1])
+    arrow[:, 2] = np.nanmax(arrow[:, 2]) if np.isfinite(arrow[:, 2]).any() else drawn.values.max()
+    yield Lines("north", "to +y of the map", RED, _segments(arrow), (("N", arrow[1]),))
+
+
+def _coordinate(name: str, value: float) -> str:
+    """Return the label of a grid line; large coordinates are shortened to the last three digits."""
+    is_large = abs(value) >= LARGE
+    return f"{name} ...{value % 1000:03g} m" if is_large else f"{name} {value + 0.0:g} m"
+
+
+def _segments(line: Array) -> Array:
+    """Return the segments between consecutive points, shape (n, 2, 3); NaN ends are omitted."""
+    found = np.stack([line[:-1], line[1:]], axis=1)
+    return np.asarray(found[np.isfinite(found).all(axis=(1, 2))])

@@ -116,17 +116,7 @@ def remark(ax: Axes, words: str, above: bool = False) -> None:
 
 
 def position_axis(axis: Any, name: str, low: float) -> None:
-    """Label an axis of positions; large coordinates are drawn relative to a round number.
-
-    Parameters
-    ----------
-    axis : Axis
-        Axis of Matplotlib.
-    name : {"x", "y", "z"}
-        Coordinate on the axis.
-    low : float
-        Smallest value on the axis. [m]
-    """
+    """Label an axis of x, y or z; large coordinates are drawn relative to a round number."""
     start = 1000 * np.floor(low / 1000) if abs(low) >= LARGE else 0.0
     words = {"x": "east $x$", "y": "north $y$", "z": "height $z$"}[name]
     axis.set_label_text(f"{words} - {start:.0f} [m]" if start else f"{words} [m]")
@@ -148,20 +138,9 @@ def by_wheel(
     zeros: bool = True,
     **looks: Any,
 ) -> Axes:
-    """Draw a line per wheel over time.
+    """Draw a line per wheel over time, with ``zeros`` also for values that are identically zero.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion, which has the names of the wheels.
-    values : ndarray, shape (n, n_wheels)
-        Values of the wheels.
-    ax : Axes
-        The axes.
-    zeros : bool
-        Whether wheels whose values are identically zero have a line.
-    **looks
-        Arguments of ``plot``.
+    Values have the shape (n, n_wheels).
     """
     for k, wheel in enumerate(run.wheels):
         if zeros or values[:, k].any():

@@ -1,32 +1,43 @@
-"""Figures of a sweep: a metric over the varied keys.
+"""Figures of many runs: sweeps, fronts of slip against another cost, tests of a wheel.
 
-Each drawing function draws on the given axes, labels the artists for a legend, and returns the
-axes; the caller adds the legend. ``save_sweep_figures`` writes one figure per metric: the
-distribution over the runs without varied keys, a curve for one key, a heat map for two keys.
+Each drawing function of a sweep draws on the given axes, labels the artists for a legend, and
+returns the axes; the caller adds the legend. ``save_sweep_figures`` writes one figure per metric:
+the distribution over the runs without varied keys, a curve for one key, a heat map for two keys.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array
+from slipfree.core.facts import Swept, Varied
+from slipfree.core.records import Array, Mask
 from slipfree.show import style
-from slipfree.show.plots import Plot, save
-from slipfree.show.style import COLUMN, MM, PALETTE
-from slipfree.show.sweep_results import Swept, Varied
+from slipfree.show.plots import MARGIN, PANEL, Plot, save
+from slipfree.show.style import COLUMN, MM, PALETTE, STOPPED
 
 COLOURS = "viridis"
 NOTHING = "0.85"  # colour of cells without a run
 MOST_WORDS = 8  # maximum number of cells per side with numbers
 ROOM = 7  # maximum number of horizontal texts at an axis
+WIDE = 30.0  # smallest ratio of values drawn on a logarithmic axis
+TANGENT = 0.06  # length of a tangent on each side [second objective]
+FAILED_HEIGHT = 0.03  # height of the marks of unsolved points [axes]
+PANELS = (
+    ("pull", "drawbar pull [N]", 1.0),
+    ("side", "side force [N]", 1.0),
+    ("torque", "torque [N m]", 1.0),
+    ("sinkage", "sinkage [mm]", 1e3),
+)  # quantity, axis label, factor from SI units
+SAME_LOAD = 0.01  # relative difference from the load of the curves [1]
+SAME_ANGLE = np.deg2rad(0.5)  # measured points within this angle of a curve have its colour [rad]
 
 
 def distribution(swept: Swept, ax: Axes) -> Axes:
@@ -43,10 +54,7 @@ def distribution(swept: Swept, ax: Axes) -> Axes:
 def curve(swept: Swept, ax: Axes) -> Axes:
     """Draw mean and range over repetitions, and the value of every run, over one varied key.
 
-    Raises
-    ------
-    ModelError
-        If not exactly one key was varied.
+    Raises ModelError if not exactly one key was varied.
     """
     (varied,) = _axes(swept, 1)
     x, values = _positions(varied), swept.values
@@ -73,10 +81,7 @@ def curve(swept: Swept, ax: Axes) -> Axes:
 def heat_map(swept: Swept, ax: Axes) -> Axes:
     """Draw a heat map of the mean over repetitions against two keys; cells without value are grey.
 
-    Raises
-    ------
-    ModelError
-        If not exactly two keys were varied.
+    Raises ModelError if not exactly two keys were varied.
     """
     across, up = _axes(swept, 2)
     mean = _over(np.nanmean, swept.values)
@@ -98,10 +103,7 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
 def figure(swept: Swept) -> Figure:
     """Return the figure of a metric over at most two varied keys.
 
-    Raises
-    ------
-    ModelError
-        If more keys were varied, or no run has a value.
+    Raises ModelError if more keys were varied, or no run has a value.
     """
     if not np.isfinite(swept.values).any():
         raise ModelError(
@@ -126,21 +128,8 @@ def save_sweep_figures(
 ) -> list[Path]:
     """Write one figure per metric to a folder, and return the paths of the files.
 
-    Parameters
-    ----------
-    quantities : sequence of Swept
-        Metrics.
-    folder : str or Path
-        Folder for the files; it is created if it does not exist.
-    formats : sequence of str
-        Endings such as ``"png"``, ``"pdf"`` or ``"svg"``.
-
-    Raises
-    ------
-    ModelError
-        If more than two keys were varied, no run has a value, or a format is unknown.
-    DataError
-        If the folder or a file cannot be written.
+    Raises ModelError if more than two keys were varied, no run has a value, or a format is unknown,
+    and DataError if the folder or a file cannot be written.
     """
     return save(
         [Plot(each.name, "", partial(figure, each)) for each in quantities], folder, formats
@@ -206,3 +195,153 @@ def _write_values(mean: Array, drawn: Any, ax: Axes) -> None:
 def _labelled(name: str, unit: str) -> str:
     """Return a label of the name and its unit."""
     return f"{name} [{style.unit(unit)}]" if unit else name
+
+
+class DrawnFront(NamedTuple):
+    """Data for the figure of a Pareto front of n points.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit of the second objective.
+    bounds, second : ndarray, shape (n,)
+        Bound and value of the second objective, in its unit; the value is NaN for unsolved points.
+    objective, slopes : ndarray, shape (n,)
+        Minimised objective, and its derivative with respect to the bound. [m2/s, m2/s per unit of
+        the bound]
+    slip : ndarray, shape (n,)
+        Slip per wheel and metre of path. [m/m]
+    is_dominated : ndarray of bool, shape (n,)
+        Whether another point of the front dominates the point.
+    given : tuple of 3 floats
+        Second objective, first objective [m2/s] and slip [m/m] of the plan with the costs of the
+        problem.
+    """
+
+    name: str
+    unit: str
+    bounds: Array
+    second: Array
+    objective: Array
+    slopes: Array
+    slip: Array
+    is_dominated: Mask
+    given: tuple[float, float, float]
+
+
+def front_figure(front: DrawnFront) -> Figure:
+    """Return the figure of a front: minimised objective with tangents, and slip per metre."""
+    made = style.figure(COLUMN, (2 * PANEL + MARGIN) * MM)
+    upper, lower = made.subplots(2, 1, sharex=True)
+    _draw_points(front, 1e6 * front.objective, 1e6 * front.given[1], upper)
+    _draw_tangents(front, upper)
+    upper.set_ylabel("squared slip and\nsmoothness [mm$^2$/s]")
+    _draw_points(front, 1e3 * front.slip, 1e3 * front.given[2], lower)
+    lower.set_ylabel("slip [mm per\nwheel and metre]")
+    lower.set_xlabel(f"{style.words(front.name)} [{style.unit(front.unit)}]")
+    handles, labels = upper.get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside upper center", ncols=3)
+    return style.stacked(made, [upper, lower])
+
+
+def _draw_points(front: DrawnFront, values: Array, given: float, ax: Axes) -> None:
+    """Draw the values of solved points, and marks at the bounds of unsolved points."""
+    solved = np.isfinite(values)
+    kept = solved & ~front.is_dominated
+    shown = np.append(values[solved], given)
+    if shown.min() > 0 and shown.max() > WIDE * shown.min():
+        ax.set_yscale("log")
+    ax.plot(front.second[kept], values[kept], "o-", ms=4, color=PALETTE[0], label="front")
+    worse = solved & front.is_dominated
+    if worse.any():
+        ax.plot(
+            front.second[worse],
+            values[worse],
+            "o",
+            ms=4,
+            mfc="none",
+            color=PALETTE[0],
+            label="dominated",
+        )
+    if not solved.all():
+        heights = np.full((~solved).sum(), FAILED_HEIGHT)
+        ax.plot(
+            front.bounds[~solved],
+            heights,
+            "x",
+            color=STOPPED,
+            label="not solved",
+            transform=ax.get_xaxis_transform(),
+        )
+    ax.plot(
+        front.given[0], given, "*", ms=8, color=PALETTE[1], label="costs of the problem", zorder=3
+    )
+
+
+def _draw_tangents(front: DrawnFront, ax: Axes) -> None:
+    """Draw a short tangent at each solved point, by the derivative with respect to the bound."""
+    label = "slope (price)"
+    for k in np.flatnonzero(np.isfinite(front.objective) & (front.slopes < 0)):
+        away = TANGENT * front.second[k] * np.array([-1.0, 1.0])
+        values = 1e6 * (front.objective[k] + front.slopes[k] * away)
+        if values.min() > 0:
+            ax.plot(front.second[k] + away, values, lw=2.5, alpha=0.5, color="0.4", label=label)
+            label = ""
+
+
+class DrawnWheel(NamedTuple):
+    """Data for the figure of a single-wheel test.
+
+    Attributes
+    ----------
+    angle : ndarray, shape (n_angles,)
+        Slip angles. [rad]
+    slip : ndarray, shape (n_slips,)
+        Slip ratios. [1]
+    load : float
+        Vertical load of the curves. [N]
+    values : mapping of str and ndarray, shape (n_angles, n_slips)
+        Computed quantities by name.
+    measured : mapping of str and tuple of 4 ndarrays, shape (n,)
+        Slip ratios [1], slip angles [rad], loads [N] and values of measured points, by quantity.
+        Those at the load of the curves are circles, others are crosses.
+    """
+
+    angle: Array
+    slip: Array
+    load: float
+    values: Mapping[str, Array]
+    measured: Mapping[str, tuple[Array, Array, Array, Array]]
+
+
+def wheel_plot(name: str, test: DrawnWheel) -> Plot:
+    """Return the undrawn figure of a single-wheel test, with the name of its file."""
+    words = "Drawbar pull, side force, torque and sinkage over the slip ratio."
+    return Plot(name, words, partial(wheel_figure, test))
+
+
+def wheel_figure(test: DrawnWheel) -> Figure:
+    """Return the figure of a single-wheel test: a panel per quantity, a line per slip angle."""
+    made = style.figure(COLUMN, (len(PANELS) * PANEL + MARGIN) * MM)
+    axes = made.subplots(len(PANELS), 1, sharex=True)
+    for (name, words, factor), ax in zip(PANELS, axes, strict=True):
+        _draw(test, name, factor, ax)
+        ax.set_ylabel(words)
+    axes[-1].set_xlabel("slip ratio [1]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside upper center", ncols=4)
+    return style.stacked(made, list(axes))
+
+
+def _draw(test: DrawnWheel, name: str, factor: float, ax: Axes) -> None:
+    """Draw the curves of a quantity, and its measured points."""
+    for k, angle in enumerate(test.angle):
+        label = f"{np.rad2deg(angle):.3g} deg"
+        ax.plot(test.slip, factor * test.values[name][k], label=label, **style.look(k))
+        if name in test.measured:
+            slip, angles, loads, values = test.measured[name]
+            near = np.abs(angles - angle) < SAME_ANGLE
+            same = np.abs(loads / test.load - 1) < SAME_LOAD
+            for marker, rows in (("o", near & same), ("x", near & ~same)):
+                look = {"ms": 2.5, "mfc": "none", "mew": 0.6, "color": style.look(k)["color"]}
+                ax.plot(slip[rows], factor * values[rows], marker, ls="", **look)

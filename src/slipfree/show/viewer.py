@@ -15,9 +15,18 @@ import numpy as np
 
 from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
-from slipfree.show.guard import Guard, stop
 from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
-from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Lines, Scene, scale_words
+from slipfree.show.local_server import Guard, stop
+from slipfree.show.scene import (
+    ARROWS,
+    Actor,
+    Arrows,
+    Colors,
+    Lines,
+    Scene,
+    SceneGround,
+    scale_words,
+)
 
 if TYPE_CHECKING:
     import viser
@@ -47,32 +56,16 @@ def serve(
     warn: Callable[[str], None],
     ready: Callable[[str], None],
 ) -> None:
-    """Show a scene in a web page on this machine, until Ctrl-C.
+    """Show a scene in a web page on this machine, until Ctrl-C; port zero selects a free one.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    title : str
-        Title of the page.
-    color : str
-        Name of the initial layer of the ground.
-    port : int
-        Port of the server; zero for a free port.
-    warn : callable
-        Function called, from any thread, with warnings about refused requests and values.
-    ready : callable
-        Function called with the address when the page can be opened.
-
-    Raises
-    ------
-    DataError
-        If viser is not installed or has an unsupported version, or if the port is in use.
+    ``warn`` is called, from any thread, with warnings about refused requests and values, ``ready``
+    with the address when the page can be opened. Raises DataError if viser is not installed or has
+    an unsupported version, or if the port is in use.
     """
     server, url = _server(port, warn)
     try:
         stage = Stage(server, scene, color)
-        panel = _Panel(server, stage, scene, title, color)
+        panel = _Controls(server, stage, scene, title, color)
         ready(url)
         while True:
             time.sleep(1 / RATE)
@@ -84,21 +77,9 @@ def serve(
 
 
 def page(scene: Scene, title: str, color: str) -> str:
-    """Return a self-contained HTML page that plays a scene.
+    """Return a self-contained HTML page that plays a scene; ``color`` is the layer of the ground.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    title : str
-        Title of the page.
-    color : str
-        Name of the layer of the ground.
-
-    Raises
-    ------
-    DataError
-        If viser is not installed or has an unsupported version.
+    Raises DataError if viser is not installed or has an unsupported version.
     """
     server, _ = _server(0)
     try:
@@ -123,10 +104,7 @@ def _server(
 ) -> tuple[viser.ViserServer, str]:
     """Return a guarded viser server on a port, and the address of its page.
 
-    Raises
-    ------
-    DataError
-        If viser is missing or unsuitable, or if the port is in use.
+    Raises DataError if viser is missing or unsuitable, or if the port is in use.
     """
     guard = Guard(warn, page_script("viewer_keys.js"))
     try:
@@ -173,7 +151,7 @@ class Stage:
             if layer.name != color:
                 colors = scene.ground.colors(layer.name, shaded=True)
                 _add_ground(server, scene.ground, layer.name, colors, visible=False)
-        self.actors = [_Drawn(server, scene, k) for k in range(len(scene.actors))]
+        self.actors = [_RunNodes(server, scene, k) for k in range(len(scene.actors))]
         self.anchor: Array | None = None
         _set_camera(server, scene)
         self.show(scene.span[0])
@@ -224,7 +202,7 @@ class Stage:
                 node.visible = each == name
 
 
-class _Drawn:
+class _RunNodes:
     """Nodes of one motion in viser.
 
     Parameters
@@ -327,7 +305,12 @@ def _lines(arrows: Arrows, k: int, scale: float, origin: Array) -> Array:
 
 
 def _add_ground(
-    server: viser.ViserServer, ground: Ground, name: str, colors: Colors, *, visible: bool = True
+    server: viser.ViserServer,
+    ground: SceneGround,
+    name: str,
+    colors: Colors,
+    *,
+    visible: bool = True,
 ) -> Any:
     import trimesh
 
@@ -428,7 +411,7 @@ class _Action(NamedTuple):
     act: Callable[[], None]
 
 
-class _Panel:
+class _Controls:
     """Controls of the page: time, speed, ground, arrows and runs."""
 
     def __init__(

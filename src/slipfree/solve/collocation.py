@@ -12,22 +12,23 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.polynomial import legendre
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.radau import RadauBasis, radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.simulate import check_times
+from slipfree.solve.stops import first_violation, invalid_start
 from slipfree.solve.system import System, with_inputs
-from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.system.forks import computing
 
 TRIED_DEGREES = (8, 10, 12, 14)  # degrees of the polynomials, tried in this order
@@ -40,6 +41,68 @@ ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not h
 WEAK_SINGULAR_VALUE = (
     1e-2  # relative singular value below which a rate stays out of the first guess
 )
+
+
+class RadauBasis(NamedTuple):
+    """Polynomials on the interval [0, 1], represented by their values at Radau points.
+
+    Attributes
+    ----------
+    points : ndarray, shape (k,)
+        Radau points in (0, 1]; the last is 1.
+    tied : ndarray, shape (k, k + 1)
+        Matrix of the derivatives at the points, from the values at zero and at the points.
+    free : ndarray, shape (k, k)
+        Matrix of the derivatives at the points, from the values at the points only.
+    """
+
+    points: Array
+    tied: Array
+    free: Array
+
+    def values(self, at: Array, *, tied: bool) -> Array:
+        """Return the matrix that interpolates nodal values at n points of [0, 1].
+
+        Its shape is (n, k), or (n, k + 1) if ``tied``: zero is then the first node.
+        """
+        nodes = np.append(0.0, self.points) if tied else self.points
+        return _lagrange_values(nodes, at)
+
+    def integrals(self, at: Array) -> Array:
+        """Return the matrix, shape (n, k), that integrates nodal values from 0 to n points."""
+        nodes, weights = legendre.leggauss(len(self.points))
+        inner = _lagrange_values(self.points, np.outer(at, (1 + nodes) / 2).ravel())
+        means = weights / 2 @ inner.reshape(len(at), len(nodes), len(self.points))
+        return np.asarray(at[:, None] * means, dtype=np.float64)
+
+
+@cache
+def radau_basis(degree: int) -> RadauBasis:
+    """Return the collocation polynomials for ``degree`` Radau points."""
+    difference = np.zeros(degree + 1)
+    difference[-2:] = 1.0, -1.0  # the roots of this Legendre series are the Radau points
+    points = np.append((1 + legendre.legroots(difference)[:-1].real) / 2, 1.0)
+    nodes = np.append(0.0, points)
+    return RadauBasis(points, _lagrange_derivatives(nodes)[1:], _lagrange_derivatives(points))
+
+
+def _lagrange_values(nodes: Array, at: Array) -> Array:
+    """Return the values of Lagrange polynomials at points, shape (n_points, n_nodes)."""
+    rows = np.ones((len(at), len(nodes)))
+    for j, node in enumerate(nodes):
+        for other in np.delete(nodes, j):
+            rows[:, j] *= (at - other) / (node - other)
+    return rows
+
+
+def _lagrange_derivatives(nodes: Array) -> Array:
+    """Return the derivatives of Lagrange polynomials, one row per node, shape (n, n)."""
+    gaps = nodes[:, None] - nodes + np.eye(len(nodes))
+    weights = 1 / gaps.prod(axis=1)
+    matrix: Array = weights / weights[:, None] / gaps
+    np.fill_diagonal(matrix, 0.0)
+    np.fill_diagonal(matrix, -matrix.sum(axis=1))
+    return matrix
 
 
 class CollocationElement(NamedTuple):
@@ -85,19 +148,10 @@ class CollocationScheme:
     point: ca.Function
 
     def march(self, t: Array, first: Array, z: Array) -> list[CollocationElement]:
-        """Return the elements of a motion, solved one after the other.
+        """Return the elements of a motion between times ``t``, solved one after the other.
 
-        Parameters
-        ----------
-        t : ndarray, shape (n + 1,)
-            Times of the ends of the n elements. [s]
-        first, z : ndarray, shape (n_x,) and (n_z,)
-            States at the beginning, and an initial guess of the unknowns of the motion.
-
-        Raises
-        ------
-        SolverError
-            If Newton's method fails on an element.
+        ``first`` are the states at the beginning, ``z`` an initial guess of the unknowns of the
+        motion. Raises SolverError if Newton's method fails on an element.
         """
         elements: list[CollocationElement] = []
         degree, x = len(self.basis.points), first
@@ -149,10 +203,12 @@ class CollocationScheme:
         t = element.begin + h * self.basis.points
         ode, alg, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
         slope = element.x @ tied[:, 1:].T + np.outer(element.first, tied[:, 0])
+        # The polynomials of free states have no node at the beginning.
         slope[self.free_states] = element.x[self.free_states] @ free.T
         size = self.system.dae.sizes.x
         residual = np.concatenate([((slope - h * ode) / size[:, None]).ravel(), alg.ravel()])
         jac = jac.reshape(n, k, n)
+        # Rows are divided by the sizes of the states, so that one tolerance suits all equations.
         jac[:n_x] *= -h / size[:, None, None]
         matrix = np.zeros((n, k, n, k))
         matrix[:, np.arange(k), :, np.arange(k)] = jac.transpose(1, 0, 2)
@@ -213,7 +269,7 @@ def collocation_schemes(system: System, free_states: Mask) -> list[CollocationSc
     ]
 
 
-class Drive(NamedTuple):
+class CollocatedMotion(NamedTuple):
     """Result of `drive`: a motion, and its unknowns at the collocation points.
 
     Attributes
@@ -240,7 +296,7 @@ def drive(
     *,
     free_states: Sequence[str],
     options: SolverOptions = SolverOptions(),
-) -> Drive:
+) -> CollocatedMotion:
     """Return the motion of a model with states that have no initial value.
 
     Elements are shortened until the solutions of two polynomial degrees agree on these states
@@ -293,7 +349,7 @@ def drive(
     }
     times, unknowns = best.points(elements)
     names = [label.full for label in leaves(dae.labels.z)][: len(unknowns)]
-    return Drive(
+    return CollocatedMotion(
         replace(run, statistics=statistics), times, dict(zip(names, unknowns, strict=True))
     )
 

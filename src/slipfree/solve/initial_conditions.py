@@ -58,6 +58,7 @@ def solve_initial_conditions(
     z = z.copy()
     for block in system.blocks:
         if block.linear:
+            # A step from zero gives the solution itself, so that it does not depend on the guess.
             z[block.span] = 0.0
             z[block.span] -= _newton_step(system, block, (t, x, z, u, block.stages[-1]), check=True)
             continue
@@ -111,12 +112,14 @@ def _solve_block(
             trial = z.copy()
             trial[block.span] -= damping * step
             new = size(trial)
+            # From a residual that is NaN, the first step is accepted.
             if new < now or not now > 0:
                 break
             damping /= 2
         else:
             break  # no descent: rounding, or a local minimum of the residual
         z, now = trial, new
+    # The descent may end above CONVERGED_RESIDUAL by rounding.
     if not now < 1e3 * CONVERGED_RESIDUAL:
         raise UnsolvedError(_failure_message(system, block, (t, x, z, u, continuation), first), z)
     _newton_step(system, block, (t, x, z, u, continuation), check=True)

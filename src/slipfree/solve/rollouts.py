@@ -110,7 +110,7 @@ def rollouts(
     parameters = {name: np.asarray(each) for name, each in (p or {}).items()}
     count = _count_runs(parameters, states, values, t.size - 1)
     runs = [
-        _Run(
+        _RolloutTask(
             k,
             tuple((name, _of_run(each, k)) for name, each in parameters.items()),
             states[k if len(states) > 1 else 0]
@@ -143,7 +143,7 @@ def rollouts(
     return found.dataset(options)
 
 
-class _Run(NamedTuple):
+class _RolloutTask(NamedTuple):
     """Number of a run, arguments of its model, its start and its inputs."""
 
     number: int
@@ -161,7 +161,7 @@ class _Common(NamedTuple):
     options: SolverOptions
 
 
-class _Done(NamedTuple):
+class _RolloutResult(NamedTuple):
     """Result of a run; columns have a value for each time that it reached."""
 
     number: int
@@ -254,9 +254,9 @@ def _inputs_of_run(values: Any, k: int) -> Any:
     return float(row[0]) if row.size == 1 else row
 
 
-def _execute(common: _Common, runs: Sequence[_Run]) -> list[_Done]:
+def _execute(common: _Common, runs: Sequence[_RolloutTask]) -> list[_RolloutResult]:
     """Return the results of runs."""
-    found = list[_Done]()
+    found = list[_RolloutResult]()
     for run in runs:
         model = common.model
         dae = model if isinstance(model, Dae) else _built(model, run.parameters)
@@ -269,7 +269,7 @@ def _built(model: Callable[..., Dae], parameters: tuple[tuple[str, Any], ...]) -
     return model(**dict(parameters))
 
 
-def _simulated(dae: Dae, common: _Common, run: _Run, inputs: Any) -> _Done:
+def _simulated(dae: Dae, common: _Common, run: _RolloutTask, inputs: Any) -> _RolloutResult:
     """Return the result of a run, also of one that fails."""
     outcome, words = FAILED, ""
     try:
@@ -279,10 +279,10 @@ def _simulated(dae: Dae, common: _Common, run: _Run, inputs: Any) -> _Done:
         motion = simulate(dae, start, inputs, common.t, options=common.options)
     except SolverError as error:
         if error.trajectory is None:
-            return _Done(run.number, {}, (), FAILED, str(error), np.nan)
+            return _RolloutResult(run.number, {}, (), FAILED, str(error), np.nan)
         motion, words, outcome = error.trajectory, str(error), "solver_failure"
     except SlipfreeError as error:
-        return _Done(run.number, {}, (), FAILED, str(error), np.nan)
+        return _RolloutResult(run.number, {}, (), FAILED, str(error), np.nan)
     else:
         words, outcome = motion.stop.words if motion.stop else "", motion.outcome.name.lower()
     kept = motion if common.quantities is None else common.quantities
@@ -292,7 +292,7 @@ def _simulated(dae: Dae, common: _Common, run: _Run, inputs: Any) -> _Done:
         motion[name]  # raises ModelError for an unknown name
         label, samples = motion.columns[name]
         columns[name] = Column(label, samples[rows])
-    return _Done(run.number, columns, motion.wheels, outcome, words, float(motion.t[-1]))
+    return _RolloutResult(run.number, columns, motion.wheels, outcome, words, float(motion.t[-1]))
 
 
 class _Table:
@@ -304,7 +304,7 @@ class _Table:
         self.outcomes, self.reasons = [""] * count, [""] * count
         self.ends = np.full(count, np.nan)
 
-    def add(self, found: Sequence[_Done]) -> None:
+    def add(self, found: Sequence[_RolloutResult]) -> None:
         """Add results; the order of runs is that of their numbers."""
         for done in found:
             k = done.number
@@ -378,7 +378,7 @@ def _padded(size: int) -> int:
     return ceil(size / ALIGNMENT) * ALIGNMENT
 
 
-def _execute_shared(task: tuple[_Handle, list[_Run]]) -> list[_Done]:
+def _execute_shared(task: tuple[_Handle, list[_RolloutTask]]) -> list[_RolloutResult]:
     """Return the results of runs in another process."""
     handle, runs = task
     return _execute(_loaded(handle)[0], runs)

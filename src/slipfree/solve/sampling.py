@@ -1,15 +1,15 @@
-"""Correct the samples of a motion by Newton's method, and convert them to a trajectory."""
+"""Correct samples of a motion and complete them with outputs; angles that differ by whole turns."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from slipfree.core.dae import Dae, SampledCheck
+from slipfree.core.dae import Dae, Limit, SampledCheck
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.records import Array, Label, Mask, leaves
@@ -24,6 +24,8 @@ STRIDE = 16  # samples per singular value, which would take as long as all other
 SOLVED_RESIDUAL = 1e-12  # residual, without unit, at which a sample needs no further step
 UNSOLVED_RESIDUAL = 1e-10  # residual of a sample above which it exceeds rounding
 ROUNDING_STEP = 1e-13  # step, in typical sizes, below which only rounding is left
+TURN = 2 * np.pi
+ROUNDING = 1e-7  # relative difference of expressions that counts as rounding
 
 
 class Samples(NamedTuple):
@@ -45,7 +47,17 @@ class Samples(NamedTuple):
 
     def head(self, count: int) -> Samples:
         """Return the first ``count`` samples."""
-        return Samples(*(part[..., :count] for part in self))
+        return self.at(slice(count))
+
+    def at(self, k: slice | list[int] | Mask) -> Samples:
+        """Return the samples with the given indices."""
+        return Samples(*(row[..., k] for row in self))
+
+
+def join_samples(parts: Sequence[Samples]) -> Samples:
+    """Return the joined samples of parts; each starts at the last sample of the previous part."""
+    rows = zip(*(part.head(-1) for part in parts[:-1]), parts[-1], strict=True)
+    return Samples(*(np.concatenate(row, axis=-1) for row in rows))
 
 
 def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
@@ -64,6 +76,7 @@ def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str
         steps.append(step)
         lefts.append(left)
     size = np.max([_max_abs(left) for left in lefts], axis=0)
+    # The negation also selects residuals that are NaN.
     if (astray := ~(size < UNSOLVED_RESIDUAL)).any():
         z = _solve_from_neighbours(system, samples, z, astray)
         corrected = samples._replace(z=z)
@@ -85,6 +98,7 @@ def _correct_block(block: Block, samples: Samples) -> tuple[Array, Array, Array]
         first = first if k else _max_abs(step)
         (left,) = _evaluate_block(block.residual, block, samples._replace(z=z))
         size = _max_abs(left)
+        # Rounding limits a small residual that a step does not halve.
         rough &= (size > SOLVED_RESIDUAL) & ~((size < UNSOLVED_RESIDUAL) & (size > former / 2))
         if not rough.any():
             break
@@ -104,6 +118,7 @@ def _solve_from_neighbours(system: System, samples: Samples, z: Array, astray: M
     z[:, astray] = samples.z[:, astray]
     for k in np.flatnonzero(astray):
         for j in (k - 1, k + 1):
+            # A later sample that is astray too has not been solved yet.
             if not 0 <= j < astray.size or (astray[j] and j > k):
                 continue
             point = (float(samples.t[k]), samples.x[:, k], z[:, j], samples.u[:, k])
@@ -241,7 +256,7 @@ def _check_margins(check: SampledCheck, samples: Samples) -> Array:
         return np.concatenate([_check_margins(check, sample) for sample in each])
 
 
-class _Quantity(NamedTuple):
+class _QuantityRows(NamedTuple):
     """Label of a quantity and the indices of its rows; quantities of wheels have several."""
 
     label: Label
@@ -252,7 +267,7 @@ class _Quantity(NamedTuple):
 @lru_cache(maxsize=8)
 def _group_by_quantity(
     dae: Dae, report: tuple[str, ...]
-) -> tuple[tuple[_Quantity, ...], tuple[str, ...]]:
+) -> tuple[tuple[_QuantityRows, ...], tuple[str, ...]]:
     """Return the quantities of a model and its report, in the order of rows, and the wheels."""
     labels = [
         *leaves(dae.labels[:5]),
@@ -274,7 +289,7 @@ def _group_by_quantity(
                 "twice; rename a coordinate of the vehicle or an output"
             )
         group[label.wheel] = row
-    wheels, found = tuple[str, ...](), list[_Quantity]()
+    wheels, found = tuple[str, ...](), list[_QuantityRows]()
     for name, group in groups.items():
         rows = tuple(group.values())
         label = labels[rows[0]]
@@ -282,7 +297,7 @@ def _group_by_quantity(
             wheels = tuple(map(str, group))
             words = label.words.replace(f"wheel {label.wheel}", "the wheel")
             label = Label(name, label.unit, words)
-        found.append(_Quantity(label, rows, None not in group))
+        found.append(_QuantityRows(label, rows, None not in group))
     return tuple(found), wheels
 
 
@@ -302,3 +317,32 @@ def _report_label(dae: Dae, name: str) -> Label:
             f"largest residual of equations {name.removesuffix('_residual')!r} after Newton steps",
         ),
     )
+
+
+def periodic_states(dae: Dae, x: Array, limits: Iterable[Limit] = ()) -> Mask:
+    """Return which states are angles that mean the same after a whole turn, shape (n_x,).
+
+    Such states are headings, and joints without stop and spring, such as casters. Rates, equations
+    and limits of the model, and further limits, are compared at a state in local coordinates and
+    one turn further.
+    """
+    angles = np.array([label.unit == "rad" for label in leaves(dae.labels.x)], dtype=bool)
+    expressions = (limit.expression for limit in (*dae.limits, *limits))
+    rows = ca.vertcat(dae.ode, *dae.alg, *expressions)
+    evaluate = dae.function("turned", [dae.t, *dae.columns()], [rows])
+    others = np.ones_like(dae.scale), np.ones(len(list(leaves(dae.u))))
+    first = np.array(evaluate(0.0, x, *others)).ravel()
+    for k in np.flatnonzero(angles):
+        turned = np.array(evaluate(0.0, x + TURN * (np.arange(x.size) == k), *others)).ravel()
+        size = np.nan_to_num(np.abs(first)).max(initial=1.0)
+        angles[k] = np.allclose(turned, first, rtol=0, atol=ROUNDING * size, equal_nan=True)
+    return angles
+
+
+def same_turn(values: Array, near: Array, periodic: Mask) -> Array:
+    """Return states with whole turns added to the periodic ones, nearest to other states.
+
+    Both have the shape (n_x, n).
+    """
+    turns = TURN * np.round((near - values) / TURN)
+    return np.where(periodic[:, None], values + np.nan_to_num(turns), values)

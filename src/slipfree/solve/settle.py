@@ -1,8 +1,8 @@
-"""Solve for the pose of a vehicle at rest on the ground, as the start of a motion."""
+"""Starts of a motion: at given positions, exchanged for other quantities, or near a wish."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -12,15 +12,19 @@ import numpy as np
 
 from slipfree.core.dae import Dae, Standing
 from slipfree.core.errors import ModelError
+from slipfree.core.lookups import check_order, needed_lookups
+from slipfree.core.outcome import ipopt_words
+from slipfree.core.rearrange import blocks, rearrange, variables
 from slipfree.core.records import Array, leaves, unpack
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
 from slipfree.solve.simulate import simulate
+from slipfree.solve.stops import first_violation, invalid_start
 from slipfree.solve.system import with_inputs
-from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.system.forks import computing
+from slipfree.system.interrupt import with_interrupt_guard
 
 RELAXATION_TIME = 20.0  # duration of the relaxation to the equilibrium of a start [s]
 RELAXATION_TOLERANCE = 1e-4  # integration tolerance of the relaxation
@@ -244,3 +248,233 @@ def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
         index = names.index(name)
         z[index] = value - dae.shift[1][index]
     return z
+
+
+def settle_exchanged(
+    dae: Dae,
+    exchange: Mapping[str, str],
+    *,
+    options: SolverOptions = SolverOptions(),
+    **start: float,
+) -> Trajectory:
+    """Return the vehicle at rest with given values of some unknowns of its pose.
+
+    The same number of states is solved for instead.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    exchange : mapping of str to str
+        Names of the states to solve for, each with the name of the unknown of the pose (first field
+        of ``z``) that is given instead. Both must have the same unit.
+    options : SolverOptions
+        Options of the solvers.
+    **start : float
+        Values of the given unknowns and of the other states by name; zero if omitted. [rad, m]
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown, an unknown is given for two states, units differ, or the vehicle
+        cannot stand there.
+    """
+    names, pose = (
+        [label.full for label in leaves(record)] for record in (dae.labels.x, dae.labels.z[0])
+    )
+    for name, known in (*((n, names) for n in exchange), *((n, pose) for n in exchange.values())):
+        if name not in known:
+            raise ModelError(
+                f"settle_exchanged: exchange: expected one of {', '.join(known)}, found {name!r}; "
+                "correct the name"
+            )
+    if len(set(exchange.values())) < len(exchange):
+        raise ModelError(
+            "settle_exchanged: exchange: expected a different unknown in place of each state, "
+            f"found {', '.join(exchange.values())}; replace the repeated name"
+        )
+    i, j = [names.index(name) for name in exchange], [pose.index(n) for n in exchange.values()]
+    model = _exchanged_model(dae, i, j)
+    guess = _guess_exchanged(dae, i, j, model.start(**start))
+    once = replace(options, compiled=False)
+    found = settle(replace(model, guess=ca.SX(guess)), guess=None, options=once, **start)
+    return _settle_at(dae, found, options)
+
+
+def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
+    """Return the model with states ``i`` among its unknowns and unknowns ``j`` among its states.
+
+    The model is valid only at rest: the rates of its new states are zero, and it has no checks.
+    """
+    x, z, u = variables(dae)
+    states, unknowns = list(leaves(x)), list(leaves(z))
+    for a, b in zip(i, j, strict=True):
+        state, unknown = states[a].label, unknowns[b].label
+        if state.unit != unknown.unit:
+            raise ModelError(
+                f"settle_exchanged: expected an unknown in {state.unit} in place of "
+                f"{state.full}, found {unknown.full} in {unknown.unit}; exchange other quantities"
+            )
+        states[a], unknowns[b] = unknowns[b], states[a]
+    used_once = replace(dae, checks=())
+    return rearrange(used_once, unpack(x, states), unpack(z, unknowns), u, blocks(dae))
+
+
+def _guess_exchanged(dae: Dae, i: Sequence[int], j: Sequence[int], given: Array) -> Array:
+    """Return an initial guess of ``z`` of the exchanged model from its states.
+
+    One Newton step finds the states ``i`` at which the original model's guess of the unknowns ``j``
+    equals their given values. It is exact if this guess is linear in the states ``i``.
+    """
+    states = dae.columns()[0]
+    rows = dae.guess[j]
+    slope = dae.function("slope", [states], [rows, ca.jacobian(rows, states[i])])
+    x = given.copy()
+    x[i] = 0.0
+    guess, jacobian = (np.array(part) for part in slope(x))
+    x[i] = np.linalg.lstsq(jacobian, given[i] - guess.ravel(), rcond=None)[0]
+    z = np.array(dae.function("guess", [states], [dae.guess])(x)).ravel()
+    z[j] = x[i]
+    return z
+
+
+def _settle_at(dae: Dae, found: Trajectory, options: SolverOptions) -> Trajectory:
+    """Return a model settled at the states of the first sample, with its pose as initial guess."""
+    states, pose = (
+        {label.full: float(found.of(label)[0]) for label in leaves(record)}
+        for record in (dae.labels.x, dae.labels.z[0])
+    )
+    return settle(dae, guess=pose, options=options, **states)
+
+
+@computing
+@with_interrupt_guard
+def settle_nearest(
+    dae: Dae,
+    *,
+    weights: Mapping[str, float] | None = None,
+    options: SolverOptions = SolverOptions(),
+    **pose: float,
+) -> Trajectory:
+    """Return the vehicle at rest in the pose nearest to a given pose.
+
+    The weighted sum of squared differences from the given values is minimal among all poses that
+    satisfy the first block of equations.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    weights : mapping of str to float, optional
+        Weight of the squared difference by name of the coordinate; 1 by default, so that a metre
+        counts as much as a radian. An infinite weight fixes the coordinate. [1/m2, 1/rad2]
+    options : SolverOptions
+        Options of the solvers.
+    **pose : float
+        States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
+        ``pitch`` and joints. Omitted states count as given with the value zero; omitted unknowns
+        are free. [m, rad]
+
+    Returns
+    -------
+    Trajectory
+        One sample. Its ``statistics`` contain ``change``, the square root of the weighted sum
+        without fixed coordinates, and ``change_NAME``, the found minus the given value of each
+        coordinate that is not free.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown, a value is not finite, a weight is negative or not a number, a lookup
+        of the model lacks derivatives, IPOPT finds no pose that satisfies the equations, or
+        `settle` fails in the pose found.
+    """
+    labels = [*leaves(dae.labels.x), *leaves(dae.labels.z[0])]
+    names, n_x = [label.full for label in labels], dae.ode.numel()
+    weights = weights or {}
+    _check_pose(names, pose, weights)
+    asked = {**{label.full: 0.0 for label in leaves(dae.labels.x)}, **pose}
+    shift = np.concatenate(dae.shift)[: len(names)]
+    wish = np.array([asked.get(name, 0.0) for name in names]) - shift
+    weight = np.array([weights.get(name, 1.0) if name in asked else 0.0 for name in names])
+    guess = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
+    first = np.concatenate([wish[:n_x], guess[: len(names) - n_x]])
+    first[weight > 0] = wish[weight > 0]
+    found = _least_change(dae, first, wish, weight) + shift
+    values = dict(zip(names, found, strict=True))
+    run = settle(
+        dae,
+        guess={name: values[name] for name in names[n_x:]},
+        options=options,
+        **{name: values[name] for name in names[:n_x]},
+    )
+    change = {
+        name: float(run.of(label)[0]) - asked[name]
+        for name, label in zip(names, labels, strict=True)
+        if name in asked
+    }
+    total = sum(
+        weights.get(name, 1.0) * size**2
+        for name, size in change.items()
+        if np.isfinite(weights.get(name, 1.0))
+    )
+    statistics = {"change": float(np.sqrt(total))}
+    return replace(run, statistics=statistics | {f"change_{k}": v for k, v in change.items()})
+
+
+def _check_pose(
+    names: Sequence[str], pose: Mapping[str, float], weights: Mapping[str, float]
+) -> None:
+    for name in (*pose, *weights):
+        if name not in names:
+            raise ModelError(
+                f"settle_nearest: expected names of states and pose coordinates, "
+                f"{', '.join(names)}, found {name!r}; correct the name"
+            )
+    for name, value in pose.items():
+        if not np.isfinite(value):
+            raise ModelError(
+                f"settle_nearest: {name}: expected a finite value, found {value}; correct the value"
+            )
+    for name, weight in weights.items():
+        if not weight >= 0:
+            raise ModelError(
+                f"settle_nearest: weights: expected a weight of at least 0 for {name!r}, found "
+                f"{weight}; correct it"
+            )
+
+
+def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
+    """Return the states and pose nearest to ``wish`` that satisfy the first block of equations."""
+    unknowns = ca.vertcat(dae.columns()[0], *leaves(dae.z[0]))
+    counts = np.isfinite(weight)
+    change = np.where(counts, weight, 0.0)
+    cost = ca.dot(ca.DM(change), (unknowns - ca.DM(wish)) ** 2)
+    quiet = {"print_level": 0, "sb": "yes", "tol": 1e-12}
+    check_order(needed_lookups(dae.lookups, [dae.alg[0]]), 3, "settle_nearest")
+    rows = dae.function("rows", [unknowns], [dae.alg[0]])
+    symbols = ca.MX.sym("unknowns", unknowns.numel())
+    changed = ca.Function("cost", [unknowns], [cost / 2])
+    problem = {"x": symbols, "f": changed(symbols), "g": rows(symbols)}
+    options: dict[str, Any] = {"ipopt": quiet, "print_time": False, "error_on_fail": False}
+    solver = ca.nlpsol("nearest", "ipopt", problem, options)
+    bound = np.where(counts, np.inf, 0.0)
+    centre = np.where(counts, 0.0, wish)
+    found = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
+    if not solver.stats()["success"]:
+        status = str(solver.stats()["return_status"])
+        names = [label.full for label in (*leaves(dae.labels.x), *leaves(dae.labels.z[0]))]
+        given = wish + np.concatenate(dae.shift)[: len(names)]
+        place = ", ".join(
+            f"{name} = {value:.4g}"
+            for name, value, used in zip(names, given, weight > 0, strict=True)
+            if used
+        )
+        remedy = "give a pose nearer to the ground"
+        if not counts.all():
+            remedy += ", or fewer coordinates with an infinite weight"
+        raise ModelError(
+            "settle_nearest: expected a pose of the vehicle at rest near "
+            f"{place or 'the given pose'}, found none ({ipopt_words(status)}); {remedy}"
+        )
+    return np.array(found["x"]).ravel()

@@ -2,51 +2,56 @@
 
 from __future__ import annotations
 
-import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Sequence
 from dataclasses import replace
-from io import StringIO
-from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
+from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import run_buffered
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array, Mask, Record
-from slipfree.core.solver_codes import NO_START, sundials_words
+from slipfree.core.records import Array, Record
 from slipfree.core.trajectory import Column, SolverError, Stop, Trajectory, joined
-from slipfree.solve.equations import scaled_jacobian
-from slipfree.solve.events import Event, WatchedEvent, crossing_indices, event_values, watch_events
 from slipfree.solve.initial_conditions import solve_initial_conditions
+from slipfree.solve.integrator import (
+    EarlyEnd,
+    LimitError,
+    MotionSolver,
+    Progress,
+    ProgressError,
+    StepObserver,
+    add_counts,
+    integrate,
+)
 from slipfree.solve.options import Method, SolverOptions
-from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
-from slipfree.solve.stop_diagnosis import diagnose_stop
+from slipfree.solve.sampling import (
+    UNSOLVED_RESIDUAL,
+    Samples,
+    correct_samples,
+    join_samples,
+    to_trajectory,
+)
+from slipfree.solve.stops import (
+    Event,
+    WatchedEvent,
+    crossing_indices,
+    diagnose_stop,
+    event_values,
+    first_violation,
+    invalid_start,
+    limit_at_failure,
+    watch_events,
+)
 from slipfree.solve.system import System, with_inputs
-from slipfree.solve.violations import first_violation, invalid_start, limit_at_failure
 from slipfree.system.forks import computing
-from slipfree.system.interrupt import InterruptGuard, check_interrupt
+from slipfree.system.interrupt import InterruptGuard
 
-COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 SUBINTERVALS = 64  # parts of an interval with a crossing, in each refinement
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 RESIDUAL_FACTOR = 100.0  # residual allowed at samples of models with a continuation [tolerance]
-LIMIT_TOLERANCE = 1e-6  # violation of a limit at which a step ends the call [unit or scale]
-MAX_STEPS = 10_000  # maximum number of steps of the integrator between two samples
-NEWTON_SHARE = 0.01  # fraction of a step's allowed error at which CVODES ends Newton's method
-MAX_RESTARTS = 20  # maximum number of restarts after failures, per interval of the inputs
-PACE_TIMES = 9  # times in a motion whose inputs bound its pace
-MAX_COVERED = 2.0  # a step that covers more causes a repetition [allowed distances]
-ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
-MAX_IDLE = 64  # integrators kept for later calls; inputs that jump use one for each interval
 CHUNK_SIZE = 2000  # samples checked together, to bound the memory
-Progress = Callable[[float], bool | None]
 
 
 @computing
@@ -122,20 +127,20 @@ def simulate(
     stops = tuple(each for each in watched if each.event.stop)
     with InterruptGuard() as guard:
         system = with_inputs(dae, inputs, t.size - 1, options)
-        solver = _Solver(system, options.tolerance, _method(system, options.method), guard)
+        solver = MotionSolver(system, options.tolerance, _method(system, options.method), guard)
         first = _initial_sample(system, start, t[0])
         clock = time.process_time()
-        observer = _StepObserver(guard, progress, guarded=True, polled=True)
-        samples, counts, end = _integrate(solver, observer, first, t, system.u)
+        observer = StepObserver(guard, progress, guarded=True, polled=True)
+        samples, counts, end = integrate(solver, observer, first, t, system.u)
         whole, samples, found = _check_samples(solver, samples, stops)
         left = t > samples.t[-1]
-        if isinstance(end, _LimitError) and found is None and left.any():
+        if isinstance(end, LimitError) and found is None and left.any():
             observer.guarded = False  # no sample violates the limit
             rest = np.append(samples.t[-1], t[left])
-            at, u = _select(samples, [-1]), system.u[:, 1 - rest.size :]
-            more, cost, end = _integrate(solver, observer, at, rest, u)
-            counts = _add_counts(counts, cost)
-            whole, samples, found = _check_samples(solver, _join_parts([samples, more]), stops)
+            at, u = samples.at([-1]), system.u[:, 1 - rest.size :]
+            more, cost, end = integrate(solver, observer, at, rest, u)
+            counts = add_counts(counts, cost)
+            whole, samples, found = _check_samples(solver, join_samples([samples, more]), stops)
         run = whole if found is None else _cut_at_crossing(solver, whole, samples, found, stops)
         times = {
             each.event.name: _event_times(solver, whole, samples, each, run) for each in watched
@@ -185,232 +190,6 @@ def _initial_sample(system: System, start: Trajectory, t: float) -> Samples:
     return Samples(np.array([t]), x[:, None], z[:, None], q[:, None], system.u[:, :1])
 
 
-class _Solver(NamedTuple):
-    """Model, tolerance, method and interrupt guard of an integration."""
-
-    system: System
-    tolerance: float
-    method: Method
-    guard: InterruptGuard
-
-
-class _LimitError(Exception):
-    """End of an integration by a step beyond a limit of the model."""
-
-
-class _ProgressError(Exception):
-    """End of an integration by the progress callable."""
-
-
-EarlyEnd = SolverError | _LimitError | _ProgressError
-
-
-def _integrate(
-    solver: _Solver, observer: _StepObserver, first: Samples, t: Array, u: Array
-) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
-    """Integrate over all intervals between jumps of the inputs.
-
-    Returns the samples reached, the counts of the integrator, and the reason of an early end or
-    None.
-    """
-    parts, counts, left = [first], dict.fromkeys(COUNTS, 0.0), 0
-    for right in (*_jump_indices(solver.system, t, u), t.size - 1):
-        at = _start_after_jump(solver.system, parts[-1], u[:, left])
-        span, inputs = t[left : right + 1], u[:, left:right]
-        part, cost, end = _integrate_between_jumps(solver, observer, at, span, inputs)
-        if isinstance(end, SolverError):
-            part, more, end = _restart_after_failure(solver, observer, part, end, span, inputs)
-            cost = _add_counts(cost, more)
-        parts.append(part)
-        counts, left = _add_counts(counts, cost), right
-        if end is not None:
-            break
-    return _join_parts(parts), counts, end
-
-
-def _jump_indices(system: System, t: Array, u: Array) -> list[int]:
-    """Return the indices of the times at which an input jumps.
-
-    A mere change of slope is not a jump; the integrator does not restart there.
-    """
-    n = system.dae.columns()[2].numel()
-    base, rise = u[:n], u[n:] if len(u) > n else np.zeros_like(u)
-    times = t[1:-1]
-    terms = np.array([base[:, 1:], -base[:, :-1], rise[:, 1:] * times, -rise[:, :-1] * times])
-    jumps = np.abs(terms.sum(axis=0)) > ROUNDING * np.abs(terms).sum(axis=0)
-    return (1 + np.flatnonzero(jumps.any(axis=0))).tolist()
-
-
-def _restart_after_failure(
-    solver: _Solver, observer: _StepObserver, part: Samples, end: SolverError, t: Array, u: Array
-) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
-    """Restart after a failure of the integrator, from the last step before it.
-
-    A restart uses a small step and a new Jacobian and often succeeds. The motion ends if a restart
-    makes no progress.
-    """
-    counts = dict.fromkeys(COUNTS, 0.0)
-    intervals = 1 + int((np.diff(u, axis=1) != 0).any(axis=0).sum())
-    for _ in range(MAX_RESTARTS * intervals):
-        rest = np.append(part.t[-1], t[t > part.t[-1]])
-        inputs = u[:, 1 - rest.size :]
-        at = _make_consistent(solver.system, _select(part, [-1]), inputs[:, 0], continuation=False)
-        if part.t.size == 1 or at is None:
-            break
-        more, cost, next_end = _integrate_between_jumps(solver, observer, at, rest, inputs)
-        counts = _add_counts(counts, cost)
-        if more.t.size == 1:
-            break
-        part = _join_parts([part, more])
-        part = _select(part, np.isin(part.t, [*t, part.t[-1]]))
-        if not isinstance(next_end, SolverError):
-            return part, counts, next_end
-        end = next_end
-    return part, counts, end
-
-
-def _integrate_between_jumps(
-    solver: _Solver, observer: _StepObserver, at: Samples, t: Array, u: Array
-) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
-    """Integrate over ``t``, where no input jumps, and keep the part before a failure or stop.
-
-    CasADi returns no results of a call that ends early. The call is therefore repeated up to the
-    last step that it reached and, if the integrator fails again, up to earlier steps.
-    """
-    observer.times.clear()
-    observer.paces.clear()
-    try:
-        return *_call_integrator(solver, observer, at, t, u), None
-    except (SolverError, _LimitError, _ProgressError) as error:
-        end = error
-    seen, left_out = sorted({each for each in observer.times if each > t[0]}), 1
-    while seen:
-        span = np.append(t[t < seen[-1]], seen[-1])
-        try:
-            return *_call_integrator(
-                solver, _StepObserver(solver.guard), at, span, u[:, : span.size - 1]
-            ), end
-        except SolverError:
-            seen, left_out = seen[:-left_out], 2 * left_out
-    return at, dict.fromkeys(COUNTS, 0.0), end
-
-
-def _call_integrator(
-    solver: _Solver, observer: _StepObserver, at: Samples, t: Array, u: Array
-) -> tuple[Samples, dict[str, float]]:
-    """Integrate over all of ``t``, where no input jumps, by one call.
-
-    IDAS may fail to compute a consistent start if the given start already is consistent to rounding
-    accuracy. Newton's method then computes the start, and IDAS skips its own computation.
-
-    Steps are bounded by the pace that the start has under later inputs. If the motion becomes
-    faster and a step covers too large a distance, the call is repeated with the largest pace.
-    """
-    system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, t, u)
-    x_size, m_size = (size[:, None] for size in motion_scales(system))
-    columns = np.column_stack([u[:, :1], u])  # that of an interval at the time that it ends
-    while True:
-        arguments = at.x / x_size, at.z[: system.motion_size] / m_size, columns
-        first = len(observer.times)
-        try:
-            with suppress_messages(), _integrator(solver, observer, t, given, pace) as integrator:
-                (x, z, q), statistics = _run(integrator, arguments, t.size)
-            faster = observer.pace_of_long_steps(first)
-            if not faster:
-                break
-            pace = faster
-        except RuntimeError as error:
-            solver.guard.check()
-            words, start = sundials_words(str(error)), None
-            if NO_START in words and not given:
-                start = _make_consistent(system, at, u[:, 0], continuation=False)
-            if start is None:
-                raise SolverError(words) from error
-            at, given = start, {"calc_ic": False, "init_xdot": _scaled_rates(system, start)}
-    solver.guard.check()
-    x, found = x * x_size, z
-    z = np.full((len(at.z), t.size), np.nan)
-    z[: len(found)] = found * m_size
-    x[:, :1], z[:, :1] = at.x, at.z
-    counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
-    inputs = np.column_stack([u, u[:, -1:]])
-    return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
-
-
-def _pace_at_start(system: System, at: Samples, t: Array, u: Array) -> float:
-    """Return the largest pace of a sample under the inputs of several times [1/s]."""
-    if system.dae.pace.is_zero():
-        return 0.0
-    times = np.linspace(t[0], t[-1], PACE_TIMES)
-    inputs = u[:, np.searchsorted(t[1:-1], times, side="right")]
-    m = at.z[: system.motion_size, 0]
-    return float(np.array(system.watch(times[None], at.x[:, 0], m, inputs)[2]).max())
-
-
-def _run(
-    integrator: ca.Function, arguments: tuple[Array, Array, Array], count: int
-) -> tuple[tuple[Array, ...], dict[str, Any]]:
-    """Return states, unknowns and quadratures at all times, and the statistics of the call."""
-    names, results = ("x0", "z0", "u"), ("xf", "zf", "qf")
-    found = [np.empty((count, integrator.size1_out(name))) for name in results]
-    buffer = run_buffered(
-        integrator,
-        dict(zip(map(integrator.index_in, names), arguments, strict=True)),
-        dict(zip(map(integrator.index_out, results), found, strict=True)),
-    )
-    return tuple(each.T for each in found), buffer.stats()
-
-
-def _scaled_rates(system: System, at: Samples) -> list[float]:
-    """Return the rates of one sample's states, divided by the sizes of the states."""
-    m = at.z[: system.motion_size]
-    rates = np.array(system.core(at.t, at.x, m, at.u)[0]).ravel()
-    return list[float]((rates / system.dae.sizes.x).tolist())
-
-
-def _start_after_jump(system: System, samples: Samples, u: Array) -> Samples:
-    """Return the last sample with the unknowns after a jump of the inputs.
-
-    If the equations have no solution there, the sample is returned unchanged.
-    """
-    at = _select(samples, [-1])
-    if np.array_equal(at.u[:, -1], u):
-        return at
-    for continuation in (False, True):
-        start = _make_consistent(system, at, u, continuation=continuation)
-        if start is not None:
-            return start
-    return at  # the integrator fails there
-
-
-def _make_consistent(
-    system: System, at: Samples, u: Array, *, continuation: bool
-) -> Samples | None:
-    """Solve for the unknowns of a sample under inputs; return None without a solution."""
-    try:
-        z = solve_initial_conditions(
-            system, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, continuation=continuation
-        )
-    except ModelError:
-        return None
-    return at._replace(z=z[:, None], u=u[:, None])
-
-
-def _select(samples: Samples, k: slice | list[int] | Mask) -> Samples:
-    """Return the samples with the given indices."""
-    return Samples(*(row[..., k] for row in samples))
-
-
-def _join_parts(parts: Sequence[Samples]) -> Samples:
-    """Return the joined samples of parts; each starts at the last sample of the previous part."""
-    rows = zip(*(part.head(-1) for part in parts[:-1]), parts[-1], strict=True)
-    return Samples(*(np.concatenate(row, axis=-1) for row in rows))
-
-
-def _add_counts(counts: dict[str, float], more: dict[str, float]) -> dict[str, float]:
-    return {name: counts[name] + more[name] for name in counts}
-
-
 class _Crossing(NamedTuple):
     """Index of the first sample at or beyond a limit or an event, its stop, and the event."""
 
@@ -420,7 +199,7 @@ class _Crossing(NamedTuple):
 
 
 def _check_samples(
-    solver: _Solver, samples: Samples, watched: Sequence[WatchedEvent], *, limited: bool = True
+    solver: MotionSolver, samples: Samples, watched: Sequence[WatchedEvent], *, limited: bool = True
 ) -> tuple[Trajectory, Samples, _Crossing | None]:
     """Correct the samples, and find the first that violates a limit or lies beyond an event.
 
@@ -439,7 +218,7 @@ def _check_samples(
     found = list[_Crossing]()
     for left in range(0, count, CHUNK_SIZE):
         span = slice(left, left + CHUNK_SIZE)
-        part, report = correct_samples(system, _select(samples, span))
+        part, report = correct_samples(system, samples.at(span))
         z[:, span] = part.z
         if not limited:
             continue
@@ -471,185 +250,8 @@ def _unfilled(chunk: Trajectory, t: Array) -> Trajectory:
     return Trajectory(t, columns, chunk.wheels)
 
 
-@contextmanager
-def _integrator(
-    solver: _Solver, observer: _StepObserver, t: Array, given: dict[str, Any], pace: float
-) -> Iterator[ca.Function]:
-    """Yield the integrator over ``t``, for states and unknowns divided by their sizes.
-
-    Steps last at most one over the pace, unless it is zero. Integrators are reused, since the
-    construction of one takes as long as a short motion, and deleted with the functions of their
-    model, without which no call can find them. Only one call at a time uses an integrator.
-    """
-    system = solver.system
-    key = system.watch, solver.tolerance, solver.method, t.tobytes(), str(given), pace
-    with _LOCK:
-        idle = _IDLE.get(system.core, {}).pop(key, None)
-    if idle is None:
-        relay = _Relay()
-        idle = relay, _new_integrator(solver, relay, t, given, pace)
-    relay, integrator = idle
-    relay.observer = observer
-    yield integrator
-    relay.observer = None
-    with _LOCK:
-        own = _IDLE.pop(system.core, {})
-        own[key] = idle
-        _IDLE[system.core] = own  # last
-        for model, kept in list(_IDLE.items()):
-            while kept and count_idle() > MAX_IDLE:
-                del kept[next(iter(kept))]
-            if not kept:
-                del _IDLE[model]
-
-
-def count_idle() -> int:
-    """Return the number of integrators kept for later calls."""
-    return sum(len(kept) for kept in list(_IDLE.values()))
-
-
-_LOCK = threading.Lock()
-_IDLE: WeakKeyDictionary[ca.Function, dict[tuple[Any, ...], tuple[_Relay, ca.Function]]]
-_IDLE = WeakKeyDictionary()  # by ``core``, least recently used first
-
-
-def _new_integrator(
-    solver: _Solver, relay: _Relay, t: Array, given: dict[str, Any], pace: float
-) -> ca.Function:
-    system, dae = solver.system, solver.system.dae
-    x_size, m_size = motion_scales(system)
-    counts = [x_size.size, m_size.size, system.u.shape[0]]
-    symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", counts, strict=True))]
-    t_0, x, m, u = symbols
-    point = [t_0, x * ca.DM(x_size), m * ca.DM(m_size), u]
-    ode, alg = system.core(*point)
-    quad, *observed = system.watch(*point)
-    quad = ca.vertcat(quad, relay(ca.vertcat(t_0, *observed)))
-    problem = dict(zip("txzu", symbols, strict=True))
-    problem |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
-    options: dict[str, Any] = {
-        "reltol": solver.tolerance,
-        "abstol": solver.tolerance,
-        "max_num_steps": MAX_STEPS,
-        "show_eval_warnings": False,
-        "disable_internal_warnings": True,
-        "cache": {"jacF": scaled_jacobian(system.jacobian, x_size, m_size)},
-    }
-    if solver.method == "idas":
-        options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
-    else:
-        # CVODES infers the error of Newton's method from an earlier rate of convergence, and mostly
-        # ends it after one iteration. With an old Jacobian, CVODES's default share of 0.1 then
-        # leaves errors of many tolerances, which its error test misses.
-        options |= {"quad_err_con": True, "nonlin_conv_coeff": NEWTON_SHARE}
-    if pace > 0:
-        options["max_step_size"] = 1 / pace
-    return ca.integrator("motion", solver.method, problem, float(t[0]), t, options)
-
-
-def motion_scales(system: System) -> tuple[Array, Array]:
-    """Return the sizes of the states and of the motion's unknowns."""
-    return system.dae.sizes.x, system.dae.sizes.z[: system.motion_size]
-
-
-@contextmanager
-def suppress_messages() -> Iterator[None]:
-    """Suppress messages of SUNDIALS and tracebacks, whose text the exceptions contain."""
-    hook, sys.excepthook = sys.excepthook, lambda *_: None
-    try:
-        with redirect_stderr(StringIO()):
-            yield
-    finally:
-        sys.excepthook = hook
-
-
-class _StepObserver:
-    """Observer of the steps of an integrator.
-
-    The observer records the times of the steps and reports progress. It ends the integration at a
-    step beyond a limit, if it is ``guarded``, if the progress callable returns False, or at a
-    Ctrl-C held back by `held_interrupt`, if it is ``polled``.
-    """
-
-    def __init__(
-        self,
-        guard: InterruptGuard,
-        progress: Progress | None = None,
-        *,
-        guarded: bool = False,
-        polled: bool = False,
-    ) -> None:
-        self.guard, self.progress, self.guarded, self.polled = guard, progress, guarded, polled
-        self.times: list[float] = []
-        self.paces: list[float] = []
-        self.reported = -np.inf
-
-    def __call__(self, t: float, margin: float, pace: float) -> None:
-        """Observe a step: its time, the least distance to a limit, and the pace."""
-        self.guard.call(self._observe, t, margin, pace)
-
-    def pace_of_long_steps(self, first: int) -> float:
-        """Return the largest pace if a step covers twice the allowed distance or more, else zero.
-
-        ``first`` is the index of the first observation. Steps that were rejected do not count.
-        """
-        steps = list[tuple[float, float]]()
-        for step in zip(self.times[first:], self.paces[first:], strict=True):
-            while steps and steps[-1][0] >= step[0]:
-                steps.pop()
-            steps.append(step)
-        t, paces = np.array(steps).reshape(-1, 2).T
-        covered = np.diff(t) * np.maximum(paces[1:], paces[:-1])
-        return float(np.nanmax(paces)) if (covered >= MAX_COVERED).any() else 0.0
-
-    def _observe(self, t: float, margin: float, pace: float) -> None:
-        self.times.append(t)
-        self.paces.append(pace)
-        if self.progress is not None and t > self.reported:
-            self.reported = t
-            answer = self.progress(t)
-            if isinstance(answer, bool | np.bool_) and not answer:
-                raise _ProgressError
-        if self.polled:
-            check_interrupt()
-        if self.guarded and not margin >= -LIMIT_TOLERANCE:
-            raise _LimitError
-
-
-class _Relay(ca.Callback):
-    """Quadrature that is identically zero and calls the present observer of an integrator.
-
-    Both integrators evaluate quadratures once per step, outside Newton's method. Zero passes every
-    error test, so that the motion does not change. The relay must exist as long as the integrator.
-    """
-
-    def __init__(self) -> None:
-        ca.Callback.__init__(self)
-        self.observer: _StepObserver | None = None
-        self.construct("observer", {})
-
-    def get_sparsity_in(self, _index: int) -> ca.Sparsity:
-        """Return the shape of the argument: time, least distance to a limit, and pace."""
-        return ca.Sparsity.dense(3, 1)
-
-    def has_eval_buffer(self) -> bool:
-        """Return True: arguments are passed as memory buffers, which is five times as fast."""
-        return True
-
-    def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
-        """Observe a step of the integrator; return zero, CasADi's code for success."""
-        if self.observer is not None:
-            self.observer(*_doubles(arguments[0]))
-        _doubles(results[0])[0] = 0.0
-        return 0
-
-
-def _doubles(memory: memoryview) -> memoryview[float]:
-    return memory.cast("b").cast("d")
-
-
 def _cut_at_crossing(
-    solver: _Solver,
+    solver: MotionSolver,
     run: Trajectory,
     samples: Samples,
     found: _Crossing,
@@ -676,7 +278,7 @@ def _finish_motion(
         words = f"the integrator stopped at t = {t:.6g} s: {end}"
         run = replace(run, stop=Stop("solver", t, str(end), Outcome.SOLVER_FAILURE))
         raise SolverError(words, run)
-    if isinstance(end, _ProgressError) and found is None:
+    if isinstance(end, ProgressError) and found is None:
         run = replace(run, stop=interrupted_at(t))
     return run
 
@@ -688,7 +290,7 @@ def interrupted_at(t: float) -> Stop:
 
 
 def _event_times(
-    solver: _Solver,
+    solver: MotionSolver,
     whole: Trajectory,
     samples: Samples,
     each: WatchedEvent,
@@ -706,7 +308,7 @@ def _event_times(
 
 
 def _locate_crossing(
-    solver: _Solver,
+    solver: MotionSolver,
     run: Trajectory,
     samples: Samples,
     found: _Crossing,
@@ -723,9 +325,7 @@ def _locate_crossing(
     while run.t[k] - run.t[k - 1] > CROSSING_TOLERANCE:
         t = np.linspace(run.t[k - 1], run.t[k], SUBINTERVALS + 1)
         u = np.repeat(samples.u[:, k - 1 : k], SUBINTERVALS, axis=1)
-        refined, *_ = _integrate(
-            solver, _StepObserver(solver.guard), _select(samples, [k - 1]), t, u
-        )
+        refined, *_ = integrate(solver, StepObserver(solver.guard), samples.at([k - 1]), t, u)
         fine, finer, nearer = _check_samples(solver, refined, watched, limited=limited)
         if nearer is None or nearer.k == 0:  # the crossing is at one of the two samples
             past = nearer is not None
@@ -741,7 +341,7 @@ def _locate_crossing(
     if event is not None:
         before, after = event_values(event, solver.system, samples)[k - 1 : k + 1]
         share = before / (before - after)
-        pairs = zip(_select(samples, [k - 1]), _select(samples, [k]), strict=True)
+        pairs = zip(samples.at([k - 1]), samples.at([k]), strict=True)
         at = Samples(*(one + share * (other - one) for one, other in pairs))
         at = at._replace(u=samples.u[:, [k - 1]])
         tail = _check_samples(solver, at, (), limited=limited)[0]

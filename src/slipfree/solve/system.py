@@ -13,8 +13,7 @@ from slipfree.core.dae import Dae, PiecewiseLinear
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import found_column
 from slipfree.core.records import Array, Label, Record, leaves, pack
-from slipfree.solve.block_equations import block_functions
-from slipfree.solve.equations import model_function, motion_equations
+from slipfree.solve.equations import block_functions, model_function, motion_equations
 from slipfree.solve.options import SolverOptions
 
 MAX_NEWTON_STEPS = 25  # limit for blocks that depend on the motion

@@ -13,22 +13,15 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import run_buffered
 from slipfree.core.lookups import found_column
-from slipfree.core.outcome import Outcome
+from slipfree.core.outcome import Outcome, sundials_words
 from slipfree.core.records import Array, Record, leaves, unpack
-from slipfree.core.solver_codes import sundials_words
 from slipfree.core.trajectory import SolverError, Stop, Trajectory
+from slipfree.solve.integrator import COUNTS, MAX_STEPS, Progress, suppress_messages
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory
-from slipfree.solve.simulate import (
-    COUNTS,
-    MAX_STEPS,
-    Progress,
-    check_times,
-    interrupted_at,
-    suppress_messages,
-)
+from slipfree.solve.simulate import check_times, interrupted_at
+from slipfree.solve.stops import first_violation
 from slipfree.solve.system import System, with_inputs
-from slipfree.solve.violations import first_violation
 from slipfree.system.interrupt import InterruptGuard, check_interrupt
 
 PERIOD_TOLERANCE = 1e-6  # largest relative difference between sampling periods that count as equal

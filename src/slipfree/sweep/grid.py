@@ -30,7 +30,7 @@ MAX_RUNS = 100_000
 SEED = "seed"  # last part of the keys that repetitions change
 
 
-class Axis(NamedTuple):
+class SweepAxis(NamedTuple):
     """Varied key of a sweep, and its values.
 
     Attributes
@@ -84,7 +84,7 @@ class Sweep:
         Problem of the first run.
     settings : tuple of str
         Settings of all runs.
-    axes : tuple of Axis
+    axes : tuple of SweepAxis
         Varied keys.
     seeds : tuple of str
         Keys of the seeds that every repetition changes; empty without repetitions.
@@ -98,7 +98,7 @@ class Sweep:
 
     problem: Problem[Any]
     settings: tuple[str, ...]
-    axes: tuple[Axis, ...]
+    axes: tuple[SweepAxis, ...]
     seeds: tuple[str, ...]
     repeat: int
     seed: int
@@ -214,7 +214,7 @@ def sweep_of(
     return replace(bare, seeds=seeds, repeat=repeat)
 
 
-def _checked_points(axes: Sequence[Axis]) -> Iterator[list[str]]:
+def _checked_points(axes: Sequence[SweepAxis]) -> Iterator[list[str]]:
     """Yield the first point of a grid, then those that differ from it in one value."""
     first = [f"{axis.key}={axis.values[0]}" for axis in axes]
     yield first
@@ -223,13 +223,11 @@ def _checked_points(axes: Sequence[Axis]) -> Iterator[list[str]]:
             yield [*first[:k], f"{axis.key}={value}", *first[k + 1 :]]
 
 
-def axis_of(text: str) -> Axis:
+def axis_of(text: str) -> SweepAxis:
     """Return the key and the values of ``key=a:b:n`` or ``key=v1,v2,...``.
 
-    Raises
-    ------
-    DataError
-        If the text has neither form, a value is empty or given twice, or a range is not valid.
+    Raises DataError if the text has neither form, a value is empty or given twice, or a range is
+    not valid.
     """
     key, equals, rest = text.partition("=")
     text = shortened(text)
@@ -255,7 +253,7 @@ def axis_of(text: str) -> Axis:
             raise DataError(
                 f"--vary {text}: expected values that differ, found {same} {also}; remove one"
             )
-    return Axis(spelled, values)
+    return SweepAxis(spelled, values)
 
 
 def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
@@ -283,7 +281,7 @@ def _comparison_key(value: str) -> object:
     return found if isinstance(found, str) else repr(found)
 
 
-def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
+def _check_keys(axes: Sequence[SweepAxis], settings: Sequence[str]) -> None:
     """Raise DataError for varied keys that are repeated, set, or part of another varied key.
 
     A table may be set and one of its keys varied; the varied values then replace the key's value.
@@ -318,10 +316,8 @@ def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
 def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
     """Return equally spaced numbers as text; integers if the ends and the step are integers.
 
-    Raises
-    ------
-    DataError
-        If there are fewer than 2 or more than 100 000 values, or the ends are equal or not finite.
+    Raises DataError if there are fewer than 2 or more than 100 000 values, or the ends are equal or
+    not finite.
     """
     low, high, n = float(first), float(last), int(count)
     if not 2 <= n <= MAX_RUNS:
@@ -351,10 +347,7 @@ def _values(text: str) -> tuple[str, ...]:
 def _spelled(value: Any) -> str:
     """Return a value as TOML text, which equals JSON for strings, numbers, booleans and arrays.
 
-    Raises
-    ------
-    TypeError
-        If the value is a table or a date.
+    Raises TypeError if the value is a table or a date.
     """
     if isinstance(value, dict):
         raise TypeError(value)

@@ -36,7 +36,7 @@ WORDS = {
 }
 
 
-class Row(NamedTuple):
+class RunRow(NamedTuple):
     """Result of a run.
 
     Attributes
@@ -74,7 +74,7 @@ class Rows:
     ----------
     outcomes : Counter of str
         Number of finished runs by outcome.
-    last : Row or None
+    last : RunRow or None
         Last run that finished in this process.
     """
 
@@ -83,7 +83,7 @@ class Rows:
         self._offsets: dict[int, tuple[int, str]] = {}  # by run: byte in the file, outcome
         self._units: dict[str, tuple[int, int, str]] = {}  # by metric: first run, position, unit
         self.outcomes: Counter[str] = Counter()
-        self.last: Row | None = None
+        self.last: RunRow | None = None
 
     def __len__(self) -> int:
         """Return the number of finished runs."""
@@ -93,11 +93,11 @@ class Rows:
         """Return whether a run is finished."""
         return run in self._offsets
 
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[RunRow]:
         """Yield the rows in the order of the runs."""
         return self.read(sorted(self._offsets))
 
-    def read(self, runs: Iterable[int]) -> Iterator[Row]:
+    def read(self, runs: Iterable[int]) -> Iterator[RunRow]:
         """Yield the rows of finished runs with the given numbers, in this order."""
         with self._path.open("rb") as file:
             for run in runs:
@@ -114,7 +114,7 @@ class Rows:
         ordered = sorted(self._units.items(), key=lambda each: each[1])
         return {name: unit for name, (_, _, unit) in ordered}
 
-    def add(self, row: Row, offset: int) -> None:
+    def add(self, row: RunRow, offset: int) -> None:
         """Add a finished run whose line begins at byte ``offset``; replace its earlier result."""
         self.discard(row.run)
         self._offsets[row.run] = offset, sys.intern(row.outcome)
@@ -130,7 +130,7 @@ class Rows:
             self.outcomes[self._offsets.pop(run)[1]] -= 1
 
 
-def row_of(line: Mapping[str, Any]) -> Row:
+def row_of(line: Mapping[str, Any]) -> RunRow:
     """Return the row of a line of the log.
 
     Raises
@@ -138,14 +138,14 @@ def row_of(line: Mapping[str, Any]) -> Row:
     TypeError, ValueError, AttributeError, OverflowError
         If the line does not describe a run.
     """
-    row = Row(**line)
+    row = RunRow(**line)
     if not all(isinstance(each, str) for each in (row.outcome, row.words, *row.settings)):
         raise TypeError("outcome, words and settings are not texts")
     figures = {name: (float(value), str(unit)) for name, (value, unit) in row.figures.items()}
     return row._replace(run=int(row.run), settings=tuple(row.settings), figures=figures)
 
 
-class Log:
+class RunLog:
     """The open log of a sweep; a context manager.
 
     Attributes
@@ -180,18 +180,15 @@ class Log:
                 self._file.close()
             raise
 
-    def append(self, row: Row) -> None:
+    def append(self, row: RunRow) -> None:
         """Write a row and synchronise it to disk.
 
-        Raises
-        ------
-        DataError
-            If the file cannot be written.
+        Raises DataError if the file cannot be written.
         """
         self.rows.add(row, self._write(row._asdict()))
         self.rows.last = row
 
-    def __enter__(self) -> Log:
+    def __enter__(self) -> RunLog:
         """Return the log."""
         return self
 
@@ -208,10 +205,7 @@ class Log:
     def _lock(self) -> None:
         """Lock the file for other processes until it is closed or this process ends.
 
-        Raises
-        ------
-        DataError
-            If another process has locked it.
+        Raises DataError if another process has locked it.
         """
         if fcntl is None:
             return

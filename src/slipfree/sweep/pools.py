@@ -1,23 +1,107 @@
-"""Pool of processes that execute the runs of a sweep.
-
-`slipfree.sweep.cluster` contains the pool of a Dask cluster.
-"""
+"""Tasks of a sweep, and the pools that execute them: local processes, or the workers of Dask."""
 
 from __future__ import annotations
 
-from concurrent.futures import Future
+import asyncio
+import os
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from typing import Any, NamedTuple
 
-from slipfree.core.errors import SlipfreeError
-from slipfree.sweep.log import LOST
-from slipfree.sweep.process import run_task
-from slipfree.sweep.task import Done, Task, without_motion
+from slipfree.core.errors import DataError, SlipfreeError, missing_package
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
+from slipfree.core.version import __version__
+from slipfree.files.netcdf import NOTHING
+from slipfree.sweep.log import LOST, RunRow
 from slipfree.system.processes import Pool as AnyPool
 from slipfree.system.processes import ProcessDiedError, Processes
 
-Pool = AnyPool[Task, Done]
+COMPLETE = "complete"  # figure of every run: 1 if it reached its end
+CONNECT = 10.0  # timeout for the connection to a scheduler [s]
+PATIENCE = 1.0  # time between checks of the number of workers [s]
+NONE_LEFT = "no workers are left; waiting for workers (Ctrl-C ends the sweep)"
+BACK = "workers are available again; the sweep continues"
+AHEAD = 2  # tasks per worker, so that it need not wait for the next one
 
 
-class ProcessPool(Processes[Task, Done]):
+class RunTask(NamedTuple):
+    """Task for a process: one run, with the text of the problem but not its input files.
+
+    Attributes
+    ----------
+    run : int
+        Number of the run.
+    file : str
+        Path of the problem file; input files are read relative to its folder.
+    text : str
+        Text of the problem file.
+    settings : tuple of str
+        Settings as ``key=value``.
+    own : int
+        Number of settings that are specific to this run; they are the last ones.
+    keep : bool
+        Whether to return the motion.
+    files : str
+        Identifier of the content of the input files. Runs of one process share maps and models if
+        it is the same.
+    trusted : frozenset of str
+        Paths of xacro files that the command line trusts.
+    """
+
+    run: int
+    file: str
+    text: str
+    settings: tuple[str, ...]
+    own: int
+    keep: bool
+    files: str
+    trusted: frozenset[str] = frozenset()
+
+
+class Done(NamedTuple):
+    """The result of a task.
+
+    Attributes
+    ----------
+    row : RunRow
+        Row for log and table.
+    trajectory : Trajectory or None
+        The motion, if it is requested and exists.
+    arrays : mapping of str to ndarray
+        Arrays of a plan for a warm start; empty for other motions.
+    """
+
+    row: RunRow
+    trajectory: Trajectory | None = None
+    arrays: Mapping[str, Array] = NOTHING
+
+
+def without_motion(task: RunTask, outcome: str, words: str, seconds: float = 0.0) -> Done:
+    """Return the result of a failed or lost run, with the reason; it has no motion."""
+    return Done(
+        RunRow(task.run, own_settings(task), outcome, words, None, {COMPLETE: (0.0, "1")}, seconds)
+    )
+
+
+def own_settings(task: RunTask) -> tuple[str, ...]:
+    """Return the settings of a task that are specific to its run."""
+    return task.settings[len(task.settings) - task.own :]
+
+
+def run_task(task: RunTask) -> Done:
+    """Execute a task with `slipfree.sweep.worker.work`, and return its result."""
+    from slipfree.sweep.worker import work  # imports the solvers, which the parent does not need
+
+    return work(task)
+
+
+Pool = AnyPool[RunTask, Done]
+
+
+class ProcessPool(Processes[RunTask, Done]):
     """Pool of processes with one thread each.
 
     Parameters
@@ -29,7 +113,7 @@ class ProcessPool(Processes[Task, Done]):
     def __init__(self, count: int) -> None:
         super().__init__(count, run_task)
 
-    def result(self, future: Future[Done], task: Task) -> Done:
+    def result(self, future: Future[Done], task: RunTask) -> Done:
         """Return the result of a future, with outcome ``lost`` if its process died.
 
         Raises
@@ -45,3 +129,145 @@ class ProcessPool(Processes[Task, Done]):
             raise SlipfreeError(
                 f"{error}; finished runs are kept; repeat the command to continue"
             ) from error
+
+
+class Cluster:
+    """A pool of the workers of a Dask scheduler.
+
+    Workers need the same version of slipfree, and the input files of the problem at the same paths.
+    A worker executes one run at a time, regardless of its number of threads.
+
+    Parameters
+    ----------
+    address : str
+        Address of the scheduler, such as ``tcp://10.0.0.1:8786``.
+    warn : callable
+        Called with a message when all workers are lost, and when workers are available again.
+
+    Raises
+    ------
+    DataError
+        If the package distributed is not installed, no scheduler responds, it has no workers, or
+        they do not have the same version of slipfree.
+    """
+
+    def __init__(self, address: str, warn: Callable[[str], None]) -> None:
+        self._address, self._warn = address, warn
+        self._client = _connect(address)
+        self._workers, self._asked = 1, 0.0
+        self._open: dict[str, Any] = {}
+
+    def room(self) -> int:
+        """Return the largest number of open tasks; warn if all workers are lost or some are back.
+
+        Raises SlipfreeError if the connection to the scheduler is lost.
+        """
+        if self._client.status != "running":
+            raise self._gone()
+        if (now := time.monotonic()) - self._asked > PATIENCE:
+            before, self._asked = self._workers, now
+            with suppress(OSError):  # if the scheduler stops, the status changes
+                self._workers = len(self._client.nthreads())
+            if bool(before) != bool(self._workers):
+                self._warn(f"--scheduler {self._address}: {BACK if self._workers else NONE_LEFT}")
+        return max(1, AHEAD * self._workers)
+
+    def submit(self, task: RunTask) -> Any:
+        """Return the future of a task."""
+        key = f"slipfree-{os.urandom(8).hex()}"
+        self._open[key] = self._client.submit(run_task, task, key=key)
+        return self._open[key]
+
+    def result(self, future: Any, task: RunTask) -> Done:
+        """Return the result of a future, with outcome ``lost`` if its worker failed.
+
+        Raises
+        ------
+        SlipfreeError
+            If the connection to the scheduler is lost.
+        """
+        del self._open[future.key]
+        if future.status == "finished":
+            done: Done = future.result()
+            return done
+        if future.status == "error":
+            return without_motion(task, LOST, f"its worker failed ({future.exception()})")
+        raise self._gone()
+
+    def close(self) -> None:
+        """Cancel open tasks and disconnect from the scheduler."""
+        with suppress(Exception):  # the scheduler may have stopped
+            self._client.cancel([*self._open.values()])
+        self._client.close()
+
+    def _gone(self) -> SlipfreeError:
+        return SlipfreeError(
+            f"--scheduler {self._address}: the connection to the scheduler is lost; finished "
+            "runs are kept; start a scheduler and repeat the command to continue"
+        )
+
+
+def _connect(address: str) -> Any:
+    """Return a Dask client of a scheduler after a check of its workers.
+
+    Raises DataError if distributed is not installed, no scheduler responds, or the workers cannot
+    be used.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise DataError(f"--scheduler: {missing_package('distributed', 'cluster')}") from error
+    try:
+        with ThreadPoolExecutor(1) as alone:  # a notebook already runs an event loop
+            alone.submit(asyncio.run, _reach(address)).result()
+        client = Client(address, timeout=CONNECT, set_as_default=False)
+    except Exception as error:  # its class depends on the transport
+        reason = f"{type(error).__name__}: {error}".removesuffix(": ")
+        raise DataError(
+            f"--scheduler {address}: expected the address of a running Dask scheduler, as in "
+            f"tcp://10.0.0.1:8786, found none ({reason}); start one: dask scheduler"
+        ) from error
+    try:
+        _check_workers(client, address)
+    except BaseException:
+        client.close()
+        raise
+    return client
+
+
+async def _reach(address: str) -> None:
+    """Check that a scheduler accepts a connection.
+
+    A Dask client that cannot connect takes 20 s to close, and prints a traceback.
+    """
+    from distributed.comm.core import connect
+    from distributed.security import Security
+
+    security = Security().get_connection_args("client")
+    async with asyncio.timeout(CONNECT):  # connect itself waits forever for one that hangs
+        comm = await connect(address, timeout=CONNECT, **security)
+        await comm.close()
+
+
+def _check_workers(client: Any, address: str) -> None:
+    try:
+        found = set(client.run(_version).values())
+    except Exception as error:  # workers can raise any error on import
+        raise DataError(
+            f"--scheduler {address}: expected workers that have slipfree {__version__}, found "
+            f"{type(error).__name__}: {error}; install this version on all workers"
+        ) from error
+    if not found:
+        raise DataError(
+            f"--scheduler {address}: expected workers, found none; start some: "
+            f"dask worker {address} --nworkers 4 --nthreads 1"
+        )
+    if found != {__version__}:
+        raise DataError(
+            f"--scheduler {address}: expected workers that have slipfree {__version__}, found "
+            f"{', '.join(sorted(found))}; install the same version on all workers"
+        )
+
+
+def _version() -> str:
+    return __version__

@@ -1,22 +1,192 @@
-"""Execution of a sweep, or of its remaining runs."""
+"""Execution of a sweep, or of its remaining runs; its table and summary."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from slipfree.core.errors import DataError
+from slipfree.core.facts import Swept, Varied
+from slipfree.core.records import Array
 from slipfree.files.netcdf import write
-from slipfree.sweep.grid import Sweep
-from slipfree.sweep.log import FAILED, LOST, NAME, Log, Rows
-from slipfree.sweep.pools import Pool
-from slipfree.sweep.table import NAME as TABLE
-from slipfree.sweep.table import write_table
-from slipfree.sweep.task import Task
+from slipfree.files.tables import write_rows
+from slipfree.problem.units import unit_of
+from slipfree.problem.verbs.registry import verb_of
+from slipfree.sweep.grid import Run, Sweep
+from slipfree.sweep.log import FAILED, LOST, NAME, Rows, RunLog, RunRow
+from slipfree.sweep.pools import COMPLETE, Pool, RunTask
 from slipfree.system.processes import Poll, finish_tasks
 from slipfree.system.regular_files import check_name
+
+if TYPE_CHECKING:
+    from slipfree.problem.summary import Lines
+
+TABLE = "table.csv"
+MAX_FAILURES = 3  # number of printed failures
+MAX_VALUES = 10  # number of printed values of a key
+MAX_CHARACTERS = 300  # longest text of a run in the table; the log has the complete text
+KEPT = "within_limits"  # metric of plans: 1 if they satisfy their limits
+REMEDIES = {
+    FAILED: "--again repeats runs that failed",
+    LOST: "the same command repeats lost runs",
+}
+
+
+def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:
+    """Write one line per finished run, in the order of the runs.
+
+    The columns are number, varied keys, seeds, outcome, words, time reached [s] and metrics in the
+    units of the log; values that a run does not have are empty. Wall times are only in the log, so
+    that the same sweep gives the same table. Raises DataError if the file cannot be written.
+    """
+    units = rows.units
+    head = ["run", *sweep.keys, "outcome", "words", "time_reached", *units]
+    runs = (run for run in sweep.runs() if run.number in rows)
+    lines = (_line(run, row, units) for run, row in zip(runs, rows, strict=True))
+    write_rows(file, head, lines)
+
+
+def _line(run: Run, row: RunRow, names: Iterable[str]) -> list[object]:
+    values = [row.figures[name][0] if name in row.figures else "" for name in names]
+    time = "" if row.t is None else row.t
+    return [run.number, *run.values, *run.seeds, row.outcome, _line_of(row.words), time, *values]
+
+
+def _line_of(words: str) -> str:
+    """Return a text as one line of limited length."""
+    joined = " ".join(words.split())
+    return joined if len(joined) <= MAX_CHARACTERS else f"{joined[: MAX_CHARACTERS - 3]}..."
+
+
+def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the requested metrics, by default the usual metrics of the verb.
+
+    Raises DataError if no run has a requested metric.
+    """
+    known = rows.units
+    if not names:
+        return tuple(name for name in verb_of(sweep.problem).metrics_shown if name in known)
+    for name in names:
+        if name not in known:
+            raise DataError(
+                f"--figure {name}: expected one of the metrics of these runs "
+                f"({', '.join(sorted(known)) or 'none'}); change or omit the option and run the "
+                "command again; finished runs are kept"
+            )
+    return tuple(names)
+
+
+def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
+    """Return metrics over the grid and the repetitions, by name; NaN for runs without them.
+
+    The arrays have one axis per varied key and a last one for the repetitions. The result also
+    contains ``complete`` and, for plans, ``within_limits``.
+    """
+    names = dict.fromkeys([*figures, COMPLETE, KEPT])
+    units = {name: unit for name, unit in rows.units.items() if name in names}
+    values = {name: np.full(sweep.count, np.nan) for name in names if name in units}
+    for row in rows:
+        for name in row.figures.keys() & values.keys():
+            values[name][row.run - 1] = row.figures[name][0]
+    shape = (*(len(axis.values) for axis in sweep.axes), sweep.repeat)
+    spec = sweep.problem.spec
+    axes = tuple(
+        Varied(axis.key, unit_of(spec, axis.key), axis.values, axis.numbers) for axis in sweep.axes
+    )
+    return {k: Swept(k, units[k], axes, each.reshape(shape)) for k, each in values.items()}
+
+
+def sweep_facts(
+    sweep: Sweep, rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]
+) -> Lines:
+    """Return the facts of the summary of a sweep, pairs of name and text."""
+    spreads = (fact for name in figures for fact in _spreads(found[name]))
+    return [*_outcomes(sweep, rows), *_within_limits(len(rows), found.get(KEPT)), *spreads]
+
+
+def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
+    counts = ((outcome, count) for outcome, count in rows.outcomes.most_common() if count)
+    listed = ", ".join(f"{count} {outcome}" for outcome, count in counts)
+    yield "runs", f"{len(rows)} of {sweep.count}" + (f": {listed}" if listed else "")
+    yield from seed_facts(sweep)
+    for outcome, remedy in REMEDIES.items():
+        wrong = rows.ended(outcome)
+        for row in rows.read(wrong[:MAX_FAILURES]):
+            given = f" ({', '.join(row.settings)})" if row.settings else ""
+            yield f"  run {row.run} {outcome}", f"{_line_of(row.words)}{given}"
+        more = f"{len(wrong) - MAX_FAILURES} more, see the table; " * (len(wrong) > MAX_FAILURES)
+        if wrong:
+            yield "  ...", f"{more}{remedy}"
+
+
+def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
+    """Yield the range of seeds of every key that the repetitions change, as facts."""
+    for i, key in enumerate(sweep.seeds):
+        first = sweep.seed + i * sweep.repeat
+        yield f"  {key}", f"{first} to {first + sweep.repeat - 1}"
+
+
+def _within_limits(count: int, kept: Swept | None) -> Iterator[tuple[str, str]]:
+    """Yield the number and share of runs that satisfy goal and limits, if there are any plans."""
+    if kept is None:
+        return
+    good = np.nansum(kept.values)
+    yield (
+        "within limits",
+        f"{good:.0f} of {count} runs ({100 * good / count:.0f} %): solved, and the "
+        "simulation satisfies goal and limits within plan.accuracy",
+    )
+
+
+def _spreads(swept: Swept) -> Iterator[tuple[str, str]]:
+    """Yield mean and range of a metric, over all runs and for every value of every key."""
+    unit = "" if swept.unit in ("1", "") else f" {swept.unit}"
+    yield swept.name, f"{_spread(swept.values, unit)}"
+    for k, axis in enumerate(swept.axes):
+        parts = np.moveaxis(swept.values, k, 0)
+        for value, part in list(zip(axis.values, parts, strict=True))[:MAX_VALUES]:
+            yield f"  {axis.name} = {value}", _spread(part, unit)
+        if len(parts) > MAX_VALUES:
+            yield "  ...", f"{len(parts) - MAX_VALUES} more values; {TABLE} lists all"
+
+
+def _spread(values: Array, unit: str) -> str:
+    there = values[np.isfinite(values)]
+    if not there.size:
+        return "no run"
+    return (
+        f"mean {there.mean():.5g}, {there.min():.5g} to {there.max():.5g}{unit} "
+        f"({there.size} {'run' if there.size == 1 else 'runs'})"
+    )
+
+
+def drawn_grids(rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]) -> list[Swept]:
+    """Return the metrics to draw, and the share of complete runs if not all are complete."""
+    is_complete = rows.outcomes["complete"] == len(rows)
+    names = dict.fromkeys([*figures, *([] if is_complete else [COMPLETE])])
+    swept = (found[name] for name in names if name in found)
+    return [each for each in swept if np.isfinite(each.values).any()]
+
+
+def plan_facts(sweep: Sweep) -> Lines:
+    """Return the facts of a sweep before it runs: number of runs, values and seeds."""
+    sizes = [len(axis.values) for axis in sweep.axes] + [sweep.repeat] * bool(sweep.seeds)
+    times = f" = {' x '.join(map(str, sizes))}" if len(sizes) > 1 else ""
+    facts = [("runs", f"{sweep.count}{times}")]
+    for axis in sweep.axes:
+        few = (
+            axis.values
+            if len(axis.values) <= MAX_VALUES
+            else (*axis.values[:3], "...", axis.values[-1])
+        )
+        count = "1 value" if len(axis.values) == 1 else f"{len(axis.values)} values"
+        facts.append((f"  {axis.key}", f"{', '.join(few)} ({count})"))
+    return [*facts, *seed_facts(sweep)]
 
 
 def run_sweep(
@@ -66,7 +236,7 @@ def run_sweep(
             f"{folder}: expected a folder for the sweep, found a file; choose another folder with "
             "-o"
         )
-    with Log(folder / NAME, sweep.head, again=again) as log:
+    with RunLog(folder / NAME, sweep.head, again=again) as log:
         try:
             progress(log.rows)
             if len(log.rows) < sweep.count:
@@ -82,14 +252,14 @@ def run_sweep(
         return log.rows
 
 
-def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[Task]:
+def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[RunTask]:
     """Yield the tasks of all runs that are not finished."""
     path, text = str(sweep.problem.source.path.resolve()), sweep.problem.source.text
     files = json.dumps(dict(sweep.files))
     for run in sweep.runs():
         if run.number not in rows:
             own, trusted = len(sweep.keys), sweep.problem.trusted
-            yield Task(run.number, path, text, run.settings, own, keep, files, trusted)
+            yield RunTask(run.number, path, text, run.settings, own, keep, files, trusted)
 
 
 def result_path(folder: Path, sweep: Sweep, number: int) -> Path:

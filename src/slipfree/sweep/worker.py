@@ -1,27 +1,32 @@
-"""Computation of one run of a sweep."""
+"""Computation of one run of a sweep, and its metrics."""
 
 from __future__ import annotations
 
 import os
 import threading
 import time
+from math import isfinite
 from pathlib import Path
+from typing import Any
 
 from slipfree.core.errors import SlipfreeError
-from slipfree.core.trajectory import SolverError
+from slipfree.core.facts import Fact, numbers
+from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.problem.load import load_again
+from slipfree.problem.problem import Problem
 from slipfree.problem.sharing import Shared, sharing
 from slipfree.problem.solve import run_problem
 from slipfree.problem.verbs.registry import verb_of
-from slipfree.sweep.log import FAILED, LOST, Row
-from slipfree.sweep.metrics import figures_of
-from slipfree.sweep.task import Done, Task, own_settings, without_motion
+from slipfree.sweep.log import FAILED, LOST, RunRow
+from slipfree.sweep.pools import COMPLETE, Done, RunTask, own_settings, without_motion
 
 ALONE = threading.Lock()  # CasADi's objects are not thread-safe
 KEPT: Shared = {}  # map and model of the latest run
+Figures = dict[str, tuple[float, str]]
+CLOCK = "seconds"  # statistics with this in their names are not reproducible
 
 
-def work(task: Task) -> Done:
+def work(task: RunTask) -> Done:
     """Execute a task; return its result, whose row reports every error.
 
     The outcome is ``lost`` after an error of the operating system, such as a full disk, or if the
@@ -42,7 +47,7 @@ def work(task: Task) -> Done:
     return without_motion(task, outcome, words, time.perf_counter() - begin)
 
 
-def _worked(task: Task, begin: float) -> Done:
+def _worked(task: RunTask, begin: float) -> Done:
     problem = load_again(Path(task.file), task.text, task.settings, task.trusted)
     try:
         result = run_problem(problem)
@@ -58,7 +63,7 @@ def _worked(task: Task, begin: float) -> Done:
         figures = figures_of(motion, problem)
     except Exception as error:  # failed metrics must not lose the motion
         outcome, words, figures = FAILED, f"metrics: {type(error).__name__}: {error}", {}
-    row = Row(
+    row = RunRow(
         task.run,
         own_settings(task),
         outcome,
@@ -68,3 +73,34 @@ def _worked(task: Task, begin: float) -> Done:
         time.perf_counter() - begin,
     )
     return Done(row, motion, result.arrays) if task.keep else Done(row)
+
+
+def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
+    """Return the metrics of a motion by name: value and unit.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    problem : Problem
+        Its problem.
+
+    Returns
+    -------
+    dict of str to (float, str)
+        Values at the end (``end_x``), extremes over time and wheels (``pitch_largest``, of absolute
+        values; ``clearance_least``), ``slip_rms`` over time and wheels, ``tilt_largest`` of all
+        tilt angles, differences between end and start (``work``), and the solver's statistics
+        except computing times. Values that are not finite are omitted. ``complete`` is 1 if the
+        motion reached its end. ``within_limits`` of a plan is 1 if its simulation is complete and
+        violates no limit by more than ``plan.accuracy``.
+    """
+    verb = verb_of(problem)
+    found = {COMPLETE: Fact(float(run.stop is None), "1")}
+    found |= numbers(verb.facts(run))
+    found |= {name: Fact(value) for name, value in run.statistics.items()}
+    return {
+        name: (float(fact.value), fact.unit)
+        for name, fact in found.items()
+        if CLOCK not in name and isfinite(fact.value)
+    }

@@ -149,10 +149,7 @@ def _key(text: str) -> str:
 def folder() -> Path | None:
     """Return the folder of the cache; None if ``SLIPFREE_CACHE`` is empty.
 
-    Raises
-    ------
-    _UnavailableError
-        If ``SLIPFREE_CACHE`` names a user without a home folder.
+    Raises _UnavailableError if ``SLIPFREE_CACHE`` names a user without a home folder.
     """
     given = os.environ.get(FOLDER)
     if given is None:
@@ -169,10 +166,7 @@ def folder() -> Path | None:
 def _prepare(cache: Path) -> None:
     """Create the cache folder if missing.
 
-    Raises
-    ------
-    _UnavailableError
-        If the folder cannot be created, or if other users may write to it.
+    Raises _UnavailableError if the folder cannot be created, or if other users may write to it.
     """
     try:
         cache.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -249,11 +243,8 @@ def _compile(
 ) -> None:
     """Compile functions and store the library in the cache; its key and digest name the file.
 
-    Raises
-    ------
-    _UnavailableError
-        If the cache cannot be written, or the compiler cannot be started, fails, takes more than
-        300 s or writes no library.
+    Raises _UnavailableError if the cache cannot be written, or the compiler cannot be started,
+    fails, takes more than 300 s or writes no library.
     """
     try:
         with tempfile.TemporaryDirectory(dir=cache, prefix=SCRATCH_PREFIX) as scratch:
@@ -287,12 +278,7 @@ def _compile(
 def _run(command: Sequence[str]) -> None:
     """Run a compiler in its own session; kill it if this process is interrupted or time runs out.
 
-    Raises
-    ------
-    OSError
-        If the compiler cannot be started.
-    subprocess.SubprocessError
-        If the compiler fails, or does not end within 300 s.
+    Raises OSError if the compiler cannot be started.
     """
     none = subprocess.DEVNULL
     with subprocess.Popen(

@@ -95,12 +95,8 @@ if hasattr(os, "register_at_fork"):
 def computing(function: Callable[P, R]) -> Callable[P, R]:
     """Decorate a function so that forks by other threads wait until its calls end.
 
-    A fork waits for at most 10 s.
-
-    Raises
-    ------
-    SlipfreeError
-        If the function is called in a process that was forked while another thread computed.
+    A fork waits for at most 10 s. Raises SlipfreeError if the function is called in a process that
+    was forked while another thread computed.
     """
 
     @wraps(function)

@@ -195,16 +195,11 @@ def with_interrupt_guard(function: Callable[P, R]) -> Callable[P, R]:
 
 @contextmanager
 def ended_by_interrupt(end: Callable[[], object]) -> Iterator[None]:
-    """Call a function at Ctrl-C, before the SIGINT handler, to end a wait inside this context.
+    """Call ``end()`` at Ctrl-C, before the SIGINT handler, to end a wait inside this context.
 
     After Ctrl-C the end of the context raises KeyboardInterrupt, even if the handler raises no
-    exception. The context has no effect outside the main thread or without a Python
-    handler of SIGINT.
-
-    Parameters
-    ----------
-    end : callable
-        Function without arguments that ends the wait, such as one that kills a child process.
+    exception. The context has no effect outside the main thread or without a Python handler of
+    SIGINT.
     """
     former, pressed = signal.getsignal(signal.SIGINT), False
     if threading.current_thread() is not threading.main_thread() or not callable(former):

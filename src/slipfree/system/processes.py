@@ -58,21 +58,11 @@ class Pool(Protocol[T_contra, D_co]):
 
 
 def finish_tasks(tasks: Iterable[T], pool: Pool[T, D], poll: Poll) -> Generator[D, None, None]:
-    """Yield the results of tasks in the order of completion.
+    """Yield the results of tasks in the order of completion; the pool remains open.
 
-    Parameters
-    ----------
-    tasks : iterable
-        Tasks, taken one by one when the pool accepts another task.
-    pool : Pool
-        Pool that executes the tasks; it remains open.
-    poll : callable
-        Called several times per second; an exception that it raises ends the loop.
-
-    Raises
-    ------
-    SlipfreeError
-        If the pool fails, or if a process of `Processes` dies or cannot start.
+    Tasks are taken one by one when the pool accepts another task. ``poll`` is called several times
+    per second; an exception that it raises ends the loop. Raises SlipfreeError if the pool fails,
+    or if a process of `Processes` dies or cannot start.
     """
     waiting, running, finished = iter(tasks), dict[Any, T](), SimpleQueue[Any]()
     while True:
@@ -155,18 +145,11 @@ class Processes(Generic[T, D]):
 def local_tasks(
     function: Callable[[T], D], most: int
 ) -> Iterator[Callable[[Iterable[T], Poll], Iterator[D]]]:
-    """Yield a function that executes tasks in processes; it may be called several times.
+    """Yield a function that executes tasks in at most ``most`` processes, for several calls.
 
     The function takes tasks and ``poll`` as `finish_tasks` does, and yields the results in the
     order of completion. If this process is itself one of a pool, or if only one process may be
-    used, it executes the tasks one after the other.
-
-    Parameters
-    ----------
-    function : callable
-        Function at module level that takes a task and returns its result.
-    most : int
-        Maximum number of processes; it is also limited to the number of available cores.
+    used, it executes the tasks one after the other. ``function`` is at module level.
     """
     count = min(available_cores(), most)
 

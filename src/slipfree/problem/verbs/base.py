@@ -29,7 +29,7 @@ from slipfree.system.interrupt import check_interrupt
 
 if TYPE_CHECKING:
     from slipfree.models.montana import Difference
-    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.show.plots import Plot
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb

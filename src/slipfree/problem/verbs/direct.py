@@ -39,7 +39,7 @@ from slipfree.problem.verbs.driving import DriveVerb, model_attributes
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
-    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.plan.polynomial_motion import SavedPlan
 
 
 class SampledDriver(ClimbingDriver):

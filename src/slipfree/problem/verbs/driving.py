@@ -62,7 +62,7 @@ from slipfree.terrain.solids import Prism
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
-    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
 

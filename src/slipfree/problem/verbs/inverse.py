@@ -79,13 +79,12 @@ from slipfree.problem.verbs.inverse_facts import (
 from slipfree.problem.verbs.inverse_schema import Inverse
 from slipfree.solve.collocation import drive
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.replay import replay, round_trip, spline_inputs
-from slipfree.solve.trim import apply_inputs, trim_states
+from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Coordinate, Vehicle
 
 if TYPE_CHECKING:
-    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.show.plots import Plot
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
@@ -444,10 +443,9 @@ def _with_replay(setup: Setup, inputs: Any, options: SolverOptions, run: Traject
         if run.t.size > 1:
             jumps = _jumps(setup, run)
             _check_samples(run.t, jumps)
-            again = replay(direct, run, inputs, jumps=jumps, options=options)
-            gaps = again.difference.items()
-            facts |= {f"{REPLAY}{name}": Fact(gap, unit_of(name)) for name, gap in gaps}
-            if (stop := again.motion.stop) is not None and run.stop is None:
+            motion, gaps = replay(direct, run, inputs, jumps=jumps, options=options)
+            facts |= {f"{REPLAY}{name}": Fact(gap, unit_of(name)) for name, gap in gaps.items()}
+            if (stop := motion.stop) is not None and run.stop is None:
                 facts["stopped_replay"] = Fact(f"at {stop.t:.6g} s: {stop.words}")
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         facts["stopped_replay"] = Fact(str(error))

@@ -12,9 +12,8 @@ from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact, Facts, starting_with
-from slipfree.core.outcome import Outcome
+from slipfree.core.outcome import Outcome, ipopt_words
 from slipfree.core.records import Array, leaves
-from slipfree.core.solver_codes import ipopt_words
 from slipfree.core.trajectory import (
     PLAN_ACCURACY,
     Column,
@@ -28,13 +27,18 @@ from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
-from slipfree.plan.convergence import convergence_arrays, convergence_from
-from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
-from slipfree.plan.messages import missed_words
-from slipfree.plan.plan import Plan, PlanProgress
-from slipfree.plan.polynomial_motion import motion_of
+from slipfree.plan.constraints import missed_words
+from slipfree.plan.ipopt import (
+    SOLVED_STATUS,
+    STOPPED_STATUS,
+    Iterate,
+    convergence_arrays,
+    convergence_from,
+)
+from slipfree.plan.plan import Plan
+from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
+from slipfree.plan.search import PlanProgress
 from slipfree.plan.verification import simulate_plan
-from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
 from slipfree.plan.windows import LongPlan
 from slipfree.problem.build_common import (
     Setup,

@@ -11,15 +11,13 @@ import numpy as np
 from slipfree.core.facts import Fact, Facts, starting_with
 from slipfree.core.records import leaves
 from slipfree.core.trajectory import PLAN, Trajectory, path_length
-from slipfree.plan.constraints import COST
-from slipfree.plan.messages import DURATION, missed_words
-from slipfree.plan.optimality import Optimality
+from slipfree.plan.constraints import COST, DURATION, missed_words
+from slipfree.plan.optimality import Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
-from slipfree.plan.prices import price_rows, prices_words
 from slipfree.plan.windows import LongPlan
 from slipfree.problem.verbs.plan_goals import spelled
 from slipfree.problem.verbs.plan_setup import Planning
-from slipfree.solve.whole_turns import TURN
+from slipfree.solve.sampling import TURN
 
 ROBUST = "robust plan"
 IN_SOIL = "simulated with inertia"

@@ -27,8 +27,8 @@ from slipfree.core.records import Array
 from slipfree.core.trajectory import PLAN_ACCURACY, SolverError, Stop, Trajectory
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.source import Fault, problem_error
-from slipfree.plan.external_nlp import solve_nlp
-from slipfree.plan.messages import missed_words
+from slipfree.plan.constraints import missed_words
+from slipfree.plan.ipopt import solve_nlp
 from slipfree.problem.build_common import Setup, build_start, samples, solver_options
 from slipfree.problem.build_driver import level_section
 from slipfree.problem.build_ground import at

@@ -20,19 +20,19 @@ from slipfree.core.facts import Fact, Facts
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import PLAN_SHARE, Stop, Trajectory
 from slipfree.plan.plan import Plan as FoundPlan
-from slipfree.plan.plan import PlanProgress
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.robust import (
     CONFIDENCE,
     Bound,
+    DisturbedRun,
     Draw,
-    Replay,
     Replays,
     RobustPlan,
     Tightening,
     replay_of,
     robust_plan,
 )
+from slipfree.plan.search import PlanProgress
 from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
 from slipfree.problem.build_common import build_start
 from slipfree.problem.build_model import build_model
@@ -160,7 +160,7 @@ def make_robust(
         with local_tasks(replay_draw, robust.draws) as finish:
 
             def replay(plans: Sequence[FoundPlan], draws: Sequence[Draw]) -> list[Replays]:
-                done: dict[Draw, tuple[Replay, ...]] = {}
+                done: dict[Draw, tuple[DisturbedRun, ...]] = {}
 
                 def poll() -> None:
                     if report is not None:
@@ -187,7 +187,7 @@ def make_robust(
     return Tested(found.plan, _stop(found, robust), robust_facts(found, first))
 
 
-def replay_draw(task: ReplayTask) -> tuple[Draw, tuple[Replay, ...]]:
+def replay_draw(task: ReplayTask) -> tuple[Draw, tuple[DisturbedRun, ...]]:
     """Simulate plans in a drawn world; return the draw and a comparison with the bounds for each.
 
     The world is built once for all plans, and once for all draws if only the inputs are drawn.
@@ -215,7 +215,7 @@ def _drawn_world(source: PlanSource, draw: Draw | None) -> World:
     return World(problem, setup.dae, dae, build_start(problem, dae), arguments)
 
 
-def _replay_in(world: World, robust: Robust, planned: PolynomialMotion, draw: Draw) -> Replay:
+def _replay_in(world: World, robust: Robust, planned: PolynomialMotion, draw: Draw) -> DisturbedRun:
     spec = world.problem.spec
     tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
     options = replace(spec.solver.options, tolerance=tolerance)
@@ -234,8 +234,8 @@ def _replay_in(world: World, robust: Robust, planned: PolynomialMotion, draw: Dr
     )
 
 
-def _without_motion(error: SlipfreeError) -> Replay:
-    return Replay({Bound(f"no motion ({error})"): np.inf}, np.nan)
+def _without_motion(error: SlipfreeError) -> DisturbedRun:
+    return DisturbedRun({Bound(f"no motion ({error})"): np.inf}, np.nan)
 
 
 @lru_cache(1)

@@ -20,8 +20,8 @@ from slipfree.models.rigid_dynamics import dynamic_guess
 from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import Plan as FoundPlan
 from slipfree.plan.plan import plan
+from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.plan.robust import Tightening, tightened_arguments
-from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_common import in_frame, solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law

@@ -10,15 +10,15 @@ from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.facts import Fact
 from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import Plan as FoundPlan
+from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.plan.problem import bounds_of
-from slipfree.plan.starts import (
+from slipfree.plan.search import (
     NOT_SOLVED,
     LocalOptimum,
     count_distinct,
     distances,
     further_guesses,
 )
-from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import Plan

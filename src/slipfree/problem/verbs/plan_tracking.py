@@ -20,11 +20,10 @@ from slipfree.geometry.path import Path as GroundPath
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.quasi_statics import quasi_statics
-from slipfree.plan.mpc import horizon
+from slipfree.plan.mpc import horizon, track_plan
 from slipfree.plan.plan import Plan
-from slipfree.plan.tracking import track_plan
+from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.plan.verification import simulate_plan
-from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.build_common import build_start
 from slipfree.problem.build_model import model_law
 from slipfree.problem.build_world import build_world

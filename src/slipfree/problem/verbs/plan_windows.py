@@ -11,8 +11,8 @@ from slipfree.control.path_following import follow
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.geometry.path import Path
-from slipfree.plan.plan import PlanProgress
-from slipfree.plan.warm_start import SavedPlan
+from slipfree.plan.polynomial_motion import SavedPlan
+from slipfree.plan.search import PlanProgress
 from slipfree.plan.windows import LongPlan, plan_windows
 from slipfree.problem.build_common import Setup
 from slipfree.problem.build_ground import at

@@ -1,0 +1,537 @@
+"""Search for a plan from initial guesses: stages, added limits, finer meshes, local optima."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from operator import attrgetter
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.core.dae import Dae, Limit
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, field_overview, leaves
+from slipfree.core.trajectory import SolverError, Trajectory
+from slipfree.plan.constraints import VIOLATION_TOLERANCE
+from slipfree.plan.ipopt import (
+    OTHER_VIOLATION_GROWTH,
+    STOPPED_STATUS,
+    STUCK_STATUSES,
+    Convergence,
+    Iterate,
+    NlpSolution,
+    largest_violation,
+    solve_program,
+)
+from slipfree.plan.polynomial_motion import (
+    SavedPlan,
+    guess_unknowns,
+    local_motion,
+    motion_of,
+    nearest_fraction,
+    sample_plan,
+    transfer_motion,
+)
+from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
+from slipfree.plan.verification import (
+    Verification,
+    largest_error,
+    refine_mesh,
+)
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.simulate import simulate
+
+PERTURBATION = 0.3  # standard deviation of a perturbation, relative to the rms of the input
+MODES = 4  # number of cosines in a perturbation
+MAX_HALVINGS = 4  # of a perturbation whose motion ends early
+SHORTEST = 0.5  # shortest motion that is used as a guess, relative to the duration
+GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
+PATH_SAMPLES = 201  # samples at which the paths of two plans are compared
+SAME_PATH = 1e-3  # largest distance of paths that count as one optimum [m]
+VERIFIED, INACCURATE, SOLVED, NOT_SOLVED = "verified", "inaccurate", "solved", "not solved"
+RANKS = (VERIFIED, SOLVED, INACCURATE, NOT_SOLVED)
+SLIP_STAGES = (0.0, 1.0)  # factors of the weight of the slip, one per stage
+SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
+MAX_LIMIT_ROUNDS = 4  # largest number of times that violated limits are added
+MAX_REFINEMENTS = 6  # largest number of refinements of the mesh
+FUTILE_GROWTH = 4.0  # ratio of intervals after which an unchanged error has another cause
+MIN_IMPROVEMENT = 0.8  # ratio of errors on a finer and a coarser mesh for a further refinement
+LIMIT_CLEARANCE = 1e-5  # distance of plans from limits of the model, in their units
+PlanProgress = Callable[[str, Iterate], bool]
+
+
+class LocalOptimum(NamedTuple):
+    """Result of the search from one initial guess.
+
+    Attributes
+    ----------
+    start : str
+        Name of the initial guess, such as ``"guess 1"``, ``"reversed"`` or ``"perturbed 2"``.
+    outcome : str
+        ``"verified"`` (the simulation agrees with the plan), ``"inaccurate"`` (it does not),
+        ``"solved"`` (not simulated) or ``"not solved"``.
+    cost : float
+        Cost of the plan, the sum of all weighted terms.
+    terms : dict of str to float
+        Unweighted integrals of the terms of the cost, in their units, by name.
+    duration : float
+        Duration of the plan. [s]
+    seconds : float
+        Wall time of the search. [s]
+    path : ndarray, shape (2, n)
+        Positions ``x``, ``y`` at n equally spaced times, in local coordinates; shape (0, n) if the
+        model has no such states. [m]
+    """
+
+    start: str
+    outcome: str
+    cost: float
+    terms: dict[str, float]
+    duration: float
+    seconds: float
+    path: Array
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Sort key, smallest for the best plan: rank of the outcome, then cost."""
+        return RANKS.index(self.outcome), self.cost
+
+
+def further_guesses(
+    dae: Dae, start: Trajectory, guess: Trajectory, bounds: Array, count: int, seed: int
+) -> Iterator[tuple[str, Trajectory]]:
+    """Yield names and motions of further guesses: reversed inputs, then perturbed inputs.
+
+    Parameters
+    ----------
+    dae, start : Dae, Trajectory
+        Model, and trajectory whose last sample is the start.
+    guess : Trajectory
+        Motion whose inputs are changed.
+    bounds : ndarray, shape (n_u, 2)
+        Bounds of the inputs. The reversed guess is left out if the bounds of an input that is not
+        zero exclude positive or negative values.
+    count : int
+        Largest number of guesses. A perturbed guess is left out if its motion ends before half of
+        the duration, even with the perturbation halved four times.
+    seed : int
+        Seed of the random perturbations.
+
+    Raises
+    ------
+    SolverError
+        If a simulation fails before its first sample.
+    """
+    t = guess.t - guess.t[0]
+    inputs = np.array([guess.of(label) for label in leaves(dae.labels.u)])
+    sides = bounds[np.abs(inputs).max(axis=1) > 0]
+    if count and ((sides[:, 0] < 0) & (sides[:, 1] > 0)).all():
+        run = _simulated(dae, start, np.clip(-inputs, bounds[:, :1], bounds[:, 1:]), t)
+        if run.t[-1] > 0:
+            count -= 1
+            yield "reversed", run
+    sizes = np.sqrt((inputs**2).mean(axis=1, keepdims=True))
+    sizes = np.where(sizes > 0, sizes, np.sqrt((inputs**2).mean()))
+    for number in range(1, count + 1):
+        rng = np.random.default_rng([seed, number])
+        weights = rng.standard_normal((len(inputs), MODES)) / np.sqrt(MODES)
+        waves = np.cos(np.pi * np.outer(np.arange(MODES), t / t[-1]))
+        change = PERTURBATION * sizes * (weights @ waves)
+        for k in range(MAX_HALVINGS + 1):
+            values = np.clip(inputs + change / 2**k, bounds[:, :1], bounds[:, 1:])
+            run = _simulated(dae, start, values, t)
+            if run.t[-1] >= SHORTEST * t[-1]:
+                yield f"perturbed {number}", run
+                break
+
+
+def _simulated(dae: Dae, start: Trajectory, inputs: Array, t: Array) -> Trajectory:
+    """Simulate inputs given at times ``t``, to the last time or to the first failure."""
+    names = [label.full for label in leaves(dae.labels.u)]
+    middles = (inputs[:, 1:] + inputs[:, :-1]) / 2
+    rough = SolverOptions(tolerance=GUESS_TOLERANCE)
+    try:
+        return simulate(
+            dae, start, dae.inputs(**dict(zip(names, middles, strict=True))), t, options=rough
+        )
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        return error.trajectory
+
+
+def count_distinct(optima: Sequence[LocalOptimum]) -> int:
+    """Return the number of solved plans whose paths differ by more than 1 mm."""
+    kept: list[Array] = []
+    for each in optima:
+        apart = (np.linalg.norm(each.path - path, axis=0).max(initial=0.0) for path in kept)
+        if each.outcome != NOT_SOLVED and all(gap > SAME_PATH for gap in apart):
+            kept.append(each.path)
+    return len(kept)
+
+
+def distances(optima: Sequence[LocalOptimum]) -> list[float]:
+    """Return the largest distance of each path from the first in m, at equal fractions of time."""
+    first = optima[0].path
+    return [float(np.linalg.norm(each.path - first, axis=0).max(initial=0.0)) for each in optima]
+
+
+class SolvedStage(NamedTuple):
+    """Program that was solved during a search for a plan.
+
+    Attributes
+    ----------
+    words : str
+        Description of the program, such as ``"without slip cost"``.
+    iterations : int
+        Number of iterations.
+    status : str
+        Return status of IPOPT.
+    seconds : dict of str to float
+        Wall times: ``"total"``, ``"functions"`` (evaluations of the program) and ``"rest"``. [s]
+    cost : float
+        Final cost, with the weights of this stage.
+    convergence : Convergence
+        Cost, violation and barrier parameter of every iterate.
+    """
+
+    words: str
+    iterations: int
+    status: str
+    seconds: dict[str, float]
+    cost: float
+    convergence: Convergence
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+
+class SearchState(NamedTuple):
+    """Last solved program of a search, its solution, its initial guess, and all stages so far.
+
+    ``run`` is the sampled solution, or None if it has not been sampled; ``name`` and ``number`` are
+    those of the initial guess.
+    """
+
+    program: Program
+    found: NlpSolution
+    first: Array
+    stages: tuple[SolvedStage, ...]
+    run: Trajectory | None = None
+    name: str = ""
+    number: int = 0
+
+
+def named_guesses(
+    task: PlanTask, start: Trajectory, given: Sequence[Trajectory], starts: int, seed: int
+) -> list[tuple[str, Trajectory]]:
+    """Return names and motions of initial guesses: those given, then further ones up to ``starts``.
+
+    Raises ModelError if no guess is given.
+    """
+    if not given:
+        raise ModelError(
+            "plan: guess: expected at least one motion as initial guess, found none; give one, "
+            "such as a simulated motion"
+        )
+    named = [(f"guess {number}", each) for number, each in enumerate(given, 1)]
+    missing = max(starts - len(given), 0)
+    return [*named, *further_guesses(task.dae, start, given[0], task.inputs, missing, seed)]
+
+
+def solve_guesses(
+    program: Program, guesses: Sequence[tuple[str, Trajectory]], progress: PlanProgress | None
+) -> list[SearchState]:
+    """Solve the program from each guess, and return the solutions, best first."""
+    found: list[SearchState] = []
+    for number, (name, guess) in enumerate(guesses, 1):
+        of = f"guess {number} of {len(guesses)}, " if len(guesses) > 1 else ""
+        search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
+        found.append(search._replace(name=name, number=number))
+        if search.found.status == STOPPED_STATUS:
+            break
+    return sorted(found, key=partial(_rank, program))
+
+
+def best_verified(
+    searches: Sequence[SearchState],
+    verify: Callable[[SearchState], Verification],
+    progress: PlanProgress | None,
+) -> tuple[SearchState, Verification, tuple[LocalOptimum, ...]]:
+    """Return the best search with its verification, and a table of all searches.
+
+    The solutions of the searches are refined and simulated in order, until a simulation is
+    accurate, a program is not solved or the user stops the search. The best search is the accurate
+    one, or the first one if none is accurate.
+    """
+    tried: list[tuple[SearchState, Verification]] = []
+    for search in searches:
+        tried.append(_refine(_add_limits(search, progress), verify, progress))
+        last, verification = tried[-1]
+        stopped = last.stages[-1].status == STOPPED_STATUS
+        if verification.accurate or not last.found.success or stopped:
+            break
+    best = tried[-1] if tried[-1][1].accurate and tried[-1][0].found.success else tried[0]
+    kept = [each for each, _ in tried] + list(searches[len(tried) :])
+    rows = [
+        _local_optimum(each, tried[k][1].accurate if k < len(tried) else None)
+        for k, each in enumerate(kept)
+    ]
+    first = next(k for k, each in enumerate(kept) if each is best[0])
+    others = sorted((row for k, row in enumerate(rows) if k != first), key=lambda row: row.rank)
+    stages = [stage for each in sorted(searches, key=attrgetter("number")) for stage in each.stages]
+    pairs = [(one[0], before) for one, before in zip(tried, searches, strict=False)]
+    for after, before in sorted(pairs, key=lambda pair: pair[0] is best[0]):
+        stages += after.stages[len(before.stages) :]
+    return best[0]._replace(stages=tuple(stages)), best[1], (rows[first], *others)
+
+
+def _local_optimum(search: SearchState, accurate: bool | None) -> LocalOptimum:
+    """Return the row of a search in the table of optima; ``accurate`` is None if not simulated."""
+    program, found = search.program, search.found
+    outcomes = {None: SOLVED, True: VERIFIED, False: INACCURATE}
+    motion, names = motion_of(program, found.unknowns), ["x", "y"]
+    states = [label.full for label in leaves(program.task.dae.labels.x)]
+    rows = [states.index(name) for name in names if name in states]
+    return LocalOptimum(
+        search.name,
+        outcomes[accurate] if found.success else NOT_SOLVED,
+        found.cost,
+        cost_terms(program, found.unknowns),
+        motion.duration,
+        sum(stage.seconds["total"] for stage in search.stages),
+        motion.states(np.linspace(0, 1, PATH_SAMPLES))[rows],
+    )
+
+
+def _rank(program: Program, search: SearchState) -> tuple[bool, float]:
+    """Return the sort key of a search: solved programs by cost, then others by violation."""
+    found = search.found
+    return not found.success, found.cost if found.success else largest_violation(
+        program, found.rows
+    )
+
+
+def _solve_in_stages(
+    program: Program, first: Array, of: str, progress: PlanProgress | None
+) -> SearchState:
+    """Solve the program; if slip is a cost, first solve the program without this cost.
+
+    The search with all costs starts from the solution without slip cost.
+    """
+    slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
+    words = f"{of}without slip cost" if slips else f"{of}all costs"
+    search = _solve_stage(program, first, words, SLIP_STAGES[0] if slips else 1.0, progress)
+    for part in SLIP_STAGES[1:] if slips else ():
+        if not search.found.success:
+            break
+        found = search.found
+        more = _solve_stage(program, found.unknowns, f"{of}with slip cost", part, progress, found)
+        stages = search.stages + more.stages
+        if (
+            not more.found.success
+            and largest_violation(program, more.found.rows) > VIOLATION_TOLERANCE
+        ):
+            # The previous plan meets all constraints, although its slip is not minimal.
+            kept = found._replace(success=False, status=more.found.status)
+            return search._replace(found=kept, first=first, stages=stages)
+        search = more._replace(stages=stages)
+    return search._replace(first=first)
+
+
+def solve_resumed(
+    task: PlanTask,
+    mesh: CollocationMesh,
+    resume: SavedPlan,
+    options: SolverOptions,
+    progress: PlanProgress | None,
+) -> SearchState:
+    """Solve from a saved plan, with its multipliers if the programs have equal sizes."""
+    former = local_motion(resume, task.dae)
+    after = nearest_fraction(former, task.start)
+    if former.mesh.degree == mesh.degree and set(mesh.ends) <= set(former.mesh.ends):
+        mesh = former.mesh
+    program = transcribe(task, mesh, options)
+    first = transfer_motion(former, program, after)
+    if reached := _violated_limits(
+        task, sample_plan(program, first), -2 * LIMIT_CLEARANCE
+    ):  # limits that are active in the saved plan
+        program = transcribe(replace(task, limits=(*task.limits, *reached)), mesh, options)
+        first = transfer_motion(former, program, after)
+    alike = (first.size, program.g_lower.size, after) == (
+        former.unknowns.size,
+        resume.row_multipliers.size,
+        0.0,
+    )
+    warm = _warm_guess(program, first)
+    if alike:
+        warm = warm._replace(
+            row_multipliers=resume.row_multipliers, bound_multipliers=resume.bound_multipliers
+        )
+    return _solve_stage(program, first, "resumed", 1.0, progress, warm)
+
+
+def _solve_stage(
+    program: Program,
+    first: Array,
+    words: str,
+    part: float,
+    progress: PlanProgress | None,
+    warm: NlpSolution | None = None,
+) -> SearchState:
+    on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
+    weights = cost_weights(program, part)
+    found = solve_program(program, weights, first, warm=warm, on_iterate=on_iterate)
+    stages = [_stage_of(words, found)]
+    if found.status in STUCK_STATUSES:  # rounding decides whether searches for long plans succeed
+        again = solve_program(
+            program,
+            weights,
+            first,
+            warm=warm,
+            on_iterate=on_iterate,
+            growth=OTHER_VIOLATION_GROWTH,
+        )
+        words = f"{words}, again"
+        stages.append(_stage_of(words, again))
+        if again.success or largest_violation(program, again.rows) < largest_violation(
+            program, found.rows
+        ):
+            found = again
+    return SearchState(program, found, first, tuple(stages))
+
+
+def _stage_of(words: str, found: NlpSolution) -> SolvedStage:
+    return SolvedStage(
+        words, found.iterations, found.status, found.seconds, found.cost, found.convergence
+    )
+
+
+def cost_weights(program: Program, part: float) -> Array:
+    """Return the weights of the program; those of slip are multiplied by ``part``."""
+    weights = [
+        cost.weight * (part if cost.label.name in SLIP_COSTS else 1.0)
+        for cost in program.task.costs
+    ]
+    return np.array([*weights, program.task.smooth])
+
+
+def _add_limits(search: SearchState, progress: PlanProgress | None) -> SearchState:
+    """Add violated limits of the model to the program and solve it, until none is violated.
+
+    The program is solved again at most `MAX_LIMIT_ROUNDS` times.
+    """
+    for _ in range(MAX_LIMIT_ROUNDS):
+        program, found = search.program, search.found
+        if not found.success:
+            return search
+        run = sample_plan(program, found.unknowns)
+        missed = _violated_limits(program.task, run, VIOLATION_TOLERANCE)
+        if not missed:
+            return search._replace(run=run)
+        words = f"with {', '.join(limit.label.full for limit in missed)}"
+        fuller = replace(program.task, limits=(*program.task.limits, *missed))
+        search = _solve_anew(search, fuller, program.mesh, words, progress)
+    return search
+
+
+def _solve_anew(
+    search: SearchState,
+    task: PlanTask,
+    mesh: CollocationMesh,
+    words: str,
+    progress: PlanProgress | None,
+) -> SearchState:
+    """Solve with another task or mesh, starting from the solution of the search."""
+    former = motion_of(search.program, search.found.unknowns)
+    program = transcribe(task, mesh, search.program.options)
+    first = transfer_motion(former, program)
+    more = _solve_stage(program, first, words, 1.0, progress, _warm_guess(program, first))
+    stages = search.stages + more.stages
+    return more._replace(stages=stages, name=search.name, number=search.number)
+
+
+def _warm_guess(program: Program, first: Array) -> NlpSolution:
+    """Return a solution with the given unknowns and zero multipliers, for a warm start."""
+    rows, bounds = np.zeros(program.g_lower.size), np.zeros(first.size)
+    return NlpSolution(first, rows, np.nan, rows, bounds, "", True, 0, {})
+
+
+def _violated_limits(task: PlanTask, run: Trajectory, beyond: float) -> list[Limit]:
+    """Return the limits of the model that a plan violates and that its task lacks.
+
+    A violation counts if it is larger than ``beyond``, which is negative to include limits that
+    the plan almost reaches. The returned limits are narrower by `LIMIT_CLEARANCE` on both sides.
+    """
+    have = {limit.label.full for limit in task.limits}
+    missed = []
+    for limit in task.dae.limits:
+        values = run.of(limit.label)
+        over = np.maximum(limit.lower - values, values - limit.upper).max()
+        if over > beyond and limit.label.full not in have:
+            missed.append(
+                limit._replace(
+                    lower=limit.lower + LIMIT_CLEARANCE, upper=limit.upper - LIMIT_CLEARANCE
+                )
+            )
+    return missed
+
+
+def _refine(
+    search: SearchState,
+    verify: Callable[[SearchState], Verification],
+    progress: PlanProgress | None,
+) -> tuple[SearchState, Verification]:
+    """Return the solution on a refined mesh, and its verification.
+
+    The mesh is refined until no interval has to be refined, or until a mesh with `FUTILE_GROWTH`
+    times the intervals has not reduced the error: it then has another cause, such as an unstable
+    motion (a caster driven backwards), and the most accurate solution is returned. If another
+    model is simulated, one refinement without success suffices. The mesh is refined at most
+    `MAX_REFINEMENTS` times. If the program on a finer mesh is not solved, the solution on the
+    coarser mesh is returned.
+    """
+    verification = verify(search)
+    solved = [(search, verification)]
+    for _ in range(MAX_REFINEMENTS):
+        if not (search.found.success and verification.worse.any()):
+            break
+        mesh = refine_mesh(search.program.mesh, verification.worse)
+        words = f"{mesh.ends.size - 1} intervals"
+        finer = _add_limits(
+            _solve_anew(search, search.program.task, mesh, words, progress), progress
+        )
+        if not finer.found.success:
+            return search._replace(stages=finer.stages), verification
+        search, verification = finer, verify(finer)
+        solved.append((search, verification))
+        errors = [largest_error(each.program, found) for each, found in solved]
+        counts = [each.program.mesh.ends.size - 1 for each, _ in solved]
+        growth = 1.0 if search.program.task.dae.replay else FUTILE_GROWTH
+        before = [e for e, n in zip(errors[:-1], counts, strict=False) if growth * n <= counts[-1]]
+        if before and errors[-1] > MIN_IMPROVEMENT * before[-1]:
+            best, verification = solved[errors.index(min(errors))]
+            return best._replace(stages=search.stages), verification
+    return search, verification
+
+
+def cost_terms(program: Program, unknowns: Array) -> dict[str, float]:
+    """Return the integrals of the terms of the cost by name, in their units.
+
+    The unknowns are not scaled.
+    """
+    values = ca.Function("f", [program.problem["x"], program.problem["p"]], [program.problem["f"]])
+    units = np.eye(program.problem["p"].numel())
+    costs = {
+        cost.label.name: float(values(unknowns / program.scale, unit))
+        for cost, unit in zip(program.task.costs, units, strict=False)
+    }
+    if program.task.smooth:
+        costs["smoothness"] = float(values(unknowns / program.scale, units[-1]))
+    return costs
