@@ -22,14 +22,14 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.problem.build_common import Setup, build_start, build_terrain, build_vehicle
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.result import open_result
-from slipfree.problem.schema import VERB, Motion, Time
+from slipfree.problem.schema import VERB, MotionKeys, Time
 from slipfree.problem.verbs import registry
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.show.plots import Plot
 from slipfree.sweep.worker import work
 
 
-class Stand(Motion):
+class Stand(MotionKeys):
     """Standing: the pose of the vehicle at its start, and the loads on its wheels."""
 
     verb: Literal["stand"] = Field(description=VERB)

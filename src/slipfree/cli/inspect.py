@@ -39,7 +39,7 @@ from slipfree.core.errors import DataError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
-    from slipfree.problem.verbs.compare import Drive
+    from slipfree.problem.verbs.compare import ComparedMotion
 
 
 def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
@@ -136,7 +136,7 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
             raise typer.Exit(INTERRUPTED)
 
 
-def _drive(drive: Drive) -> str:
+def _drive(drive: ComparedMotion) -> str:
     slips = "".join(
         f"{' '.join(f'{1e3 * value:.2f}' for value in values):18}"
         for values in (drive.along, drive.across)

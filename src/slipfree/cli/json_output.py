@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from slipfree.core.facts import Facts
     from slipfree.core.trajectory import Stop, Trajectory
-    from slipfree.problem.verbs.compare import Drive, Row
+    from slipfree.problem.verbs.compare import ComparedMotion, ComparedVehicle
 
 
 def motion_json(run: Trajectory, facts: Facts) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def quantities(run: Trajectory) -> dict[str, Any]:
     }
 
 
-def row_json(row: Row) -> dict[str, Any]:
+def row_json(row: ComparedVehicle) -> dict[str, Any]:
     """Return the JSON object of one vehicle of ``slipfree compare``."""
     return {
         "name": row.name,
@@ -59,7 +59,7 @@ def row_json(row: Row) -> dict[str, Any]:
     }
 
 
-def _drive(drive: Drive) -> dict[str, Any]:
+def _drive(drive: ComparedMotion) -> dict[str, Any]:
     """Return the JSON object of one motion of a vehicle: extremes over time, and its stop.
 
     Values of slip are arrays with one entry per wheel.

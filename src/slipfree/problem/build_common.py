@@ -14,7 +14,7 @@ from slipfree.core.trajectory import OFFSET, Column, Trajectory
 from slipfree.files.toml.source import Fault, ProblemError, name_errors, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.problem import schema
-from slipfree.problem.build_ground import Ground, at, ground_facts
+from slipfree.problem.build_ground import GroundMap, at, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Lines
@@ -36,7 +36,7 @@ class Setup:
 
     Attributes
     ----------
-    ground, terrain : Ground, Bicubic
+    ground, terrain : GroundMap, Bicubic
         Ground as heights on a grid, and as a smooth surface.
     vehicle : Vehicle
         Vehicle of the problem.
@@ -57,7 +57,7 @@ class Setup:
         continuous one.
     """
 
-    ground: Ground
+    ground: GroundMap
     terrain: Bicubic
     vehicle: Vehicle
     model: Dae
@@ -76,7 +76,7 @@ class Setup:
         return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), drive]
 
 
-def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
+def build_terrain(problem: Problem[S], ground: GroundMap) -> Bicubic:
     """Return the ground as a surface, with its local origin at the start.
 
     Raises

@@ -18,7 +18,7 @@ from slipfree.geometry.path import Path
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_world import World
 from slipfree.problem.problem import Problem, S
-from slipfree.problem.schema import Driver
+from slipfree.problem.schema import DriverTable
 from slipfree.terrain.solids import Profile, section_of
 from slipfree.vehicle.climber import climber_of
 from slipfree.vehicle.tree import Vehicle
@@ -26,7 +26,7 @@ from slipfree.vehicle.tree import Vehicle
 
 def build_law(
     problem: Problem[S],
-    driver: Driver,
+    driver: DriverTable,
     dae: Dae,
     vehicle: Vehicle,
     start: Trajectory,
@@ -83,7 +83,7 @@ def level_section(world: World) -> Profile | None:
     return section_of(world.prisms, float(world.terrain.grid.z[0, 0]))
 
 
-def path_points(problem: Problem[S], driver: Driver) -> Array:
+def path_points(problem: Problem[S], driver: DriverTable) -> Array:
     """Return the points of the path that a driving law follows, shape (n, 2) [m].
 
     Raises

@@ -28,7 +28,7 @@ LATER = {"smooth", "error", "rolled", "friction", "obstacles"}  # keys that do n
 EARTH = -12000.0, 9000.0  # heights between the deepest ocean and the highest mountain [m]
 
 
-class Ground(NamedTuple):
+class GroundMap(NamedTuple):
     """Ground of a problem with its friction, and facts about them.
 
     Attributes
@@ -75,7 +75,7 @@ def at(problem: Problem[A], place: Place) -> Iterator[None]:
         raise ProblemError(f"{problem.source.where(place)}: {words}") from error
 
 
-def build_ground(problem: Problem[S]) -> Ground:
+def build_ground(problem: Problem[S]) -> GroundMap:
     """Return the ground of a problem.
 
     The order of operations is: read the file inside the window, fill holes, convert degrees to
@@ -101,12 +101,12 @@ def build_ground(problem: Problem[S]) -> Ground:
     facts = [*found.facts, *changes, *_map_facts(found.crs, coordinates)]
     mu, friction = _friction(problem, found)
     if spec.rolled is None:
-        return Ground(grid, source + _scale_words(spec), None, mu, friction, facts, coordinates)
+        return GroundMap(grid, source + _scale_words(spec), None, mu, friction, facts, coordinates)
     with at(problem, ("terrain", "rolled")):
         remedy = "cut the ground to a window, or increase the radius 'rolled'"
         _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES, remedy)
         changed = rolled(grid, spec.rolled)
-    return Ground(
+    return GroundMap(
         changed.grid, source + _scale_words(spec), changed, mu, friction, facts, coordinates
     )
 
@@ -124,12 +124,12 @@ def _check_keys(problem: Problem[S]) -> None:
             )
 
 
-def _scales(spec: schema.Terrain) -> tuple[float, float]:
+def _scales(spec: schema.TerrainTable) -> tuple[float, float]:
     """Return the scale factor of x and y, and that of heights [1]."""
     return spec.scale * spec.horizontal_scale, spec.scale * spec.vertical_scale
 
 
-def _scale_words(spec: schema.Terrain) -> str:
+def _scale_words(spec: schema.TerrainTable) -> str:
     horizontal, vertical = _scales(spec)
     if horizontal == vertical:
         return f" scaled by {horizontal:g}" if horizontal != 1 else ""
@@ -302,7 +302,7 @@ def _synthetic(spec: schema.Synthetic) -> Grid:
     return place_rocks(grid, map(Rock._make, spec.placed_rocks))
 
 
-def ground_facts(ground: Ground) -> Lines:
+def ground_facts(ground: GroundMap) -> Lines:
     """Return facts about a ground, pairs of name and text: origin, size, heights and friction."""
     grid = ground.grid
     (n_x, n_y), (h_x, h_y) = grid.z.shape, grid.spacing

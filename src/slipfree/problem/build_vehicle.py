@@ -61,7 +61,7 @@ from slipfree.vehicle.wheel import ORIGIN
 HARMLESS = re.compile(r"[\w .,+-]*", re.ASCII)
 
 
-class JointTable(Record):
+class UrdfJointTable(Record):
     """Table of a joint in a file that completes a URDF: its kind, and keys of its coordinate.
 
     A joint that is not in the URDF has the key ``carries``.
@@ -83,7 +83,7 @@ class JointTable(Record):
     drive: DriveTable = None
 
 
-class WheelTable(Record):
+class UrdfWheelTable(Record):
     """Table of a wheel in a file that completes a URDF: added or overriding properties."""
 
     driven: bool | None = None
@@ -118,10 +118,10 @@ class UrdfTable(Record):
     tube: NonNegative = 0.0
     radius: Length | None = None
     forward: Literal["x", "-x", "y", "-y"] | None = None
-    joints: dict[str, Annotated[JointTable, BeforeValidator(_expanded_kind)]] = Field(
+    joints: dict[str, Annotated[UrdfJointTable, BeforeValidator(_expanded_kind)]] = Field(
         default_factory=dict
     )
-    wheels: dict[str, WheelTable] = Field(default_factory=dict)
+    wheels: dict[str, UrdfWheelTable] = Field(default_factory=dict)
     links: dict[str, LinkTable] = Field(default_factory=dict)
     couple: dict[str, float] = Field(default_factory=dict)
 
@@ -163,7 +163,7 @@ class VehicleFile(NamedTuple):
     meshes: Mapping[str, str] | None = None
 
 
-def build_vehicle(spec: schema.Vehicle, problem: Problem[Any]) -> Vehicle:
+def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
     """Return the vehicle of a problem.
 
     Parameters
@@ -188,7 +188,7 @@ def build_vehicle(spec: schema.Vehicle, problem: Problem[Any]) -> Vehicle:
     return actuated(CATALOG[str(spec.catalog)](**spec.keywords), *spec.actuated)
 
 
-def read_robot(spec: schema.Vehicle, problem: Problem[Any]) -> Robot | None:
+def read_robot(spec: schema.VehicleSource, problem: Problem[Any]) -> Robot | None:
     """Return the URDF of the vehicle of a problem; None if it has another source.
 
     Parameters and errors are those of `build_vehicle`.
@@ -305,8 +305,8 @@ def _draft(path: Path, trusted: frozenset[str]) -> _Read:
 def _completion(file: File) -> UrdfTable:
     """Return the table of a vehicle file that completes a URDF."""
     tables: Tables = {
-        "joints": lambda _: JointTable,
-        "wheels": lambda _: WheelTable,
+        "joints": lambda _: UrdfJointTable,
+        "wheels": lambda _: UrdfWheelTable,
         "links": lambda _: LinkTable,
     }
     table: UrdfTable = validated(UrdfTable, tables, file)
@@ -426,7 +426,7 @@ def _check(table: UrdfTable, tree: Tree, file: File) -> None:
 
 
 def _new_joint_errors(
-    name: str, joint: JointTable, tree: Tree, carried: Sequence[str]
+    name: str, joint: UrdfJointTable, tree: Tree, carried: Sequence[str]
 ) -> Iterator[tuple[str, str]]:
     """Yield expected and found value for each error of a joint that is not in the URDF."""
     if name in tree.joints or name in tree.links:

@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeVar
 
 from slipfree.core.dae import Dae
 from slipfree.problem.build_common import build_terrain, build_vehicle
-from slipfree.problem.build_ground import Ground, at, build_ground
+from slipfree.problem.build_ground import GroundMap, at, build_ground
 from slipfree.problem.build_model import build_model
 from slipfree.problem.build_solids import build_solids
 from slipfree.problem.problem import Problem
@@ -26,7 +26,7 @@ class World(NamedTuple):
 
     Attributes
     ----------
-    ground : Ground
+    ground : GroundMap
         Heights on a grid, with their origin and facts.
     terrain : Bicubic
         The ground as a surface, with its local origin at the start.
@@ -38,7 +38,7 @@ class World(NamedTuple):
         Model of the vehicle on the ground.
     """
 
-    ground: Ground
+    ground: GroundMap
     terrain: Bicubic
     vehicle: Vehicle
     prisms: tuple[Prism, ...]

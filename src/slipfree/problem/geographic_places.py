@@ -15,7 +15,7 @@ from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import AngleWithUnit
 from slipfree.problem.build_ground import at, read_source
 from slipfree.problem.problem import A, Problem
-from slipfree.problem.schema import Task
+from slipfree.problem.schema import TerrainKeys
 
 
 def convert_places(problem: Problem[A]) -> Problem[A]:
@@ -31,7 +31,7 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
         map's projection; or if the map cannot be read or has no reference system.
     """
     spec = problem.spec
-    if not isinstance(spec, Task):
+    if not isinstance(spec, TerrainKeys):
         return problem
     found = [place for place in _places(spec) if any(name in place[1] for name in DEGREES)]
     if not found:
@@ -43,7 +43,7 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
     return replace(problem, spec=spec)
 
 
-def _places(spec: Task) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
+def _places(spec: TerrainKeys) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
     """Yield key and values of start, goal, way-points and keep-out regions of a problem."""
     yield ("start",), spec.start
     if (goal := getattr(spec, "goal", None)) is not None:

@@ -16,7 +16,7 @@ from slipfree.files.urdf.links import Robot, joint_values
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_vehicle import read_robot
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import FILE, Motion
+from slipfree.problem.schema import FILE, MotionKeys
 from slipfree.vehicle.tree import Vehicle
 
 START_TOLERANCE = 1e-6  # of the first commanded position [rad, m]
@@ -48,7 +48,7 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
         for a joint lack a velocity and some lack a position, or if the first commanded position of
         a joint differs from its start.
     """
-    spec: Motion = problem.spec
+    spec: MotionKeys = problem.spec
     robot = read_robot(spec.vehicle, problem)
     actuators, found = _actuators(vehicle, robot), dict[str, Piecewise]()
     with at(problem, ("inputs", FILE)):

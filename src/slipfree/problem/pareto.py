@@ -25,7 +25,7 @@ from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs.base import Result
-from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_schema import PlanKeys
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.system.processes import Processes, finish_tasks
 
@@ -127,7 +127,7 @@ class _PointTask(NamedTuple):
 
 
 def plan_front(
-    problem: Problem[Plan],
+    problem: Problem[PlanKeys],
     against: str = DURATION,
     count: int = 7,
     *,
@@ -204,7 +204,7 @@ def _checked(problem: Problem[Any], against: str) -> str:
         If the second objective is unknown.
     """
     spec = problem.spec
-    if not isinstance(spec, Plan):
+    if not isinstance(spec, PlanKeys):
         where = problem.source.where(("verb",))
         raise ProblemError(
             f"{where}: expected 'plan' for slipfree pareto, found {spec.verb!r}; give a planning "
@@ -241,25 +241,25 @@ def _key(table: str, name: str) -> str:
     return f"{table}.{json.dumps(name)}"
 
 
-def _without(problem: Problem[Plan], *kept: str) -> SettingTexts:
+def _without(problem: Problem[PlanKeys], *kept: str) -> SettingTexts:
     """Return the settings that remove all costs except those named in ``kept``."""
     return tuple(f"{_key('costs', name)}=" for name in problem.spec.costs if name not in kept)
 
 
-def _measured(problem: Problem[Plan], against: str) -> SettingTexts:
+def _measured(problem: Problem[PlanKeys], against: str) -> SettingTexts:
     """Return the settings by which a plan reports its second objective."""
     weight = problem.spec.costs.get(against, 0.0)
     return () if against == DURATION else (f"{_key('costs', against)}={weight!r}",)
 
 
-def _longest(problem: Problem[Plan]) -> tuple[float, float]:
+def _longest(problem: Problem[PlanKeys]) -> tuple[float, float]:
     """Return the smallest and the largest duration of the plans of a front [s]."""
     given = problem.spec.plan.duration or problem.spec.time.duration
     low, high = given if isinstance(given, tuple) else (SHORTEST * given, given)
     return (low, high) if low < high else (SHORTEST * high, high)
 
 
-def _least_settings(problem: Problem[Plan], against: str) -> SettingTexts:
+def _least_settings(problem: Problem[PlanKeys], against: str) -> SettingTexts:
     """Return the settings of the plan of least second objective."""
     # Smoothness would increase the second objective.
     smooth = "plan.smooth=0.0"
@@ -272,7 +272,7 @@ def _least_settings(problem: Problem[Plan], against: str) -> SettingTexts:
 
 
 def _slip_settings(
-    problem: Problem[Plan], against: str, bound: float | None = None
+    problem: Problem[PlanKeys], against: str, bound: float | None = None
 ) -> SettingTexts:
     """Return the settings of the plan of least slip, with a bound on the second objective."""
     if against == DURATION:
@@ -283,7 +283,7 @@ def _slip_settings(
 
 
 def _solve_one(
-    problem: Problem[Plan],
+    problem: Problem[PlanKeys],
     against: str,
     report: LineCallback | None,
     name: str,
@@ -321,7 +321,11 @@ def _named(name: str, report: LineCallback | None) -> LineCallback | None:
 
 
 def _task(
-    problem: Problem[Plan], against: str, settings: SettingTexts, task: FrontTask, index: int = 0
+    problem: Problem[PlanKeys],
+    against: str,
+    settings: SettingTexts,
+    task: FrontTask,
+    index: int = 0,
 ) -> _PointTask:
     source, found = problem.source, task.start.solution
     return _PointTask(
@@ -386,7 +390,7 @@ class _PointSolver:
 
     def __init__(
         self,
-        problem: Problem[Plan],
+        problem: Problem[PlanKeys],
         against: str,
         count: int,
         processes: int,

@@ -21,7 +21,7 @@ from slipfree.problem.plan_edit import (
     places_in,
 )
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_schema import PlanKeys
 from slipfree.system.atomic_files import replace_file
 
 PLACES = ("start", "goal", "keep_out")  # keys that the page changes
@@ -44,7 +44,7 @@ class Document(NamedTuple):
 
     path: Path
     raw: bytes
-    problem: Problem[Plan]
+    problem: Problem[PlanKeys]
     places: Places
 
     @property

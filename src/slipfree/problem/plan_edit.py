@@ -24,7 +24,7 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.region_table import region_of
 from slipfree.problem.verbs.plan_goals import way_points_of
-from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_schema import PlanKeys
 
 SAME = 1e-9  # smaller changes are rounding [m, rad]
 DIGITS = 4  # decimals of changed values [m, rad]
@@ -35,7 +35,7 @@ HEADER = re.compile(r"\s*\[[^,#]*\]\s*(#|$)")  # of a table; not a corner of a p
 Point = tuple[float, float]
 
 
-class Region(NamedTuple):
+class EditedRegion(NamedTuple):
     """A keep-out region: a disc, or a polygon without ``radius``.
 
     Attributes
@@ -64,17 +64,17 @@ class Places(NamedTuple):
         x and y, the middles of ranges; None if the goal has no x or no y. [m]
     goal_heading : float or None
         Heading at the goal; None if the goal gives no heading or a range. [rad]
-    regions : tuple of Region
+    regions : tuple of EditedRegion
         Keep-out regions.
     """
 
     start: tuple[float, float, float]
     goal: Point | None
     goal_heading: float | None
-    regions: tuple[Region, ...]
+    regions: tuple[EditedRegion, ...]
 
 
-def places_in(problem: Problem[Plan]) -> Places:
+def places_in(problem: Problem[PlanKeys]) -> Places:
     """Return the places of a problem, whose regions get new identities.
 
     Raises
@@ -97,11 +97,11 @@ def places_in(problem: Problem[Plan]) -> Places:
         if points is None:
             points, radius = ((each.x or 0.0, each.y or 0.0),), float(each.radius or 0.0)
         corners = tuple((float(x), float(y)) for x, y in points)
-        regions.append(Region(secrets.token_hex(8), corners, radius))
+        regions.append(EditedRegion(secrets.token_hex(8), corners, radius))
     return Places((start[0], start[1], start[2]), goal, heading, tuple(regions))
 
 
-def way_points_in(problem: Problem[Plan]) -> tuple[tuple[str, float, float], ...]:
+def way_points_in(problem: Problem[PlanKeys]) -> tuple[tuple[str, float, float], ...]:
     """Return name, x and y of the way-points that have both, the middles of ranges [m].
 
     Raises
@@ -143,7 +143,7 @@ def places_from(data: object) -> Places:
         ) from error
 
 
-def _region(data: Mapping[str, Any]) -> Region:
+def _region(data: Mapping[str, Any]) -> EditedRegion:
     identity, points = data["identity"], tuple(map(_point, data["points"]))
     radius = None if data["radius"] is None else _number(data["radius"])
     if not isinstance(identity, str) or len(identity) > MAX_IDENTITY:
@@ -152,7 +152,7 @@ def _region(data: Mapping[str, Any]) -> Region:
         raise ValueError
     if radius is not None and (len(points) != 1 or radius <= 0):
         raise ValueError
-    return Region(identity, points, radius)
+    return EditedRegion(identity, points, radius)
 
 
 def _point(data: Sequence[Any]) -> Point:
@@ -203,7 +203,9 @@ def edited_text(text: str, old: Places, new: Places) -> str:
     return "".join(sections)
 
 
-def in_order_of_file(old: Sequence[Region], new: Sequence[Region]) -> tuple[Region, ...]:
+def in_order_of_file(
+    old: Sequence[EditedRegion], new: Sequence[EditedRegion]
+) -> tuple[EditedRegion, ...]:
     """Return the regions of a page in the order that they have in the file after `edited_text`."""
     wanted, former = {each.identity: each for each in new}, {each.identity for each in old}
     kept = [wanted[each.identity] for each in old if each.identity in wanted]
@@ -274,7 +276,9 @@ def _shifted(value: Any, change: float) -> float | str:
     return f"{in_degrees} deg" if "deg" in value else f"{number} rad"
 
 
-def _edit_regions(sections: list[str], old: Sequence[Region], new: Sequence[Region]) -> None:
+def _edit_regions(
+    sections: list[str], old: Sequence[EditedRegion], new: Sequence[EditedRegion]
+) -> None:
     """Change, remove and add tables of keep-out regions."""
     kept = {each.identity: each for each in new}
     added = in_order_of_file(old, new)[sum(each.identity in kept for each in old) :]
@@ -319,7 +323,7 @@ def _body_and_tail(section: str) -> tuple[str, str]:
     return "".join(lines[:end]), "".join(lines[end:])
 
 
-def _edit_region(table: Any, old: Region | None, new: Region) -> None:
+def _edit_region(table: Any, old: EditedRegion | None, new: EditedRegion) -> None:
     """Change the values of a region that differ."""
     if old is None or old.points != new.points:
         if new.radius is None:

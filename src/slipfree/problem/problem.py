@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from slipfree.files.toml.source import Source
-from slipfree.problem.schema import CommonKeys, Task
+from slipfree.problem.schema import CommonKeys, TerrainKeys
 
-S = TypeVar("S", bound=Task)
+S = TypeVar("S", bound=TerrainKeys)
 A = TypeVar("A", bound=CommonKeys)
 
 

@@ -35,7 +35,7 @@ ELSEWHERE = (  # attributes reported in other sections
 )
 
 
-class _Drawn(NamedTuple):
+class _ReportFigures(NamedTuple):
     """Figures of a result, and a note on omitted samples or the reason for missing figures."""
 
     figures: Sequence[Plot]
@@ -126,10 +126,10 @@ def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
     return {"Problem": found["problem"], "To repeat the run": again}
 
 
-def _drawn(result: Result, count: int) -> _Drawn:
+def _drawn(result: Result, count: int) -> _ReportFigures:
     """Return the figures of ``slipfree run``, or the reason why they cannot be drawn."""
     if "problem" not in result.trajectory.attributes:
-        return _Drawn(
+        return _ReportFigures(
             (), "No figures: the result contains no problem file, so that its ground is unknown."
         )
     try:
@@ -137,6 +137,6 @@ def _drawn(result: Result, count: int) -> _Drawn:
         note = f"The figures show {shown} of {count} samples, including the extremes of all "
         note += "quantities; the tables use all samples."
         figures = verb_of(result.problem).figures(result)
-        return _Drawn(figures, note if shown < count else "")
+        return _ReportFigures(figures, note if shown < count else "")
     except ProblemError as error:
-        return _Drawn((), f"No figures: {error}")
+        return _ReportFigures((), f"No figures: {error}")

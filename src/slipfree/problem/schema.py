@@ -21,7 +21,7 @@ from slipfree.files.toml.types import Positive as Positive
 from slipfree.files.toml.types import Record as Record
 from slipfree.problem.catalog_table import CATALOG, OWN, read_table
 from slipfree.problem.schema_ground import Synthetic as Synthetic
-from slipfree.problem.schema_ground import Terrain as Terrain
+from slipfree.problem.schema_ground import TerrainTable as TerrainTable
 from slipfree.problem.schema_law import Law as Law
 from slipfree.problem.schema_law import known_slip
 from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
@@ -47,7 +47,7 @@ FILE = "file"  # key of [inputs] and [given] that names a file
 INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
 
 
-class Vehicle(Record):
+class VehicleSource(Record):
     """A vehicle from the catalogue, with the keywords of its function, or from a file."""
 
     catalog: Literal[tuple(CATALOG)] | None = Field(  # type: ignore[valid-type]
@@ -62,9 +62,11 @@ class Vehicle(Record):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _by_source(cls, data: Any, handler: ModelWrapValidatorHandler[Vehicle]) -> Vehicle:
+    def _by_source(
+        cls, data: Any, handler: ModelWrapValidatorHandler[VehicleSource]
+    ) -> VehicleSource:
         """Validate the table of a catalogue vehicle against the arguments of its function."""
-        return cast("Vehicle", read_table(cls, data, handler))
+        return cast("VehicleSource", read_table(cls, data, handler))
 
     @property
     def keywords(self) -> dict[str, Any]:
@@ -72,7 +74,7 @@ class Vehicle(Record):
         return self.model_dump(exclude_none=True, exclude=set(OWN))
 
 
-class Driver(Record):
+class DriverTable(Record):
     """A driving law: straight ahead from the start, or along a path."""
 
     name: Literal["straight", "follow"] = Field(description="name of the law")
@@ -159,10 +161,10 @@ class Runnable(Timed):
     output: Output | None = Field(default=None, description="destination of the result")
 
 
-class Task(Timed):
+class TerrainKeys(Timed):
     """Common keys of problems on terrain: ground and start."""
 
-    terrain: Terrain = Field(description="the ground")
+    terrain: TerrainTable = Field(description="the ground")
     start: dict[str, Quantity] = Field(
         description="x, y (or longitude, latitude in degrees, on a map with a reference system), "
         "heading (counter-clockwise, from the axis of frame), joints, and with model = 'dynamics' "
@@ -183,7 +185,7 @@ class Task(Timed):
             yield Fault(("terrain", "obstacles"), expected, found)
 
 
-class Motion(Task, Runnable):
+class MotionKeys(TerrainKeys, Runnable):
     """Common keys of problems with the motion of one vehicle."""
 
     frame: Frame = Field(
@@ -191,10 +193,10 @@ class Motion(Task, Runnable):
         description="axis from which headings are measured, also in summaries, exports, figures: "
         "y, or x (REP 103)",
     )
-    vehicle: Vehicle = Field(description="the vehicle")
+    vehicle: VehicleSource = Field(description="the vehicle")
 
 
-class Modelled(Motion):
+class Modelled(MotionKeys):
     """Keys of problems with a choice of model."""
 
     model: Literal["kinematics", "quasi-static", "dynamics"] = Field(

@@ -11,7 +11,7 @@ from slipfree.control import sensor_noise, step_climbing
 from slipfree.files.toml.source import Fault
 from slipfree.files.toml.types import Record
 from slipfree.problem.law_record import law_record
-from slipfree.problem.schema import Driver
+from slipfree.problem.schema import DriverTable
 
 STEP_CLIMBING = "step-climbing"
 
@@ -35,7 +35,7 @@ else:
     Control = law_record(step_climbing.StepClimbing, NoisyControl)
 
 
-class ClimbingDriver(Driver):
+class ClimbingDriver(DriverTable):
     """A driving law, with the control of the wheels of a step climber."""
 
     control: Control = Field(

@@ -71,7 +71,7 @@ class ElevationError(HeightErrors):
     seed: Count = Field(description=SEED)
 
 
-class Terrain(Record):
+class TerrainTable(Record):
     """Ground of a problem, from a map file, a sample map or a description, and its friction."""
 
     file: str | None = Field(default=None, description="map file, relative to the problem file")

@@ -12,7 +12,7 @@ from slipfree.core.trajectory import Stop
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import Motion, Runnable
+from slipfree.problem.schema import MotionKeys, Runnable
 from slipfree.problem.stored_inputs import STORED, stored_inputs
 from slipfree.problem.verbs.base import (
     CROSS_CHECK,
@@ -20,8 +20,8 @@ from slipfree.problem.verbs.base import (
     CrossCheck,
     MotionVerb,
     Result,
-    Setup,
-    Solution,
+    VerbSetup,
+    VerbSolution,
     Watch,
 )
 from slipfree.problem.verbs.registry import check_option, verb_of
@@ -88,7 +88,7 @@ def run_problem(
     """
     verb, kept = verb_of(problem), list[Result]()
 
-    def store(found: Solution) -> None:
+    def store(found: VerbSolution) -> None:
         kept[:] = [_result(problem, verb, found, stored)]
         keep(kept[-1])
 
@@ -108,7 +108,9 @@ def run_problem(
     return kept[-1]
 
 
-def _result(problem: Problem[Runnable], verb: MotionVerb, found: Solution, stored: str) -> Result:
+def _result(
+    problem: Problem[Runnable], verb: MotionVerb, found: VerbSolution, stored: str
+) -> Result:
     """Return the result of a solution, with the attributes of its problem."""
     attributes = {
         **found.trajectory.attributes,
@@ -116,7 +118,7 @@ def _result(problem: Problem[Runnable], verb: MotionVerb, found: Solution, store
         STORED: stored,
     }
     run = replace(found.trajectory, attributes=attributes)
-    if isinstance(problem.spec, Motion):
+    if isinstance(problem.spec, MotionKeys):
         run = run.in_frame(problem.spec.frame)
     return Result(
         verb.name, run, verb.verification(run), found.setup, found.arrays, lambda: problem
@@ -146,7 +148,7 @@ def cross_check(result: Result) -> CrossCheck:
     return verb_of(problem).cross_check(result)
 
 
-def _attributes(problem: Problem[Any], verb: MotionVerb, setup: Setup) -> dict[str, str]:
+def _attributes(problem: Problem[Any], verb: MotionVerb, setup: VerbSetup) -> dict[str, str]:
     """Return the attributes of a result file that describe its problem."""
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}

@@ -28,7 +28,7 @@ RATIOS = {  # motion relative to the travel of the wheels if units are not named
 TABLES = (*BARE, "inputs", "bounds")
 
 
-def check_units(spec: schema.Task, dae: Dae) -> Iterator[Fault]:
+def check_units(spec: schema.TerrainKeys, dae: Dae) -> Iterator[Fault]:
     """Yield an error for each value whose unit differs from that of the model's quantity."""
     units = _units(dae)
     for name in TABLES:

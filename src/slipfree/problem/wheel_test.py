@@ -36,7 +36,7 @@ QUANTITIES = tuple(COLUMNS)
 MAX_POINTS = 100_000  # slip ratios times slip angles
 
 
-class WheelTable(Record):
+class TestedWheelTable(Record):
     """Table ``[wheel]``: dimensions and load of the wheel."""
 
     radius: Positive = Field(description="radius, without grousers [m]")
@@ -73,7 +73,7 @@ def wheel_file() -> type[Record]:
     """Return the schema of a wheel file; the table ``[soil]`` has the constants of `Soil`."""
     tables: dict[str, Any] = {
         "title": (str | None, Field(default=None, description="title of the summary")),
-        "wheel": (WheelTable, Field(description="the wheel")),
+        "wheel": (TestedWheelTable, Field(description="the wheel")),
         "soil": (named_soil(), Field(default=named_soil()(), description="the soil")),
         "test": (TestTable, Field(default=TestTable(), description="the test")),
     }

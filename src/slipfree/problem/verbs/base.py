@@ -37,7 +37,7 @@ FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagn
 CROSS_CHECK, RESUME = "cross-check", "resume"  # options of slipfree run
 
 
-class Setup(Protocol):
+class VerbSetup(Protocol):
     """Common attributes of the set-ups of all verbs: start, sample times and facts."""
 
     @property
@@ -73,28 +73,28 @@ class Watch(NamedTuple):
     time: Callable[[float], None] | None = None
     line: Callable[[str, str], None] | None = None
     path: Callable[[Array], None] | None = None
-    keep: Callable[[Solution], None] = lambda _: None
+    keep: Callable[[VerbSolution], None] = lambda _: None
 
 
 P = TypeVar("P", bound=CommonKeys, default=Any)  # record of a problem
 D = TypeVar("D", default=Any)  # its set-up, or None
 
 
-class Solution(NamedTuple):
+class VerbSolution(NamedTuple):
     """Solution of a problem: a motion, its set-up and further arrays.
 
     Attributes
     ----------
     trajectory : Trajectory
         The motion, complete or up to its stop.
-    setup : Setup
+    setup : VerbSetup
         Model, start and inputs of the motion.
     arrays : mapping of str to ndarray
         Arrays for the result file besides the samples.
     """
 
     trajectory: Trajectory
-    setup: Setup
+    setup: VerbSetup
     arrays: Mapping[str, Array] = NOTHING
 
 
@@ -193,7 +193,7 @@ class Result(Generic[P, D]):
     verification : mapping of str to Fact
         Largest differences of the motion from an independent computation, and violations of
         limits, by name; empty for verbs without verification.
-    setup : Setup or None
+    setup : VerbSetup or None
         Model, start and inputs of the motion; None if it was read from a file.
     arrays : mapping of str to ndarray
         Arrays of the result file besides the samples, such as the plan for a warm start.
@@ -276,7 +276,7 @@ class MotionVerb(Verb):
     verified: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def build(self, problem: Problem[Any]) -> Setup:
+    def build(self, problem: Problem[Any]) -> VerbSetup:
         """Return model, start and inputs of a problem.
 
         Raises
@@ -288,14 +288,14 @@ class MotionVerb(Verb):
     @abstractmethod
     def solve(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
-    ) -> Solution:
+    ) -> VerbSolution:
         """Return the motion of a problem.
 
         Parameters
         ----------
         problem : Problem
             The problem.
-        setup : Setup
+        setup : VerbSetup
             Result of `build`.
         watch : Watch
             Callbacks that report the progress.

@@ -31,7 +31,7 @@ from slipfree.problem.build_model import model_law
 from slipfree.problem.build_world import build_world
 from slipfree.problem.joint_inputs import read_joint_inputs
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import FILE, VERB, Modelled, Task
+from slipfree.problem.schema import FILE, VERB, Modelled, TerrainKeys
 from slipfree.problem.schema_climbing import STEP_CLIMBING, ClimbingDriver
 from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch, integrate
 from slipfree.problem.verbs.drive_facts import FORMULATION
@@ -72,7 +72,7 @@ class Direct(Modelled):
     )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
-        **Task.alternatives,
+        **TerrainKeys.alternatives,
         (): ("inputs", "driver"),
     }
 

@@ -45,12 +45,12 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, Vehicle
+from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, VehicleSource
 from slipfree.problem.summary import Lines
 from slipfree.problem.unit_checks import check_heading_unit, check_sampling, check_travel
 from slipfree.problem.verbs.base import Verb
 from slipfree.terrain.analytic import Analytic
-from slipfree.vehicle.tree import Vehicle as VehicleModel
+from slipfree.vehicle.tree import Vehicle
 
 TIME_SLACK = 1e-6  # of window ends [window]
 SHOWN_WEIGHT = 0.2  # smallest weight of an unknown that is named in a direction
@@ -124,7 +124,7 @@ class Fit(CommonKeys):
     frame: Frame = Field(
         default="paper", description="axis from which the headings of the log count: y, or x"
     )
-    vehicle: Vehicle = Field(description="the vehicle, with nominal values")
+    vehicle: VehicleSource = Field(description="the vehicle, with nominal values")
     model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
     slip: SlipName = Field(default="least", description=SLIP)
     law: Law = Field(default=Law.model_construct(), description=LAW)
@@ -176,7 +176,7 @@ class Fitted(NamedTuple):
     """
 
     calibration: Calibration
-    vehicle: VehicleModel
+    vehicle: Vehicle
     constants: dict[str, float]
     sensor: dict[str, float]
     notes: tuple[str, ...]
@@ -233,7 +233,7 @@ def _builder(spec: Fit) -> Any:
     """Return the function of vehicle and law to the model on level ground."""
     ground = Analytic(lambda x, _: 0 * x, mu=spec.friction)
 
-    def build(vehicle: VehicleModel, law: Any) -> Dae:
+    def build(vehicle: Vehicle, law: Any) -> Dae:
         if spec.model == "kinematics":
             return direct_kinematics(vehicle, ground, slip=law)
         return quasi_statics(vehicle, ground, law=law)

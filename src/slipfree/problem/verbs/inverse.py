@@ -50,7 +50,7 @@ from slipfree.problem.unit_checks import check_heading_unit, check_time_unit
 from slipfree.problem.verbs.base import (
     Extremes,
     Result,
-    Solution,
+    VerbSolution,
     Watch,
     integrate,
     with_diagnostics,
@@ -157,7 +157,7 @@ class InverseVerb(DriveVerb):
         run = with_diagnostics(
             _with_steering(setup.vehicle, run),
             {"replay": replayed},
-            lambda run: watch.keep(Solution(run, setup)),
+            lambda run: watch.keep(VerbSolution(run, setup)),
         )
         return run, NOTHING
 

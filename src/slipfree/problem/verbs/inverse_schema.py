@@ -10,10 +10,10 @@ from pydantic import Field
 from slipfree.files.toml.source import Fault, format_value
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Angles, Column, Record, TimeFunction, bare_words
-from slipfree.problem.schema import FILE, VERB, Motion, Task
+from slipfree.problem.schema import FILE, VERB, MotionKeys, TerrainKeys
 
 
-class Path(Record):
+class PathTable(Record):
     """Timed path: positions and headings of the platform's centre, as arrays or from a file."""
 
     t: Column | None = Field(default=None, description="times, increasing from 0 [s]")
@@ -23,7 +23,7 @@ class Path(Record):
     file: str | None = Field(default=None, description="CSV file with the columns t, x, y, heading")
 
 
-class Inverse(Motion):
+class Inverse(MotionKeys):
     """Inverse problem: wheel and steering rates for given platform rates or a platform path."""
 
     verb: Literal["inverse"] = Field(description=VERB)
@@ -37,13 +37,13 @@ class Inverse(Motion):
         description="whether rates in the heading frame are met exactly; otherwise their errors "
         "are minimised; true by default unless all three are given",
     )
-    path: Path | None = Field(default=None, description="a timed path, instead of given rates")
+    path: PathTable | None = Field(default=None, description="a timed path, instead of given rates")
     steering: Literal["rate", "angle"] = Field(
         default="angle", description="unknown of the steering: its rate or its angle"
     )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
-        **Task.alternatives,
+        **TerrainKeys.alternatives,
         (): ("given", "path"),
         ("path",): ("t", "file"),
     }

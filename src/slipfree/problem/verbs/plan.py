@@ -41,7 +41,7 @@ from slipfree.problem.build_common import (
     build_terrain,
     wheel_angles_at,
 )
-from slipfree.problem.build_ground import Ground, at
+from slipfree.problem.build_ground import GroundMap, at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.summary import Lines
@@ -49,7 +49,7 @@ from slipfree.problem.verbs import plan_schema
 from slipfree.problem.verbs.base import (
     RESUME,
     Result,
-    Solution,
+    VerbSolution,
     Watch,
     with_diagnostics,
 )
@@ -110,14 +110,14 @@ FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail
 class PlanVerb(DriveVerb):
     """Planning: inputs that reach a goal at least cost, and the resulting motion."""
 
-    schema = plan_schema.Plan
+    schema = plan_schema.PlanKeys
     options = (RESUME,)
     is_timed = False
     checks = (*DriveVerb.checks, *CHECKS)
     verified = (DIFFERENCE, VIOLATION)
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
-    def build(self, problem: Problem[plan_schema.Plan]) -> Setup:
+    def build(self, problem: Problem[plan_schema.PlanKeys]) -> Setup:
         """Return the model, the settled start and the inputs of the initial guess.
 
         Over solids, return the plan and the set-up of its simulation.
@@ -128,7 +128,7 @@ class PlanVerb(DriveVerb):
 
     def drive(
         self,
-        problem: Problem[plan_schema.Plan],
+        problem: Problem[plan_schema.PlanKeys],
         setup: Planning | OverSolids,
         watch: Watch,
         resume: SavedPlan | None,
@@ -155,7 +155,7 @@ class PlanVerb(DriveVerb):
 
         def keep(found: Plan) -> None:
             run, arrays = described(found, found.replay)
-            watch.keep(Solution(run, setup, arrays))
+            watch.keep(VerbSolution(run, setup, arrays))
 
         found = find_plan(problem, setup, guesses, resume, progress, length, keep=keep)
         tested = Tested(found)
@@ -176,13 +176,13 @@ class PlanVerb(DriveVerb):
             "momentum": lambda run: run.with_facts(_momentum(setup, found)),
         }
         run = with_diagnostics(
-            run, diagnostics, lambda run: watch.keep(Solution(run, setup, arrays))
+            run, diagnostics, lambda run: watch.keep(VerbSolution(run, setup, arrays))
         )
         return run, arrays
 
     def _drive_windows(
         self,
-        problem: Problem[plan_schema.Plan],
+        problem: Problem[plan_schema.PlanKeys],
         setup: Planning,
         watch: Watch,
         progress: PlanProgress,
@@ -198,13 +198,13 @@ class PlanVerb(DriveVerb):
 
         def keep(found: LongPlan) -> None:
             run, arrays = described(found)
-            watch.keep(Solution(run, setup, arrays))
+            watch.keep(VerbSolution(run, setup, arrays))
 
         found = long_plan(problem, setup, setup.paths[0], arguments, resume, progress, keep)
         run, arrays = described(found)
         diagnostics = {"by_friction": lambda run: run.with_facts(_by_friction(setup, found))}
         run = with_diagnostics(
-            run, diagnostics, lambda run: watch.keep(Solution(run, setup, arrays))
+            run, diagnostics, lambda run: watch.keep(VerbSolution(run, setup, arrays))
         )
         return run, arrays
 
@@ -212,7 +212,7 @@ class PlanVerb(DriveVerb):
         """Return the attributes of the result, including model and law."""
         return super().attributes(problem, setup) | model_attributes(problem.spec)
 
-    def describe_samples(self, problem: Problem[plan_schema.Plan], setup: Setup) -> str:
+    def describe_samples(self, problem: Problem[plan_schema.PlanKeys], setup: Setup) -> str:
         """Return the description of the sampling, without the duration, which may be unknown."""
         return f"{problem.spec.time.step:g} s apart or less, depending on the intervals of the plan"
 
@@ -280,7 +280,7 @@ def _line_points(name: str, arrays: Mapping[str, Array]) -> Array:
     return np.stack([arrays.get(f"{name}_{axis}", empty) for axis in "xy"], axis=1)
 
 
-def layers_of(result: Result, ground: Ground) -> Traversability:
+def layers_of(result: Result, ground: GroundMap) -> Traversability:
     """Return the traversability of the ground for the vehicle of a result."""
     if result.setup is not None:
         layers: Traversability = result.setup.layers
@@ -305,7 +305,7 @@ def figure_options(result: Result) -> dict[str, Any]:
     }
 
 
-def _inaccurate(spec: plan_schema.Plan, found: Plan | LongPlan) -> Stop:
+def _inaccurate(spec: plan_schema.PlanKeys, found: Plan | LongPlan) -> Stop:
     """Return the stop of a solved plan whose simulation misses the required accuracy."""
     sizes = found.difference | found.violation
     parts = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
@@ -420,7 +420,7 @@ def _start_values(setup: Planning) -> dict[str, Any]:
 
 
 def _by_stiffness(
-    problem: Problem[plan_schema.Plan], setup: Planning, found: Plan
+    problem: Problem[plan_schema.PlanKeys], setup: Planning, found: Plan
 ) -> dict[str, Fact]:
     """Return the facts of the motion with stiffer wheels under the plan's inputs.
 
@@ -441,7 +441,9 @@ def _by_stiffness(
     return _simulated("stiff", found, drive)
 
 
-def _in_soil(problem: Problem[plan_schema.Plan], setup: Planning, found: Plan) -> dict[str, Fact]:
+def _in_soil(
+    problem: Problem[plan_schema.PlanKeys], setup: Planning, found: Plan
+) -> dict[str, Fact]:
     """Return the facts of the motion in soil with inertia under the plan's inputs.
 
     Slip, sinkage and work are also those of the plan's own simulation. There are none for other

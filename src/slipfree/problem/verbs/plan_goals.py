@@ -17,7 +17,7 @@ from slipfree.problem.build_driver import path_points
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.region_table import region_of
-from slipfree.problem.verbs.plan_schema import Guide, Plan
+from slipfree.problem.verbs.plan_schema import GuideTable, PlanKeys
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import Traversability
 
@@ -27,7 +27,7 @@ Domain = tuple[float, float, float, float]
 
 
 def places_of(
-    problem: Problem[S], spec: Plan, between: Mapping[float, Ranges], domain: Domain
+    problem: Problem[S], spec: PlanKeys, between: Mapping[float, Ranges], domain: Domain
 ) -> tuple[tuple[Place, ...], set[str]]:
     """Return start, way-points and goal in map coordinates [m], and the names of exact points.
 
@@ -68,7 +68,7 @@ def key_of(place: str) -> str:
     return place if place in ("start", "goal") else "way_points"
 
 
-def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
+def way_points_of(problem: Problem[S], spec: PlanKeys) -> dict[float, Ranges]:
     """Return the ranges of quantities at the way-points, by fraction of the duration.
 
     Raises
@@ -102,7 +102,7 @@ def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
 
 
 def initial_paths(
-    problem: Problem[S], spec: Plan, layers: Traversability, places: tuple[Place, ...]
+    problem: Problem[S], spec: PlanKeys, layers: Traversability, places: tuple[Place, ...]
 ) -> tuple[Array, ...]:
     """Return the paths of the initial guesses: given paths, or routes over the ground.
 
@@ -141,7 +141,7 @@ def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
 
 
 def cusp_goal(
-    problem: Problem[S], spec: Plan, driver: Guide, places: tuple[Place, ...]
+    problem: Problem[S], spec: PlanKeys, driver: GuideTable, places: tuple[Place, ...]
 ) -> tuple[float, float, float | None]:
     """Return x, y [m] and heading of the goal, None without heading, for a path with cusps.
 
@@ -178,7 +178,11 @@ def cusp_goal(
 
 
 def _routes(
-    problem: Problem[S], spec: Plan, driver: Guide, layers: Traversability, places: list[Array]
+    problem: Problem[S],
+    spec: PlanKeys,
+    driver: GuideTable,
+    layers: Traversability,
+    places: list[Array],
 ) -> tuple[Array, ...]:
     """Return the points of routes from start to goal; of one route if there are way-points.
 
@@ -206,7 +210,7 @@ def _routes(
         return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
 
 
-def regions(problem: Problem[S], spec: Plan) -> tuple[Region, ...]:
+def regions(problem: Problem[S], spec: PlanKeys) -> tuple[Region, ...]:
     """Return the keep-out regions of a problem.
 
     Raises

@@ -29,7 +29,7 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled
 from slipfree.problem.schema_climbing import STEP_CLIMBING
 from slipfree.problem.verbs.base import Watch, integrate
-from slipfree.problem.verbs.plan_schema import Guide, Plan
+from slipfree.problem.verbs.plan_schema import GuideTable, PlanKeys
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.climber import Climber, climber_of
 
@@ -42,7 +42,7 @@ KEYS = {
     "driver": {"name", "speed", "control"},
     "driver.control": {"proportional", "torque", "motors"},
 }  # supported keys of plans over solids, by table; other keys of plans are errors
-OF_PLANS = {*Plan.model_fields} - {*Modelled.model_fields}
+OF_PLANS = {*PlanKeys.model_fields} - {*Modelled.model_fields}
 
 
 class Planned(NamedTuple):
@@ -81,7 +81,7 @@ class OverSolids(Setup):
     plan: Planned
 
 
-def build_over_solids(problem: Problem[Plan]) -> OverSolids:
+def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
     """Return the plan of a problem over solids, and the set-up of its simulation.
 
     Raises
@@ -118,7 +118,7 @@ def build_over_solids(problem: Problem[Plan]) -> OverSolids:
     return OverSolids(*parts, plan, prisms=world.prisms)
 
 
-def _faults(spec: Plan) -> Iterator[Fault]:
+def _faults(spec: PlanKeys) -> Iterator[Fault]:
     """Yield an error for each key that plans over solids do not support, and for wrong costs."""
     tables = {"": spec, **{name: getattr(spec, name) for name in KEYS if name.isalpha()}}
     if spec.driver is None or spec.driver.name != STEP_CLIMBING:
@@ -139,7 +139,7 @@ def _faults(spec: Plan) -> Iterator[Fault]:
         yield Fault(("limits", "utilisation"), "no limit with the cost 'friction'", found)
 
 
-def plan_climb(spec: Plan, driver: Guide, climber: Climber, section: Profile) -> Planned:
+def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Profile) -> Planned:
     """Return the plan of a climb.
 
     Raises
@@ -207,7 +207,7 @@ def _leg(number: int, leg: Leg) -> str:
 
 
 def drive_over_solids(
-    problem: Problem[Plan], setup: OverSolids, watch: Watch
+    problem: Problem[PlanKeys], setup: OverSolids, watch: Watch
 ) -> tuple[Trajectory, Mapping[str, Array]]:
     """Return the simulated motion that tracks a plan, with the errors and costs of the plan."""
     spec, plan = problem.spec, setup.plan

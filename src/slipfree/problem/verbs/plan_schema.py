@@ -18,7 +18,7 @@ from slipfree.files.toml.types import (
     Record,
 )
 from slipfree.problem.region_table import RegionTable
-from slipfree.problem.schema import INPUTS, VERB, Modelled, Task
+from slipfree.problem.schema import INPUTS, VERB, Modelled, TerrainKeys
 from slipfree.problem.schema_climbing import STEP_CLIMBING, ClimbingDriver
 from slipfree.problem.schema_ground import HeightErrors
 
@@ -27,7 +27,7 @@ MAX_INTERVALS = 2000  # a plan with more needs gigabytes and hours; windows divi
 GuideName = Literal["straight", "follow", "route", "reeds-shepp", "step-climbing"]
 
 
-class Guide(ClimbingDriver):
+class GuideTable(ClimbingDriver):
     """Initial guess of a plan: a driving law along paths or along routes over the ground."""
 
     name: GuideName = Field(  # type: ignore[assignment]
@@ -138,7 +138,7 @@ class Search(Record):
     )
 
 
-class Plan(Modelled):
+class PlanKeys(Modelled):
     """Planning problem: the inputs that reach a goal at least cost."""
 
     verb: Literal["plan"] = Field(description=VERB)
@@ -172,12 +172,12 @@ class Plan(Modelled):
         default=None,
         description=f"inputs of the initial guess, rates with any model: {INPUTS}",
     )
-    driver: Guide | None = Field(
+    driver: GuideTable | None = Field(
         default=None, description="driving law of the initial guess, instead of inputs"
     )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
-        **Task.alternatives,
+        **TerrainKeys.alternatives,
         (): ("inputs", "driver"),
     }
 

@@ -18,15 +18,14 @@ from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory
 from slipfree.models.dynamic_guess import dynamic_guess
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.plan.ipopt import Iterate
-from slipfree.plan.plan import Plan as FoundPlan
-from slipfree.plan.plan import plan
+from slipfree.plan.plan import Plan, plan
 from slipfree.plan.robust import Tightening, tightened_arguments
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_common import in_frame, solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_schema import PlanKeys
 from slipfree.problem.verbs.plan_setup import (
     Planning,
     momentum_models,
@@ -77,15 +76,15 @@ def guess_motion(setup: Planning, start: tuple[Any, Array]) -> Trajectory:
 
 
 def find_plan(
-    problem: Problem[Plan],
+    problem: Problem[PlanKeys],
     setup: Planning,
     guesses: list[Trajectory],
     resume: SavedPlan | None,
     progress: Callable[[str, Iterate], bool],
     length: float,
     tightening: Tightening = MappingProxyType({}),
-    keep: Callable[[FoundPlan], None] | None = None,
-) -> FoundPlan:
+    keep: Callable[[Plan], None] | None = None,
+) -> Plan:
     """Return the plan of a problem.
 
     For wheels that press into the ground, plans with smoother load laws are computed first, for
@@ -147,14 +146,14 @@ def find_plan(
     return now
 
 
-def _keep_smoothed(keep: Callable[[FoundPlan], None], found: FoundPlan) -> None:
+def _keep_smoothed(keep: Callable[[Plan], None], found: Plan) -> None:
     """Keep a plan of one of the first searches; its stop says that it is not the final one."""
     words = "the search was interrupted; this plan has a smoother load law or a larger creep speed"
     stop = Stop(PLAN, float(found.replay.t[-1]), words, Outcome.INTERRUPTED)
     keep(replace(found, replay=replace(found.replay, stop=stop)))
 
 
-def _smoothed_models(problem: Problem[Plan], setup: Planning) -> list[Dae]:
+def _smoothed_models(problem: Problem[PlanKeys], setup: Planning) -> list[Dae]:
     """Return models for searches before that of the plan, the smoothest first.
 
     They have smoothed load laws of wheels that press into the ground, or, with inertia, larger

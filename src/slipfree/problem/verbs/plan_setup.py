@@ -51,7 +51,7 @@ from slipfree.problem.verbs.plan_goals import (
     spelled,
     way_points_of,
 )
-from slipfree.problem.verbs.plan_schema import Guide, Plan
+from slipfree.problem.verbs.plan_schema import GuideTable, PlanKeys
 from slipfree.problem.verbs.plan_windows import check_windows
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.reeds_shepp import reeds_shepp
@@ -82,7 +82,7 @@ class Planning(Setup):
         Paths of the initial guesses; empty if the guesses follow no path. [m]
     starts : tuple of (record, ndarray)
         Inputs and times of the samples of each initial guess. [rad/s or m/s, s]
-    spec : Plan
+    spec : PlanKeys
         Record of the problem file.
     between : mapping of float to mapping
         Ranges of quantities at the way-points, by fraction of the duration.
@@ -96,13 +96,13 @@ class Planning(Setup):
     keep_out: tuple[Region, ...]
     paths: tuple[Array, ...]
     starts: tuple[tuple[Any, Array], ...]
-    spec: Plan
+    spec: PlanKeys
     between: Mapping[float, Ranges]
     guide: Dae
     guide_start: Trajectory
 
 
-def build_planning(problem: Problem[Plan]) -> Planning:
+def build_planning(problem: Problem[PlanKeys]) -> Planning:
     """Return the set-up of a planning problem.
 
     Raises
@@ -167,7 +167,7 @@ def build_planning(problem: Problem[Plan]) -> Planning:
     )
 
 
-def momentum_models(problem: Problem[Plan], vehicle: Vehicle, terrain: Bicubic) -> list[Dae]:
+def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicubic) -> list[Dae]:
     """Return the models of plans with inertia, one for each search; the last one is the plan's.
 
     For wheels that slide, searches with larger creep speeds come first.
@@ -181,7 +181,7 @@ def momentum_models(problem: Problem[Plan], vehicle: Vehicle, terrain: Bicubic) 
         return [in_frame(problem, model) for model in models]
 
 
-def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None:
+def check_robust(problem: Problem[PlanKeys], spec: PlanKeys, has_friction: bool) -> None:
     """Raise ProblemError for a table ``plan.robust`` that cannot be used.
 
     The table needs at least one uncertainty, a ground with friction if the friction is uncertain,
@@ -207,7 +207,7 @@ def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None
             )
 
 
-def _check_quantities(problem: Problem[Plan], dae: Dae) -> None:
+def _check_quantities(problem: Problem[PlanKeys], dae: Dae) -> None:
     """Raise ProblemError for goals and limits of unknown quantities."""
     spec = problem.spec
     own = {name for limit in dae.limits for name in (limit.label.name, limit.label.full)}
@@ -218,7 +218,7 @@ def _check_quantities(problem: Problem[Plan], dae: Dae) -> None:
 
 
 def _starts(
-    problem: Problem[Plan],
+    problem: Problem[PlanKeys],
     dae: Dae,
     vehicle: Vehicle,
     start: Trajectory,
@@ -252,8 +252,8 @@ def _path_guess(
 
 
 def _cusp_guess(
-    problem: Problem[Plan],
-    driver: Guide,
+    problem: Problem[PlanKeys],
+    driver: GuideTable,
     dae: Dae,
     vehicle: Vehicle,
     start: Trajectory,
@@ -289,7 +289,7 @@ def _cusp_guess(
 
 
 def plan_arguments(
-    spec: Plan,
+    spec: PlanKeys,
     keep_out: tuple[Region, ...],
     model: tuple[Dae, Vehicle, Bicubic],
     between: Mapping[float, Ranges],
@@ -298,7 +298,7 @@ def plan_arguments(
 
     Parameters
     ----------
-    spec : Plan
+    spec : PlanKeys
         Record of the problem.
     keep_out : tuple of Region
         Keep-out regions.
@@ -348,7 +348,7 @@ def _kept_out(
     ]
 
 
-def _kept_off_holes(spec: Plan, dae: Dae) -> Iterator[Limit]:
+def _kept_off_holes(spec: PlanKeys, dae: Dae) -> Iterator[Limit]:
     """Yield the limits that keep wheels off holes of the map, unless the problem has its own.
 
     The search has these limits from its beginning: otherwise its first plan may cross a hole, and
@@ -371,7 +371,7 @@ def settled_start(dae: Dae, setup: Planning) -> Trajectory:
     return _same_start(dae, setup.start, setup.spec)
 
 
-def _same_start(dae: Dae, start: Trajectory, spec: Plan) -> Trajectory:
+def _same_start(dae: Dae, start: Trajectory, spec: PlanKeys) -> Trajectory:
     """Return a start, settled for another model ``dae`` of the vehicle."""
     values: dict[str, Any] = {
         label.full: float(start.of(label)[-1]) for label in leaves(dae.labels.x)
@@ -402,16 +402,16 @@ class PlanSource(NamedTuple):
     run: int
 
 
-def source_of(problem: Problem[Plan]) -> PlanSource:
+def source_of(problem: Problem[PlanKeys]) -> PlanSource:
     """Return the source of a problem, with a new run number."""
     source = problem.source
     settings = tuple(dict.fromkeys(source.settings.values()))
     return PlanSource(source.path, source.text, settings, problem.trusted, next(RUNS))
 
 
-def problem_from(source: PlanSource) -> Problem[Plan]:
+def problem_from(source: PlanSource) -> Problem[PlanKeys]:
     """Return the problem of a source; errors are those of `slipfree.problem.load.load_problem`."""
-    problem: Problem[Plan] = validated_problem(
-        lambda *_: Plan, source.path, source.text, source.settings
+    problem: Problem[PlanKeys] = validated_problem(
+        lambda *_: PlanKeys, source.path, source.text, source.settings
     )
     return replace(convert_places(problem), trusted=source.trusted)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.facts import Fact
 from slipfree.plan.ipopt import Iterate
-from slipfree.plan.plan import Plan as FoundPlan
+from slipfree.plan.plan import Plan
 from slipfree.plan.problem import bounds_of
 from slipfree.plan.starts import (
     NOT_SOLVED,
@@ -21,7 +21,7 @@ from slipfree.plan.starts import (
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_schema import PlanKeys
 from slipfree.problem.verbs.plan_search import find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
     Planning,
@@ -55,7 +55,7 @@ class StartResult(NamedTuple):
 
 
 def best_start(
-    problem: Problem[Plan], setup: Planning, report: Callable[[str, str], None] | None
+    problem: Problem[PlanKeys], setup: Planning, report: Callable[[str, str], None] | None
 ) -> tuple[SavedPlan | None, dict[str, Fact], bool]:
     """Return the best plan of several starts, their facts, and whether Ctrl-C ended the search.
 
@@ -157,7 +157,7 @@ def _going_on(_words: str, _iterate: Iterate) -> bool:
     return True
 
 
-def _start_result(number: int, name: str, found: FoundPlan) -> StartResult:
+def _start_result(number: int, name: str, found: Plan) -> StartResult:
     """Return the result of a start: its local optimum, with the name of the start, and its plan."""
     return StartResult(number, found.optima[0]._replace(start=name), found.saved)
 

@@ -71,7 +71,7 @@ class TrackingTest(NamedTuple):
     motions: tuple[Followed, ...]
 
 
-class World(NamedTuple):
+class ChangedWorld(NamedTuple):
     """The changed world: vehicle, ground, model, and the vehicle settled at the start."""
 
     vehicle: Vehicle
@@ -170,13 +170,13 @@ def follow_plan(
     return TrackingTest(found.replay, (*others, Followed("replanned", tracked.run, cycles)))
 
 
-def _world(problem: Problem[Any]) -> World:
+def _world(problem: Problem[Any]) -> ChangedWorld:
     """Return the changed world, with the model of its problem."""
     found = build_world(problem)
-    return World(found.vehicle, found.terrain, found.dae, build_start(problem, found.dae))
+    return ChangedWorld(found.vehicle, found.terrain, found.dae, build_start(problem, found.dae))
 
 
-def _with_forces(found: Plan, problem: Problem[Any], world: World) -> Iterator[Followed]:
+def _with_forces(found: Plan, problem: Problem[Any], world: ChangedWorld) -> Iterator[Followed]:
     """Yield the motions under the plan's inputs with quasi-statics and with dynamics.
 
     With dynamics the vehicle starts at the plan's speed along its forward axis.
@@ -193,7 +193,7 @@ def _with_model(
     model: Callable[[Vehicle, Bicubic], Dae],
     found: Plan,
     problem: Problem[Any],
-    world: World,
+    world: ChangedWorld,
     speed: float | None = None,
 ) -> Followed:
     """Return the motion under the plan's inputs with another model of the changed world.
@@ -229,7 +229,7 @@ def _check_inputs(dae: Dae, planned: Dae) -> None:
 
 def _followed(
     found: Plan,
-    world: World,
+    world: ChangedWorld,
     step: float,
     options: SolverOptions,
 ) -> Followed:

@@ -17,14 +17,14 @@ from slipfree.plan.windows import LongPlan, plan_windows
 from slipfree.problem.build_common import Setup
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.plan_schema import PlanKeys
 from slipfree.vehicle.tree import Vehicle
 
 OVERLAP = 1 / 3  # default overlap, relative to the window
 
 
 def check_windows(
-    problem: Problem[Plan], spec: Plan, vehicle: Vehicle, paths: tuple[Array, ...]
+    problem: Problem[PlanKeys], spec: PlanKeys, vehicle: Vehicle, paths: tuple[Array, ...]
 ) -> None:
     """Raise ProblemError if a problem with windows has keys or a vehicle that do not suit them."""
     window = spec.plan.window
@@ -42,7 +42,7 @@ def check_windows(
 
 
 def _contradictions(
-    spec: Plan, vehicle: Vehicle, paths: tuple[Array, ...], window: float
+    spec: PlanKeys, vehicle: Vehicle, paths: tuple[Array, ...], window: float
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """Yield key and message of each reason why a problem cannot be planned in windows."""
     if len(paths) != 1:
@@ -90,12 +90,12 @@ def _contradictions(
         )
 
 
-def _overlap(spec: Plan, window: float) -> float:
+def _overlap(spec: PlanKeys, window: float) -> float:
     """Return the overlap of the windows [m]."""
     return OVERLAP * window if spec.plan.overlap is None else spec.plan.overlap
 
 
-def search_arguments(spec: Plan) -> dict[str, Any]:
+def search_arguments(spec: PlanKeys) -> dict[str, Any]:
     """Return the arguments of `plan` about mesh, accuracy, solver and sampling of a problem."""
     return {
         "intervals": spec.plan.intervals,
@@ -107,7 +107,7 @@ def search_arguments(spec: Plan) -> dict[str, Any]:
 
 
 def long_plan(
-    problem: Problem[Plan],
+    problem: Problem[PlanKeys],
     setup: Setup,
     route: Array,
     arguments: Mapping[str, Any],
