@@ -1,7 +1,7 @@
 """Add a kind of terrain to problem files: one file and one line of registration.
 
 `Dunes` is the file ``problem/dunes.py`` (10 lines without docstrings and imports), and
-``"dunes": Dunes`` the line of ``FEATURES`` in ``problem/ground_features.py``: two files. Problem
+``"dunes": Dunes`` the line of ``FEATURES`` in ``problem/schema_ground.py``: two files. Problem
 files, their errors, commands and the reference of keys take the table ``[terrain.synthetic.dunes]``
 without other changes. The record of the keys is made at import, so that this file registers its
 feature in a process of its own.
@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose
 from pydantic import Field
 
 from slipfree.files.toml.types import Positive
-from slipfree.problem.ground_features import FEATURES, Feature
+from slipfree.problem.schema_ground import FEATURES, Feature
 from slipfree.terrain.base import Grid
 
 

@@ -21,20 +21,30 @@ from slipfree.core.errors import DataError
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem import plan_session
 from slipfree.problem.load import load_problem
-from slipfree.problem.plan_document import Document, read_document, saved
-from slipfree.problem.plan_edit import EditedRegion, Places, edited_text, places_from, places_in
+from slipfree.problem.plan_edit import (
+    Document,
+    EditedRegion,
+    Places,
+    edited_text,
+    places_from,
+    places_in,
+    read_document,
+    saved,
+)
 from slipfree.problem.plan_session import (
     IDLE,
     PLANNING,
     SHOWN,
     Desk,
+    FoundError,
+    FoundIterate,
+    FoundPlan,
     Session,
     begun,
     cancelled,
     reported,
     state_of,
 )
-from slipfree.problem.plan_worker import FoundError, FoundIterate, FoundPlan
 from slipfree.show.guard import Gate, is_own_request
 from slipfree.show.local_server import ConflictError, Content, json_content, start_server
 from slipfree.show.plan_page import PlanPage

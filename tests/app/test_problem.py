@@ -12,10 +12,10 @@ import pytest
 from helpers.problem_files import FILE, VALID, _read
 from slipfree.core.errors import DataError
 from slipfree.files.toml.source import ProblemError, key_lines
-from slipfree.problem.build_common import samples
+from slipfree.problem.build import samples
 from slipfree.problem.load import load_problem
+from slipfree.problem.result import build, run_problem
 from slipfree.problem.schema import Time
-from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs.direct import Direct
 
 OTHERS = (

@@ -29,9 +29,8 @@ from slipfree.models.slip import measured_slip
 from slipfree.plan.transcription import CollocationMesh, variable_layout
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_vehicle import read_vehicle
-from slipfree.problem.input_files import digest
+from slipfree.problem.inputs import STORED, StoredInputs, digest
 from slipfree.problem.result import shown
-from slipfree.problem.stored_inputs import STORED, StoredInputs
 from slipfree.problem.verbs.plan import poses_of_plan
 from slipfree.show import motion_figures
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals

@@ -27,8 +27,8 @@ from slipfree.core.trajectory import Column, Stop, Trajectory
 from slipfree.files import netcdf
 from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable, wheel_table
 from slipfree.problem.build_vehicle import UrdfTable
+from slipfree.problem.load import VERBS
 from slipfree.problem.schema import CommonKeys
-from slipfree.problem.verbs.registry import VERBS
 from slipfree.vehicle.sections.registry import SECTIONS
 
 ROOT = Path(__file__).parents[2]
@@ -403,7 +403,7 @@ def results() -> tuple[bytes, ...]:
     import tempfile
 
     from slipfree.problem.load import load_problem
-    from slipfree.problem.solve import run_problem
+    from slipfree.problem.result import run_problem
 
     found = []
     with tempfile.TemporaryDirectory() as folder:

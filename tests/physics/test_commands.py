@@ -43,7 +43,7 @@ from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.steering_guide import GAIN as STEERING_GAIN
 from slipfree.models.steering_guide import MAX_STEERING_RATE, STOP_CLEARANCE, steering_effects
 from slipfree.models.wheel_authority import check_authority, wheel_rates
-from slipfree.problem.input_files import input_files
+from slipfree.problem.inputs import input_files
 from slipfree.problem.load import load_problem
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states

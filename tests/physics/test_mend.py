@@ -22,9 +22,8 @@ from slipfree.files import netcdf
 from slipfree.files.maps.elevation import geographic_to_metric, read_map
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.build_ground import build_ground, ground_facts
-from slipfree.problem.result import motion_facts
+from slipfree.problem.result import motion_facts, run_problem
 from slipfree.problem.schema import TerrainTable
-from slipfree.problem.solve import run_problem
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import (
     Heights,

@@ -33,10 +33,9 @@ from slipfree.plan.nlp_block import nlp_block
 from slipfree.plan.problem import task_of
 from slipfree.plan.sparse_assembly import assemble
 from slipfree.plan.transcription import CollocationMesh, transcribe
-from slipfree.problem.contact_start import settle_contact
 from slipfree.solve.equations import _compiled_lookup
 from slipfree.solve.replay import replay
-from slipfree.solve.starts import settle_nearest
+from slipfree.solve.starts import settle_contact, settle_nearest
 from slipfree.solve.system import with_inputs
 from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.system import codegen_cache

@@ -15,7 +15,7 @@ from slipfree.cli.messages import warn
 from slipfree.cli.show import open_page
 
 if TYPE_CHECKING:
-    from slipfree.problem.plan_document import Document
+    from slipfree.problem.plan_edit import Document
     from slipfree.show.plan_page import PlanPage
 
 STEP = 0.05  # longest time between steps of the session [s]
@@ -42,7 +42,7 @@ def edit(
 def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
     """Serve the page of a problem until Ctrl-C."""
     from slipfree.files.urdf.xacro import trusted_paths
-    from slipfree.problem.plan_document import read_document
+    from slipfree.problem.plan_edit import read_document
     from slipfree.problem.plan_session import Desk, state_of
     from slipfree.show.guard import Gate
     from slipfree.show.local_server import json_content, start_server
@@ -71,10 +71,9 @@ def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
 
 def _page_drawer() -> Callable[[Document], PlanPage]:
     """Return a function that draws the page of a document, again only if other keys changed."""
-    from slipfree.problem.build_common import build_vehicle
+    from slipfree.problem.build import build_vehicle
     from slipfree.problem.build_ground import at, build_ground
-    from slipfree.problem.plan_document import PLACES
-    from slipfree.problem.plan_edit import way_points_in
+    from slipfree.problem.plan_edit import PLACES, way_points_in
     from slipfree.show.plan_page import PlanMap, plan_page
 
     last: tuple[object, PlanPage] | None = None

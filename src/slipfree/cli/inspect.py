@@ -48,8 +48,8 @@ def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
     Print facts about ground, vehicle and start; the motion is not computed.
     """
     with reported():
-        from slipfree.problem.solve import build
-        from slipfree.problem.verbs.registry import verb_of
+        from slipfree.problem.load import verb_of
+        from slipfree.problem.result import build
 
         problem = read_problem(file, settings, trust)
         setup = build(problem)
@@ -82,7 +82,7 @@ def vehicle(
     """
     with reported():
         from slipfree.problem.build_vehicle import guessed_completion
-        from slipfree.problem.input_files import files_named_in
+        from slipfree.problem.inputs import files_named_in
         from slipfree.problem.vehicle_report import describe
 
         if write is not None:
@@ -156,9 +156,9 @@ def info(
     """Print outcome, attributes and ranges of the quantities of a result file."""
     with reported(), about(file):
         from slipfree.files.netcdf import read
+        from slipfree.problem.inputs import STORED
         from slipfree.problem.result import facts_of, motion_facts
-        from slipfree.problem.stored_inputs import STORED
-        from slipfree.problem.summary import outcome_fact, ranges
+        from slipfree.problem.verbs.base import outcome_fact, ranges
 
         motion = read(file, lazy=True)
         attributes = dict(motion.attributes)

@@ -29,8 +29,8 @@ def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
 
 def resume_command(run: Trajectory, out: Path, *options: str) -> str:
     """Return the command that resumes an interrupted plan; empty for other motions."""
+    from slipfree.problem.load import find_motion_verb
     from slipfree.problem.verbs.base import RESUME, VERB_ATTRIBUTE
-    from slipfree.problem.verbs.registry import find_motion_verb
 
     found = run.attributes
     verb = find_motion_verb(found.get(VERB_ATTRIBUTE))

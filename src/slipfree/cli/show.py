@@ -95,8 +95,8 @@ def _write(part: Path, text: str) -> None:
 
 def _read(files: Sequence[Path], folder: Path | None) -> list[Any]:
     """Return the motions in the result files."""
+    from slipfree.problem.load import verb_of
     from slipfree.problem.result import open_result
-    from slipfree.problem.verbs.registry import verb_of
     from slipfree.show.thinning import SCENE_SAMPLES
 
     results, found = [], []

@@ -49,9 +49,8 @@ from slipfree.files.vehicle_toml import (
 )
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem import schema
-from slipfree.problem.catalog_table import CATALOG
-from slipfree.problem.problem import Problem
-from slipfree.problem.sharing import shared
+from slipfree.problem.problem import Problem, shared
+from slipfree.problem.schema_law import CATALOG
 from slipfree.system.regular_files import read_bytes, regular_file
 from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.tree import Vehicle, actuated

@@ -1,26 +1,157 @@
-"""Loading of problem files by their verb."""
+"""Loading of problem files: verbs, validation with all errors at once, conversion of places."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+
+from pydantic import ValidationError
 
 from slipfree.files.toml.source import (
     Fault,
+    ProblemError,
     Source,
     format_value,
+    key_lines,
+    parse_toml,
     problem_error,
     read_text,
+    replace_values,
+    validation_fault,
+    value_errors,
 )
 from slipfree.files.urdf.xacro import trusted_paths
-from slipfree.problem.geographic_places import convert_places
+from slipfree.problem.build_ground import convert_places
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys, Runnable
-from slipfree.problem.validation import validated_problem
-from slipfree.problem.verbs.base import Verb
-from slipfree.problem.verbs.registry import find_verb, verbs_of
+from slipfree.problem.verbs.base import MotionVerb, Verb
+from slipfree.problem.verbs.compare import CompareVerb
+from slipfree.problem.verbs.direct import DirectVerb
+from slipfree.problem.verbs.fit import FitVerb
+from slipfree.problem.verbs.inverse import InverseVerb
+from slipfree.problem.verbs.plan import PlanVerb
+
+
+def validated_problem(
+    schema_of: Callable[[Mapping[str, Any], Source], type[CommonKeys]],
+    path: Path,
+    text: str,
+    settings: Sequence[str],
+    varied: Sequence[str] = (),
+) -> Problem[Any]:
+    """Return the problem in the text of a TOML file.
+
+    Parameters
+    ----------
+    schema_of : callable
+        ``schema_of(data, source)`` returns the schema of a file with the given data.
+    path, text : Path and str
+        Path and text of the file.
+    settings, varied : sequence of str
+        Settings of the options ``--set`` and ``--vary``.
+
+    Raises
+    ------
+    ProblemError
+        If the text is not TOML, a setting has no valid form, or values do not fit the schema; all
+        errors of values, sorted by line.
+    """
+    data = _copy(_parsed(path, text))
+    places = replace_values(data, settings)
+    varied_places = replace_values(data, varied, "--vary")
+    source = Source(path, text, key_lines(text), places | varied_places, frozenset(varied_places))
+    schema = schema_of(data, source)
+    faults = [*_alternatives(schema, data)]
+    try:
+        spec = schema.model_validate(data)
+    except ValidationError as error:
+        faults += [validation_fault(schema, dict(each)) for each in error.errors(include_url=False)]
+    else:
+        faults += [*value_errors(data), *spec.faults()]
+        if not faults:
+            return Problem(spec, source)
+    raise problem_error(source, faults)
+
+
+@lru_cache(maxsize=1)
+def _parsed(path: Path, text: str) -> dict[str, Any]:
+    """Return the data in a TOML text, cached because all variants of a problem have this text."""
+    return parse_toml(path, text)
+
+
+def _copy(value: Any) -> Any:
+    """Return a copy of parsed TOML."""
+    if isinstance(value, dict):
+        return {key: _copy(each) for key, each in value.items()}
+    return [*map(_copy, value)] if isinstance(value, list) else value
+
+
+def _alternatives(schema: type[CommonKeys], data: dict[str, Any]) -> Iterator[Fault]:
+    """Yield an error for each table that does not have exactly one of its alternative keys."""
+    for place, keys in schema.alternatives.items():
+        table: Any = data
+        for part in place:
+            table = table.get(part)
+        if not isinstance(table, Mapping):
+            continue
+        given = [key for key in keys if key in table]
+        expected = f"exactly one of {', '.join(keys)}"
+        if len(given) != 1:
+            yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")
+
+
+VERBS: tuple[Verb, ...] = (
+    DirectVerb(),
+    InverseVerb(),
+    PlanVerb(),
+    CompareVerb(),
+    FitVerb(),
+)
+
+
+def verbs_of(command: str) -> tuple[Verb, ...]:
+    """Return the verbs that a command accepts."""
+    return tuple(verb for verb in VERBS if command in verb.commands)
+
+
+def find_verb(name: object) -> Verb | None:
+    """Return the verb with a name; None for an unknown name."""
+    return next((verb for verb in VERBS if verb.name == name), None)
+
+
+def motion_verbs() -> tuple[MotionVerb, ...]:
+    """Return the verbs of the problems that ``slipfree run`` solves."""
+    return cast("tuple[MotionVerb, ...]", verbs_of("run"))
+
+
+def find_motion_verb(name: object) -> MotionVerb | None:
+    """Return the verb with a name if ``slipfree run`` solves its problems, otherwise None."""
+    return next((verb for verb in motion_verbs() if verb.name == name), None)
+
+
+def verb_of(problem: Problem[Runnable]) -> MotionVerb:
+    """Return the verb of a problem that ``slipfree run`` solves."""
+    return cast("MotionVerb", find_verb(problem.spec.verb))
+
+
+def check_option(problem: Problem[Any], option: str) -> None:
+    """Check that the verb of a problem supports an option of ``slipfree run``.
+
+    Raises
+    ------
+    ProblemError
+        If the verb does not support the option; the message names the verbs that do.
+    """
+    if option in verb_of(problem).options:
+        return
+    able = [verb.name for verb in motion_verbs() if option in verb.options]
+    raise ProblemError(
+        f"{problem.source.where(('verb',))}: expected {' or '.join(map(repr, able))} for "
+        f"--{option}, found {problem.spec.verb!r}; omit --{option}"
+    )
 
 
 def load_problem(

@@ -12,12 +12,10 @@ from slipfree.core.version import __version__
 from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.source import ProblemError
-from slipfree.problem.input_files import digest
+from slipfree.problem.inputs import STORED, digest
+from slipfree.problem.load import find_motion_verb, verb_of
 from slipfree.problem.result import Result, motion_facts, open_result
-from slipfree.problem.stored_inputs import STORED
-from slipfree.problem.summary import Lines, outcome_fact, ranges
-from slipfree.problem.verbs.base import MotionVerb
-from slipfree.problem.verbs.registry import find_motion_verb, verb_of
+from slipfree.problem.verbs.base import Lines, MotionVerb, outcome_fact, ranges
 from slipfree.show.html_report import Report
 from slipfree.show.plots import Plot
 from slipfree.show.thinning import FIGURE_SAMPLES

@@ -7,10 +7,11 @@ Tables of the ground are in `slipfree.problem.schema_ground`, those of one verb 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 
 from pydantic import AfterValidator, Field, ModelWrapValidatorHandler, model_validator
 
+from slipfree.control import sensor_noise, step_climbing
 from slipfree.core.trajectory import Frame
 from slipfree.files.toml.source import Fault
 from slipfree.files.toml.source import Place as KeyPath
@@ -19,11 +20,10 @@ from slipfree.files.toml.types import Piecewise as Piecewise
 from slipfree.files.toml.types import Place as Place
 from slipfree.files.toml.types import Positive as Positive
 from slipfree.files.toml.types import Record as Record
-from slipfree.problem.catalog_table import CATALOG, OWN, read_table
 from slipfree.problem.schema_ground import Synthetic as Synthetic
 from slipfree.problem.schema_ground import TerrainTable as TerrainTable
+from slipfree.problem.schema_law import CATALOG, OWN, known_slip, law_record, read_table
 from slipfree.problem.schema_law import Law as Law
-from slipfree.problem.schema_law import known_slip
 from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
 
 SlipName = Annotated[str, AfterValidator(known_slip)]
@@ -204,3 +204,51 @@ class Modelled(MotionKeys):
     )
     slip: SlipName = Field(default="least", description=SLIP)
     law: Law = Field(default=Law.model_construct(), description=LAW)
+
+
+STEP_CLIMBING = "step-climbing"
+
+if TYPE_CHECKING:
+    Noise = Record
+else:
+    Noise = law_record(sensor_noise.Noise)
+
+
+class NoisyControl(Record):
+    """Key of the control of a step climber that is not a parameter of the controller."""
+
+    noise: Noise | None = Field(
+        default=None, description="noise of the sensors; without this table, exact measurements"
+    )
+
+
+if TYPE_CHECKING:
+    Control = Any
+else:
+    Control = law_record(step_climbing.StepClimbing, NoisyControl)
+
+
+class ClimbingDriver(DriverTable):
+    """A driving law, with the control of the wheels of a step climber."""
+
+    control: Control = Field(
+        default=Control(), description=f"control of the wheels, with name = {STEP_CLIMBING!r}"
+    )
+
+    def climbing_faults(self, model: str) -> Iterator[Fault]:
+        """Yield errors of the driver of a step climber, and of its keys with another driver."""
+        if self.name != STEP_CLIMBING:
+            if "control" in self.model_fields_set:
+                found = f"{self.name!r}; change it, or remove [driver.control]"
+                yield Fault(("driver", "name"), f"{STEP_CLIMBING!r} with [driver.control]", found)
+            return
+        if model != "dynamics":
+            expected = f"'dynamics' with driver.name = {STEP_CLIMBING!r}"
+            yield Fault(("model",), expected, f"{model!r}; change it")
+        if self.speed < 0:
+            expected = f"a positive speed with name = {STEP_CLIMBING!r}"
+            yield Fault(("driver", "speed"), expected, f"{self.speed:g}; change it")
+        for key in ("path", "file"):
+            if getattr(self, key) is not None:
+                expected = f"no path with name = {STEP_CLIMBING!r}"
+                yield Fault(("driver", key), expected, f"{key!r}; remove it")

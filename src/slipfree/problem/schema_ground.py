@@ -1,13 +1,21 @@
-"""Schema of the ground of a problem: the table ``[terrain]`` and its subtables."""
+"""Schema of the ground of a problem: the table ``[terrain]`` and its subtables.
+
+A feature of synthetic grounds is a record with the method `added`, and an entry of `FEATURES`.
+"""
 
 from __future__ import annotations
 
+from math import inf, pi
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, PlainValidator, create_model
 
+from slipfree.core.errors import ModelError
 from slipfree.files.toml.types import (
+    IN_RADIANS,
+    Angle,
     Count,
+    NonNegative,
     Pair,
     Positive,
     Record,
@@ -15,8 +23,194 @@ from slipfree.files.toml.types import (
     Window,
     coefficient,
 )
-from slipfree.problem.ground_features import FEATURES, SEED, Feature
-from slipfree.problem.schema_solids import Obstacle
+from slipfree.geometry.regions import Region
+from slipfree.terrain import synthetic
+from slipfree.terrain.base import Grid
+
+
+class RegionTable(Record):
+    """A region of the ground: a disc or a polygon."""
+
+    x: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
+    y: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
+    radius: Positive | None = Field(default=None, description="radius of a disc [m]")
+    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
+        default=None, description="corners of a polygon [m]"
+    )
+
+
+def region_of(table: RegionTable) -> Region:
+    """Return the region of a table.
+
+    Raises
+    ------
+    ModelError
+        If the region is neither a disc nor a valid polygon.
+    """
+    disc = (table.x, table.y, table.radius)
+    if table.points is not None and disc == (None, None, None):
+        return Region.polygon(table.points)
+    if table.points is None and None not in disc:
+        return Region.disc(*(float(value or 0.0) for value in disc))
+    keys = ("x", "y", "radius", "points")
+    given = [repr(key) for key in keys if getattr(table, key) is not None]
+    raise ModelError(
+        "expected either 'x', 'y' and 'radius' (a disc), or 'points' (a polygon), found "
+        f"{', '.join(given) or 'none'}; add the missing keys or remove the others"
+    )
+
+
+SEED = "seed of the random numbers"
+
+
+class Feature(Record):
+    """A feature of a synthetic ground."""
+
+    def added(self, grid: Grid) -> Grid:
+        """Return a ground with the feature added to its heights."""
+        raise NotImplementedError
+
+
+class Ramp(Feature):
+    """A ramp along y."""
+
+    start: float = Field(description="y at which the ramp begins [m]")
+    end: float = Field(description="y at which the ramp ends [m]")
+    rise: float = Field(description="height behind the ramp [m]")
+    smooth: bool = Field(
+        default=True,
+        description="whether the slope is continuous, at most 15/8 of its mean; otherwise constant",
+    )
+    rounding: NonNegative = Field(
+        default=0.0, description="length of the rounding of each edge of a constant slope [m]"
+    )
+
+    def added(self, grid: Grid) -> Grid:
+        """Return a ground with the feature added."""
+        return synthetic.ramp(grid, **dict(self))
+
+
+class Ridge(Feature):
+    """A Gaussian ridge, with its crest perpendicular to the y axis."""
+
+    middle: float = Field(description="y of the crest [m]")
+    height: float = Field(description="height of the crest; negative for a trench [m]")
+    width: Positive = Field(description="distance from the crest to 1/e of its height [m]")
+
+    def added(self, grid: Grid) -> Grid:
+        """Return a ground with the feature added."""
+        return synthetic.ridge(grid, **dict(self))
+
+
+class PowerLaw(Feature):
+    """Self-affine roughness, whose spectrum is a power of the wave number."""
+
+    rms: Positive = Field(description="root mean square of the added heights [m]")
+    hurst: Annotated[float, Field(gt=0, le=1)] = Field(
+        description="Hurst exponent: 0.5 is jagged, 1 is smooth [1]"
+    )
+    longest: Positive = Field(description="longest wavelength [m]")
+    shortest: Positive = Field(description="shortest wavelength, at least twice the spacing [m]")
+    seed: Count = Field(description=SEED)
+
+    def added(self, grid: Grid) -> Grid:
+        """Return a ground with the feature added."""
+        return synthetic.power_law(grid, **dict(self))
+
+
+class Craters(Feature):
+    """Craters scattered over the ground."""
+
+    count: Count = Field(
+        description="number of craters; a larger number adds craters to those of a smaller number"
+    )
+    diameters: Pair = Field(description="smallest and largest diameter of the rim crests [m]")
+    seed: Count = Field(description=SEED)
+
+    def added(self, grid: Grid) -> Grid:
+        """Return a ground with the feature added."""
+        return synthetic.craters(grid, **dict(self))
+
+
+class Rocks(Feature):
+    """Rocks scattered over the ground."""
+
+    count: Count = Field(
+        description="number of rocks; a larger number adds rocks to those of a smaller number"
+    )
+    diameters: Pair = Field(description="smallest and largest diameter of the rocks [m]")
+    height_ratio: Positive = Field(description="height of a rock divided by its diameter [1]")
+    seed: Count = Field(description=SEED)
+
+    def added(self, grid: Grid) -> Grid:
+        """Return a ground with the feature added."""
+        return synthetic.rocks(grid, **dict(self))
+
+
+FEATURES: dict[str, type[Feature]] = {  # in the order in which they are added
+    "ramp": Ramp,
+    "ridge": Ridge,
+    "power_law": PowerLaw,
+    "craters": Craters,
+    "rocks": Rocks,
+}
+
+
+class Incline(Record):
+    """A ramp up to a plateau; it begins at x = 0."""
+
+    angle: Annotated[float, Field(gt=0, le=pi / 2), IN_RADIANS] = Field(
+        description="angle of the ramp [rad]"
+    )
+    height: Positive = Field(description="height of the plateau [m]")
+
+
+class Step(Record):
+    """A vertical step at x = 0 up to a plateau."""
+
+    height: Positive = Field(description="height of the plateau [m]")
+
+
+class Kerb(Record):
+    """A rectangular block; it begins at x = 0."""
+
+    height: Positive = Field(description="height of the block [m]")
+    length: Positive = Field(description="length of the block along x [m]")
+
+
+class Stairs(Record):
+    """Stairs up to a plateau; they begin at x = 0."""
+
+    height: Positive = Field(description="height of a step [m]")
+    depth: Positive = Field(description="depth of a step along x [m]")
+    count: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of steps")
+
+
+class Shapes(Record):
+    """Obstacles of which a problem gives one."""
+
+    ramp: Incline | None = Field(default=None, description="a ramp up to a plateau")
+    step: Step | None = Field(default=None, description="a step up to a plateau")
+    kerb: Kerb | None = Field(default=None, description="a block")
+    stairs: Stairs | None = Field(default=None, description="stairs up to a plateau")
+
+
+class Obstacle(Shapes):
+    """An obstacle on the ground: a profile with vertical sides, at a position and heading."""
+
+    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
+        default=None,
+        description="corners of a convex polygon: distance along the heading, and height [m]",
+    )
+    x: float = Field(default=0.0, description="x of the point where the profile begins [m]")
+    y: float = Field(default=0.0, description="y of the point where the profile begins [m]")
+    heading: Angle = Field(
+        default=0.0,
+        description="direction of the profile, counter-clockwise from the axis of frame [rad]",
+    )
+    half_width: Positive = Field(
+        default=inf, description="half the width across the heading; infinite by default [m]"
+    )
 
 
 class MadeGround(Record):

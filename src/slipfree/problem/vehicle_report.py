@@ -22,8 +22,8 @@ from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
 from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build
-from slipfree.problem.summary import Lines
+from slipfree.problem.result import build
+from slipfree.problem.verbs.base import Lines
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
 from slipfree.terrain.analytic import Analytic

@@ -27,9 +27,8 @@ from slipfree.files.toml.source import (
 from slipfree.files.toml.types import Angle, Positive, Record
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
-from slipfree.problem.law_record import given_values
-from slipfree.problem.soil_table import named_soil, soil_of
-from slipfree.problem.summary import Lines
+from slipfree.problem.schema_law import given_values, named_soil, soil_of
+from slipfree.problem.verbs.base import Lines
 
 COLUMNS = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
 QUANTITIES = tuple(COLUMNS)

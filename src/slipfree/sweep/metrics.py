@@ -7,8 +7,8 @@ from typing import Any
 
 from slipfree.core.facts import Fact, numbers
 from slipfree.core.trajectory import Trajectory
+from slipfree.problem.load import verb_of
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.task import COMPLETE
 
 Figures = dict[str, tuple[float, str]]

@@ -11,15 +11,15 @@ import numpy as np
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.tables import write_rows
+from slipfree.problem.load import verb_of
 from slipfree.problem.units import unit_of
-from slipfree.problem.verbs.registry import verb_of
 from slipfree.show.sweep_results import Swept, Varied
 from slipfree.sweep.grid import Run, Sweep
 from slipfree.sweep.log import FAILED, LOST, Row, Rows
 from slipfree.sweep.task import COMPLETE
 
 if TYPE_CHECKING:
-    from slipfree.problem.summary import Lines
+    from slipfree.problem.verbs.base import Lines
 
 NAME = "table.csv"
 MAX_FAILURES = 3  # number of printed failures

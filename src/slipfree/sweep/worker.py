@@ -9,10 +9,9 @@ from pathlib import Path
 
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.trajectory import SolverError
-from slipfree.problem.load import load_again
-from slipfree.problem.sharing import Shared, sharing
-from slipfree.problem.solve import run_problem
-from slipfree.problem.verbs.registry import verb_of
+from slipfree.problem.load import load_again, verb_of
+from slipfree.problem.problem import Shared, sharing
+from slipfree.problem.result import run_problem
 from slipfree.sweep.log import FAILED, LOST, Row
 from slipfree.sweep.metrics import figures_of
 from slipfree.sweep.task import Done, Task, own_settings, without_motion

@@ -1,7 +1,7 @@
-"""Interface between commands and verbs.
+"""Interface between commands and verbs, and the lines of all summaries.
 
 A verb is a kind of problem: the value of the key ``verb`` in a problem file. Commands use only this
-interface and the registry; everything specific to a verb is in the module of the verb.
+interface and `slipfree.problem.load`; everything specific to a verb is in the module of the verb.
 """
 
 from __future__ import annotations
@@ -12,16 +12,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, get_args
 
 import numpy as np
-from typing_extensions import TypeVar  # with a default
+from typing_extensions import TypeVar
 
 from slipfree.core.facts import Fact
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
-from slipfree.core.trajectory import SolverError, Stop, Trajectory
+from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words
 from slipfree.files.netcdf import NOTHING
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
-from slipfree.problem.summary import Lines
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
@@ -31,6 +30,64 @@ if TYPE_CHECKING:
     from slipfree.models.montana import Difference
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.show.plots import Plot
+
+
+Lines = list[tuple[str, str]]
+
+
+def ranges(run: Trajectory) -> Lines:
+    """Return the facts about the range of every quantity over time and wheels.
+
+    On a ground without a friction coefficient, ``utilisation`` equals ``friction_needed`` and is
+    omitted.
+    """
+    facts = []
+    for name, column in run.columns.items():
+        if name == "utilisation" and not has_friction(run):
+            continue
+        low, high = (float(end.reduce(column.values, axis=None)) for end in (np.fmin, np.fmax))
+        unit = column.label.unit
+        span = _number(low) if low == high else f"{_number(low)} to {_number(high)}"
+        facts.append((name, span if unit == "1" or np.isinf(low) else f"{span} {unit}"))
+    return facts
+
+
+def _number(value: float) -> str:
+    return "infinite" if np.isinf(value) else f"{value:.6g}"
+
+
+def has_friction(run: Trajectory) -> bool:
+    """Return whether the ground of a motion has a friction coefficient, according to its result."""
+    given = "ground_friction" in run.attributes
+    return given or not np.array_equal(run["utilisation"], run["friction_needed"])
+
+
+def plain_facts(run: Trajectory) -> Lines:
+    """Return the facts about duration and cost of a motion."""
+    return [duration_fact(run), integrator_fact(run)]
+
+
+def outcome_fact(run: Trajectory) -> tuple[str, str]:
+    """Return the fact about the outcome of a motion, the first line of every summary."""
+    return "outcome", outcome_words(run)
+
+
+def duration_fact(run: Trajectory) -> tuple[str, str]:
+    """Return the fact about duration and number of samples of a motion."""
+    return "duration", f"{run.t[-1] - run.t[0]:g} s, {run.t.size} samples"
+
+
+def integrator_fact(run: Trajectory) -> tuple[str, str]:
+    """Return the fact about the cost of the integration."""
+    counts = run.statistics
+    if "steps" not in counts:
+        return "integrator", "not used"
+    return (
+        "integrator",
+        f"{counts['steps']:.0f} steps, {counts['residuals']:.0f} evaluations, "
+        f"{counts['cpu_seconds']:.3g} s CPU, tolerance {counts['tolerance']:g}",
+    )
+
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
 FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagnostics

@@ -14,14 +14,14 @@ from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.files.toml.types import Quantity
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.slip import measured_slip
-from slipfree.problem.build_common import (
+from slipfree.problem.build import (
+    build_law,
     build_start,
     build_terrain,
     build_vehicle,
     check_names,
     samples,
 )
-from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import GroundMap, at, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import INPUTS, VERB, DriverTable, TerrainKeys, VehicleSource

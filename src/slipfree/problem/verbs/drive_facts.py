@@ -12,8 +12,7 @@ from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, path_length
 from slipfree.models.drawbar import RESERVE
 from slipfree.models.rocking import has_pressed_wheels, lightest_wheel, rocks
-from slipfree.problem.summary import duration_fact
-from slipfree.problem.verbs.base import FAILED_DIAGNOSTICS, Extremes
+from slipfree.problem.verbs.base import FAILED_DIAGNOSTICS, Extremes, duration_fact
 
 FORMULATION = "formulation"  # attribute of results of direct problems
 OBSTACLES = "obstacles"  # fact of motions over solids: their ending

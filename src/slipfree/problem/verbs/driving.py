@@ -26,20 +26,26 @@ from slipfree.models.obstacle_ending import obstacle_ending
 from slipfree.models.poses import wheel_poses
 from slipfree.models.records import is_determinate
 from slipfree.models.rocking import has_pressed_wheels
-from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
+from slipfree.problem.build import (
+    Setup,
+    build_solids,
+    build_terrain,
+    build_vehicle,
+    law_name,
+    model_law,
+)
 from slipfree.problem.build_ground import GroundMap, at, build_ground
-from slipfree.problem.build_model import law_name, model_law
-from slipfree.problem.build_solids import build_solids
 from slipfree.problem.build_vehicle import VehicleFile, vehicle_file
-from slipfree.problem.input_files import digest
+from slipfree.problem.inputs import digest
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, MotionKeys
-from slipfree.problem.summary import Lines, integrator_fact
 from slipfree.problem.verbs.base import (
+    Lines,
     MotionVerb,
     Result,
     VerbSolution,
     Watch,
+    integrator_fact,
     with_diagnostics,
 )
 from slipfree.problem.verbs.drive_facts import (

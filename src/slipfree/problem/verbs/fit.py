@@ -41,14 +41,13 @@ from slipfree.fit.unknowns import (
 from slipfree.fit.windows import Log, Windows, cut
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
+from slipfree.problem.build import model_law
 from slipfree.problem.build_ground import at
-from slipfree.problem.build_model import model_law
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, VehicleSource
-from slipfree.problem.summary import Lines
-from slipfree.problem.unit_checks import check_heading_unit, check_sampling, check_travel
-from slipfree.problem.verbs.base import Verb
+from slipfree.problem.units import check_heading_unit, check_sampling, check_travel
+from slipfree.problem.verbs.base import Lines, Verb
 from slipfree.terrain.analytic import Analytic
 from slipfree.vehicle.tree import Vehicle
 

@@ -36,18 +36,18 @@ from slipfree.plan.polynomial_motion import motion_of
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
 from slipfree.plan.windows import LongPlan
-from slipfree.problem.build_common import (
+from slipfree.problem.build import (
     Setup,
     build_terrain,
+    model_law,
     wheel_angles_at,
 )
 from slipfree.problem.build_ground import GroundMap, at
-from slipfree.problem.build_model import model_law
 from slipfree.problem.problem import Problem
-from slipfree.problem.summary import Lines
 from slipfree.problem.verbs import plan_schema
 from slipfree.problem.verbs.base import (
     RESUME,
+    Lines,
     Result,
     VerbSolution,
     Watch,
@@ -68,23 +68,20 @@ from slipfree.problem.verbs.plan_facts import (
     optimality_facts,
     plan_lines,
 )
-from slipfree.problem.verbs.plan_goals import places_of, regions, way_points_of
 from slipfree.problem.verbs.plan_over_solids import (
     OverSolids,
     build_over_solids,
     drive_over_solids,
 )
 from slipfree.problem.verbs.plan_robust import UNTESTED, Tested, make_robust
-from slipfree.problem.verbs.plan_search import find_plan, guess_motion
+from slipfree.problem.verbs.plan_schema import places_of, regions, way_points_of
+from slipfree.problem.verbs.plan_search import best_start, find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
     Planning,
     build_planning,
+    long_plan,
     plan_arguments,
     settled_start,
-)
-from slipfree.problem.verbs.plan_starts import best_start
-from slipfree.problem.verbs.plan_windows import (
-    long_plan,
 )
 from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.options import SolverOptions

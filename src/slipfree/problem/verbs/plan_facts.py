@@ -17,7 +17,7 @@ from slipfree.plan.optimality import Optimality
 from slipfree.plan.plan import Plan
 from slipfree.plan.prices import price_rows, prices_words
 from slipfree.plan.windows import LongPlan
-from slipfree.problem.verbs.plan_goals import spelled
+from slipfree.problem.verbs.plan_schema import spelled
 from slipfree.problem.verbs.plan_setup import Planning
 from slipfree.solve.whole_turns import TURN
 

@@ -21,13 +21,17 @@ from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.source import Fault, problem_error
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.plan.messages import missed_words
-from slipfree.problem.build_common import Setup, build_start, samples, solver_options
-from slipfree.problem.build_driver import level_section
+from slipfree.problem.build import (
+    Setup,
+    build_start,
+    build_world,
+    level_section,
+    samples,
+    solver_options,
+)
 from slipfree.problem.build_ground import at
-from slipfree.problem.build_world import build_world
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import Modelled
-from slipfree.problem.schema_climbing import STEP_CLIMBING
+from slipfree.problem.schema import STEP_CLIMBING, Modelled
 from slipfree.problem.verbs.base import Watch, integrate
 from slipfree.problem.verbs.plan_schema import GuideTable, PlanKeys
 from slipfree.terrain.solids import Profile

@@ -33,8 +33,7 @@ from slipfree.plan.robust import (
     robust_plan,
 )
 from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
-from slipfree.problem.build_common import build_start
-from slipfree.problem.build_model import build_model
+from slipfree.problem.build import build_model, build_start
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import PlanKeys, Robust
 from slipfree.problem.verbs.plan_search import find_plan

@@ -1,15 +1,17 @@
-"""Set-up of planning problems: model, start, arguments of the search, initial guesses."""
+"""Set-up of plans: model, goal, costs, limits, initial guess and windows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.contact.closure import has_exact_closure
 from slipfree.control.arc_driving import arc_inputs, turning_axis_offset
 from slipfree.control.path_following import follow
 from slipfree.core.dae import Dae, Limit
@@ -24,24 +26,29 @@ from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundLaw
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.rigid_dynamics import rigid_dynamics
+from slipfree.plan.plan import PlanProgress
 from slipfree.plan.problem import limits_of, task_of
-from slipfree.problem.build_common import (
+from slipfree.plan.warm_start import SavedPlan
+from slipfree.plan.windows import LongPlan, plan_windows
+from slipfree.problem.build import (
     Setup,
+    build_law,
+    build_model,
     build_start,
     build_terrain,
     build_vehicle,
     check_names,
     in_frame,
+    model_law,
     samples,
 )
-from slipfree.problem.build_driver import build_law
-from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.build_model import build_model, model_law
-from slipfree.problem.geographic_places import convert_places
+from slipfree.problem.build_ground import at, build_ground, convert_places
+from slipfree.problem.load import validated_problem
 from slipfree.problem.problem import Problem
-from slipfree.problem.validation import validated_problem
-from slipfree.problem.verbs.plan_goals import (
+from slipfree.problem.verbs.plan_schema import (
+    GuideTable,
     Place,
+    PlanKeys,
     Ranges,
     cusp_goal,
     initial_paths,
@@ -51,14 +58,153 @@ from slipfree.problem.verbs.plan_goals import (
     spelled,
     way_points_of,
 )
-from slipfree.problem.verbs.plan_schema import GuideTable, PlanKeys
-from slipfree.problem.verbs.plan_windows import check_windows
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.reeds_shepp import reeds_shepp
 from slipfree.routing.traversability import Traversability, extents, traversability
 from slipfree.solve.settle import settle
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
+
+OVERLAP = 1 / 3  # default overlap, relative to the window
+
+
+def check_windows(
+    problem: Problem[PlanKeys], spec: PlanKeys, vehicle: Vehicle, paths: tuple[Array, ...]
+) -> None:
+    """Raise ProblemError if a problem with windows has keys or a vehicle that do not suit them."""
+    window = spec.plan.window
+    if window is None:
+        if spec.plan.overlap is not None:
+            with at(problem, ("plan", "overlap")):
+                raise ModelError(
+                    "expected this key only with 'window', found no 'window'; add it to [plan], or "
+                    "remove 'overlap'"
+                )
+        return
+    for key, words in _contradictions(spec, vehicle, paths, window):
+        with at(problem, key):
+            raise ModelError(words)
+
+
+def _contradictions(
+    spec: PlanKeys, vehicle: Vehicle, paths: tuple[Array, ...], window: float
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield key and message of each reason why a problem cannot be planned in windows."""
+    if len(paths) != 1:
+        yield (
+            ("plan", "window"),
+            "expected a driver that follows one path (name = 'route' with count = 1, or 'follow' "
+            f"with 'path' or 'file'), found {len(paths) or 'no'} paths; use such a driver, or "
+            "remove 'window'",
+        )
+        return
+    if _overlap(spec, window) >= window:
+        yield (
+            ("plan", "overlap"),
+            f"expected less than the window, {window:g} m, found {_overlap(spec, window):g} m; "
+            "reduce the overlap",
+        )
+    for name, is_given in (
+        ("duration", spec.plan.duration is not None),
+        ("starts", spec.plan.starts > 1),
+    ):
+        if is_given:
+            yield (
+                ("plan", name),
+                f"expected no '{name}' with 'window', found both; remove one of them",
+            )
+    for name, advice in (
+        ("way_points", "remove the way-points, or lead the driver's path through them"),
+        ("cost_limits", "remove 'cost_limits'"),
+    ):
+        if getattr(spec, name):
+            yield (name,), f"expected no {name!r} with plan.window, found both; {advice}"
+    if not has_exact_closure(vehicle):
+        yield (
+            ("plan", "window"),
+            "expected a vehicle with exact contact of all wheels, found "
+            f"{vehicle.name}, whose wheels press into the ground; remove 'window'",
+        )
+    speed = abs(spec.driver.speed) if spec.driver else 1.0
+    least = Path(paths[0]).length / speed
+    if spec.time.duration < least:
+        yield (
+            ("time", "duration"),
+            f"expected at least {least:.6g} s, which the path takes at {speed:g} m/s, found "
+            f"{spec.time.duration:g} s; increase the duration",
+        )
+
+
+def _overlap(spec: PlanKeys, window: float) -> float:
+    """Return the overlap of the windows [m]."""
+    return OVERLAP * window if spec.plan.overlap is None else spec.plan.overlap
+
+
+def search_arguments(spec: PlanKeys) -> dict[str, Any]:
+    """Return the arguments of `plan` about mesh, accuracy, solver and sampling of a problem."""
+    return {
+        "intervals": spec.plan.intervals,
+        "degree": spec.plan.degree,
+        "accuracy": spec.plan.accuracy,
+        "options": spec.solver.options,
+        "step": spec.time.step,
+    }
+
+
+def long_plan(
+    problem: Problem[PlanKeys],
+    setup: Setup,
+    route: Array,
+    arguments: Mapping[str, Any],
+    resume: SavedPlan | None,
+    progress: PlanProgress,
+    keep: Callable[[LongPlan], None],
+) -> LongPlan:
+    """Return the plan of a problem along a route, planned in windows.
+
+    Parameters
+    ----------
+    problem, setup : Problem, Setup
+        The problem and its set-up.
+    route : ndarray, shape (n, 2)
+        Points of the route in map coordinates. [m]
+    arguments : mapping
+        Arguments of `plan` for the problem.
+    resume : SavedPlan or None
+        Plan in windows from which the search continues.
+    progress, keep : callable
+        As for `plan_windows`.
+
+    Raises
+    ------
+    ProblemError
+        If speed, lengths or limits are not valid, or ``resume`` is a plan of another model.
+    SolverError
+        If no motion along the route can be simulated from the start.
+    """
+    spec = problem.spec
+    window, speed = spec.plan.window or 0.0, spec.driver.speed if spec.driver else 0.0
+    options = {
+        name: value
+        for name, value in arguments.items()
+        if name not in ("way_points", "cost_limits")
+    }
+    with at(problem, ("plan",)):
+        return plan_windows(
+            setup.dae,
+            partial(follow, setup.dae, setup.vehicle, speed=speed),
+            setup.start,
+            Path(route),
+            speed=abs(speed),
+            length=window,
+            overlap=_overlap(spec, window),
+            resume=resume,
+            progress=progress,
+            keep=keep,
+            **search_arguments(spec),
+            **options,
+        )
+
 
 SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]
 HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes

@@ -25,9 +25,7 @@ from slipfree.plan.plan import Plan
 from slipfree.plan.tracking import track_plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
-from slipfree.problem.build_common import build_start
-from slipfree.problem.build_model import model_law
-from slipfree.problem.build_world import build_world
+from slipfree.problem.build import build_start, build_world, model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import problem_of
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
