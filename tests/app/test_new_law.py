@@ -19,8 +19,8 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.core.bounds import check_bounds
 from slipfree.core.records import Label
+from slipfree.core.schema import check_bounds
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
 from slipfree.laws.least_slip import LeastSlip, Multipliers, stationarity

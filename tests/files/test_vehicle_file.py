@@ -535,8 +535,8 @@ WHEELS, SWIVEL = "radius = 0.1\n", 'kind = "passive"'
     [
         ('"rep103"', "inertia = [1, 2, -3, 0, 0, 0]", "principal moments of inertia must be"),
         (WHEELS, "drive = { kind = 'steam' }", "'kind' is one of 'rate', 'torque', 'm"),
-        (WHEELS, "drive = { kind = 'motor', stall = 2 }", "the key 'no_load' for kind"),
-        (WHEELS, "drive = { kind = 'rate', kp = 2 }", "for kind = 'rate', not 'kp'"),
+        (WHEELS, "drive = { kind = 'motor', stall = 2 }", "drive.no_load"),
+        (WHEELS, "drive = { kind = 'rate', kp = 2 }", "found the unknown key 'kp'"),
         (WHEELS, "drive = { kind = 'motor', stall = '', no_load = 1, kp = 1 }", "number"),
         (WHEELS, "inertia = [0.0, 1.0]", "greater than 0"),
         (SWIVEL, "drive = { kind = 'steam' }", "v.toml:7: coordinates[0].drive (coordinate 'swi"),

@@ -40,8 +40,7 @@ if TYPE_CHECKING:
     from slipfree.cli.progress import Reports
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.problem.problem import Problem
-    from slipfree.problem.result import Result
-    from slipfree.problem.verbs.base import MotionVerb
+    from slipfree.problem.verbs.base import MotionVerb, Result
     from slipfree.show.plots import Plot
 
 

@@ -26,9 +26,9 @@ from slipfree.climb.contact_path import axle_arms
 from slipfree.climb.time_scaling import Climb, history
 from slipfree.control.reference_speeds import PerAxle
 from slipfree.control.step_climbing import Commands, ControlState, Motors, Sensed, limited
-from slipfree.core.bounds import check_bounds
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
+from slipfree.core.schema import check_bounds
 from slipfree.vehicle.climber import Climber
 
 MIN_SPEED = 0.01  # smallest reference speed, so that the vehicle leaves points of rest [m/s]

@@ -12,7 +12,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.control.reference_speeds import PerAxle, Tilts
-from slipfree.core.bounds import check_bounds
+from slipfree.core.schema import check_bounds
 
 TONES = 24  # number of tones in the noise of a sensor
 

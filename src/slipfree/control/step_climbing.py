@@ -24,10 +24,10 @@ from slipfree.control.reference_speeds import (
     reference,
 )
 from slipfree.control.sensor_noise import Noise, measured
-from slipfree.core.bounds import check_bounds
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label, leaves, symbols
+from slipfree.core.schema import check_bounds
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.climber import Climber, climber_of

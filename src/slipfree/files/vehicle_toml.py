@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, fields, replace
+from dataclasses import fields, replace
 from difflib import get_close_matches
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -19,7 +18,6 @@ from pydantic import (
     PlainValidator,
     ValidationError,
     WrapValidator,
-    create_model,
 )
 
 from slipfree.core.errors import ModelError
@@ -47,7 +45,9 @@ from slipfree.files.toml.types import (
     Record,
     bare_words,
     expected_error,
+    given_values,
     in_radians,
+    record_of,
     unit_faults,
 )
 from slipfree.files.toml.types import Place as Place3
@@ -120,26 +120,24 @@ def _known_section(_: Any) -> None:
     raise expected_error(f"one of {', '.join(map(repr, SECTIONS))}")
 
 
-def _drive(value: Any) -> Drive:
-    given = dict(value) if isinstance(value, dict) else {}
-    kind = given.pop("kind", None)
-    if kind not in DRIVES:
+class DriveKind(Record):
+    """Key of the table of a drive that is not a parameter of its kind."""
+
+    kind: str
+
+
+def drive_table(data: Any) -> type[DriveKind]:
+    """Return the schema for the table of a drive; its kind determines further keys."""
+    kind = data.get("kind") if isinstance(data, dict) else None
+    if not isinstance(kind, str) or kind not in DRIVES:
         raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, DRIVES))}")
-    keys = {field.name: field.default for field in fields(DRIVES[kind])}
-    for name in given:
-        if name not in keys:
-            known = ", ".join(map(repr, ("kind", *keys)))
-            raise expected_error(f"only the keys {known} for kind = {kind!r}, not {name!r}")
-    for name, default in keys.items():
-        if default is MISSING and name not in given:
-            raise expected_error(f"the key {name!r} for kind = {kind!r}")
-    for name, number in given.items():
-        if not isinstance(number, int | float) or isinstance(number, bool):
-            raise expected_error(f"a number as {name!r} for kind = {kind!r}")
-    try:
-        return DRIVES[kind](**given)
-    except ModelError as error:
-        raise expected_error(f"a valid drive ({error})") from error
+    drive: Any = DRIVES[kind]
+    return record_of(drive, DriveKind)
+
+
+def _drive(data: Any) -> Drive:
+    parameters = given_values(drive_table(data).model_validate(data))
+    return DRIVES[parameters.pop("kind")](**parameters)
 
 
 Axis = Annotated[Any, PlainValidator(_axis)]
@@ -219,20 +217,7 @@ def wheel_table(data: Any) -> type[AnyWheelTable]:
     if not isinstance(data, dict) or "section" not in data:
         return WheelTable
     section = SECTIONS.get(data["section"]) if isinstance(data["section"], str) else None
-    return UnknownSectionTable if section is None else _section_table(section)
-
-
-@cache
-def _section_table(section: type[Section]) -> type[AnyWheelTable]:
-    hints = get_type_hints(section)
-    keys: dict[str, Any] = {
-        each.name: (
-            Positive if hints[each.name] is float else hints[each.name],
-            ... if each.default is MISSING else each.default,
-        )
-        for each in fields(section)
-    }
-    return create_model(f"{section.__name__}Table", __base__=AnyWheelTable, **keys)
+    return UnknownSectionTable if section is None else record_of(section, AnyWheelTable)
 
 
 WHEEL_READER = WrapValidator(lambda data, _: wheel_table(data).model_validate(data))
@@ -336,6 +321,8 @@ def _worded(
     place, kind = tuple(error["loc"]), error["type"]
     if kind == "extra_forbidden":
         table = parts[place[0]](data[place[0]][place[1]]) if len(place) > 1 else model
+        if "drive" in place[2:-1]:
+            table = drive_table(data[place[0]][place[1]]["drive"])
         (unknown,) = name_errors(place[:-1], [str(place[-1])], list(table.model_fields))
         return unknown
     if kind == "missing" and isinstance(place[-1], str):

@@ -15,8 +15,8 @@ from typing import Annotated
 import casadi as ca
 from annotated_types import Ge, Gt, Le, Unit, doc
 
-from slipfree.core.bounds import check_bounds
 from slipfree.core.errors import ModelError
+from slipfree.core.schema import check_bounds
 from slipfree.laws.protocols import GroundForce, WheelContact
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle

@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 from annotated_types import Gt, Le, Unit, doc
 
-from slipfree.core.bounds import check_bounds
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
+from slipfree.core.schema import check_bounds
 from slipfree.laws.coulomb import (
     MAX_CREEP,
     FrictionUnknowns,

@@ -46,10 +46,10 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
-from slipfree.core.bounds import check_bounds
 from slipfree.core.dae import Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label
+from slipfree.core.schema import check_bounds
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
     ACROSS,

@@ -14,8 +14,8 @@ from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.inputs import STORED, digest
 from slipfree.problem.load import find_motion_verb, verb_of
-from slipfree.problem.result import Result, motion_facts, open_result
-from slipfree.problem.verbs.base import Lines, MotionVerb, outcome_fact, ranges
+from slipfree.problem.result import motion_facts, open_result
+from slipfree.problem.verbs.base import Lines, MotionVerb, Result, outcome_fact, ranges
 from slipfree.show.html_report import Report
 from slipfree.show.plots import Plot
 from slipfree.show.thinning import FIGURE_SAMPLES

@@ -15,18 +15,19 @@ from slipfree.control import sensor_noise, step_climbing
 from slipfree.core.trajectory import Frame
 from slipfree.files.toml.source import Fault
 from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import Pair, Quantity, not_zero
+from slipfree.files.toml.types import Pair, Quantity, not_zero, one_of, record_of
 from slipfree.files.toml.types import Piecewise as Piecewise
 from slipfree.files.toml.types import Place as Place
 from slipfree.files.toml.types import Positive as Positive
 from slipfree.files.toml.types import Record as Record
+from slipfree.laws.registry import SLIP_LAWS
 from slipfree.problem.schema_ground import Synthetic as Synthetic
 from slipfree.problem.schema_ground import TerrainTable as TerrainTable
-from slipfree.problem.schema_law import CATALOG, OWN, known_slip, law_record, read_table
+from slipfree.problem.schema_law import CATALOG, OWN, read_table
 from slipfree.problem.schema_law import Law as Law
 from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
 
-SlipName = Annotated[str, AfterValidator(known_slip)]
+SlipName = Annotated[str, one_of(SLIP_LAWS)]
 
 MAX_SAMPLES = 1_000_000  # largest number of samples of a motion
 VERB = "kind of the problem"
@@ -71,7 +72,7 @@ class VehicleSource(Record):
     @property
     def keywords(self) -> dict[str, Any]:
         """Keyword arguments of the function of the catalogue."""
-        return self.model_dump(exclude_none=True, exclude=set(OWN))
+        return self.model_dump(exclude_unset=True, exclude=set(OWN))
 
 
 class DriverTable(Record):
@@ -211,7 +212,7 @@ STEP_CLIMBING = "step-climbing"
 if TYPE_CHECKING:
     Noise = Record
 else:
-    Noise = law_record(sensor_noise.Noise)
+    Noise = record_of(sensor_noise.Noise)
 
 
 class NoisyControl(Record):
@@ -225,7 +226,7 @@ class NoisyControl(Record):
 if TYPE_CHECKING:
     Control = Any
 else:
-    Control = law_record(step_climbing.StepClimbing, NoisyControl)
+    Control = record_of(step_climbing.StepClimbing, NoisyControl)
 
 
 class ClimbingDriver(DriverTable):

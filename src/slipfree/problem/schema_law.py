@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields, replace
-from functools import cache
-from typing import Annotated, Any, cast, get_origin, get_type_hints
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any, cast
 
-from annotated_types import DocInfo, Unit
 from pydantic import (
-    AfterValidator,
     BaseModel,
     Field,
     ModelWrapValidatorHandler,
@@ -21,15 +17,9 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from slipfree import catalog
+from slipfree.core.schema import keys_of
 from slipfree.files.toml.source import record_at, similar_hint
-from slipfree.files.toml.types import (
-    IN_RADIANS,
-    IN_RADIANS_PER_SECOND,
-    Positive,
-    Record,
-    in_radians,
-)
-from slipfree.geometry.frame import Vector
+from slipfree.files.toml.types import Positive, Record, given_values, one_of, record_of
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.laws.soil import Soil
 from slipfree.laws.soil_regions import OF_THE_LAW, SoilRegion
@@ -37,59 +27,9 @@ from slipfree.laws.soils import SOILS, known_soil
 from slipfree.problem.schema_ground import RegionTable, region_of
 from slipfree.vehicle.tree import Vehicle
 
-ANGULAR = {"rad": IN_RADIANS, "rad/s": IN_RADIANS_PER_SECOND}
-
-
-@cache
-def law_record(law: type, base: type[Record] = Record) -> type[Record]:
-    """Return the record of a law's parameters, from the annotated fields of its dataclass.
-
-    Keys of ``base`` come first.
-    """
-    hints = get_type_hints(law, include_extras=True)
-    keys: dict[str, Any] = {
-        each.name: (
-            _with_unit(hints[each.name]),
-            Field(
-                default=... if each.default is MISSING else each.default,
-                description=_description(hints[each.name]),
-            ),
-        )
-        for each in fields(law)
-        if hasattr(hints[each.name], "__metadata__")
-    }
-    words = (law.__doc__ or "").partition("\n")[0]
-    return create_model(law.__name__, __base__=base, __doc__=words, **keys)
-
-
-def _with_unit(hint: Any) -> Any:
-    """Return the annotation of a parameter; angles accept "30 deg" as well, and tuples arrays."""
-    if get_origin(getattr(hint, "__origin__", None)) is tuple:
-        return Annotated[hint, Field(strict=False)]
-    for each in getattr(hint, "__metadata__", ()):
-        if isinstance(each, Unit) and each.unit in ANGULAR:
-            return Annotated[hint, ANGULAR[each.unit]]
-    return hint
-
-
-def _description(hint: Any) -> str:
-    """Return the description and unit in the annotation of a parameter."""
-    metadata = getattr(hint, "__metadata__", ())
-    words = [each.documentation for each in metadata if isinstance(each, DocInfo)]
-    return " ".join([*words, *(f"[{each.unit}]" for each in metadata if isinstance(each, Unit))])
-
-
-def given_values(table: Record) -> dict[str, Any]:
-    """Return the values that a file gives for the keys of a table, without defaults."""
-    return {name: getattr(table, name) for name in table.model_fields_set}
-
-
 CATALOG: dict[str, Callable[..., Vehicle]] = {
     name: getattr(catalog, name) for name in catalog.__all__
 }
-MAY_BE_ZERO = ("r1", "r2", "stiffness", "damping", "bump", "mass", "wheel_mass")
-ANGLES = ("steer_stop", "bend_stop", "tilt_stop")
-ANY_SIGN = ("trail", "joint", "preload")
 OWN = ("catalog", "file", "actuated", "name")  # keys that are not keywords of the function
 
 
@@ -107,33 +47,6 @@ def fault(place: str | None, expected: str, found: str, hint: str = "") -> InitE
     """Return a pydantic error about the key ``place`` of a table; None stands for the table."""
     kind = PydanticCustomError("expected", "{words}", {"words": expected, "hint": hint})
     return InitErrorDetails(type=kind, loc=(place,) if place else (), input=Found(found))
-
-
-@cache
-def catalog_record(base: type[BaseModel], catalog: str) -> type[BaseModel]:
-    """Return the schema of a table for a vehicle of the catalogue.
-
-    Its keys are those of the schema ``base`` and the keyword arguments of the vehicle's function.
-    """
-    function = CATALOG[catalog]
-    hints = get_type_hints(function)
-    fields: dict[str, Any] = {
-        key: (_kind(key, hints[key]) | None, None) for key in inspect.signature(function).parameters
-    }
-    return create_model(f"{base.__name__}_{catalog}", __base__=base, **fields)
-
-
-def _kind(key: str, hint: Any) -> Any:
-    """Return the type of a keyword; the vehicle's function checks its value."""
-    if hint is float:
-        if key in ANY_SIGN:
-            return Annotated[float, Field()]
-        if key in ANGLES:
-            return Annotated[float, Field(gt=0), IN_RADIANS, AfterValidator(in_radians)]
-        return (
-            Annotated[float, Field(ge=0)] if key in MAY_BE_ZERO else Annotated[float, Field(gt=0)]
-        )
-    return Annotated[Vector, Field(strict=False)] if hint == Vector else hint
 
 
 def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel]) -> BaseModel:
@@ -164,9 +77,9 @@ def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel
     if catalog not in tuple(CATALOG):
         return read(data)
     try:
-        return catalog_record(base, catalog).model_validate(data)
+        return record_of(CATALOG[catalog], base).model_validate(data)
     except ValidationError as error:
-        keys = list(inspect.signature(CATALOG[catalog]).parameters)
+        keys = [key.name for key in keys_of(CATALOG[catalog])]
         known = ["catalog", *keys, "actuated", *(["name"] if "name" in base.model_fields else [])]
         faults = [reworded(dict(each), known) for each in error.errors(include_url=False)]
         raise ValidationError.from_exception_data(base.__name__, faults) from error
@@ -197,57 +110,40 @@ def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
 
 
 DEFAULT = next(iter(SOILS))
+
+
+class SoilKeys(Record):
+    """Name of a soil, and constants that replace those of this soil."""
+
+    name: Annotated[str, one_of(SOILS)] = Field(
+        default=DEFAULT, description=f"soil of the catalogue: one of {', '.join(SOILS)}"
+    )
+
+
+class SoilRegionKeys(SoilKeys, RegionTable):
+    """A region with another soil: a disc or a polygon."""
+
+    width: Positive = Field(
+        description="width in which the soil around the region becomes its soil [m]"
+    )
+
+
 OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are not of its soil
+NamedSoil: Any = record_of(Soil, SoilKeys)
 
 
-def _known(name: str) -> str:
-    """Return the name of a soil unchanged; raise PydanticCustomError if it is unknown."""
-    if name not in SOILS:
-        raise PydanticCustomError("expected", "one of {names}", {"names": ", ".join(SOILS)})
-    return name
+SoilRegions: Any = Annotated[
+    tuple[record_of(Soil, SoilRegionKeys, omitted=OF_THE_LAW), ...],  # type: ignore[misc]
+    Field(strict=False),
+]
 
 
-SoilName = Annotated[str, AfterValidator(_known)]
-NAME: Any = (
-    SoilName,
-    Field(default=DEFAULT, description=f"soil of the catalogue: one of {', '.join(SOILS)}"),
-)
+class SoilTable(NamedSoil):  # type: ignore[misc]
+    """Table ``[law.soil]``: a soil, and regions of other soils."""
 
-
-@cache
-def named_soil() -> type[Record]:
-    """Return the record of a soil: its name, and constants that replace those of this soil."""
-    words = "Name of a soil, and constants that replace those of this soil."
-    return create_model("NamedSoil", __base__=law_record(Soil), __doc__=words, name=NAME)
-
-
-@cache
-def _soil_region() -> type[Record]:
-    """Return the record of a region: its border, the width of its transition, its soil."""
-    constants: dict[str, Any] = {
-        key: (Annotated[field.annotation, *field.metadata], field)
-        for key, field in law_record(Soil).model_fields.items()
-        if key not in OF_THE_LAW
-    }
-    width: Any = (
-        Positive,
-        Field(description="width in which the soil around the region becomes its soil [m]"),
+    regions: SoilRegions = Field(
+        default=(), description="regions of other soils; later ones cover earlier ones"
     )
-    words = "A region with another soil: a disc or a polygon."
-    return create_model(
-        "SoilRegion", __base__=RegionTable, __doc__=words, name=NAME, width=width, **constants
-    )
-
-
-@cache
-def soil_table() -> type[Record]:
-    """Return the record of the table ``[law.soil]``: a soil, and regions of other soils."""
-    regions: Any = (
-        Annotated[tuple[_soil_region(), ...], Field(strict=False)],  # type: ignore[misc]
-        Field(default=(), description="regions of other soils; later ones cover earlier ones"),
-    )
-    words = (Soil.__doc__ or "").partition("\n")[0]
-    return create_model("SoilTable", __base__=named_soil(), __doc__=words, regions=regions)
 
 
 def soil_of(
@@ -279,13 +175,6 @@ def _region(table: Any) -> SoilRegion:
     return SoilRegion(region_of(table), soil, table.width)
 
 
-def known_slip(name: str) -> str:
-    """Return the name of a slip law unchanged; raise PydanticCustomError if it is unknown."""
-    if name not in SLIP_LAWS:
-        raise PydanticCustomError("expected", "one of {names}", {"names": ", ".join(SLIP_LAWS)})
-    return name
-
-
 def registered_laws() -> dict[str, Any]:
     """Return the laws that have parameters, by name."""
     laws: dict[str, Any] = {**SLIP_LAWS, **GROUND_LAWS, **CONTACT_LAWS}
@@ -294,7 +183,7 @@ def registered_laws() -> dict[str, Any]:
 
 def table_of(law: type) -> type[Record]:
     """Return the record of the table of a law; that of soil also has names and regions."""
-    return soil_table() if law is Soil else law_record(law)
+    return SoilTable if law is Soil else record_of(law)
 
 
 class Law(Record):

@@ -24,10 +24,10 @@ from slipfree.files.toml.source import (
     validation_fault,
     value_errors,
 )
-from slipfree.files.toml.types import Angle, Positive, Record
+from slipfree.files.toml.types import Angle, Positive, Record, given_values
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
-from slipfree.problem.schema_law import given_values, named_soil, soil_of
+from slipfree.problem.schema_law import NamedSoil, soil_of
 from slipfree.problem.verbs.base import Lines
 
 COLUMNS = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
@@ -73,7 +73,7 @@ def wheel_file() -> type[Record]:
     tables: dict[str, Any] = {
         "title": (str | None, Field(default=None, description="title of the summary")),
         "wheel": (TestedWheelTable, Field(description="the wheel")),
-        "soil": (named_soil(), Field(default=named_soil()(), description="the soil")),
+        "soil": (NamedSoil, Field(default=NamedSoil(), description="the soil")),
         "test": (TestTable, Field(default=TestTable(), description="the test")),
     }
     return create_model("WheelFile", __base__=Record, **tables)

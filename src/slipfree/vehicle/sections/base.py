@@ -31,8 +31,8 @@ ARC_LENGTH_POINTS = 721  # points of a table of arc lengths
 class Section(ABC):
     """Cross-section of a wheel, a body of revolution about its axle.
 
-    A subclass is a frozen dataclass of positive numbers that defines `profile`. The other methods
-    follow from it; a subclass overrides one where a closed form has fewer operations.
+    A subclass is a frozen dataclass that defines `profile`; its fields are of the type
+    `slipfree.core.schema.Length`. The other methods follow from it; a subclass overrides one where a closed form has fewer operations.
 
     Attributes
     ----------

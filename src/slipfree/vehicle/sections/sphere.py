@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from slipfree.core.schema import Length
 from slipfree.vehicle.sections.base import AXLE, Section
 
 
@@ -19,7 +20,7 @@ class Sphere(Section):
         Radius of the ball. [m]
     """
 
-    radius: float
+    radius: Length
 
     @property
     def torus_radii(self) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from slipfree.core.schema import Length
 from slipfree.vehicle.sections.base import AXLE, Section, components
 
 
@@ -21,8 +22,8 @@ class Torus(Section):
         Radius of the circle of tube centres; the rolling radius is ``r1 + r2``. [m]
     """
 
-    r1: float
-    r2: float
+    r1: Length
+    r2: Length
 
     @property
     def torus_radii(self) -> tuple[float, float]:
