@@ -77,12 +77,13 @@ def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel
     if catalog not in tuple(CATALOG):
         return read(data)
     try:
-        return record_of(CATALOG[catalog], base).model_validate(data)
+        table: BaseModel = record_of(CATALOG[catalog], base).model_validate(data)
     except ValidationError as error:
         keys = [key.name for key in keys_of(CATALOG[catalog])]
         known = ["catalog", *keys, "actuated", *(["name"] if "name" in base.model_fields else [])]
         faults = [reworded(dict(each), known) for each in error.errors(include_url=False)]
         raise ValidationError.from_exception_data(base.__name__, faults) from error
+    return table
 
 
 def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:

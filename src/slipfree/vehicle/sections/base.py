@@ -32,7 +32,8 @@ class Section(ABC):
     """Cross-section of a wheel, a body of revolution about its axle.
 
     A subclass is a frozen dataclass that defines `profile`; its fields are of the type
-    `slipfree.core.schema.Length`. The other methods follow from it; a subclass overrides one where a closed form has fewer operations.
+    `slipfree.core.schema.Length`. The other methods follow from it; a subclass overrides one where
+    a closed form has fewer operations.
 
     Attributes
     ----------
