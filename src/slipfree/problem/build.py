@@ -106,10 +106,7 @@ class Setup:
 def build_terrain(problem: Problem[S], ground: GroundMap) -> Bicubic:
     """Return the ground as a surface, with its local origin at the start.
 
-    Raises
-    ------
-    ProblemError
-        If the start lies off the ground.
+    ProblemError is raised if the start lies off the ground.
     """
     start, grid = problem.spec.start, ground.grid
     for axis, nodes in (("x", grid.x), ("y", grid.y)):
@@ -136,10 +133,7 @@ def in_frame(problem: Problem[S], dae: Dae) -> Dae:
 def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
     """Return the vehicle settled on the ground at the start of a problem, as one sample.
 
-    Raises
-    ------
-    ProblemError
-        If the vehicle cannot stand at the start.
+    ProblemError is raised if the vehicle cannot stand at the start.
     """
     values: dict[str, Any] = dict(problem.spec.start)
     if "heading" in _start_names(dae):
@@ -213,6 +207,9 @@ class SampledTimes(NamedTuple):
 def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> SampledTimes:
     """Return the times of the steps of a sampled controller, up to the last regular sample.
 
+    ProblemError is raised if the period does not divide the time between samples, or there are more
+    than a million steps.
+
     Parameters
     ----------
     problem : Problem
@@ -221,12 +218,6 @@ def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> Sampled
         Key of the period, for messages.
     period : float
         Time between the steps of the controller. [s]
-
-    Raises
-    ------
-    ProblemError
-        If the period does not divide the time between samples, or there are more than a million
-        steps.
     """
     time = problem.spec.time
     if time.duration / period > schema.MAX_SAMPLES:
@@ -306,11 +297,8 @@ def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
 
     Height zero of an obstacle's profile is the height of the ground where the profile begins.
 
-    Raises
-    ------
-    ProblemError
-        If an obstacle is not of exactly one kind, its numbers are invalid, or it begins off the
-        map.
+    ProblemError is raised if an obstacle is not of exactly one kind, its numbers are invalid, or it
+    begins off the map.
     """
     found = list[Prism]()
     for k, spec in enumerate(problem.spec.terrain.obstacles):
@@ -379,11 +367,8 @@ def build_model(
 ) -> Dae:
     """Return the model of a problem for a vehicle on a ground; ``prisms`` are for dynamics.
 
-    Raises
-    ------
-    ProblemError
-        If the law does not belong to the model, a parameter is missing, or the model does not
-        support the vehicle or the ground.
+    ProblemError is raised if the law does not belong to the model, a parameter is missing, or the
+    model does not support the vehicle or the ground.
     """
     law = model_law(problem, spec)
     if spec.model == "kinematics":
@@ -408,11 +393,8 @@ def law_name(spec: Lawful) -> str:
 def model_law(problem: Problem[A], spec: Lawful) -> Any:
     """Return the law of a problem's model: a slip law, a wheel-ground law or a contact law.
 
-    Raises
-    ------
-    ProblemError
-        If a given law or the key ``slip`` does not belong to the model, several laws are given, or
-        a parameter is missing or invalid.
+    ProblemError is raised if a given law or the key ``slip`` does not belong to the model, several
+    laws are given, or a parameter is missing or invalid.
     """
     name, known = law_name(spec), LAWS[spec.model]
     if spec.model != "kinematics" and "slip" in spec.model_fields_set:
@@ -444,10 +426,7 @@ def _wrong_law(spec: Lawful, name: str) -> Fault:
 def _with_parameters(problem: Problem[A], spec: Lawful, law: Callable[..., L]) -> L:
     """Return a law with the parameters that a problem gives, and defaults of all others.
 
-    Raises
-    ------
-    ProblemError
-        If a parameter without default is missing, or a value is invalid.
+    ProblemError is raised if a parameter without default is missing, or a value is invalid.
     """
     name = law_name(spec)
     given = spec.law.parameters(name)
@@ -495,10 +474,8 @@ def build_world(problem: Problem[M]) -> World:
 
     Consecutive runs of a sweep share them, unless a key changes on which they depend.
 
-    Raises
-    ------
-    ProblemError
-        If ground, vehicle, law or solids are not valid, or the start lies off the ground.
+    ProblemError is raised if ground, vehicle, law or solids are not valid, or the start lies off
+    the ground.
     """
     spec = problem.spec
     rest = spec.model_dump_json(exclude=OF_THE_MOTION, exclude_unset=True, serialize_as_any=True)
@@ -526,11 +503,8 @@ def build_law(
 ) -> Any:
     """Return the inputs that the driving law of a problem computes from state and time.
 
-    Raises
-    ------
-    ProblemError
-        If ``path`` and ``file`` do not fit the name of the law, the file cannot be read, or the law
-        cannot drive the vehicle along the path.
+    ProblemError is raised if ``path`` and ``file`` do not fit the name of the law, the file cannot
+    be read, or the law cannot drive the vehicle along the path.
     """
     with at(problem, ("driver",)):
         if driver.name == "straight":
@@ -547,10 +521,8 @@ def build_law(
 def build_climbing(problem: Problem[Any], world: World) -> tuple[Dae, Any]:
     """Return the model of a step climber with its controller, and the inputs of this model.
 
-    Raises
-    ------
-    ProblemError
-        If the vehicle is not a step climber, or a number of the controller is out of range.
+    ProblemError is raised if the vehicle is not a step climber, or a number of the controller is
+    out of range.
     """
     driver = problem.spec.driver
     with at(problem, ("driver", "control")):
@@ -579,12 +551,8 @@ def level_section(world: World) -> Profile | None:
 def path_points(problem: Problem[S], driver: DriverTable) -> Array:
     """Return the points of the path that a driving law follows, shape (n, 2) [m].
 
-    Raises
-    ------
-    ModelError
-        If neither or both of ``path`` and ``file`` are given.
-    DataError
-        If the file cannot be read or has no columns x and y.
+    ModelError is raised if neither or both of ``path`` and ``file`` are given; DataError if the
+    file cannot be read or has no columns x and y.
     """
     if (driver.path is None) == (driver.file is None):
         raise ModelError(

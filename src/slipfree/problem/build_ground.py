@@ -87,11 +87,9 @@ def build_ground(problem: Problem[S]) -> GroundMap:
     metres, scale, cut to the window (if there is no file), smooth, add the random elevation error
     (``error``), and fill the hollows that a wheel cannot touch (``rolled``).
 
-    Raises
-    ------
-    ProblemError
-        If a file cannot be read, its heights cannot be metres and ``vertical_scale`` is missing,
-        the ground is too large, or a key of the table is not valid or does not apply.
+    ProblemError is raised if a file cannot be read, its heights cannot be metres and
+    ``vertical_scale`` is missing, the ground is too large, or a key of the table is not valid or
+    does not apply.
     """
     spec = problem.spec.terrain
     _check_keys(problem)
@@ -204,18 +202,15 @@ def _check_size(width: float, length: float, spacing: float, remedy: str) -> Non
 def read_source(problem: Problem[Any]) -> tuple[Map, tuple[MapCoordinate, ...]]:
     """Return the map of a problem before scaling, and the coordinates of its file.
 
+    ProblemError is raised if the map cannot be read, or if its heights cannot be metres and
+    ``vertical_scale`` is missing.
+
     Returns
     -------
     found : Map
         Ground before scaling.
     coordinates : tuple of MapCoordinate
         As in `Ground`.
-
-    Raises
-    ------
-    ProblemError
-        If the map cannot be read, or if its heights cannot be metres and ``vertical_scale`` is
-        missing.
     """
     found, _ = _source(problem)
     return found, _map_coordinates(found, *_scales(problem.spec.terrain))
@@ -331,12 +326,9 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
 
     The reference system is that of the map file, which is read only if a place is in degrees.
 
-    Raises
-    ------
-    ProblemError
-        If a place has only one of longitude and latitude, or also x or y; if a longitude or
-        latitude is a range or exceeds 360 or 90 degrees; if the place is outside the domain of the
-        map's projection; or if the map cannot be read or has no reference system.
+    ProblemError is raised if a place has only one of longitude and latitude, or also x or y; if a
+    longitude or latitude is a range or exceeds 360 or 90 degrees; if the place is outside the
+    domain of the map's projection; or if the map cannot be read or has no reference system.
     """
     spec = problem.spec
     if not isinstance(spec, TerrainKeys):
@@ -377,10 +369,7 @@ def _in_metres(
 ) -> dict[str, Any]:
     """Return the values of a place with x and y instead of longitude and latitude.
 
-    Raises
-    ------
-    ModelError
-        If the place cannot be converted; see `convert_places`.
+    ModelError is raised if the place cannot be converted; see `convert_places`.
     """
     if {"x", "y"} & {*values} or not {*DEGREES} <= {*values}:
         given = [name for name in ("x", "y", *DEGREES) if name in values]
@@ -415,10 +404,7 @@ def _in_metres(
 def _degrees(value: float | tuple[float, float], name: str) -> float:
     """Return a longitude or latitude in degrees, from a number or a range with equal ends.
 
-    Raises
-    ------
-    ModelError
-        If the ends of the range differ, or the value is out of range.
+    ModelError is raised if the ends of the range differ, or the value is out of range.
     """
     low, high = value if isinstance(value, tuple) else (value, value)
     number, last = (degrees(v) if isinstance(v, AngleWithUnit) else v for v in (low, high))

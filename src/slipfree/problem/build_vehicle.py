@@ -165,6 +165,10 @@ class VehicleFile(NamedTuple):
 def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
     """Return the vehicle of a problem.
 
+    VehicleError is raised if its file does not contain a valid vehicle; DataError if its file
+    cannot be read, is not a vehicle file, or is xacro that is not trusted; ModelError if a keyword
+    of the catalogue is not allowed, or a joint has no free coordinate to actuate.
+
     Parameters
     ----------
     spec : Vehicle
@@ -172,15 +176,6 @@ def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
     problem : Problem
         The problem: the folder to which file names are relative, and the xacro files that the
         command line trusts; of a result, its stored vehicle.
-
-    Raises
-    ------
-    VehicleError
-        If its file does not contain a valid vehicle.
-    DataError
-        If its file cannot be read, is not a vehicle file, or is xacro that is not trusted.
-    ModelError
-        If a keyword of the catalogue is not allowed, or a joint has no free coordinate to actuate.
     """
     if spec.file is not None:
         return actuated(vehicle_file(spec.file, problem).vehicle, *spec.actuated)
@@ -245,10 +240,7 @@ def guessed_completion(path: Path, folder: Path, trust: Sequence[Path] = ()) -> 
 
     ``trust`` are xacro files that may be expanded.
 
-    Raises
-    ------
-    DataError
-        If the file is not a URDF, or its vehicle is invalid.
+    DataError is raised if the file is not a URDF, or its vehicle is invalid.
     """
     if not is_description(path):
         raise DataError(

@@ -195,10 +195,7 @@ def _meshes(robot: Robot | None) -> dict[str, str]:
 def read_stored(file: Path, text: str | None, problem: Problem[Any]) -> StoredInputs:
     """Return the stored inputs in an attribute of the result ``file``, with its problem.
 
-    Raises
-    ------
-    DataError
-        If the attribute is missing although the problem names files, or is damaged.
+    DataError is raised if the attribute is missing although the problem names files, or is damaged.
     """
     names, vehicle = input_names(problem.spec, DRAWN), _file(problem)
     if text is None and not names and vehicle is None:

@@ -44,6 +44,9 @@ def validated_problem(
 ) -> Problem[Any]:
     """Return the problem in the text of a TOML file.
 
+    ProblemError is raised if the text is not TOML, a setting has no valid form, or values do not
+    fit the schema; all errors of values, sorted by line.
+
     Parameters
     ----------
     schema_of : callable
@@ -52,12 +55,6 @@ def validated_problem(
         Path and text of the file.
     settings, varied : sequence of str
         Settings of the options ``--set`` and ``--vary``.
-
-    Raises
-    ------
-    ProblemError
-        If the text is not TOML, a setting has no valid form, or values do not fit the schema; all
-        errors of values, sorted by line.
     """
     data = _copy(_parsed(path, text))
     places = replace_values(data, settings)
@@ -140,10 +137,8 @@ def verb_of(problem: Problem[Runnable]) -> MotionVerb:
 def check_option(problem: Problem[Any], option: str) -> None:
     """Check that the verb of a problem supports an option of ``slipfree run``.
 
-    Raises
-    ------
-    ProblemError
-        If the verb does not support the option; the message names the verbs that do.
+    ProblemError is raised if the verb does not support the option; the message names the verbs that
+    do.
     """
     if option in verb_of(problem).options:
         return
@@ -195,6 +190,8 @@ def load_variants(
 ) -> Iterator[Problem[Any]]:
     """Yield the variants of the problem in a TOML file, which is read once.
 
+    ProblemError is raised as in `load_problem`.
+
     Parameters
     ----------
     path : str or Path
@@ -203,11 +200,6 @@ def load_variants(
         Settings of all variants; see `load_problem`.
     variants : iterable of sequence of str
         Further settings of each variant, from the option ``--vary``.
-
-    Raises
-    ------
-    ProblemError
-        As in `load_problem`.
     """
     text = read_text(Path(path))
     for varied in variants:
@@ -245,10 +237,7 @@ def _from_text(
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:
     """Return the verb of a problem, by default the first of ``verbs``.
 
-    Raises
-    ------
-    ProblemError
-        If the verb is unknown, or if another command solves it.
+    ProblemError is raised if the verb is unknown, or if another command solves it.
     """
     if "verb" not in data:
         return verbs[0]

@@ -145,6 +145,12 @@ def plan_front(
     minimised. Other costs of the problem are omitted; its limits, bounds and weight of smoothness
     remain. The longest duration is that of the problem.
 
+    ProblemError is raised if the problem cannot be built, is not a planning problem, or has no
+    weight of the slip; DataError if the second objective is unknown; ModelError if fewer than two
+    points are requested; SolverError if the plan of the problem, the plan of least slip or that of
+    least second objective is not solved; KeyboardInterrupt if ``report`` raises it before the first
+    point.
+
     Parameters
     ----------
     problem : Problem
@@ -163,20 +169,6 @@ def plan_front(
     keep : callable, optional
         Called with the number of a point (from 0) and the point, for each solution of a point that
         is better than earlier ones.
-
-    Raises
-    ------
-    ProblemError
-        If the problem cannot be built, is not a planning problem, or has no weight of the slip.
-    DataError
-        If the second objective is unknown.
-    ModelError
-        If fewer than two points are requested.
-    SolverError
-        If the plan of the problem, the plan of least slip or that of least second objective is not
-        solved.
-    KeyboardInterrupt
-        If ``report`` raises it before the first point.
     """
     check_count(count)
     unit = _checked(problem, against)
@@ -200,12 +192,8 @@ def plan_front(
 def _checked(problem: Problem[Any], against: str) -> str:
     """Return the unit of the second objective, after a check of problem and objective.
 
-    Raises
-    ------
-    ProblemError
-        If the problem is not a planning problem or has no weight of the slip.
-    DataError
-        If the second objective is unknown.
+    ProblemError is raised if the problem is not a planning problem or has no weight of the slip;
+    DataError if the second objective is unknown.
     """
     spec = problem.spec
     if not isinstance(spec, PlanKeys):
@@ -298,12 +286,8 @@ def _solve_one(
 ) -> FrontPoint:
     """Return one of the points that a front needs before its own points.
 
-    Raises
-    ------
-    SolverError
-        If it is needed and not solved.
-    KeyboardInterrupt
-        If the search was interrupted.
+    SolverError is raised if it is needed and not solved; KeyboardInterrupt if the search was
+    interrupted.
     """
     task = _task(problem, against, settings, FrontTask(0, np.nan, start or FrontPoint(np.nan)))
     _, point = _solve_point(task, _named(name, report))

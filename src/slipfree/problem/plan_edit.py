@@ -84,10 +84,7 @@ class Places(NamedTuple):
 def places_in(problem: Problem[PlanKeys]) -> Places:
     """Return the places of a problem, whose regions get new identities.
 
-    Raises
-    ------
-    ProblemError
-        If a keep-out region is neither a disc nor a polygon.
+    ProblemError is raised if a keep-out region is neither a disc nor a polygon.
     """
     spec, goal = problem.spec, None
     start = (*(float(spec.start.get(name, 0.0)) for name in ("x", "y", "heading")),)
@@ -111,10 +108,7 @@ def places_in(problem: Problem[PlanKeys]) -> Places:
 def way_points_in(problem: Problem[PlanKeys]) -> tuple[tuple[str, float, float], ...]:
     """Return name, x and y of the way-points that have both, the middles of ranges [m].
 
-    Raises
-    ------
-    ProblemError
-        If a fraction of the duration is missing or not valid.
+    ProblemError is raised if a fraction of the duration is missing or not valid.
     """
     return tuple(
         (f"way-point at {part:g}", sum(wanted["x"]) / 2, sum(wanted["y"]) / 2)
@@ -126,10 +120,8 @@ def way_points_in(problem: Problem[PlanKeys]) -> tuple[tuple[str, float, float],
 def places_from(data: object) -> Places:
     """Return the places in a JSON object of the page.
 
-    Raises
-    ------
-    DataError
-        If the object does not have the form of `Places` or contains numbers that are not finite.
+    DataError is raised if the object does not have the form of `Places` or contains numbers that
+    are not finite.
     """
     try:
         if not isinstance(data, Mapping):
@@ -179,6 +171,8 @@ def edited_text(text: str, old: Places, new: Places) -> str:
     Values that have not changed keep their text; others keep their unit. A range of the goal is
     moved as a whole.
 
+    DataError is raised if the text has a form that cannot be edited.
+
     Parameters
     ----------
     text : str
@@ -188,11 +182,6 @@ def edited_text(text: str, old: Places, new: Places) -> str:
     new : Places
         Places in the result. Its new regions follow the others in the file; see
         `in_order_of_file`.
-
-    Raises
-    ------
-    DataError
-        If the text has a form that cannot be edited.
     """
     sections = _sections(text)
     if old.start != new.start:
@@ -395,11 +384,8 @@ class Document(NamedTuple):
 def read_document(path: Path, trusted: frozenset[str] = frozenset()) -> Document:
     """Return the document in a file; ``trusted`` is that of its problem.
 
-    Raises
-    ------
-    DataError
-        If the file cannot be read, is not a valid problem, has another verb than ``"plan"``, or has
-        solids.
+    DataError is raised if the file cannot be read, is not a valid problem, has another verb than
+    ``"plan"``, or has solids.
     """
     raw = read_raw(path)
     problem: Problem[Any] = load_again(path, decode_text(path, raw), (), trusted)
@@ -419,10 +405,7 @@ def read_document(path: Path, trusted: frozenset[str] = frozenset()) -> Document
 def is_current(document: Document) -> bool:
     """Return whether the file still has the contents of the document, or is missing.
 
-    Raises
-    ------
-    DataError
-        If the file cannot be read.
+    DataError is raised if the file cannot be read.
     """
     return not os.path.lexists(document.path) or read_raw(document.path) == document.raw
 

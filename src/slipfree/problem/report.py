@@ -43,17 +43,14 @@ class _ReportFigures(NamedTuple):
 def report(file: Path, folder: Path | None = None) -> Report:
     """Return the report of a result file.
 
+    DataError is raised if the file cannot be read, or input files of its problem are missing.
+
     Parameters
     ----------
     file : Path
         A result file.
     folder : Path, optional
         Folder of the input files of its problem; see `open_result`.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, or input files of its problem are missing.
     """
     result = open_result(file, folder, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)

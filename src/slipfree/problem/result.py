@@ -231,18 +231,15 @@ def facts_of(run: Trajectory) -> Mapping[str, Fact]:
 def shown(file: Path, name: str, folder: Path | None = None) -> Any:
     """Return the motion in a result file with ground and vehicle, as input of the viewer.
 
+    DataError is raised if the file cannot be read or contains no problem, or if input files of its
+    problem are missing or have changed.
+
     Parameters
     ----------
     file, folder : Path
         As for `open_result`.
     name : str
         Name of the motion in the viewer.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read or contains no problem, or if input files of its problem are
-        missing or have changed.
     """
     result = open_result(file, folder)
     return verb_of(result.problem).shown(result, name)
@@ -289,6 +286,9 @@ def problem_of(
 ) -> Problem[Any]:
     """Return the problem stored in a result.
 
+    DataError is raised if the result contains no problem, or input files of the problem are
+    missing; ProblemError if the problem is not valid in this version.
+
     Parameters
     ----------
     file, folder : Path
@@ -297,13 +297,6 @@ def problem_of(
         The motion in the file.
     changes : sequence of str
         Further settings, such as ``"terrain.friction=0.4"``.
-
-    Raises
-    ------
-    DataError
-        If the result contains no problem, or input files of the problem are missing.
-    ProblemError
-        If the problem is not valid in this version.
     """
     text = run.attributes.get("problem")
     if text is None:
@@ -344,10 +337,7 @@ def _folder(
     ``recorded`` is the folder in the result file; ``folder``, if given, is the only one tried.
     ``digests`` are the SHA-256 of the files with which the result was computed.
 
-    Raises
-    ------
-    DataError
-        If no folder contains them all, or files have changed.
+    DataError is raised if no folder contains them all, or files have changed.
     """
     needed = input_names(spec, DRAWN)
     here, beside = Path.cwd(), file.absolute().parent

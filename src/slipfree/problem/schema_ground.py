@@ -42,10 +42,7 @@ class RegionTable(Record):
 def region_of(table: RegionTable) -> Region:
     """Return the region of a table.
 
-    Raises
-    ------
-    ModelError
-        If the region is neither a disc nor a valid polygon.
+    ModelError is raised if the region is neither a disc nor a valid polygon.
     """
     disc = (table.x, table.y, table.radius)
     if table.points is not None and disc == (None, None, None):

@@ -152,6 +152,9 @@ def soil_of(
 ) -> Soil:
     """Return the soil of a table.
 
+    ModelError is raised if a constant is not valid, or a region is neither a disc nor a valid
+    polygon.
+
     Parameters
     ----------
     name : str
@@ -160,11 +163,6 @@ def soil_of(
         Records of the regions.
     **constants : float
         Constants that replace those of the catalogue.
-
-    Raises
-    ------
-    ModelError
-        If a constant is not valid, or a region is neither a disc nor a valid polygon.
     """
     return replace(known_soil(name), regions=tuple(map(_region, regions)), **constants)
 

@@ -58,6 +58,9 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
     The vehicle of a vehicle file stands on level ground. For an invalid vehicle the description has
     the errors and the facts about its known parts.
 
+    DataError is raised if the problem is invalid, no part of the vehicle can be read, or settings
+    are given for a vehicle file.
+
     Parameters
     ----------
     path : Path
@@ -66,12 +69,6 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
         Values that replace those of a problem file, as ``key=value``.
     trust : sequence of Path
         Xacro files that may be expanded.
-
-    Raises
-    ------
-    DataError
-        If the problem is invalid, no part of the vehicle can be read, or settings are given for a
-        vehicle file.
     """
     try:
         if not is_vehicle_file(path):

@@ -124,21 +124,16 @@ class WheelTest(NamedTuple):
 def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     """Return the curves of a wheel file, and their difference from its measured points.
 
+    ProblemError is raised if the file cannot be read, or values do not fit its schema; DataError if
+    the file of measured points cannot be read; ModelError if the wheel sinks to its axle, or the
+    soil is not valid.
+
     Parameters
     ----------
     path : Path
         The file.
     settings : sequence of str
         Values that replace those of the file, as ``key=value``.
-
-    Raises
-    ------
-    ProblemError
-        If the file cannot be read, or values do not fit its schema.
-    DataError
-        If the file of measured points cannot be read.
-    ModelError
-        If the wheel sinks to its axle, or the soil is not valid.
     """
     spec: Any = _read(path, settings)
     soil = soil_of(**given_values(spec.soil))

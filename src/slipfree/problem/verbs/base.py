@@ -191,6 +191,8 @@ def with_diagnostics(
 ) -> Trajectory:
     """Return a motion with diagnostics; a fact names those that fail, with the error.
 
+    KeyboardInterrupt is raised after Ctrl-C.
+
     Parameters
     ----------
     run : Trajectory
@@ -199,11 +201,6 @@ def with_diagnostics(
         Functions that return a motion with one more diagnostic, by name.
     keep : callable
         Called after Ctrl-C with the motion and the diagnostics so far.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        After Ctrl-C.
     """
     for name, diagnose in diagnostics.items():
         try:
@@ -390,10 +387,7 @@ class MotionVerb(Verb):
     def shown(self, result: Result, name: str) -> Any:
         """Return the motion of a result with ground and vehicle, as input of the viewer.
 
-        Raises
-        ------
-        DataError
-            If ground or vehicle differ from those of the motion.
+        DataError is raised if ground or vehicle differ from those of the motion.
         """
 
     def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:

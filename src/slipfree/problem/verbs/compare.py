@@ -118,19 +118,15 @@ def compare(
 
     After a Ctrl-C held back by `held_interrupt`, the results are those of the finished vehicles.
 
+    ProblemError is raised if the problem cannot be built; SolverError if a motion fails before its
+    first sample.
+
     Parameters
     ----------
     problem : Problem
         The comparison.
     progress : callable
         Called with the name of each vehicle before its computation.
-
-    Raises
-    ------
-    ProblemError
-        If the problem cannot be built.
-    SolverError
-        If a motion fails before its first sample.
     """
     ground, rows = build_ground(problem), []
     terrain = build_terrain(problem, ground)

@@ -77,12 +77,9 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
     The rates are the commanded velocities. If some messages have no velocity, the rates between two
     messages are constant, and each position is reached at the time of its message.
 
-    Raises
-    ------
-    ProblemError
-        If the file is not an MCAP file or cannot be read, if it commands no input, if some messages
-        for a joint lack a velocity and some lack a position, or if the first commanded position of
-        a joint differs from its start.
+    ProblemError is raised if the file is not an MCAP file or cannot be read, if it commands no
+    input, if some messages for a joint lack a velocity and some lack a position, or if the first
+    commanded position of a joint differs from its start.
     """
     spec: MotionKeys = problem.spec
     robot = read_robot(spec.vehicle, problem)
@@ -144,11 +141,8 @@ def _rates(
 ) -> Piecewise:
     """Return the rate of an input over time, from the commands of its joint.
 
-    Raises
-    ------
-    DataError
-        If some messages lack a velocity and some lack a position, or the first position is not that
-        of the start.
+    DataError is raised if some messages lack a velocity and some lack a position, or the first
+    position is not that of the start.
     """
     if np.isfinite(given.velocities).all():
         rates = given.velocities / actuator.slope

@@ -180,10 +180,7 @@ class DriveVerb(MotionVerb):
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, as input of the viewer.
 
-        Raises
-        ------
-        DataError
-            If ground or vehicle differ from those of the motion.
+        DataError is raised if ground or vehicle differ from those of the motion.
         """
         from slipfree.show.drive_scene import Driven
 

@@ -184,12 +184,8 @@ class Fitted(NamedTuple):
 def fit(problem: Problem[Fit]) -> Fitted:
     """Return the result of a fit.
 
-    Raises
-    ------
-    ProblemError
-        If the vehicle, the law, an unknown or the log is not valid.
-    ModelError
-        If the log has too few windows, or the model has no motion at its rates.
+    ProblemError is raised if the vehicle, the law, an unknown or the log is not valid; ModelError
+    if the log has too few windows, or the model has no motion at its rates.
     """
     spec = problem.spec
     with at(problem, ("vehicle",)):
@@ -247,10 +243,8 @@ def _read_windows(
 
     The ``radii`` of the driven wheels, by the names of their rates, are for a check of units [m].
 
-    Raises
-    ------
-    ProblemError
-        If the log cannot be read, lacks a column, or has times or headings in other units.
+    ProblemError is raised if the log cannot be read, lacks a column, or has times or headings in
+    other units.
     """
     data = problem.spec.data
     measured = [name for name in names if name not in passive]

@@ -310,10 +310,8 @@ def _given_rates(
     For a path the rates are zeros. Their names are those of commands if the steering angle is
     unknown and the vehicle cannot roll without slip, else those of the rates to impose.
 
-    Raises
-    ------
-    ProblemError
-        If names, number or kinds of the rates are not valid, or the key ``exact`` does not apply.
+    ProblemError is raised if names, number or kinds of the rates are not valid, or the key
+    ``exact`` does not apply.
     """
     if points is None and are_commands(spec.given or ()):
         return read_commands(problem, spec)
@@ -380,11 +378,8 @@ def _points(problem: Problem[S], spec: Inverse) -> tuple[Array | None, tuple[str
 
     Way-points are t, x, y, heading [s, m, m, rad], shape (4, n), with headings from the y axis.
 
-    Raises
-    ------
-    ProblemError
-        If the file cannot be read or has headings of another frame or in degrees, or times or
-        headings are not valid.
+    ProblemError is raised if the file cannot be read or has headings of another frame or in
+    degrees, or times or headings are not valid.
     """
     path = spec.path
     if path is None:

@@ -17,11 +17,11 @@ from slipfree.files.toml.source import Fault, format_value, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Angles, Column, Piecewise, Record, TimeFunction, bare_words
 from slipfree.models.given_rates import COMMANDS
-from slipfree.problem.build_common import samples
+from slipfree.problem.build import samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import FILE, VERB, MotionKeys, TerrainKeys, Time
-from slipfree.problem.unit_checks import check_time_unit
+from slipfree.problem.units import check_time_unit
 from slipfree.vehicle.formula import evaluate
 
 
@@ -102,12 +102,9 @@ def are_commands(given: Collection[str]) -> bool:
 def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], str]:
     """Return the commands of a problem by the names of `COMMANDS`, and their description.
 
-    Raises
-    ------
-    ProblemError
-        If the name of the file is not a text, the file cannot be read or is not valid, a name is
-        unknown, occurs twice or is of another frame, a formula is not a finite function of t, or
-        the key ``steering`` does not fit commands.
+    ProblemError is raised if the name of the file is not a text, the file cannot be read or is not
+    valid, a name is unknown, occurs twice or is of another frame, a formula is not a finite
+    function of t, or the key ``steering`` does not fit commands.
     """
     given, columns, words = dict(spec.given or {}), dict[str, Any](), []
     if (file := given.pop(FILE, None)) is not None:
@@ -136,11 +133,8 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
 def _read_file(file: Path, duration: float) -> tuple[dict[str, Piecewise], tuple[str, ...]]:
     """Return the commands of a table by name, constant until the next row, and notes on units.
 
-    Raises
-    ------
-    DataError
-        If the file cannot be read, its first line is not valid, or times do not increase from 0 or
-        are probably not in seconds.
+    DataError is raised if the file cannot be read, its first line is not valid, or times do not
+    increase from 0 or are probably not in seconds.
     """
     names = read_names(file, "commands")
     rates = [name for name in names if name != "t"]

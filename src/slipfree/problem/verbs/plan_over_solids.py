@@ -88,13 +88,9 @@ class OverSolids(Setup):
 def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
     """Return the plan of a problem over solids, and the set-up of its simulation.
 
-    Raises
-    ------
-    ProblemError
-        If ground, vehicle or start are not valid, keys are not supported, or the vehicle gets
-        stuck on its path.
-    SolverError
-        If a leg needs more friction than is available, or the solver finds no plan of a leg.
+    ProblemError is raised if ground, vehicle or start are not valid, keys are not supported, or the
+    vehicle gets stuck on its path; SolverError if a leg needs more friction than is available, or
+    the solver finds no plan of a leg.
     """
     spec = problem.spec
     faults = [*_faults(spec)]
@@ -146,12 +142,8 @@ def _faults(spec: PlanKeys) -> Iterator[Fault]:
 def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Profile) -> Planned:
     """Return the plan of a climb.
 
-    Raises
-    ------
-    ModelError
-        If the vehicle gets stuck.
-    SolverError
-        If a leg needs more friction than is available, or the solver finds no plan of a leg.
+    ModelError is raised if the vehicle gets stuck; SolverError if a leg needs more friction than is
+    available, or the solver finds no plan of a leg.
     """
     cost = next(name for name, weight in spec.costs.items() if weight > 0)
     if not isinstance(spec.terrain.friction, float):

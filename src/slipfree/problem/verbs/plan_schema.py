@@ -229,10 +229,7 @@ def places_of(
     An exact point has values for x and y, not ranges. A range is represented by the middle of its
     part on the map. Way-points and goals without x and y are omitted.
 
-    Raises
-    ------
-    ProblemError
-        If x or y of a way-point or of the goal is off the map.
+    ProblemError is raised if x or y of a way-point or of the goal is off the map.
     """
     places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
     exact = {"start"}
@@ -266,11 +263,8 @@ def key_of(place: str) -> str:
 def way_points_of(problem: Problem[S], spec: PlanKeys) -> dict[float, Ranges]:
     """Return the ranges of quantities at the way-points, by fraction of the duration.
 
-    Raises
-    ------
-    ProblemError
-        If the key ``at`` of a way-point is missing, a range, or not between 0 and 1 (exclusive), or
-        if two way-points have the same fraction.
+    ProblemError is raised if the key ``at`` of a way-point is missing, a range, or not between 0
+    and 1 (exclusive), or if two way-points have the same fraction.
     """
     found: dict[float, Ranges] = {}
     for index, each in enumerate(spec.way_points):
@@ -301,11 +295,8 @@ def initial_paths(
 ) -> tuple[Array, ...]:
     """Return the paths of the initial guesses: given paths, or routes over the ground.
 
-    Raises
-    ------
-    ProblemError
-        If the keys of the driver contradict each other, a file cannot be read, the goal has no
-        position, several routes are requested with way-points, or there is no route.
+    ProblemError is raised if the keys of the driver contradict each other, a file cannot be read,
+    the goal has no position, several routes are requested with way-points, or there is no route.
     """
     driver = spec.driver
     if driver is None or driver.name in ("straight", "reeds-shepp"):
@@ -342,12 +333,8 @@ def cusp_goal(
 
     The heading is measured from the y axis. [rad]
 
-    Raises
-    ------
-    ProblemError
-        If the goal has no position.
-    ModelError
-        If way-points have x and y, the speed is negative, or keys of other drivers are given.
+    ProblemError is raised if the goal has no position; ModelError if way-points have x and y, the
+    speed is negative, or keys of other drivers are given.
     """
     _check_goal_place(problem, places)
     if len(places) > 2:
@@ -381,10 +368,7 @@ def _routes(
 ) -> tuple[Array, ...]:
     """Return the points of routes from start to goal; of one route if there are way-points.
 
-    Raises
-    ------
-    ProblemError
-        If there is no route, or several routes are requested with way-points.
+    ProblemError is raised if there is no route, or several routes are requested with way-points.
     """
     with at(problem, ("driver",)):
         if len(places) == 2:
@@ -408,10 +392,7 @@ def _routes(
 def regions(problem: Problem[S], spec: PlanKeys) -> tuple[Region, ...]:
     """Return the keep-out regions of a problem.
 
-    Raises
-    ------
-    ProblemError
-        If a region is neither a disc nor a valid polygon.
+    ProblemError is raised if a region is neither a disc nor a valid polygon.
     """
     found: list[Region] = []
     for index, each in enumerate(spec.keep_out):

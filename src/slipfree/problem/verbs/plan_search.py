@@ -61,17 +61,14 @@ def guess_motion(setup: Planning, start: tuple[Any, Array]) -> Trajectory:
     the goal; ranges of x and y are represented by their middle. If the integrator fails after the
     first sample, the motion ends where the integrator stopped.
 
+    SolverError is raised if the integrator fails before the first sample.
+
     Parameters
     ----------
     setup : Planning
         Set-up of the problem.
     start : tuple of (record, ndarray)
         Inputs of the guess, and times of its samples. [s]
-
-    Raises
-    ------
-    SolverError
-        If the integrator fails before the first sample.
     """
     law, t = start
     try:
@@ -106,6 +103,9 @@ def find_plan(
     wheels that slide, plans with larger creep speeds; each search starts from the previous plan.
     If a search fails, the previous plan is returned.
 
+    ProblemError is raised if start, goal and limits contradict each other, or ``resume`` is a plan
+    of another model; SolverError if the plan cannot be simulated from the start.
+
     Parameters
     ----------
     problem, setup : Problem, Planning
@@ -122,13 +122,6 @@ def find_plan(
         Distance of each tightened bound from the given one, in the unit of the quantity.
     keep : callable, optional
         As for `plan`.
-
-    Raises
-    ------
-    ProblemError
-        If start, goal and limits contradict each other, or ``resume`` is a plan of another model.
-    SolverError
-        If the plan cannot be simulated from the start.
     """
     spec, found, saved = problem.spec, None, resume
     for dae in (*([] if resume else _smoothed_models(problem, setup)), setup.dae):
@@ -215,6 +208,9 @@ def best_start(
 
     The plan is None if no start is solved.
 
+    SlipfreeError is raised if a process dies, or no start can be simulated; KeyboardInterrupt if
+    ``report`` raises it before a start is solved.
+
     Parameters
     ----------
     problem, setup : Problem, Planning
@@ -222,13 +218,6 @@ def best_start(
     report : callable or None
         Called several times per second with the phase and a line; may raise KeyboardInterrupt,
         after which the plans found so far are returned if there are any.
-
-    Raises
-    ------
-    SlipfreeError
-        If a process dies, or no start can be simulated.
-    KeyboardInterrupt
-        If ``report`` raises it before a start is solved.
     """
     count = max(problem.spec.plan.starts, len(setup.starts))
     with at(problem, ("plan",)):
@@ -242,10 +231,7 @@ def _solve_starts(
 ) -> tuple[list[StartResult], bool]:
     """Return the plans of all starts, the best first, and whether Ctrl-C ended the search.
 
-    Raises
-    ------
-    ModelError
-        If no start can be simulated.
+    ModelError is raised if no start can be simulated.
     """
     found: list[StartResult] = []
     is_interrupted = False

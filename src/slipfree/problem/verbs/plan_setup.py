@@ -162,6 +162,9 @@ def long_plan(
 ) -> LongPlan:
     """Return the plan of a problem along a route, planned in windows.
 
+    ProblemError is raised if speed, lengths or limits are not valid, or ``resume`` is a plan of
+    another model; SolverError if no motion along the route can be simulated from the start.
+
     Parameters
     ----------
     problem, setup : Problem, Setup
@@ -174,13 +177,6 @@ def long_plan(
         Plan in windows from which the search continues.
     progress, keep : callable
         As for `plan_windows`.
-
-    Raises
-    ------
-    ProblemError
-        If speed, lengths or limits are not valid, or ``resume`` is a plan of another model.
-    SolverError
-        If no motion along the route can be simulated from the start.
     """
     spec = problem.spec
     window, speed = spec.plan.window or 0.0, spec.driver.speed if spec.driver else 0.0
@@ -251,11 +247,9 @@ class Planning(Setup):
 def build_planning(problem: Problem[PlanKeys]) -> Planning:
     """Return the set-up of a planning problem.
 
-    Raises
-    ------
-    ProblemError
-        If ground, vehicle or start are not valid, names are unknown, the goal cannot be reached,
-        or limits, windows, drawn worlds or initial guess do not suit vehicle and ground.
+    ProblemError is raised if ground, vehicle or start are not valid, names are unknown, the goal
+    cannot be reached, or limits, windows, drawn worlds or initial guess do not suit vehicle and
+    ground.
     """
     spec = problem.spec
     ground = build_ground(problem)
@@ -407,10 +401,7 @@ def _cusp_guess(
 ) -> tuple[Any, Array]:
     """Return the inputs along the shortest path with cusps to the goal, and times of samples [s].
 
-    Raises
-    ------
-    ProblemError
-        If the driver, the goal or the duration do not suit such a path.
+    ProblemError is raised if the driver, the goal or the duration do not suit such a path.
     """
     spec = problem.spec
     with at(problem, ("driver",)):
@@ -442,6 +433,8 @@ def plan_arguments(
 ) -> dict[str, Any]:
     """Return the arguments of `plan` for a problem: goal, costs, limits, way-points and bounds.
 
+    ModelError is raised if a limit has an unknown name.
+
     Parameters
     ----------
     spec : PlanKeys
@@ -452,11 +445,6 @@ def plan_arguments(
         Model, vehicle and ground.
     between : mapping of float to mapping
         Ranges of quantities at the way-points, by fraction of the duration.
-
-    Raises
-    ------
-    ModelError
-        If a limit has an unknown name.
     """
     limits = (
         *limits_of(model[0], spec.limits),
@@ -509,10 +497,7 @@ def _kept_off_holes(spec: PlanKeys, dae: Dae) -> Iterator[Limit]:
 def settled_start(dae: Dae, setup: Planning) -> Trajectory:
     """Return the start of a plan, settled for another model ``dae`` of the vehicle.
 
-    Raises
-    ------
-    ModelError
-        If the vehicle cannot stand there.
+    ModelError is raised if the vehicle cannot stand there.
     """
     return _same_start(dae, setup.start, setup.spec)
 

@@ -94,6 +94,11 @@ def follow_plan(
     from the measured state at every period. The controllers know the plan's ground and vehicle, not
     the changed ones.
 
+    DataError is raised if the file does not contain a plan, input files are missing, or the changed
+    problem cannot be built, for example because the vehicle cannot stand at the start; ModelError
+    if period or window do not suit the plan, or the changed vehicle has other joints or wheels;
+    SolverError if the first window cannot be solved, or a motion fails before its first sample.
+
     Parameters
     ----------
     file : Path
@@ -114,16 +119,6 @@ def follow_plan(
     TrackingTest
         The motions, the replanned one last. After a Ctrl-C held back by `held_interrupt` those
         simulated until then.
-
-    Raises
-    ------
-    DataError
-        If the file does not contain a plan, input files are missing, or the changed problem cannot
-        be built, for example because the vehicle cannot stand at the start.
-    ModelError
-        If period or window do not suit the plan, or the changed vehicle has other joints or wheels.
-    SolverError
-        If the first window cannot be solved, or a motion fails before its first sample.
     """
     run = read(file)
     saved = from_arrays(read_arrays(file), str(file))
