@@ -1,31 +1,23 @@
-"""Loading of problem files: verbs, validation with all errors at once, conversion of places."""
+"""Loading of problem files, and the registry of their verbs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
-
-from pydantic import ValidationError
 
 from slipfree.files.toml.source import (
     Fault,
     ProblemError,
     Source,
     format_value,
-    key_lines,
-    parse_toml,
     problem_error,
     read_text,
-    replace_values,
-    validation_fault,
-    value_errors,
 )
 from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.build_ground import convert_places
-from slipfree.problem.problem import Problem
+from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import CommonKeys, Runnable
 from slipfree.problem.verbs.base import MotionVerb, Verb
 from slipfree.problem.verbs.compare import CompareVerb
@@ -33,72 +25,6 @@ from slipfree.problem.verbs.direct import DirectVerb
 from slipfree.problem.verbs.fit import FitVerb
 from slipfree.problem.verbs.inverse import InverseVerb
 from slipfree.problem.verbs.plan import PlanVerb
-
-
-def validated_problem(
-    schema_of: Callable[[Mapping[str, Any], Source], type[CommonKeys]],
-    path: Path,
-    text: str,
-    settings: Sequence[str],
-    varied: Sequence[str] = (),
-) -> Problem[Any]:
-    """Return the problem in the text of a TOML file.
-
-    ProblemError is raised if the text is not TOML, a setting has no valid form, or values do not
-    fit the schema; all errors of values, sorted by line.
-
-    Parameters
-    ----------
-    schema_of : callable
-        ``schema_of(data, source)`` returns the schema of a file with the given data.
-    path, text : Path and str
-        Path and text of the file.
-    settings, varied : sequence of str
-        Settings of the options ``--set`` and ``--vary``.
-    """
-    data = _copy(_parsed(path, text))
-    places = replace_values(data, settings)
-    varied_places = replace_values(data, varied, "--vary")
-    source = Source(path, text, key_lines(text), places | varied_places, frozenset(varied_places))
-    schema = schema_of(data, source)
-    faults = [*_alternatives(schema, data)]
-    try:
-        spec = schema.model_validate(data)
-    except ValidationError as error:
-        faults += [validation_fault(schema, dict(each)) for each in error.errors(include_url=False)]
-    else:
-        faults += [*value_errors(data), *spec.faults()]
-        if not faults:
-            return Problem(spec, source)
-    raise problem_error(source, faults)
-
-
-@lru_cache(maxsize=1)
-def _parsed(path: Path, text: str) -> dict[str, Any]:
-    """Return the data in a TOML text, cached because all variants of a problem have this text."""
-    return parse_toml(path, text)
-
-
-def _copy(value: Any) -> Any:
-    """Return a copy of parsed TOML."""
-    if isinstance(value, dict):
-        return {key: _copy(each) for key, each in value.items()}
-    return [*map(_copy, value)] if isinstance(value, list) else value
-
-
-def _alternatives(schema: type[CommonKeys], data: dict[str, Any]) -> Iterator[Fault]:
-    """Yield an error for each table that does not have exactly one of its alternative keys."""
-    for place, keys in schema.alternatives.items():
-        table: Any = data
-        for part in place:
-            table = table.get(part)
-        if not isinstance(table, Mapping):
-            continue
-        given = [key for key in keys if key in table]
-        expected = f"exactly one of {', '.join(keys)}"
-        if len(given) != 1:
-            yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")
-
 
 VERBS: tuple[Verb, ...] = (
     DirectVerb(),

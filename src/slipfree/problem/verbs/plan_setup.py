@@ -43,8 +43,7 @@ from slipfree.problem.build import (
     samples,
 )
 from slipfree.problem.build_ground import at, build_ground, convert_places
-from slipfree.problem.load import validated_problem
-from slipfree.problem.problem import Problem
+from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.verbs.plan_schema import (
     GuideTable,
     Place,
