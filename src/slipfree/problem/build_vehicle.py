@@ -39,7 +39,6 @@ from slipfree.files.vehicle_toml import (
     File,
     Inertia,
     Length,
-    Tables,
     VehicleError,
     WheelInertia,
     couple_errors,
@@ -295,12 +294,7 @@ def _draft(path: Path, trusted: frozenset[str]) -> _Read:
 
 def _completion(file: File) -> UrdfTable:
     """Return the table of a vehicle file that completes a URDF."""
-    tables: Tables = {
-        "joints": lambda _: UrdfJointTable,
-        "wheels": lambda _: UrdfWheelTable,
-        "links": lambda _: LinkTable,
-    }
-    table: UrdfTable = validated(UrdfTable, tables, file)
+    table: UrdfTable = validated(UrdfTable, file)
     return table
 
 

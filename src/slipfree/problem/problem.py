@@ -137,7 +137,9 @@ def validated_problem(
     try:
         spec = schema.model_validate(data)
     except ValidationError as error:
-        faults += [validation_fault(schema, dict(each)) for each in error.errors(include_url=False)]
+        faults += [
+            validation_fault(schema, data, dict(each)) for each in error.errors(include_url=False)
+        ]
     else:
         faults += [*value_errors(data), *spec.faults()]
         if not faults:

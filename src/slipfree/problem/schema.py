@@ -7,9 +7,10 @@ Tables of the ground are in `slipfree.problem.schema_ground`, those of one verb 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, Field, ModelWrapValidatorHandler, model_validator
+from pydantic import AfterValidator, Field, ValidationError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from slipfree.control import sensor_noise, step_climbing
 from slipfree.core.trajectory import Frame
@@ -23,7 +24,7 @@ from slipfree.files.toml.types import Record as Record
 from slipfree.laws.registry import SLIP_LAWS
 from slipfree.problem.schema_ground import Synthetic as Synthetic
 from slipfree.problem.schema_ground import TerrainTable as TerrainTable
-from slipfree.problem.schema_law import CATALOG, OWN, read_table
+from slipfree.problem.schema_law import CATALOG, OWN
 from slipfree.problem.schema_law import Law as Law
 from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
 
@@ -61,13 +62,35 @@ class VehicleSource(Record):
         default=(), description="passive joints with an actuator, which moves or holds them"
     )
 
-    @model_validator(mode="wrap")
     @classmethod
-    def _by_source(
-        cls, data: Any, handler: ModelWrapValidatorHandler[VehicleSource]
-    ) -> VehicleSource:
-        """Validate the table of a catalogue vehicle against the arguments of its function."""
-        return cast("VehicleSource", read_table(cls, data, handler))
+    def schema_for(cls, data: Any) -> type[Record]:
+        """Return the record with the keywords of the catalogue's function, if there is one."""
+        if not isinstance(data, dict) or cls._keywords():
+            return cls
+        if ("catalog" in data) == ("file" in data):
+            context = {
+                "words": "exactly one of catalog, file",
+                "found": "catalog and file" if "file" in data else "none",
+            }
+            error = InitErrorDetails(
+                type=PydanticCustomError("expected", "{words}", context),
+                loc=("file",) if "file" in data else (),
+                input=data,
+            )
+            raise ValidationError.from_exception_data(cls.__name__, [error])
+        name = data.get("catalog")
+        known: type[Record] = record_of(CATALOG[name], cls) if name in tuple(CATALOG) else cls
+        return known
+
+    @classmethod
+    def known_keys(cls) -> list[str]:
+        """Return the keys of a vehicle; with keywords, without the file."""
+        own, keywords = [key for key in OWN if key in cls.model_fields], cls._keywords()
+        return [own[0], *keywords, *own[2:]] if keywords else [*cls.model_fields]
+
+    @classmethod
+    def _keywords(cls) -> list[str]:
+        return [key for key in cls.model_fields if key not in OWN]
 
     @property
     def keywords(self) -> dict[str, Any]:

@@ -160,7 +160,8 @@ def _read(path: Path, settings: Sequence[str]) -> Any:
     try:
         spec: Any = schema.model_validate(data)
     except ValidationError as error:
-        faults = [validation_fault(schema, dict(each)) for each in error.errors(include_url=False)]
+        errors = error.errors(include_url=False)
+        faults = [validation_fault(schema, data, dict(each)) for each in errors]
         raise problem_error(source, faults) from error
     faults = [*value_errors(data), *_faults(spec)]
     if faults:

@@ -18,10 +18,12 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    ModelWrapValidatorHandler,
     PlainValidator,
     ValidatorFunctionWrapHandler,
     WrapValidator,
     create_model,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
@@ -41,6 +43,26 @@ class Record(BaseModel):
     """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def schema_for(cls, data: Any) -> type[Record]:  # noqa: ARG003 - for records that depend on it
+        """Return the schema for a table with given contents, by default this one.
+
+        PydanticCustomError or ValidationError is raised if the contents belong to no schema.
+        """
+        return cls
+
+    @classmethod
+    def known_keys(cls) -> list[str]:
+        """Return the keys that messages about unknown keys list."""
+        return [*cls.model_fields]
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _by_contents(cls, data: Any, handler: ModelWrapValidatorHandler[Record]) -> Record:
+        """Validate a table by the schema for its contents."""
+        schema = cls.schema_for(data)
+        return handler(data) if schema is cls else schema.model_validate(data)
 
 
 def expected_error(text: str) -> PydanticCustomError:
