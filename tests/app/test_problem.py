@@ -284,7 +284,7 @@ def test_settings(tmp_path: Path) -> None:
     assert spec.time.duration == 2
     assert (spec.title, spec.frame) == ("a-b", "rep103")
     assert spec.inputs["steer_rate"] == ((0.0, 0.1), (1.0, 0.2))
-    assert spec.vehicle.r1 is None
+    assert "r1" not in spec.vehicle.keywords
     assert spec.solver.tolerance == 1e-6
 
 
