@@ -29,6 +29,7 @@ from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_fa
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.problem import A, Problem, S, shared
 from slipfree.problem.schema import DriverTable, Modelled
+from slipfree.problem.schema_ground import KINDS, OBSTACLES
 from slipfree.problem.schema_law import soil_of
 from slipfree.problem.units import check_units
 from slipfree.problem.verbs.base import Lines
@@ -42,12 +43,8 @@ from slipfree.terrain.solids import (
     Solid,
     Solids,
     flat,
-    kerb,
     placed,
-    ramp,
     section_of,
-    stairs,
-    step,
 )
 from slipfree.vehicle.climber import climber_of
 from slipfree.vehicle.tree import Vehicle
@@ -283,15 +280,6 @@ def wheel_angles_at(run: Trajectory, t: Array) -> Column:
     return Column(turns.label, np.stack(values, axis=1))
 
 
-OBSTACLES: Mapping[str, Callable[..., Profile]] = {
-    "ramp": ramp,
-    "step": step,
-    "kerb": kerb,
-    "stairs": stairs,
-}
-KINDS = (*OBSTACLES, "points")
-
-
 def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
     """Return the obstacles of a ground as prisms that stand on it.
 
@@ -326,7 +314,7 @@ def _profile(name: str, spec: Any) -> Profile:
     """Return the profile of an obstacle of a given kind, with a floor as its first solid."""
     if name == "points":
         return Profile((*flat().solids, Solid(spec)))
-    return OBSTACLES[name](**dict(spec))
+    return OBSTACLES[name][0](**dict(spec))
 
 
 L = TypeVar("L")

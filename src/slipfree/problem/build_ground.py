@@ -297,8 +297,7 @@ def _synthetic(spec: schema.Synthetic) -> Grid:
     _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing, remedy)
     grid = blank(spec.x, spec.y, spec.spacing)
     grid = Grid(grid.x, grid.y, grid.z + spec.base)
-    for feature in spec.features():
-        grid = feature.added(grid)
+    grid = spec.with_features(grid)
     return place_rocks(grid, map(Rock._make, spec.placed_rocks))
 
 

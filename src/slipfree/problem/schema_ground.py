@@ -1,31 +1,32 @@
 """Schema of the ground of a problem: the table ``[terrain]`` and its subtables.
 
-A feature of synthetic grounds is a record with the method `added`, and an entry of `FEATURES`.
+A feature of synthetic grounds is a function with annotated parameters, and an entry of `FEATURES`.
 """
 
 from __future__ import annotations
 
-from math import inf, pi
-from typing import TYPE_CHECKING, Annotated, Literal
+from collections.abc import Callable
+from math import inf
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PlainValidator, create_model
 
 from slipfree.core.errors import ModelError
 from slipfree.files.toml.types import (
-    IN_RADIANS,
     Angle,
     Count,
-    NonNegative,
     Pair,
     Positive,
     Record,
     Rock,
     Window,
     coefficient,
+    record_of,
 )
 from slipfree.geometry.regions import Region
-from slipfree.terrain import synthetic
+from slipfree.terrain import solids, synthetic
 from slipfree.terrain.base import Grid
+from slipfree.terrain.solids import Profile
 
 
 class RegionTable(Record):
@@ -57,139 +58,37 @@ def region_of(table: RegionTable) -> Region:
     )
 
 
-SEED = "seed of the random numbers"
-
-
-class Feature(Record):
-    """A feature of a synthetic ground."""
-
-    def added(self, grid: Grid) -> Grid:
-        """Return a ground with the feature added to its heights."""
-        raise NotImplementedError
-
-
-class Ramp(Feature):
-    """A ramp along y."""
-
-    start: float = Field(description="y at which the ramp begins [m]")
-    end: float = Field(description="y at which the ramp ends [m]")
-    rise: float = Field(description="height behind the ramp [m]")
-    smooth: bool = Field(
-        default=True,
-        description="whether the slope is continuous, at most 15/8 of its mean; otherwise constant",
-    )
-    rounding: NonNegative = Field(
-        default=0.0, description="length of the rounding of each edge of a constant slope [m]"
-    )
-
-    def added(self, grid: Grid) -> Grid:
-        """Return a ground with the feature added."""
-        return synthetic.ramp(grid, **dict(self))
-
-
-class Ridge(Feature):
-    """A Gaussian ridge, with its crest perpendicular to the y axis."""
-
-    middle: float = Field(description="y of the crest [m]")
-    height: float = Field(description="height of the crest; negative for a trench [m]")
-    width: Positive = Field(description="distance from the crest to 1/e of its height [m]")
-
-    def added(self, grid: Grid) -> Grid:
-        """Return a ground with the feature added."""
-        return synthetic.ridge(grid, **dict(self))
-
-
-class PowerLaw(Feature):
-    """Self-affine roughness, whose spectrum is a power of the wave number."""
-
-    rms: Positive = Field(description="root mean square of the added heights [m]")
-    hurst: Annotated[float, Field(gt=0, le=1)] = Field(
-        description="Hurst exponent: 0.5 is jagged, 1 is smooth [1]"
-    )
-    longest: Positive = Field(description="longest wavelength [m]")
-    shortest: Positive = Field(description="shortest wavelength, at least twice the spacing [m]")
-    seed: Count = Field(description=SEED)
-
-    def added(self, grid: Grid) -> Grid:
-        """Return a ground with the feature added."""
-        return synthetic.power_law(grid, **dict(self))
-
-
-class Craters(Feature):
-    """Craters scattered over the ground."""
-
-    count: Count = Field(
-        description="number of craters; a larger number adds craters to those of a smaller number"
-    )
-    diameters: Pair = Field(description="smallest and largest diameter of the rim crests [m]")
-    seed: Count = Field(description=SEED)
-
-    def added(self, grid: Grid) -> Grid:
-        """Return a ground with the feature added."""
-        return synthetic.craters(grid, **dict(self))
-
-
-class Rocks(Feature):
-    """Rocks scattered over the ground."""
-
-    count: Count = Field(
-        description="number of rocks; a larger number adds rocks to those of a smaller number"
-    )
-    diameters: Pair = Field(description="smallest and largest diameter of the rocks [m]")
-    height_ratio: Positive = Field(description="height of a rock divided by its diameter [1]")
-    seed: Count = Field(description=SEED)
-
-    def added(self, grid: Grid) -> Grid:
-        """Return a ground with the feature added."""
-        return synthetic.rocks(grid, **dict(self))
-
-
-FEATURES: dict[str, type[Feature]] = {  # in the order in which they are added
-    "ramp": Ramp,
-    "ridge": Ridge,
-    "power_law": PowerLaw,
-    "craters": Craters,
-    "rocks": Rocks,
+FEATURES: dict[str, Callable[..., Grid]] = {  # in the order in which they are added
+    "ramp": synthetic.ramp,
+    "ridge": synthetic.ridge,
+    "power_law": synthetic.power_law,
+    "craters": synthetic.craters,
+    "rocks": synthetic.rocks,
 }
+OBSTACLES: dict[str, tuple[Callable[..., Profile], str]] = {  # and their descriptions
+    "ramp": (solids.ramp, "a ramp up to a plateau, which begins at x = 0"),
+    "step": (solids.step, "a vertical step at x = 0 up to a plateau"),
+    "kerb": (solids.kerb, "a rectangular block, which begins at x = 0"),
+    "stairs": (solids.stairs, "stairs up to a plateau, which begin at x = 0"),
+}
+KINDS = (*OBSTACLES, "points")
 
 
-class Incline(Record):
-    """A ramp up to a plateau; it begins at x = 0."""
+def _optional(kind: Callable[..., Any], meaning: str) -> Any:
+    """Return the definition of an optional table with the parameters of a function."""
+    record = record_of(kind, omitted=("grid",), meaning=f"{meaning[:1].upper()}{meaning[1:]}.")
+    return record | None, Field(default=None, description=meaning)
 
-    angle: Annotated[float, Field(gt=0, le=pi / 2), IN_RADIANS] = Field(
-        description="angle of the ramp [rad]"
+
+if TYPE_CHECKING:
+    Shapes = Record
+else:
+    Shapes = create_model(
+        "Shapes",
+        __base__=Record,
+        __doc__="Obstacles of which a problem gives one.",
+        **{name: _optional(*entry) for name, entry in OBSTACLES.items()},
     )
-    height: Positive = Field(description="height of the plateau [m]")
-
-
-class Step(Record):
-    """A vertical step at x = 0 up to a plateau."""
-
-    height: Positive = Field(description="height of the plateau [m]")
-
-
-class Kerb(Record):
-    """A rectangular block; it begins at x = 0."""
-
-    height: Positive = Field(description="height of the block [m]")
-    length: Positive = Field(description="length of the block along x [m]")
-
-
-class Stairs(Record):
-    """Stairs up to a plateau; they begin at x = 0."""
-
-    height: Positive = Field(description="height of a step [m]")
-    depth: Positive = Field(description="depth of a step along x [m]")
-    count: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of steps")
-
-
-class Shapes(Record):
-    """Obstacles of which a problem gives one."""
-
-    ramp: Incline | None = Field(default=None, description="a ramp up to a plateau")
-    step: Step | None = Field(default=None, description="a step up to a plateau")
-    kerb: Kerb | None = Field(default=None, description="a block")
-    stairs: Stairs | None = Field(default=None, description="stairs up to a plateau")
 
 
 class Obstacle(Shapes):
@@ -221,16 +120,19 @@ class MadeGround(Record):
         default=(), description="rocks at given positions, added last [m]"
     )
 
-    def features(self) -> list[Feature]:
-        """Return the features to add to the level grid, in order."""
-        found = (getattr(self, name) for name in FEATURES)
-        return [each for each in found if each is not None]
+    def with_features(self, grid: Grid) -> Grid:
+        """Return a grid with the features of the ground added, in order."""
+        for name, add in FEATURES.items():
+            table = getattr(self, name)
+            if table is not None:
+                grid = add(grid, **dict(table))
+        return grid
 
 
-def _description(feature: type[Feature]) -> str:
-    """Return the description of a feature's key: the first line of its docstring."""
-    words = (feature.__doc__ or "").partition("\n")[0].rstrip(".")
-    return words[:1].lower() + words[1:]
+def _description(feature: Callable[..., Grid]) -> str:
+    """Return the noun of "Return the grid with ... added", the docstring of a feature."""
+    summary = (feature.__doc__ or "").partition("\n")[0]
+    return summary.removeprefix("Return the grid with ").replace(" added", "").rstrip(".")
 
 
 if TYPE_CHECKING:
@@ -240,10 +142,7 @@ else:
         "Synthetic",
         __base__=MadeGround,
         __doc__=MadeGround.__doc__,
-        **{
-            name: (feature | None, Field(default=None, description=_description(feature)))
-            for name, feature in FEATURES.items()
-        },
+        **{name: _optional(feature, _description(feature)) for name, feature in FEATURES.items()},
     )
 
 
@@ -259,7 +158,7 @@ class HeightErrors(Record):
 class ElevationError(HeightErrors):
     """A random error of the heights of a map."""
 
-    seed: Count = Field(description=SEED)
+    seed: Count = Field(description="seed of the random numbers")
 
 
 class TerrainTable(Record):

@@ -49,14 +49,15 @@ OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are n
 NamedSoil: Any = record_of(Soil, SoilKeys)
 
 
+REGION = SoilRegionKeys.__doc__ or ""
 SoilRegions: Any = Annotated[
-    tuple[record_of(Soil, SoilRegionKeys, omitted=OF_THE_LAW), ...],  # type: ignore[misc]
+    tuple[record_of(Soil, SoilRegionKeys, omitted=OF_THE_LAW, meaning=REGION), ...],  # type: ignore[misc]
     Field(strict=False),
 ]
 
 
 class SoilTable(NamedSoil):  # type: ignore[misc]
-    """Table ``[law.soil]``: a soil, and regions of other soils."""
+    """Loose soil under rigid wheels, for dynamics and quasi-statics."""
 
     regions: SoilRegions = Field(
         default=(), description="regions of other soils; later ones cover earlier ones"

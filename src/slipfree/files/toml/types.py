@@ -196,12 +196,16 @@ ANGULAR = {  # angles and rates may have a unit; a bare angle of more than a ful
 
 @cache
 def record_of(
-    kind: Callable[..., Any], base: type[Record] = Record, *, omitted: tuple[str, ...] = ()
+    kind: Callable[..., Any],
+    base: type[Record] = Record,
+    *,
+    omitted: tuple[str, ...] = (),
+    meaning: str = "",
 ) -> type[Any]:
     """Return the record of a dataclass or function, with the keys of ``base`` before its own.
 
     Bounds, units and descriptions are those of `slipfree.core.schema.keys_of`; keys whose names are
-    ``omitted`` are left out.
+    ``omitted`` are left out. The docstring is ``meaning``, by default the summary of ``kind``.
     """
     keys: dict[str, Any] = {
         key.name: (
@@ -214,8 +218,10 @@ def record_of(
         for key in keys_of(kind)
         if key.name not in omitted
     }
-    meaning = (kind.__doc__ or "").partition("\n")[0]
-    return create_model(kind.__name__, __base__=base, __doc__=meaning, **keys)
+    meaning = meaning or (kind.__doc__ or "").partition("\n")[0]
+    name = kind.__name__
+    name = name if isinstance(kind, type) else name.title().replace("_", "")
+    return create_model(name, __base__=base, __doc__=meaning, **keys)
 
 
 def _toml_type(key: Key) -> Any:
