@@ -83,7 +83,7 @@ def vehicle(
     with reported():
         from slipfree.problem.build_vehicle import guessed_completion
         from slipfree.problem.inputs import files_named_in
-        from slipfree.problem.vehicle_report import describe
+        from slipfree.problem.report import describe
 
         if write is not None:
             check_outputs([write], [file, *files_named_in(file)])

@@ -320,6 +320,7 @@ def reported(session: Session, message: Message) -> Session:
 
 def state_of(session: Session) -> dict[str, Any]:
     """Return the state of a session as a JSON value for the page."""
+    places = session.document.places
     return {
         "version": session.version,
         "phase": session.phase,
@@ -328,18 +329,13 @@ def state_of(session: Session) -> dict[str, Any]:
         "file_error": session.file_error,
         "page": session.page.identity,
         "revision": session.document.revision,
-        "places": _json_places(session.document.places),
+        "places": places._asdict() | {"regions": [region._asdict() for region in places.regions]},
         "iterates": [_rounded(each) for each in session.iterates],
         "plans": [
             {"path": _rounded(each.path), "complete": each.is_complete, "facts": each.facts}
             for each in session.plans
         ],
     }
-
-
-def _json_places(places: Places) -> dict[str, Any]:
-    regions = [each._asdict() for each in places.regions]
-    return {**places._asdict(), "regions": regions}
 
 
 def _rounded(path: Array) -> list[list[float]]:

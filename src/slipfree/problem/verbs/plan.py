@@ -139,7 +139,7 @@ class PlanVerb(DriveVerb):
             return self._drive_windows(problem, setup, watch, progress, resume)
         if resume is None and spec.plan.starts > 1:
             resume, facts, is_interrupted = best_start(problem, setup, watch.line)
-            progress = _stopped if is_interrupted else progress
+            progress = (lambda *_: False) if is_interrupted else progress
         with at(problem, ("driver" if spec.driver else "inputs",)):
             guesses = [] if resume else [guess_motion(setup, start) for start in setup.starts]
         length = resume.motion.duration if resume else float(guesses[0].t[-1])
@@ -546,10 +546,6 @@ def _torque_need(setup: Planning, guess: Trajectory) -> str:
         f"{guess['x'][k]:.2f} m, y = {guess['y'][k]:.2f} m), limits.drive_torque allows {most:.3g} "
         "N m"
     )
-
-
-def _stopped(_words: str, _iterate: Iterate) -> bool:
-    return False
 
 
 def poses_of_plan(

@@ -278,10 +278,10 @@ def solve_start(task: tuple[PlanSource, int]) -> StartResult:
             if number - len(setup.starts) >= len(further):
                 return StartResult(number, None, None, "a perturbed guess cannot be simulated")
             name, guess = further[number - len(setup.starts)]
-        found = find_plan(problem, setup, [guess], None, _going_on, float(first.t[-1]))
+        found = find_plan(problem, setup, [guess], None, lambda *_: True, float(first.t[-1]))
     except SlipfreeError as error:
         return StartResult(number, None, None, str(error))
-    return _start_result(number, name, found)
+    return StartResult(number, found.optima[0]._replace(start=name), found.saved)
 
 
 def _start_name(setup: Planning, number: int) -> str:
@@ -291,15 +291,6 @@ def _start_name(setup: Planning, number: int) -> str:
     """
     name = setup.spec.driver.name if setup.spec.driver else "inputs"
     return name if len(setup.starts) == 1 else f"{name} {number + 1}"
-
-
-def _going_on(_words: str, _iterate: Iterate) -> bool:
-    return True
-
-
-def _start_result(number: int, name: str, found: Plan) -> StartResult:
-    """Return the result of a start: its local optimum, with the name of the start, and its plan."""
-    return StartResult(number, found.optima[0]._replace(start=name), found.saved)
 
 
 def starts_facts(results: Sequence[StartResult]) -> dict[str, Fact]:

@@ -136,7 +136,9 @@ def follow_plan(
     setup = build_planning(planned)
     duration = saved.motion.duration
     found = find_plan(planned, setup, [], saved, lambda *_: True, duration)
-    world = _world(real)
+    changed = build_world(real)
+    start = build_start(real, changed.dae)
+    world = ChangedWorld(changed.vehicle, changed.terrain, changed.dae, start)
     window = duration / WINDOWS_PER_PLAN if window is None else window
     period = window / CYCLES_PER_WINDOW if period is None else period
     frame = horizon(found, span=window)
@@ -161,12 +163,6 @@ def follow_plan(
         if not interrupt_requested():
             raise
     return TrackingTest(found.replay, (*others, Followed("replanned", tracked.run, cycles)))
-
-
-def _world(problem: Problem[Any]) -> ChangedWorld:
-    """Return the changed world, with the model of its problem."""
-    found = build_world(problem)
-    return ChangedWorld(found.vehicle, found.terrain, found.dae, build_start(problem, found.dae))
 
 
 def _with_forces(found: Plan, problem: Problem[Any], world: ChangedWorld) -> Iterator[Followed]:
