@@ -52,6 +52,16 @@ from slipfree.vehicle.tree import Vehicle
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth
 TIME_TOLERANCE = 1e-9  # relative difference of times that count as equal
 EVEN = 1e-6  # smaller relative differences of periods count as zero
+LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
+    "kinematics": SLIP_LAWS,
+    "quasi-static": GROUND_LAWS,
+    "dynamics": CONTACT_LAWS,
+}  # laws of each model; the first is the default
+MAKERS = {"soil": soil_of}  # functions that make a law from a table with further keys
+OF_THE_MOTION = {"title", "start", "inputs", "driver", "time", "solver", "output"}
+ORIGIN = ("x", "y")  # states at the start that the ground depends on
+L = TypeVar("L")
+M = TypeVar("M", bound=Modelled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,15 +327,6 @@ def _profile(name: str, spec: Any) -> Profile:
     return OBSTACLES[name][0](**dict(spec))
 
 
-L = TypeVar("L")
-LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
-    "kinematics": SLIP_LAWS,
-    "quasi-static": GROUND_LAWS,
-    "dynamics": CONTACT_LAWS,
-}  # laws of each model; the first is the default
-MAKERS = {"soil": soil_of}  # functions that make a law from a table with further keys
-
-
 class Lawful(Protocol):
     """Problem with a choice of model and law."""
 
@@ -426,11 +427,6 @@ def _with_parameters(problem: Problem[A], spec: Lawful, law: Callable[..., L]) -
             raise problem_error(problem.source, [Fault(("law", name, key), "a value", "none")])
     with at(problem, ("law", name)):
         return law(**given)
-
-
-M = TypeVar("M", bound=Modelled)
-OF_THE_MOTION = {"title", "start", "inputs", "driver", "time", "solver", "output"}
-ORIGIN = ("x", "y")  # states at the start that the ground depends on
 
 
 class World(NamedTuple):

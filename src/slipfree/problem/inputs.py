@@ -37,6 +37,7 @@ URDF = (".urdf", ".xacro", ".xml")
 FILE_NAME = re.compile(
     r"""filename\s*=\s*["'](?:package://[^/"']*/|file://|[^"']*[)}]/)?([^"']+)"""
 )
+STORED = "stored_inputs"  # attribute of a result file
 
 
 def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
@@ -111,9 +112,6 @@ def _named_urdf(folder: Path, name: str) -> list[str]:
         if isinstance(urdf, str):
             return [str(Path(name).parent / urdf)]
     return []
-
-
-STORED = "stored_inputs"  # attribute of a result file
 
 
 class StoredVehicle(BaseModel):

@@ -38,6 +38,7 @@ USUAL = (DURATION, "effort", ENERGY)  # second objectives of every planning prob
 SHORTEST = 0.01  # lower bound of the least duration, relative to the largest duration
 LineCallback = Callable[[str, str], None]
 SettingTexts = tuple[str, ...]
+MISSING = "-"  # number of a point that is not solved
 
 
 class FrontPlan(NamedTuple):
@@ -442,9 +443,6 @@ class _PointSolver:
             self._kept[number] = point
             if self._keep is not None:
                 self._keep(number, point)
-
-
-MISSING = "-"  # number of a point that is not solved
 
 
 def front_facts(front: PlanFront) -> Lines:

@@ -40,6 +40,7 @@ MAX_IDENTITY = 50  # largest number of characters of the identity of a region
 LINE = re.compile(r"[^\n]*\n|[^\n]+")
 HEADER = re.compile(r"\s*\[[^,#]*\]\s*(#|$)")  # of a table; not a corner of a polygon
 Point = tuple[float, float]
+PLACES = ("start", "goal", "keep_out")  # keys that the page changes
 
 
 class EditedRegion(NamedTuple):
@@ -344,9 +345,6 @@ def _assign(table: Any, key: str | int, value: float | Sequence[Any]) -> None:
             _assign(old, k, element)
     else:
         table[key] = [[round(x, DIGITS), round(y, DIGITS)] for x, y in value]
-
-
-PLACES = ("start", "goal", "keep_out")  # keys that the page changes
 
 
 class Document(NamedTuple):

@@ -27,6 +27,10 @@ from slipfree.system.processes import for_children, prepare_process
 
 INTERVAL = 0.08  # shortest time between two reported iterates [s]
 SAMPLES = 400  # largest number of points of a reported path
+SHOWN = 12  # number of iterates drawn
+KEPT = 2  # number of plans to compare
+WATCH = 0.5  # interval between checks of the file for changes by other programs [s]
+IDLE, PLANNING = "idle", "planning"
 
 
 class PlanRequest(NamedTuple):
@@ -218,12 +222,6 @@ def _plan_of(result: Any, seconds: float) -> FoundPlan:
     chosen = np.unique(np.linspace(0, run.t.size - 1, SAMPLES).round().astype(int))
     path = np.stack([run["x"], run["y"]], axis=1)[chosen]
     return FoundPlan(path, not result.outcome.exit_code, tuple(facts), dict(result.arrays))
-
-
-SHOWN = 12  # number of iterates drawn
-KEPT = 2  # number of plans to compare
-WATCH = 0.5  # interval between checks of the file for changes by other programs [s]
-IDLE, PLANNING = "idle", "planning"
 
 
 class Session(NamedTuple):

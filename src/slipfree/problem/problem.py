@@ -28,6 +28,8 @@ T = TypeVar("T")
 Shared = dict[str, tuple[Hashable, Any]]
 
 _SHARED: ContextVar[tuple[Shared, str] | None] = ContextVar("_SHARED", default=None)
+S = TypeVar("S", bound=TerrainKeys)
+A = TypeVar("A", bound=CommonKeys)
 
 
 @contextmanager
@@ -70,10 +72,6 @@ def shared(kind: str, key: Hashable, make: Callable[[], T]) -> T:
         kept[kind] = key, make()
     found: T = kept[kind][1]
     return found
-
-
-S = TypeVar("S", bound=TerrainKeys)
-A = TypeVar("A", bound=CommonKeys)
 
 
 @dataclass(frozen=True)

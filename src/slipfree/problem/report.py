@@ -49,6 +49,8 @@ ELSEWHERE = (  # attributes reported in other sections
     STORED,
     MAP_TRANSFORM,
 )
+MIN_SHARE = 0.3  # smallest named entry of a singular vector, relative to the largest
+MAX_TREE_DEPTH = 40  # largest printed depth of the tree of parts
 
 
 class _ReportFigures(NamedTuple):
@@ -153,11 +155,6 @@ def _drawn(result: Result, count: int) -> _ReportFigures:
         return _ReportFigures(figures, note if shown < count else "")
     except ProblemError as error:
         return _ReportFigures((), f"No figures: {error}")
-
-
-MIN_SHARE = 0.3  # smallest named entry of a singular vector, relative to the largest
-
-MAX_TREE_DEPTH = 40  # largest printed depth of the tree of parts
 
 
 class Description(NamedTuple):

@@ -47,6 +47,7 @@ SLIP = "slip law, for model = 'kinematics': 'least' (least slip) or 'rolling' (w
 LAW = "parameters of the law of the model, in a table with the name of the law"
 FILE = "file"  # key of [inputs] and [given] that names a file
 INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
+STEP_CLIMBING = "step-climbing"
 
 
 class VehicleSource(Record):
@@ -229,8 +230,6 @@ class Modelled(MotionKeys):
     slip: SlipName = Field(default="least", description=SLIP)
     law: Law = Field(default=Law.model_construct(), description=LAW)
 
-
-STEP_CLIMBING = "step-climbing"
 
 if TYPE_CHECKING:
     Noise = Record

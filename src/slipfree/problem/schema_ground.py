@@ -28,6 +28,21 @@ from slipfree.terrain import solids, synthetic
 from slipfree.terrain.base import Grid
 from slipfree.terrain.solids import Profile
 
+FEATURES: dict[str, Callable[..., Grid]] = {  # in the order in which they are added
+    "ramp": synthetic.ramp,
+    "ridge": synthetic.ridge,
+    "power_law": synthetic.power_law,
+    "craters": synthetic.craters,
+    "rocks": synthetic.rocks,
+}
+OBSTACLES: dict[str, tuple[Callable[..., Profile], str]] = {  # and their descriptions
+    "ramp": (solids.ramp, "a ramp up to a plateau, which begins at x = 0"),
+    "step": (solids.step, "a vertical step at x = 0 up to a plateau"),
+    "kerb": (solids.kerb, "a rectangular block, which begins at x = 0"),
+    "stairs": (solids.stairs, "stairs up to a plateau, which begin at x = 0"),
+}
+KINDS = (*OBSTACLES, "points")
+
 
 class RegionTable(Record):
     """A region of the ground: a disc or a polygon."""
@@ -56,22 +71,6 @@ def region_of(table: RegionTable) -> Region:
         "expected either 'x', 'y' and 'radius' (a disc), or 'points' (a polygon), found "
         f"{', '.join(given) or 'none'}; add the missing keys or remove the others"
     )
-
-
-FEATURES: dict[str, Callable[..., Grid]] = {  # in the order in which they are added
-    "ramp": synthetic.ramp,
-    "ridge": synthetic.ridge,
-    "power_law": synthetic.power_law,
-    "craters": synthetic.craters,
-    "rocks": synthetic.rocks,
-}
-OBSTACLES: dict[str, tuple[Callable[..., Profile], str]] = {  # and their descriptions
-    "ramp": (solids.ramp, "a ramp up to a plateau, which begins at x = 0"),
-    "step": (solids.step, "a vertical step at x = 0 up to a plateau"),
-    "kerb": (solids.kerb, "a rectangular block, which begins at x = 0"),
-    "stairs": (solids.stairs, "stairs up to a plateau, which begin at x = 0"),
-}
-KINDS = (*OBSTACLES, "points")
 
 
 def _optional(kind: Callable[..., Any], meaning: str) -> Any:

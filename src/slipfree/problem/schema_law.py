@@ -27,6 +27,7 @@ OWN = ("catalog", "file", "actuated", "name")  # keys that are not keywords of t
 
 
 DEFAULT = next(iter(SOILS))
+OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are not of its soil
 
 
 class SoilKeys(Record):
@@ -45,7 +46,6 @@ class SoilRegionKeys(SoilKeys, RegionTable):
     )
 
 
-OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are not of its soil
 NamedSoil: Any = record_of(Soil, SoilKeys)
 
 

@@ -17,21 +17,6 @@ from slipfree.problem import schema
 from slipfree.problem.schema import CommonKeys
 
 UNIT = re.compile(r"\[([^\],]+)\]$")  # a single unit at the end of a description
-
-
-def unit_of(spec: CommonKeys, key: str) -> str:
-    """Return the unit of a dotted key of a problem, such as ``m/s``; empty without a unit."""
-    table: Any = spec
-    words = ""
-    for part in key_path(key):
-        if not isinstance(table, dict):
-            field = getattr(type(table), "model_fields", {}).get(part)
-            words = (field.description or "") if field else ""
-        table = table.get(part) if isinstance(table, dict) else getattr(table, part, None)
-    found = UNIT.search(words)
-    return found[1] if found else ""
-
-
 BARE = ("start", "goal", "limits")  # tables with angles
 MAX_INTERVAL = 10.0  # largest median time between samples of a log [s]
 MAX_INTERVALS = 10.0  # largest median time between rows of a table [duration of the motion]
@@ -45,6 +30,19 @@ RATIOS = {  # motion relative to the travel of the wheels if units are not named
     "positions in mm, as in 'x [mm]'": 1e3,
 }
 TABLES = (*BARE, "inputs", "bounds")
+
+
+def unit_of(spec: CommonKeys, key: str) -> str:
+    """Return the unit of a dotted key of a problem, such as ``m/s``; empty without a unit."""
+    table: Any = spec
+    words = ""
+    for part in key_path(key):
+        if not isinstance(table, dict):
+            field = getattr(type(table), "model_fields", {}).get(part)
+            words = (field.description or "") if field else ""
+        table = table.get(part) if isinstance(table, dict) else getattr(table, part, None)
+    found = UNIT.search(words)
+    return found[1] if found else ""
 
 
 def check_units(spec: schema.TerrainKeys, dae: Dae) -> Iterator[Fault]:

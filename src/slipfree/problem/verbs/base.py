@@ -33,6 +33,11 @@ if TYPE_CHECKING:
 
 
 Lines = list[tuple[str, str]]
+VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
+FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagnostics
+CROSS_CHECK, RESUME = "cross-check", "resume"  # options of slipfree run
+P = TypeVar("P", bound=CommonKeys, default=Any)  # record of a problem
+D = TypeVar("D", default=Any)  # its set-up, or None
 
 
 def ranges(run: Trajectory) -> Lines:
@@ -89,11 +94,6 @@ def integrator_fact(run: Trajectory) -> tuple[str, str]:
     )
 
 
-VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
-FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagnostics
-CROSS_CHECK, RESUME = "cross-check", "resume"  # options of slipfree run
-
-
 class VerbSetup(Protocol):
     """Common attributes of the set-ups of all verbs: start, sample times and facts."""
 
@@ -131,10 +131,6 @@ class Watch(NamedTuple):
     line: Callable[[str, str], None] | None = None
     path: Callable[[Array], None] | None = None
     keep: Callable[[VerbSolution], None] = lambda _: None
-
-
-P = TypeVar("P", bound=CommonKeys, default=Any)  # record of a problem
-D = TypeVar("D", default=Any)  # its set-up, or None
 
 
 class VerbSolution(NamedTuple):

@@ -46,6 +46,7 @@ EXTREMES = Extremes(
     ),
     gained=("work", "potential_energy", "lost_energy"),
 )
+NOT_ANGLES = ("_rate", "_stop", "_torque")  # ends of the names of other quantities of tilting parts
 
 
 def drive_facts(run: Trajectory) -> dict[str, Fact]:
@@ -89,9 +90,6 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
     }
     facts["not_converged"] = Fact({name: count for name, count in unknown.items() if count})
     return facts
-
-
-NOT_ANGLES = ("_rate", "_stop", "_torque")  # ends of the names of other quantities of tilting parts
 
 
 def _placed(run: Trajectory, name: str) -> Fact:

@@ -80,6 +80,11 @@ CHECKS = (
     "replay stopped early",
     "collocation",
 )  # facts about accuracy and validity
+KNOWN = (*VELOCITY, *OMEGA, *EULER)
+COLUMNS = ("t", "x", "y", "heading")
+MIN_POINTS = 6  # smallest number of way-points, for a spline of degree five
+MIN_SAMPLES = 4  # smallest number of samples between jumps of the given rates, for a replay
+GUESS_SPEED = 0.1  # speed of the initial guess if the velocity is not given [m/s]
 
 
 def is_collocated(run: Trajectory) -> bool:
@@ -189,13 +194,6 @@ def replay_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
         yield "replay by the direct model", f"differs by at most {listed}"
     if "stopped_replay" in run.facts:
         yield "replay stopped early", run.facts["stopped_replay"].value
-
-
-KNOWN = (*VELOCITY, *OMEGA, *EULER)
-COLUMNS = ("t", "x", "y", "heading")
-MIN_POINTS = 6  # smallest number of way-points, for a spline of degree five
-MIN_SAMPLES = 4  # smallest number of samples between jumps of the given rates, for a replay
-GUESS_SPEED = 0.1  # speed of the initial guess if the velocity is not given [m/s]
 
 
 class InverseVerb(DriveVerb):

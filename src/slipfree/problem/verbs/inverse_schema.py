@@ -24,6 +24,8 @@ from slipfree.problem.schema import FILE, VERB, MotionKeys, TerrainKeys, Time
 from slipfree.problem.units import check_time_unit
 from slipfree.vehicle.formula import evaluate
 
+ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
+
 
 class PathTable(Record):
     """Timed path: positions and headings of the platform's centre, as arrays or from a file."""
@@ -85,9 +87,6 @@ class Inverse(MotionKeys):
                 expected = f"an array of {len(times)} numbers, one for each time in 't'"
                 found = "none" if column is None else f"an array of {len(column)}"
                 yield Fault(place, expected, found)
-
-
-ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
 
 
 def are_commands(given: Collection[str]) -> bool:

@@ -51,6 +51,8 @@ SIMULATED = {  # further simulations of a plan, by the prefix of their facts
     ),
     "stiff": ("with wheels ten times stiffer", "ends {end_distance:.3g} m from the plan"),
 }
+MILLIMETRES = re.compile("slip_per_path|sinkage_")  # numbers that a summary shows in mm
+MAX_LISTED = 4  # largest number of bounds in a line of the summary
 
 
 def facts_of(found: Plan | LongPlan, setup: Planning) -> dict[str, Fact]:
@@ -167,9 +169,6 @@ def plan_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
             yield name, words
 
 
-MILLIMETRES = re.compile("slip_per_path|sinkage_")  # numbers that a summary shows in mm
-
-
 def _turn_words(row: Mapping[str, Any]) -> str:
     turns = row["turns"]
     count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
@@ -237,9 +236,6 @@ def _starts_lines(facts: Facts) -> Iterator[tuple[str, str]]:
             f"s, path up to {row['distance']:.2g} m from the best one; {row['seconds']:.2g} s of "
             "search",
         )
-
-
-MAX_LISTED = 4  # largest number of bounds in a line of the summary
 
 
 def _robust_lines(facts: Facts) -> Iterator[tuple[str, str]]:

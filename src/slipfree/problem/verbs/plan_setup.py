@@ -65,6 +65,10 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 
 OVERLAP = 1 / 3  # default overlap, relative to the window
+SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]
+HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
+HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of plan.accuracy
+RUNS = count()
 
 
 def check_windows(
@@ -199,12 +203,6 @@ def long_plan(
             **search_arguments(spec),
             **options,
         )
-
-
-SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]
-HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
-HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of plan.accuracy
-RUNS = count()
 
 
 @dataclass(frozen=True, eq=False)
