@@ -442,11 +442,11 @@ def _has_crlf(raw: bytes) -> bool:
     return 0 < raw.count(b"\n") == raw.count(b"\r\n")
 
 
-def _check_edit(document: Document, text: str, found: Places, wanted: Places) -> None:
+def _check_edit(document: Document, text: str, places: Places, wanted: Places) -> None:
     """Raise DataError unless a text has the wanted places and all other values of a document."""
     old, new = tomllib.loads(decode_text(document.path, document.raw)), tomllib.loads(text)
     others = [{key: data[key] for key in data.keys() - {*PLACES}} for data in (old, new)]
-    if others[0] == others[1] and _is_close(_shape(found), _shape(wanted)):
+    if others[0] == others[1] and _is_close(_shape(places), _shape(wanted)):
         return
     raise DataError(
         f"{document.path}: expected tables of start, goal and keep-out regions that can be edited, "

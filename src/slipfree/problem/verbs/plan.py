@@ -251,17 +251,17 @@ class PlanVerb(DriveVerb):
 
 
 def _described(
-    setup: Planning, found: Plan | LongPlan, run: Trajectory, facts: Facts
+    setup: Planning, plan: Plan | LongPlan, run: Trajectory, facts: Facts
 ) -> tuple[Trajectory, Mapping[str, Array]]:
     """Return the simulation of a plan with its facts, and the plan as arrays.
 
     If the plan is not accurate, the motion gets a stop that says so.
     """
-    if run.stop is None and not found.accurate:
-        run = replace(run, stop=_inaccurate(setup.spec, found))
-    arrays = convergence_arrays([stage.convergence for stage in found.stages])
-    run = run.with_facts({**facts_of(found, setup), **facts})
-    return run, found.saved.arrays | arrays
+    if run.stop is None and not plan.accurate:
+        run = replace(run, stop=_inaccurate(setup.spec, plan))
+    arrays = convergence_arrays([stage.convergence for stage in plan.stages])
+    run = run.with_facts({**facts_of(plan, setup), **facts})
+    return run, plan.saved.arrays | arrays
 
 
 def _lines_as_arrays(name: str, lines: Sequence[Array]) -> dict[str, Array]:
@@ -302,12 +302,12 @@ def figure_options(result: Result) -> dict[str, Any]:
     }
 
 
-def _inaccurate(spec: plan_schema.PlanKeys, found: Plan | LongPlan) -> Stop:
+def _inaccurate(spec: plan_schema.PlanKeys, plan: Plan | LongPlan) -> Stop:
     """Return the stop of a solved plan whose simulation misses the required accuracy."""
-    sizes = found.difference | found.violation
+    sizes = plan.difference | plan.violation
     parts = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
-    worst = missed_words(parts, found.units) or "a narrow limit"
-    last = found.stages[-1]
+    worst = missed_words(parts, plan.units) or "a narrow limit"
+    last = plan.stages[-1]
     advice = "raise plan.intervals or plan.accuracy"
     further = f"its mesh was not refined any further; {advice}"
     if last.words.endswith("intervals"):
@@ -321,7 +321,7 @@ def _inaccurate(spec: plan_schema.PlanKeys, found: Plan | LongPlan) -> Stop:
         f"{spec.plan.accuracy:g}: {why}"
     )
     outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
-    return Stop(PLAN_ACCURACY, float(found.replay.t[-1]), words, outcome)
+    return Stop(PLAN_ACCURACY, float(plan.replay.t[-1]), words, outcome)
 
 
 def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate], bool]:
@@ -363,7 +363,7 @@ def _path_of(iterate: Iterate, setup: Planning) -> Array:
 
 def _simulated(
     prefix: str,
-    found: Plan | LongPlan,
+    plan: Plan | LongPlan,
     drive: Callable[[], Trajectory],
     more: Callable[[Trajectory], dict[str, Fact]] = lambda _: {},
 ) -> dict[str, Fact]:
@@ -378,19 +378,19 @@ def _simulated(
         return {f"{prefix}_failure": Fact(f"not simulated: {error}")}
     if run.stop is not None:
         return {f"{prefix}_failure": Fact(outcome_words(run))}
-    apart = float(np.hypot(*(run[name][-1] - found.replay[name][-1] for name in "xy")))
+    apart = float(np.hypot(*(run[name][-1] - plan.replay[name][-1] for name in "xy")))
     facts = {"end_distance": Fact(apart, "m"), **more(run)}
     return {f"{prefix}_{name}": fact for name, fact in facts.items()}
 
 
-def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, Fact]:
+def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
     """Return the facts of the quasi-static motion under the plan's inputs.
 
     There are none without mass, friction or exact contact, for plans with forces, and for plans
     that are not solved.
     """
     able = has_exact_closure(setup.vehicle) and setup.vehicle.mass and setup.terrain.has_friction
-    if not (found.success and able and setup.spec.model == "kinematics"):
+    if not (plan.success and able and setup.spec.model == "kinematics"):
         return {}
     options = setup.spec.solver.options
     options = replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
@@ -398,7 +398,7 @@ def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, Fact]:
     def drive() -> Trajectory:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
         start = settle(model, options=options, **_start_values(setup))
-        return simulate_plan(model, start, found.motion, step=setup.spec.time.step, options=options)
+        return simulate_plan(model, start, plan.motion, step=setup.spec.time.step, options=options)
 
     def slip(run: Trajectory) -> dict[str, Fact]:
         slip = np.hypot(run["slip_along"], run["slip_across"])
@@ -408,7 +408,7 @@ def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, Fact]:
             "utilisation_largest": Fact(float(run["utilisation"].max()), "1"),
         }
 
-    return _simulated("friction", found, drive, slip)
+    return _simulated("friction", plan, drive, slip)
 
 
 def _start_values(setup: Planning) -> dict[str, Any]:
@@ -417,14 +417,14 @@ def _start_values(setup: Planning) -> dict[str, Any]:
 
 
 def _by_stiffness(
-    problem: Problem[plan_schema.PlanKeys], setup: Planning, found: Plan
+    problem: Problem[plan_schema.PlanKeys], setup: Planning, plan: Plan
 ) -> dict[str, Fact]:
     """Return the facts of the motion with stiffer wheels under the plan's inputs.
 
     There are none for a vehicle with exact contact, a plan with inertia, and a plan that is not
     solved.
     """
-    if has_exact_closure(setup.vehicle) or not found.success or setup.spec.model == "dynamics":
+    if has_exact_closure(setup.vehicle) or not plan.success or setup.spec.model == "dynamics":
         return {}
     wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
     stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(problem, problem.spec)
@@ -433,13 +433,13 @@ def _by_stiffness(
 
     def drive() -> Trajectory:
         start = settled_start(model, setup)
-        return simulate_plan(model, start, found.motion, step=step, options=options)
+        return simulate_plan(model, start, plan.motion, step=step, options=options)
 
-    return _simulated("stiff", found, drive)
+    return _simulated("stiff", plan, drive)
 
 
 def _in_soil(
-    problem: Problem[plan_schema.PlanKeys], setup: Planning, found: Plan
+    problem: Problem[plan_schema.PlanKeys], setup: Planning, plan: Plan
 ) -> dict[str, Fact]:
     """Return the facts of the motion in soil with inertia under the plan's inputs.
 
@@ -447,20 +447,20 @@ def _in_soil(
     plans, and for plans that are not solved.
     """
     law = model_law(problem, problem.spec)
-    if not (found.success and setup.spec.model == "quasi-static" and isinstance(law, Soil)):
+    if not (plan.success and setup.spec.model == "quasi-static" and isinstance(law, Soil)):
         return {}
     step, options = setup.spec.time.step, setup.spec.solver.options
 
     def drive() -> Trajectory:
         model: Dae = dynamics(setup.vehicle, setup.terrain, law=law)
-        values = _start_values(setup) | {SPEED: initial_speed(found.replay)}
+        values = _start_values(setup) | {SPEED: initial_speed(plan.replay)}
         start = settle(model, options=options, **values)
-        return simulate_plan(model, start, found.motion, step=step, options=options)
+        return simulate_plan(model, start, plan.motion, step=step, options=options)
 
     def compared(run: Trajectory) -> dict[str, Fact]:
         return {
             f"{name}{which}": fact
-            for motion, which, depth in ((run, "", "depth"), (found.replay, "_plan", "sinkage"))
+            for motion, which, depth in ((run, "", "depth"), (plan.replay, "_plan", "sinkage"))
             for name, fact in {
                 "slip_ratio_largest": Fact(float(motion["slip_ratio"].max()), "1"),
                 "sinkage_largest": Fact(float(motion[depth].max()), "m"),
@@ -468,27 +468,27 @@ def _in_soil(
             }.items()
         }
 
-    return _simulated("soil", found, drive, compared)
+    return _simulated("soil", plan, drive, compared)
 
 
-def _momentum(setup: Planning, found: Plan) -> dict[str, Fact]:
+def _momentum(setup: Planning, plan: Plan) -> dict[str, Fact]:
     """Return the facts of a plan with inertia, and of slow driving along the same path.
 
     There are none for other plans.
     """
     if setup.spec.model != "dynamics":
         return {}
-    facts = {"momentum_distance": Fact(max(found.difference[name] for name in "xyz"), "m")}
-    for name, run in (("_plan", found.run), ("", found.replay)):
+    facts = {"momentum_distance": Fact(max(plan.difference[name] for name in "xyz"), "m")}
+    for name, run in (("_plan", plan.run), ("", plan.replay)):
         least = run["force_normal"].min(axis=0)
         wheel = run.wheels[int(least.argmin())]
         facts[f"momentum_force_normal{name}"] = Fact(float(least.min()), "N", wheel)
-    return facts | (_slowly(setup, found) if found.success else {})
+    return facts | (_slowly(setup, plan) if plan.success else {})
 
 
-def _slowly(setup: Planning, found: Plan) -> dict[str, Fact]:
+def _slowly(setup: Planning, plan: Plan) -> dict[str, Fact]:
     """Return the torques that the path of a plan needs without inertia."""
-    run = found.run
+    run = plan.run
     try:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
         start = settled_start(model, setup)
@@ -522,9 +522,9 @@ def initial_speed(run: Trajectory) -> float:
     return float(level * np.cos(pitch) + run["velocity_z"][0] * np.sin(pitch))
 
 
-def with_offer(setup: Planning, found: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
+def with_offer(setup: Planning, plan: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
     """Return the stop of a plan; after a failed slow plan, it suggests a plan with momentum."""
-    stop, spec = found.run.stop, setup.spec
+    stop, spec = plan.run.stop, setup.spec
     slow = spec.model == "quasi-static" or FORCE_LIMITS & {*spec.limits}
     if stop is None or not slow or stop.outcome not in (Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE):
         return stop

@@ -256,16 +256,16 @@ def drawn_terrain(setup: Planning, draw: Draw, robust: Robust) -> Bicubic:
     return Bicubic(grid, setup.terrain.origin[:2], mu)
 
 
-def drawn_motion(found: PolynomialMotion, draw: Draw, deviation: float) -> PolynomialMotion:
+def drawn_motion(motion: PolynomialMotion, draw: Draw, deviation: float) -> PolynomialMotion:
     """Return a plan with each input multiplied by a random gain of mean 1.
 
     ``deviation`` is the standard deviation of the gains.
     """
-    where = found.layout.inputs
+    where = motion.layout.inputs
     errors = np.random.default_rng(_seed(draw, 2)).standard_normal(where.shape[1])
-    unknowns = found.unknowns.copy()
+    unknowns = motion.unknowns.copy()
     unknowns[where] *= 1 + deviation * errors
-    return found._replace(unknowns=unknowns)
+    return motion._replace(unknowns=unknowns)
 
 
 def _seed(draw: Draw, part: int) -> int:
@@ -273,22 +273,22 @@ def _seed(draw: Draw, part: int) -> int:
     return int(np.random.SeedSequence((*draw, part)).generate_state(1)[0])
 
 
-def robust_facts(found: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
+def robust_facts(result: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
     """Return shares, tightening, violations and costs of a robust plan."""
-    after, (low, high) = found.after, found.after.interval
+    after, (low, high) = result.after, result.after.interval
     interval = f"{CONFIDENCE:.0%} confidence interval"
     half, most = after.distances(0.5, 0.95)
     facts = {
         "": Fact(after.share, "1"),
-        "_first": Fact(found.before.share, "1"),
+        "_first": Fact(result.before.share, "1"),
         "_draws": Fact(after.draws, "1"),
-        "_rounds": Fact(found.rounds, "1"),
+        "_rounds": Fact(result.rounds, "1"),
         "_low": Fact(low, "1", interval),
         "_high": Fact(high, "1", interval),
         "_distance": Fact(half, "m"),
         "_distance_95": Fact(most, "m"),
     }
-    sizes = sorted(found.tightening.items(), key=lambda item: -item[1])
+    sizes = sorted(result.tightening.items(), key=lambda item: -item[1])
     tightened = [
         {"bound": str(bound), "size": size, "unit": _unit(first, bound)} for bound, size in sizes
     ]
@@ -297,25 +297,25 @@ def robust_facts(found: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
         **{f"plan_share{name}": fact for name, fact in facts.items()},
         "plan_tightened": Fact(tightened),
         "plan_violated": Fact(violated),
-        "plan_total_cost": Fact(found.plan.solution.cost),
+        "plan_total_cost": Fact(result.plan.solution.cost),
         "plan_untightened_total": Fact(first.solution.cost),
         **{f"plan_untightened_{name}": Fact(cost) for name, cost in first.costs.items()},
-        **({"plan_tightening_failure": Fact(found.failure)} if found.failure else {}),
+        **({"plan_tightening_failure": Fact(result.failure)} if result.failure else {}),
     }
 
 
-def _unit(found: Plan, bound: Bound) -> str:
-    unit = found.units.get(bound.name, "1")
+def _unit(plan: Plan, bound: Bound) -> str:
+    unit = plan.units.get(bound.name, "1")
     return "" if unit == "1" else f" {unit}"
 
 
-def _stop(found: RobustPlan[Plan], robust: Robust) -> Stop | None:
+def _stop(result: RobustPlan[Plan], robust: Robust) -> Stop | None:
     """Return the stop of a plan that holds in too few drawn worlds, otherwise None."""
-    after = found.after
+    after = result.after
     if after.share >= robust.share:
         return None
     bound, count = next(iter(after.violated.items()))
-    tighter = f"; tighter limits are not solved: {found.failure}" if found.failure else ""
+    tighter = f"; tighter limits are not solved: {result.failure}" if result.failure else ""
     words = (
         f"the plan holds in {after.held} of {after.draws} drawn worlds, expected at "
         f"least {100 * robust.share:.3g} %; violated most often: {bound} in {count}{tighter}; "

@@ -154,11 +154,11 @@ def find_plan(
     return now
 
 
-def _keep_smoothed(keep: Callable[[Plan], None], found: Plan) -> None:
+def _keep_smoothed(keep: Callable[[Plan], None], plan: Plan) -> None:
     """Keep a plan of one of the first searches; its stop says that it is not the final one."""
     words = "the search was interrupted; this plan has a smoother load law or a larger creep speed"
-    stop = Stop(PLAN, float(found.replay.t[-1]), words, Outcome.INTERRUPTED)
-    keep(replace(found, replay=replace(found.replay, stop=stop)))
+    stop = Stop(PLAN, float(plan.replay.t[-1]), words, Outcome.INTERRUPTED)
+    keep(replace(plan, replay=replace(plan.replay, stop=stop)))
 
 
 def _smoothed_models(problem: Problem[PlanKeys], setup: Planning) -> list[Dae]:

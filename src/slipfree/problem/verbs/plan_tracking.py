@@ -165,22 +165,22 @@ def follow_plan(
     return TrackingTest(found.replay, (*others, Followed("replanned", tracked.run, cycles)))
 
 
-def _with_forces(found: Plan, problem: Problem[Any], world: ChangedWorld) -> Iterator[Followed]:
+def _with_forces(plan: Plan, problem: Problem[Any], world: ChangedWorld) -> Iterator[Followed]:
     """Yield the motions under the plan's inputs with quasi-statics and with dynamics.
 
     With dynamics the vehicle starts at the plan's speed along its forward axis.
     """
     if problem.spec.model != "quasi-static":
-        yield _with_model("quasi-static", quasi_statics, found, problem, world)
-    law, speed = model_law(problem, problem.spec), initial_speed(found.replay)
+        yield _with_model("quasi-static", quasi_statics, plan, problem, world)
+    law, speed = model_law(problem, problem.spec), initial_speed(plan.replay)
     model = partial(dynamics, law=law) if isinstance(law, Soil) else dynamics
-    yield _with_model("dynamics", model, found, problem, world, speed=speed)
+    yield _with_model("dynamics", model, plan, problem, world, speed=speed)
 
 
 def _with_model(
     name: str,
     model: Callable[[Vehicle, Bicubic], Dae],
-    found: Plan,
+    plan: Plan,
     problem: Problem[Any],
     world: ChangedWorld,
     speed: float | None = None,
@@ -200,7 +200,7 @@ def _with_model(
         _check_inputs(dae, world.dae)
         start = settle(dae, options=options, **values)
         step = problem.spec.time.step
-        run = simulate_plan(dae, start, found.motion, step=step, options=options)
+        run = simulate_plan(dae, start, plan.motion, step=step, options=options)
     except (ModelError, SolverError) as error:
         return Followed(name, None, f"not simulated: {error}")
     return Followed(name, run, "inputs of the plan")
@@ -217,16 +217,16 @@ def _check_inputs(dae: Dae, planned: Dae) -> None:
 
 
 def _followed(
-    found: Plan,
+    plan: Plan,
     world: ChangedWorld,
     step: float,
     options: SolverOptions,
 ) -> Followed:
     """Return the motion of the driving law along the plan's path at its mean speed."""
-    run, name = found.replay, "follow"
+    run, name = plan.replay, "follow"
     points = np.column_stack([run["x"], run["y"]])
     points = np.concatenate([points[:-1:PATH_SPACING], points[-1:]])
-    duration = found.motion.duration
+    duration = plan.motion.duration
     times = np.append(np.arange(0.0, duration - 0.5 * step, step), duration)
     try:
         path = GroundPath(points)
