@@ -94,15 +94,15 @@ def build_ground(problem: Problem[S]) -> GroundMap:
     spec = problem.spec.terrain
     _check_keys(problem)
     horizontal, vertical = _scales(spec)
-    found, source = _source(problem)
-    grid = scaled(found.grid, horizontal, vertical)
+    ground_map, source = _source(problem)
+    grid = scaled(ground_map.grid, horizontal, vertical)
     if spec.window is not None and spec.file is None:
         with at(problem, ("terrain", "window")):
             grid = cut(grid, spec.window)
     grid, changes = _changed(problem, grid)
-    coordinates = _map_coordinates(found, horizontal, vertical)
-    facts = [*found.facts, *changes, *_map_facts(found.crs, coordinates)]
-    mu, friction = _friction(problem, found)
+    coordinates = _map_coordinates(ground_map, horizontal, vertical)
+    facts = [*ground_map.facts, *changes, *_map_facts(ground_map.crs, coordinates)]
+    mu, friction = _friction(problem, ground_map)
     if spec.rolled is None:
         return GroundMap(grid, source + _scale_words(spec), None, mu, friction, facts, coordinates)
     with at(problem, ("terrain", "rolled")):
@@ -163,12 +163,14 @@ def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Lines]:
     return grid, facts
 
 
-def _map_coordinates(found: Map, horizontal: float, vertical: float) -> tuple[MapCoordinate, ...]:
+def _map_coordinates(
+    ground_map: Map, horizontal: float, vertical: float
+) -> tuple[MapCoordinate, ...]:
     """Return x, y and z of a map file as functions of those of motions; empty if all are equal."""
-    x0, kx, y0, ky = found.frame
-    if found.frame == Frame() and (horizontal, vertical) == (1, 1):
+    x0, kx, y0, ky = ground_map.frame
+    if ground_map.frame == Frame() and (horizontal, vertical) == (1, 1):
         return ()
-    x, y = ("longitude", "latitude") if found.geographic else ("x", "y")
+    x, y = ("longitude", "latitude") if ground_map.geographic else ("x", "y")
     return (
         MapCoordinate(x, x0, kx / horizontal, "x"),
         MapCoordinate(y, y0, ky / horizontal, "y"),
@@ -207,13 +209,13 @@ def read_source(problem: Problem[Any]) -> tuple[Map, tuple[MapCoordinate, ...]]:
 
     Returns
     -------
-    found : Map
+    ground_map : Map
         Ground before scaling.
     coordinates : tuple of MapCoordinate
-        As in `Ground`.
+        As in `GroundMap`.
     """
-    found, _ = _source(problem)
-    return found, _map_coordinates(found, *_scales(problem.spec.terrain))
+    ground_map, _ = _source(problem)
+    return ground_map, _map_coordinates(ground_map, *_scales(problem.spec.terrain))
 
 
 def _source(problem: Problem[S]) -> tuple[Map, str]:
@@ -238,10 +240,10 @@ def _read(problem: Problem[S]) -> tuple[Map, str]:
         if "vertical_scale" in spec.model_fields_set:
             options["vertical_scale"] = spec.vertical_scale
         with at(problem, ("terrain", "file")):
-            found = read_map(problem.folder / spec.file, window=window, **options)
+            ground_map = read_map(problem.folder / spec.file, window=window, **options)
             if "vertical_scale" not in spec.model_fields_set:
-                _check_heights(found, spec.scale)
-        return found, spec.file
+                _check_heights(ground_map, spec.scale)
+        return ground_map, spec.file
     if spec.synthetic is not None:
         with at(problem, ("terrain", "synthetic")):
             return Map(_synthetic(spec.synthetic)), "synthetic"
@@ -249,10 +251,10 @@ def _read(problem: Problem[S]) -> tuple[Map, str]:
         return Map(jacksboro()), "Jacksboro fault (sample of matplotlib)"
 
 
-def _check_heights(found: Map, scale: float) -> None:
+def _check_heights(ground_map: Map, scale: float) -> None:
     """Raise ModelError if heights are gray levels, or exceed those on the earth in metres."""
-    low, high = found.grid.values.min(), found.grid.values.max()
-    if found.gray:
+    low, high = ground_map.grid.values.min(), ground_map.grid.values.max()
+    if ground_map.gray:
         raise ModelError(
             "expected vertical_scale, the metres per gray level of a picture, found none; "
             "set it to the difference between the highest and the lowest height in metres divided "
@@ -280,13 +282,13 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
     if ground.geographic:
         options["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):
-        found = read_map(problem.folder / name, **options)
-        check_friction(found.grid)  # before scaling: the message has coordinates of the file
+        friction_map = read_map(problem.folder / name, **options)
+        check_friction(friction_map.grid)  # before scaling: the message has coordinates of the file
     # both files describe the same area, so that both are scaled; coefficients are not
-    mu = scaled(found.grid, horizontal, 1.0)
+    mu = scaled(friction_map.grid, horizontal, 1.0)
     details = "".join(
         f"; {key.removeprefix('ground ')} {words}"
-        for key, words in found.facts
+        for key, words in friction_map.facts
         if not key.startswith("ground map")
     )
     return mu, f"{name}, {mu.z.min():g} to {mu.z.max():g}{details}"
@@ -332,11 +334,11 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
     spec = problem.spec
     if not isinstance(spec, TerrainKeys):
         return problem
-    found = [place for place in _places(spec) if any(name in place[1] for name in DEGREES)]
-    if not found:
+    places = [place for place in _places(spec) if any(name in place[1] for name in DEGREES)]
+    if not places:
         return problem
     ground, coordinates = read_source(problem)
-    for keys, values in found:
+    for keys, values in places:
         with at(problem, keys):
             spec = _replaced(spec, keys, _in_metres(values, ground, coordinates))
     return replace(problem, spec=spec)

@@ -45,9 +45,9 @@ def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, 
 
     With the default ``tables``, the names of further input files of the problem's verb are added.
     """
-    found = [getattr(spec, name, None) for name in tables]
-    names: list[Any] = [getattr(table, "file", None) for table in found]
-    names += [getattr(table, "friction", None) for table in found]
+    records = [getattr(spec, name, None) for name in tables]
+    names: list[Any] = [getattr(table, "file", None) for table in records]
+    names += [getattr(table, "friction", None) for table in records]
     if tables is TABLES:
         names += spec.named_files
     return tuple(name for name in names if isinstance(name, str))
@@ -66,10 +66,10 @@ def files_read(problem: Problem[Any]) -> list[Path]:
 
     Those are the side files of maps, such as ``.prj``, and includes and meshes of a URDF.
     """
-    found = [problem.source.path]
+    files = [problem.source.path]
     for path in input_files(problem).values():
-        found += [path, *_side_files(path), *files_named_in(path)]
-    return found
+        files += [path, *_side_files(path), *files_named_in(path)]
+    return files
 
 
 def _side_files(path: Path) -> list[Path]:
@@ -79,17 +79,17 @@ def _side_files(path: Path) -> list[Path]:
 
 def files_named_in(urdf: Path) -> list[Path]:
     """Return the files that exist of those named in a URDF and in its includes."""
-    found, waiting = list[Path](), [urdf] if urdf.suffix in URDF else []
+    files, waiting = list[Path](), [urdf] if urdf.suffix in URDF else []
     while waiting:
         file = waiting.pop()
         with suppress(DataError):  # build_vehicle reports errors in the file
             text = read_bytes(file, "a URDF").decode(errors="replace")
             tops = (file.parent, *file.absolute().parents[1:4])  # a package is above its folders
             places = [top / name for name in FILE_NAME.findall(text) for top in tops]
-            new = [each for each in dict.fromkeys(places) if each.is_file() and each not in found]
-            found += new
+            new = [each for each in dict.fromkeys(places) if each.is_file() and each not in files]
+            files += new
             waiting += [each for each in new if each.suffix in URDF]
-    return found
+    return files
 
 
 def digest(file: Path) -> str:
@@ -183,11 +183,11 @@ def _meshes(robot: Robot | None) -> dict[str, str]:
     """Return the SHA-256 of the visible meshes of a URDF by name; missing ones are omitted."""
     if robot is None:
         return {}
-    folder, found = Path(robot.tree.file).parent, dict[str, str]()
+    folder, digests = Path(robot.tree.file).parent, dict[str, str]()
     for name in {mesh.name for link in robot.tree.links.values() for mesh in link.visuals}:
         with suppress(DataError):  # the vehicle is drawn with simple bodies
-            found[name] = digest(find_mesh(name, folder))
-    return found
+            digests[name] = digest(find_mesh(name, folder))
+    return digests
 
 
 def read_stored(file: Path, text: str | None, problem: Problem[Any]) -> StoredInputs:
@@ -199,13 +199,13 @@ def read_stored(file: Path, text: str | None, problem: Problem[Any]) -> StoredIn
     if text is None and not names and vehicle is None:
         return StoredInputs(vehicle=None, files={})
     try:
-        found = StoredInputs.model_validate_json(text or "")
+        inputs = StoredInputs.model_validate_json(text or "")
     except ValidationError as error:
         raise _incomplete(file) from error
-    stored = None if found.vehicle is None else found.vehicle.file
-    if stored != vehicle or not {*names} <= {*found.files}:
+    stored = None if inputs.vehicle is None else inputs.vehicle.file
+    if stored != vehicle or not {*names} <= {*inputs.files}:
         raise _incomplete(file)
-    return found
+    return inputs
 
 
 def restored_vehicle(file: Path, stored: StoredVehicle, folder: Path) -> VehicleFile:

@@ -144,33 +144,33 @@ class PlanVerb(DriveVerb):
             guesses = [] if resume else [guess_motion(setup, start) for start in setup.starts]
         length = resume.motion.duration if resume else float(guesses[0].t[-1])
 
-        def described(found: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
-            run, arrays = _described(setup, found, run, facts)
+        def described(plan: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
+            run, arrays = _described(setup, plan, run, facts)
             lines = [np.stack([guess["x"], guess["y"]], axis=1) for guess in guesses]
             drawn = _lines_as_arrays("guess", lines) | _lines_as_arrays("route", setup.paths)
             return run, {**arrays, **drawn}
 
-        def keep(found: Plan) -> None:
-            run, arrays = described(found, found.replay)
+        def keep(plan: Plan) -> None:
+            run, arrays = described(plan, plan.replay)
             watch.keep(VerbSolution(run, setup, arrays))
 
-        found = find_plan(problem, setup, guesses, resume, progress, length, keep=keep)
-        tested = Tested(found)
-        if spec.plan.robust is not None and found.accurate:
-            keep(replace(found, replay=replace(found.replay, stop=UNTESTED)))
-            tested = make_robust(problem, setup, found, spec.plan.robust, progress, watch.line)
-            found = tested.plan
-        run, stop = found.replay, tested.stop or with_offer(setup, found, guesses)
-        if stop is not None and (tested.stop or not found.success):
+        plan = find_plan(problem, setup, guesses, resume, progress, length, keep=keep)
+        tested = Tested(plan)
+        if spec.plan.robust is not None and plan.accurate:
+            keep(replace(plan, replay=replace(plan.replay, stop=UNTESTED)))
+            tested = make_robust(problem, setup, plan, spec.plan.robust, progress, watch.line)
+            plan = tested.plan
+        run, stop = plan.replay, tested.stop or with_offer(setup, plan, guesses)
+        if stop is not None and (tested.stop or not plan.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         facts |= tested.facts
-        run, arrays = described(found, run)
+        run, arrays = described(plan, run)
         diagnostics: dict[str, Diagnostic] = {
-            "optimality": lambda run: run.with_facts(optimality_facts(found)),
-            "by_friction": lambda run: run.with_facts(_by_friction(setup, found)),
-            "by_stiffness": lambda run: run.with_facts(_by_stiffness(problem, setup, found)),
-            "in_soil": lambda run: run.with_facts(_in_soil(problem, setup, found)),
-            "momentum": lambda run: run.with_facts(_momentum(setup, found)),
+            "optimality": lambda run: run.with_facts(optimality_facts(plan)),
+            "by_friction": lambda run: run.with_facts(_by_friction(setup, plan)),
+            "by_stiffness": lambda run: run.with_facts(_by_stiffness(problem, setup, plan)),
+            "in_soil": lambda run: run.with_facts(_in_soil(problem, setup, plan)),
+            "momentum": lambda run: run.with_facts(_momentum(setup, plan)),
         }
         run = with_diagnostics(
             run, diagnostics, lambda run: watch.keep(VerbSolution(run, setup, arrays))
@@ -189,17 +189,17 @@ class PlanVerb(DriveVerb):
         spec, model = problem.spec, (setup.dae, setup.vehicle, setup.terrain)
         arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
 
-        def described(found: LongPlan) -> tuple[Trajectory, Mapping[str, Array]]:
-            windows = Fact([window._asdict() for window in found.windows])
-            return _described(setup, found, found.replay, {"plan_windows": windows})
+        def described(plan: LongPlan) -> tuple[Trajectory, Mapping[str, Array]]:
+            windows = Fact([window._asdict() for window in plan.windows])
+            return _described(setup, plan, plan.replay, {"plan_windows": windows})
 
-        def keep(found: LongPlan) -> None:
-            run, arrays = described(found)
+        def keep(plan: LongPlan) -> None:
+            run, arrays = described(plan)
             watch.keep(VerbSolution(run, setup, arrays))
 
-        found = long_plan(problem, setup, setup.paths[0], arguments, resume, progress, keep)
-        run, arrays = described(found)
-        diagnostics = {"by_friction": lambda run: run.with_facts(_by_friction(setup, found))}
+        plan = long_plan(problem, setup, setup.paths[0], arguments, resume, progress, keep)
+        run, arrays = described(plan)
+        diagnostics = {"by_friction": lambda run: run.with_facts(_by_friction(setup, plan))}
         run = with_diagnostics(
             run, diagnostics, lambda run: watch.keep(VerbSolution(run, setup, arrays))
         )

@@ -135,13 +135,13 @@ def follow_plan(
         )
     setup = build_planning(planned)
     duration = saved.motion.duration
-    found = find_plan(planned, setup, [], saved, lambda *_: True, duration)
+    plan = find_plan(planned, setup, [], saved, lambda *_: True, duration)
     changed = build_world(real)
     start = build_start(real, changed.dae)
     world = ChangedWorld(changed.vehicle, changed.terrain, changed.dae, start)
     window = duration / WINDOWS_PER_PLAN if window is None else window
     period = window / CYCLES_PER_WINDOW if period is None else period
-    frame = horizon(found, span=window)
+    frame = horizon(plan, span=window)
     options = planned.spec.solver.options
     tracked = track_plan(
         frame,
@@ -155,14 +155,14 @@ def follow_plan(
     cycles = f"{tracked.cycles} cycles, {tracked.failures} failed, window {window:.3g} s"
     others = list[Followed]()
     try:
-        run = simulate_plan(world.dae, world.start, found.motion, step=step, options=options)
+        run = simulate_plan(world.dae, world.start, plan.motion, step=step, options=options)
         others.append(Followed("open loop", run, "inputs of the plan"))
-        others.extend(_with_forces(found, real, world))
-        others.append(_followed(found, world, step, options))
+        others.extend(_with_forces(plan, real, world))
+        others.append(_followed(plan, world, step, options))
     except KeyboardInterrupt:
         if not interrupt_requested():
             raise
-    return TrackingTest(found.replay, (*others, Followed("replanned", tracked.run, cycles)))
+    return TrackingTest(plan.replay, (*others, Followed("replanned", tracked.run, cycles)))
 
 
 def _with_forces(plan: Plan, problem: Problem[Any], world: ChangedWorld) -> Iterator[Followed]:
