@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from slipfree.problem import schema
 from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.problem import A, Problem, S, shared
-from slipfree.problem.schema import DriverTable, Modelled
+from slipfree.problem.schema import DriverTable, LawKeys, Modelled
 from slipfree.problem.schema_ground import KINDS, OBSTACLES
 from slipfree.problem.schema_law import soil_of
 from slipfree.problem.units import check_units
@@ -327,26 +327,6 @@ def _profile(name: str, spec: Any) -> Profile:
     return OBSTACLES[name][0](**dict(spec))
 
 
-class Lawful(Protocol):
-    """Problem with a choice of model and law."""
-
-    @property
-    def model(self) -> str:
-        """Name of the model."""
-
-    @property
-    def slip(self) -> str:
-        """Name of the slip law."""
-
-    @property
-    def law(self) -> schema.Law:
-        """Parameters of laws."""
-
-    @property
-    def model_fields_set(self) -> set[str]:
-        """Names of the keys that the problem gives."""
-
-
 def build_model(
     problem: Problem[S],
     spec: schema.Modelled,
@@ -372,14 +352,14 @@ def build_model(
         return in_frame(problem, dynamics(vehicle, ground, law=law))
 
 
-def law_name(spec: Lawful) -> str:
+def law_name(spec: LawKeys) -> str:
     """Return the name of the law of a problem's model: the given one, or the default."""
     if spec.model == "kinematics":
         return spec.slip
     return next(iter(sorted(spec.law.model_fields_set)), next(iter(LAWS[spec.model])))
 
 
-def model_law(problem: Problem[A], spec: Lawful) -> Any:
+def model_law(problem: Problem[A], spec: LawKeys) -> Any:
     """Return the law of a problem's model: a slip law, a wheel-ground law or a contact law.
 
     ProblemError is raised if a given law or the key ``slip`` does not belong to the model, several
@@ -396,7 +376,7 @@ def model_law(problem: Problem[A], spec: Lawful) -> Any:
     return _with_parameters(problem, spec, MAKERS.get(name, known[name]))
 
 
-def _wrong_law(spec: Lawful, name: str) -> Fault:
+def _wrong_law(spec: LawKeys, name: str) -> Fault:
     """Return the error for the table of a law that does not apply."""
     if name in LAWS[spec.model]:
         tables = ", ".join(sorted(spec.law.model_fields_set))
@@ -412,7 +392,7 @@ def _wrong_law(spec: Lawful, name: str) -> Fault:
     )
 
 
-def _with_parameters(problem: Problem[A], spec: Lawful, law: Callable[..., L]) -> L:
+def _with_parameters(problem: Problem[A], spec: LawKeys, law: Callable[..., L]) -> L:
     """Return a law with the parameters that a problem gives, and defaults of all others.
 
     ProblemError is raised if a parameter without default is missing, or a value is invalid.

@@ -221,14 +221,18 @@ class MotionKeys(TerrainKeys, Runnable):
     vehicle: VehicleSource = Field(description="the vehicle")
 
 
-class Modelled(MotionKeys):
-    """Keys of problems with a choice of model."""
+class LawKeys(Record):
+    """Model and law of a problem."""
 
     model: Literal["kinematics", "quasi-static", "dynamics"] = Field(
         default="kinematics", description=MODEL
     )
     slip: SlipName = Field(default="least", description=SLIP)
     law: Law = Field(default=Law.model_construct(), description=LAW)
+
+
+class Modelled(LawKeys, MotionKeys):
+    """Keys of problems with a choice of model."""
 
 
 if TYPE_CHECKING:

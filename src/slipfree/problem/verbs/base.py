@@ -123,8 +123,8 @@ class Watch(NamedTuple):
         Called for every iterate of a plan with the path of the platform in map coordinates, an
         ndarray of shape (n, 2). [m]
     keep : callable
-        Called with a `Solution` of what is computed so far, which is the result if the computation
-        is interrupted or fails afterwards. The last one counts.
+        Called with a `VerbSolution` of what is computed so far, which is the result if the
+        computation is interrupted or fails afterwards. The last one counts.
     """
 
     time: Callable[[float], None] | None = None

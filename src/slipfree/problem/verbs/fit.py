@@ -45,7 +45,7 @@ from slipfree.problem.build import model_law
 from slipfree.problem.build_ground import at
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, VehicleSource
+from slipfree.problem.schema import MODEL, VERB, CommonKeys, LawKeys, VehicleSource
 from slipfree.problem.units import check_heading_unit, check_sampling, check_travel
 from slipfree.problem.verbs.base import Lines, Verb
 from slipfree.terrain.analytic import Analytic
@@ -116,7 +116,7 @@ class UnknownTable(Record):
         return Unknown(name, self.quantity or name, self.wheels, lower, upper, self.prior)
 
 
-class Fit(CommonKeys):
+class Fit(LawKeys, CommonKeys):
     """Fit: numbers of a vehicle and of a law, calibrated on a log of rates and poses."""
 
     verb: Literal["fit"] = Field(description=VERB)
@@ -125,8 +125,6 @@ class Fit(CommonKeys):
     )
     vehicle: VehicleSource = Field(description="the vehicle, with nominal values")
     model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
-    slip: SlipName = Field(default="least", description=SLIP)
-    law: Law = Field(default=Law.model_construct(), description=LAW)
     friction: Positive = Field(
         default=0.6, description="coefficient of friction of the ground, which is level [1]"
     )
