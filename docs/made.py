@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args, get_origin
 from slipfree.laws.registry import SLIP_LAWS
 from slipfree.problem import schema
 from slipfree.problem.load import VERBS
-from slipfree.problem.schema_law import law_tables
+from slipfree.problem.schema import law_tables
 
 DOCS = Path(__file__).parent
 LISTED = r"<!-- {kind}: ([\w.,\s]+?) -->"

@@ -10,7 +10,7 @@ import pytest
 
 from slipfree.problem import schema
 from slipfree.problem.load import VERBS
-from slipfree.problem.schema_law import law_tables
+from slipfree.problem.schema import law_tables
 
 SCHEMAS = [verb.schema for verb in VERBS]
 UNIT = re.compile(r" \[(?:1|(?:[mNs]|Pa|kg|rad|deg|Hz)[\w/ ^()+]*|1/s)(?:, (?:1|[\w/ ]+))*\]$")

@@ -20,7 +20,7 @@ from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of
 from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTable, WheelTable
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
-from slipfree.problem.schema_law import CATALOG
+from slipfree.problem.schema import CATALOG
 from slipfree.vehicle.drives import Motor, Torque
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.omni import Omni

@@ -28,9 +28,8 @@ from slipfree.problem import schema
 from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.problem import A, Problem, S, shared
-from slipfree.problem.schema import DriverTable, LawKeys, Modelled
+from slipfree.problem.schema import DriverTable, LawKeys, Modelled, soil_of
 from slipfree.problem.schema_ground import KINDS, OBSTACLES
-from slipfree.problem.schema_law import soil_of
 from slipfree.problem.units import check_units
 from slipfree.problem.verbs.base import Lines
 from slipfree.solve.options import SolverOptions

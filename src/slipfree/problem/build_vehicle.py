@@ -49,7 +49,7 @@ from slipfree.files.vehicle_toml import (
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem import schema
 from slipfree.problem.problem import Problem, shared
-from slipfree.problem.schema_law import CATALOG
+from slipfree.problem.schema import CATALOG
 from slipfree.system.regular_files import read_bytes, regular_file
 from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.tree import Vehicle, actuated

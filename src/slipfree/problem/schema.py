@@ -1,35 +1,52 @@
 """Tables that problem files of several verbs share: types, ranges, units and meanings.
 
+Tables of laws, soils and catalogue vehicles are made from annotated dataclasses and functions.
 Tables of the ground are in `slipfree.problem.schema_ground`, those of one verb in
 `slipfree.problem.verbs`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError, create_model
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from slipfree import catalog
 from slipfree.control import sensor_noise, step_climbing
 from slipfree.core.trajectory import Frame
 from slipfree.files.toml.source import Fault
 from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import Pair, Quantity, not_zero, one_of, record_of
+from slipfree.files.toml.types import (
+    Pair,
+    Positive,
+    Quantity,
+    Record,
+    given_values,
+    not_zero,
+    one_of,
+    record_of,
+)
 from slipfree.files.toml.types import Piecewise as Piecewise
 from slipfree.files.toml.types import Place as Place
-from slipfree.files.toml.types import Positive as Positive
-from slipfree.files.toml.types import Record as Record
-from slipfree.laws.registry import SLIP_LAWS
+from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
+from slipfree.laws.soil import Soil
+from slipfree.laws.soil_regions import OF_THE_LAW, SoilRegion
+from slipfree.laws.soils import SOILS, known_soil
+from slipfree.problem.schema_ground import RegionTable, region_of
 from slipfree.problem.schema_ground import Synthetic as Synthetic
 from slipfree.problem.schema_ground import TerrainTable as TerrainTable
-from slipfree.problem.schema_law import CATALOG, OWN
-from slipfree.problem.schema_law import Law as Law
 from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
+from slipfree.vehicle.tree import Vehicle
 
-SlipName = Annotated[str, one_of(SLIP_LAWS)]
-
+CATALOG: dict[str, Callable[..., Vehicle]] = {
+    name: getattr(catalog, name) for name in catalog.__all__
+}
+OWN = ("catalog", "file", "actuated", "name")  # keys that are not keywords of the function
+DEFAULT_SOIL = next(iter(SOILS))
+OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are not of its soil
 MAX_SAMPLES = 1_000_000  # largest number of samples of a motion
 VERB = "kind of the problem"
 TOLERANCE = "tolerance of the integrator, absolute and relative [1]"
@@ -48,6 +65,107 @@ LAW = "parameters of the law of the model, in a table with the name of the law"
 FILE = "file"  # key of [inputs] and [given] that names a file
 INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
 STEP_CLIMBING = "step-climbing"
+
+
+class SoilKeys(Record):
+    """Name of a soil, and constants that replace those of this soil."""
+
+    name: Annotated[str, one_of(SOILS)] = Field(
+        default=DEFAULT_SOIL, description=f"soil of the catalogue: one of {', '.join(SOILS)}"
+    )
+
+
+class SoilRegionKeys(SoilKeys, RegionTable):
+    """A region with another soil: a disc or a polygon."""
+
+    width: Positive = Field(
+        description="width in which the soil around the region becomes its soil [m]"
+    )
+
+
+NamedSoil: Any = record_of(Soil, SoilKeys)
+
+
+REGION_MEANING = SoilRegionKeys.__doc__ or ""
+SoilRegions: Any = Annotated[
+    tuple[record_of(Soil, SoilRegionKeys, omitted=OF_THE_LAW, meaning=REGION_MEANING), ...],  # type: ignore[misc]
+    Field(strict=False),
+]
+
+
+class SoilTable(NamedSoil):  # type: ignore[misc]
+    """Loose soil under rigid wheels, for dynamics and quasi-statics."""
+
+    regions: SoilRegions = Field(
+        default=(), description="regions of other soils; later ones cover earlier ones"
+    )
+
+
+def soil_of(
+    *, name: str = DEFAULT_SOIL, regions: tuple[RegionTable, ...] = (), **constants: float
+) -> Soil:
+    """Return the soil of a table.
+
+    ModelError is raised if a constant is not valid, or a region is neither a disc nor a valid
+    polygon.
+
+    Parameters
+    ----------
+    name : str
+        Name in the catalogue.
+    regions : tuple of RegionTable
+        Records of the regions.
+    **constants : float
+        Constants that replace those of the catalogue.
+    """
+    return replace(known_soil(name), regions=tuple(map(_region, regions)), **constants)
+
+
+def _region(table: Any) -> SoilRegion:
+    """Return the region of a table with its soil."""
+    given = given_values(table)
+    soil = soil_of(**{key: value for key, value in given.items() if key not in OF_REGIONS})
+    return SoilRegion(region_of(table), soil, table.width)
+
+
+def registered_laws() -> dict[str, Any]:
+    """Return the laws that have parameters, by name."""
+    laws: dict[str, Any] = {**SLIP_LAWS, **GROUND_LAWS, **CONTACT_LAWS}
+    return {name: law for name, law in laws.items() if fields(law)}
+
+
+def table_of(law: type) -> type[Record]:
+    """Return the record of the table of a law; that of soil also has names and regions."""
+    return SoilTable if law is Soil else record_of(law)
+
+
+class Law(Record):
+    """Parameters of a law, in a table of its name."""
+
+    @classmethod
+    def schema_for(cls, data: Any) -> type[Record]:
+        """Return the record of all registered laws; they may be added after the import."""
+        return law_tables() if cls is Law and isinstance(data, dict) else cls
+
+    def parameters(self, name: str) -> dict[str, Any]:
+        """Return the parameters that a problem gives for a law, by name."""
+        table = getattr(self, name, None)
+        return {} if table is None else given_values(table)
+
+
+def law_tables() -> type[Law]:
+    """Return the record of the tables of all registered laws."""
+    keys: dict[str, Any] = {
+        name: (
+            table_of(law) | None,
+            Field(default=None, description=f"parameters of {name}"),
+        )
+        for name, law in registered_laws().items()
+    }
+    return cast("type[Law]", create_model("Laws", __base__=Law, __doc__=Law.__doc__, **keys))
+
+
+SlipName = Annotated[str, one_of(SLIP_LAWS)]
 
 
 class VehicleSource(Record):

@@ -27,7 +27,7 @@ from slipfree.files.toml.source import (
 from slipfree.files.toml.types import Angle, Positive, Record, given_values
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
-from slipfree.problem.schema_law import NamedSoil, soil_of
+from slipfree.problem.schema import NamedSoil, soil_of
 from slipfree.problem.verbs.base import Lines
 
 COLUMNS = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
