@@ -231,7 +231,7 @@ def test_usage_errors() -> None:
 def test_places_are_checked_before_anything_is_computed(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _broken("solve.build", monkeypatch, AssertionError("must not be reached"))
+    _broken("result.build", monkeypatch, AssertionError("must not be reached"))
     assert "no/a.nc: expected a folder no" in _refused("run", "p.toml", "-o", "no/a.nc")
     assert "expected a folder no" in _refused("run", "p.toml", "--csv", "no/a.csv")
     assert "expected the name of a file" in _refused("run", "p.toml", "-o", str(folder))

@@ -49,7 +49,6 @@ DEFAULT_SOIL = next(iter(SOILS))
 OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are not of its soil
 MAX_SAMPLES = 1_000_000  # largest number of samples of a motion
 VERB = "kind of the problem"
-TOLERANCE = "tolerance of the integrator, absolute and relative [1]"
 SIZED = (
     "tolerance of the integrator, absolute and relative; lengths relative to the vehicle size [1]"
 )
