@@ -44,7 +44,7 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import run_problem
 
 SEED = 20261121
 RISE, LENGTH = 0.3, 1.5  # height of the centre of mass, wheelbase [m]

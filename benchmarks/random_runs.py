@@ -58,12 +58,10 @@ from slipfree import Bicubic, SolverOptions, catalog, direct_kinematics, rollout
 from slipfree.core.errors import SlipfreeError
 from slipfree.files import netcdf
 from slipfree.files.export import export_path
-from slipfree.problem.load import load_problem
+from slipfree.problem.load import load_problem, verb_of
 from slipfree.problem.report import report
-from slipfree.problem.result import motion_facts
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import motion_facts, run_problem
 from slipfree.problem.verbs.fit import estimate_rows, facts, fit
-from slipfree.problem.verbs.registry import verb_of
 from slipfree.show.html_page import page
 from slipfree.show.plots import save
 from slipfree.solve import simulate

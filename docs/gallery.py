@@ -13,7 +13,7 @@ from typing import NamedTuple
 from PIL import Image
 
 from slipfree import load_problem, run_problem
-from slipfree.problem.verbs.registry import verb_of
+from slipfree.problem.load import verb_of
 from slipfree.show.drive_scene import drive_scene
 from slipfree.show.film import animate
 from slipfree.show.plots import draw

@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from inspect import get_annotations
 from pathlib import Path
@@ -11,8 +11,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from slipfree.laws.registry import SLIP_LAWS
 from slipfree.problem import schema
-from slipfree.problem.schema_law import law_tables
-from slipfree.problem.verbs.registry import VERBS
+from slipfree.problem.load import VERBS
+from slipfree.problem.schema import law_tables
 
 DOCS = Path(__file__).parent
 LISTED = r"<!-- {kind}: ([\w.,\s]+?) -->"
@@ -187,13 +187,25 @@ def _options(annotation: Any) -> tuple[str, ...]:
     return next(filter(None, map(_options, get_args(annotation))), ())
 
 
+def _alias(annotation: Any, bounds: Sequence[Any]) -> str:
+    """Return the name of a type with bounds: that of a table's annotation with the same meaning."""
+    if annotation == tuple[float, float]:
+        return "Pair"
+    name = str(annotation.__name__)
+    if any(getattr(bound, "gt", None) == 0 for bound in bounds) and name == "float":
+        return "Positive"
+    if any(getattr(bound, "ge", None) == 0 for bound in bounds):
+        return {"float": "NonNegative", "int": "Count"}.get(name, name)
+    return name
+
+
 def _words(record: type[schema.Record], key: str, annotation: Any) -> str:
     """Return the description of the values of a key: names, or its annotation in words."""
     if names := _options(annotation):
         return ", ".join(f'`"{name}"`' for name in names)
     written = next(w for w in map(get_annotations, record.__mro__) if key in w)[key]
-    if not isinstance(written, str):  # of a law's dataclass
-        return TAKES[annotation.__name__]
+    if not isinstance(written, str):  # of a dataclass or function
+        return TAKES[_alias(annotation, record.model_fields[key].metadata)]
     text = re.sub(r"Annotated\[(.+?), \w+\(.*", r"\1", written)
     return TAKES[text.removesuffix(" | None")]
 

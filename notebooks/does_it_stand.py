@@ -38,7 +38,7 @@ from slipfree import (
 from slipfree.core.trajectory import joined, path_length
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import run_problem
 from slipfree.show import style
 from slipfree.vehicle.tree import actuated
 

@@ -32,7 +32,7 @@ from slipfree.core.trajectory import path_length
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build, run_problem
+from slipfree.problem.result import build, run_problem
 from slipfree.show import ground_drawing, style
 from slipfree.show.plan_figures import cost_map, initial_routes, plan_plots
 from slipfree.show.plots import draw

@@ -48,7 +48,7 @@ from slipfree.climb.metrics import (
     most_loaded,
     slip_ratio,
 )
-from slipfree.problem.solve import build
+from slipfree.problem.result import build
 from slipfree.show import style
 from slipfree.show.ground_drawing import side_view
 from slipfree.terrain.solids import section_of

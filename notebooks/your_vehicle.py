@@ -26,7 +26,7 @@ import numpy as np
 
 from slipfree import Bicubic, ModelError, Path, Vehicle, direct_kinematics, follow, settle, simulate
 from slipfree.problem.build_vehicle import read_vehicle
-from slipfree.problem.vehicle_report import describe
+from slipfree.problem.report import describe
 from slipfree.show import motion_figures, style
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.sections import Torus

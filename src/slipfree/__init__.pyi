@@ -27,8 +27,7 @@ from .plan.plan import plan
 from .plan.stage import Cost
 from .problem.build_vehicle import read_vehicle
 from .problem.load import load_problem
-from .problem.result import open_result
-from .problem.solve import run_problem
+from .problem.result import open_result, run_problem
 from .routing.search import Route
 from .solve.options import SolverOptions
 from .solve.rollouts import rollouts

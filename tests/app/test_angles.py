@@ -12,7 +12,7 @@ from slipfree.files.toml.source import ProblemError
 from slipfree.files.toml.types import AngleWithUnit, RateWithUnit, parse_unit
 from slipfree.files.vehicle_toml import open_file, read_toml
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build
+from slipfree.problem.result import build
 
 ROOT = Path(__file__).parents[2]
 PROBLEM = """\

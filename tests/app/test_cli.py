@@ -231,7 +231,7 @@ def test_usage_errors() -> None:
 def test_places_are_checked_before_anything_is_computed(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _broken("solve.build", monkeypatch, AssertionError("must not be reached"))
+    _broken("result.build", monkeypatch, AssertionError("must not be reached"))
     assert "no/a.nc: expected a folder no" in _refused("run", "p.toml", "-o", "no/a.nc")
     assert "expected a folder no" in _refused("run", "p.toml", "--csv", "no/a.csv")
     assert "expected the name of a file" in _refused("run", "p.toml", "-o", str(folder))
@@ -263,7 +263,7 @@ def test_help_needs_no_heavy_imports() -> None:
 
 def test_problems_import_parts_of_scipy_when_they_use_them() -> None:
     code = (
-        "import sys, slipfree.problem.solve\n"
+        "import sys, slipfree.problem.result\n"
         "heavy = {'scipy.stats', 'scipy.io', 'scipy.optimize'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )

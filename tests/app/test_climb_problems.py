@@ -18,8 +18,7 @@ from slipfree.files.netcdf import read as read_result
 from slipfree.files.toml.source import ProblemError
 from slipfree.files.vehicle_draft import vehicle_text
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import motion_facts
-from slipfree.problem.solve import build, run_problem
+from slipfree.problem.result import build, motion_facts, run_problem
 from slipfree.show.plots import draw
 from slipfree.terrain.solids import section_of
 
@@ -122,7 +121,7 @@ def test_a_vehicle_file_climbs_as_the_catalogue():
 
 def test_the_side_view_shows_vehicle_and_solids():
     result = run_problem(load_problem(STEP_FILE, ["time.duration=0.2", *COARSE]))
-    from slipfree.problem.verbs.registry import verb_of
+    from slipfree.problem.load import verb_of
 
     figures = draw(verb_of(result.problem).figures(result)[:1])
     (ax,) = figures["side"].axes

@@ -10,7 +10,7 @@ import pytest
 from slipfree.core.outcome import Outcome
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build, run_problem
+from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs.plan_search import guess_motion
 
 PARKING = Path(__file__).parents[2] / "problems" / "plan_parking.toml"

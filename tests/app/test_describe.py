@@ -15,8 +15,8 @@ from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build
-from slipfree.problem.vehicle_report import conditioning, describe, tree
+from slipfree.problem.report import conditioning, describe, tree
+from slipfree.problem.result import build
 
 
 def facts(found):

@@ -8,9 +8,9 @@ from typer.testing import CliRunner
 
 from slipfree import Bicubic, Solids, load_problem, open_result
 from slipfree.cli import app
+from slipfree.problem.build import build_solids
 from slipfree.problem.build_ground import build_ground
-from slipfree.problem.build_solids import build_solids
-from slipfree.problem.verbs.registry import verb_of
+from slipfree.problem.load import verb_of
 from slipfree.show import plots
 
 PROBLEMS = Path(__file__).parents[2] / "problems"

@@ -24,7 +24,7 @@ from slipfree.files.vehicle_draft import vehicle_text
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.load import load_problem
-from slipfree.problem.unit_checks import check_travel
+from slipfree.problem.units import check_travel
 from slipfree.problem.verbs.fit import _read_windows
 from slipfree.vehicle.tree import Vehicle
 

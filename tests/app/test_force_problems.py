@@ -21,7 +21,7 @@ from slipfree.models import friction_feasibility
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build, run_problem
+from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs import driving as runner
 
 PROBLEMS = Path(__file__).parents[2] / "problems"

@@ -20,7 +20,7 @@ from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build
+from slipfree.problem.result import build
 from slipfree.show import motion_figures
 from slipfree.sweep.worker import figures_of
 

@@ -18,7 +18,7 @@ from slipfree.core.trajectory import SolverError, Stop
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build, run_problem
+from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs import inverse
 
 PROBLEMS = Path(__file__).parents[2] / "problems"

@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from slipfree.cli import app
+from slipfree.core.schema import Length
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
 from slipfree.problem.result import shown
@@ -28,8 +29,8 @@ from slipfree.vehicle.sections import SECTIONS, Section
 class Ellipsoid(Section):
     """An ellipsoid of revolution about the axle."""
 
-    half_width: float
-    equator: float
+    half_width: Length
+    equator: Length
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the point of the ellipse with a given outward normal."""

@@ -1,7 +1,7 @@
 """Add a kind of terrain to problem files: one file and one line of registration.
 
-`Dunes` is the file ``problem/dunes.py`` (10 lines without docstrings and imports), and
-``"dunes": Dunes`` the line of ``FEATURES`` in ``problem/ground_features.py``: two files. Problem
+`dunes` is the file ``terrain/dunes.py`` (8 lines without docstrings and imports), and
+``"dunes": dunes`` the line of ``FEATURES`` in ``problem/schema_ground.py``: two files. Problem
 files, their errors, commands and the reference of keys take the table ``[terrain.synthetic.dunes]``
 without other changes. The record of the keys is made at import, so that this file registers its
 feature in a process of its own.
@@ -10,27 +10,27 @@ feature in a process of its own.
 import subprocess
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pytest
+from annotated_types import doc
 from numpy.testing import assert_allclose
-from pydantic import Field
 
-from slipfree.files.toml.types import Positive
-from slipfree.problem.ground_features import FEATURES, Feature
+from slipfree.core.schema import Length
+from slipfree.problem.schema_ground import FEATURES
 from slipfree.terrain.base import Grid
 
 
-class Dunes(Feature):
-    """Dunes along x, added to the ground."""
-
-    height: Positive = Field(description="from trough to crest [m]")
-    length: Positive = Field(description="from crest to crest [m]")
-
-    def added(self, grid: Grid) -> Grid:
-        """Return a ground with dunes added."""
-        wave = np.cos(2 * np.pi * grid.y / self.length)
-        return Grid(grid.x, grid.y, grid.z + self.height / 2 * wave)
+def dunes(
+    grid: Grid,
+    *,
+    height: Annotated[Length, doc("from trough to crest")],
+    length: Annotated[Length, doc("from crest to crest")],
+) -> Grid:
+    """Return the grid with dunes along x added."""
+    wave = np.cos(2 * np.pi * grid.y / length)
+    return Grid(grid.x, grid.y, grid.z + height / 2 * wave)
 
 
 PROBLEM = """\
@@ -52,7 +52,7 @@ def called(*words: str) -> subprocess.CompletedProcess[str]:
     """Run ``slipfree`` with the feature registered."""
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); "
-        "import test_new_terrain_kind as new; new.FEATURES['dunes'] = new.Dunes; "
+        "import test_new_terrain_kind as new; new.FEATURES['dunes'] = new.dunes; "
         "from slipfree.cli import main; main()"
     )
     return subprocess.run(
@@ -76,6 +76,6 @@ def test_a_problem_file_may_ask_for_it(tmp_path: Path) -> None:
 
 def test_its_heights_are_those_of_its_formula() -> None:
     nodes = np.linspace(-4, 4, 33)
-    grid = Dunes(height=0.5, length=8.0).added(Grid(nodes, nodes, np.ones((33, 33))))
+    grid = dunes(Grid(nodes, nodes, np.ones((33, 33))), height=0.5, length=8.0)
     assert_allclose(grid.z[3], 1 + 0.25 * np.cos(np.pi * nodes / 4))
     assert "dunes" not in FEATURES

@@ -1,7 +1,7 @@
-"""Add a verb of problem files: one module and one entry of the registry.
+"""Add a verb of problem files: one module and one entry of `VERBS`.
 
 `Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (28 lines without docstrings and
-imports), and ``StandVerb()`` is the entry of ``VERBS`` in ``problem/verbs/registry.py``: two files.
+imports), and ``StandVerb()`` is the entry of ``VERBS`` in ``problem/load.py``: two files.
 Problem files, commands, sweeps, reports and result files accept the verb without other changes.
 """
 
@@ -19,17 +19,17 @@ from slipfree.core.facts import Fact
 from slipfree.core.records import leaves
 from slipfree.files.netcdf import NOTHING
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.problem.build_common import Setup, build_start, build_terrain, build_vehicle
+from slipfree.problem import load
+from slipfree.problem.build import Setup, build_start, build_terrain, build_vehicle
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.result import open_result
-from slipfree.problem.schema import VERB, Motion, Time
-from slipfree.problem.verbs import registry
+from slipfree.problem.schema import VERB, MotionKeys, Time
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.show.plots import Plot
 from slipfree.sweep.worker import work
 
 
-class Stand(Motion):
+class Stand(MotionKeys):
     """Standing: the pose of the vehicle at its start, and the loads on its wheels."""
 
     verb: Literal["stand"] = Field(description=VERB)
@@ -98,7 +98,7 @@ heading = 0.5
 def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("p.toml").write_text(PROBLEM)
-    monkeypatch.setattr(registry, "VERBS", (*registry.VERBS, StandVerb()))
+    monkeypatch.setattr(load, "VERBS", (*load.VERBS, StandVerb()))
 
 
 def _called(*words: str, code: int = 0) -> str:

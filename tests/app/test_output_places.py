@@ -42,7 +42,7 @@ def _refused(monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
         raise AssertionError("computed")
 
     with monkeypatch.context() as patch:
-        patch.setattr("slipfree.problem.solve.run_problem", fail)
+        patch.setattr("slipfree.problem.result.run_problem", fail)
         done = _run(*words)
     assert done.exit_code == 2, (done.output, done.exception)
     return str(done.stderr)

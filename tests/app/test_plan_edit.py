@@ -21,20 +21,30 @@ from slipfree.core.errors import DataError
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem import plan_session
 from slipfree.problem.load import load_problem
-from slipfree.problem.plan_document import Document, read_document, saved
-from slipfree.problem.plan_edit import Places, Region, edited_text, places_from, places_in
+from slipfree.problem.plan_edit import (
+    Document,
+    EditedRegion,
+    Places,
+    edited_text,
+    places_from,
+    places_in,
+    read_document,
+    saved,
+)
 from slipfree.problem.plan_session import (
     IDLE,
     PLANNING,
     SHOWN,
     Desk,
+    FoundError,
+    FoundIterate,
+    FoundPlan,
     Session,
     begun,
     cancelled,
     reported,
     state_of,
 )
-from slipfree.problem.plan_worker import FoundError, FoundIterate, FoundPlan
 from slipfree.show.local_server import (
     ConflictError,
     Content,
@@ -193,8 +203,12 @@ def test_changed_places_keep_comments_and_other_values() -> None:
 def test_regions_are_moved_removed_and_added() -> None:
     text, places = PARKING.read_text(encoding="utf-8"), places_in(load_problem(PARKING))
     first, _ = places.regions
-    triangle = Region("triangle", ((0.0, 3.0), (1.0, 3.0), (0.5, 4.0)))
-    regions = (first._replace(points=((2.5, 2.5),)), Region("disc", ((4.0, 0.0),), 0.3), triangle)
+    triangle = EditedRegion("triangle", ((0.0, 3.0), (1.0, 3.0), (0.5, 4.0)))
+    regions = (
+        first._replace(points=((2.5, 2.5),)),
+        EditedRegion("disc", ((4.0, 0.0),), 0.3),
+        triangle,
+    )
     data = tomllib.loads(edited_text(text, places, places._replace(regions=regions)))
     assert data["keep_out"] == [
         {"x": 2.5, "y": 2.5, "radius": 0.8},
@@ -239,7 +253,7 @@ def test_a_saved_file_has_the_places_and_all_else_of_the_former(
         (0.5, -2.0, old.places.start[2] + 0.1),
         (1.0, 1.1),
         (old.places.goal_heading or 0.0) + 0.1,
-        (Region("new", ((4.0, -4.0),), 0.2), last, polygon._replace(points=corners)),
+        (EditedRegion("new", ((4.0, -4.0),), 0.2), last, polygon._replace(points=corners)),
     )
     done = saved(old, new)
     raw = file.read_bytes()
@@ -273,7 +287,7 @@ def test_a_region_in_degrees_becomes_one_in_metres() -> None:
         "[start]\nlongitude = 7.0\nlatitude = 46.0\n[goal]\nx = 0.0\ny = 0.0\n"
         "[[keep_out]]\nlongitude = 7.1\nlatitude = 46.1\nradius = 0.5\n"
     )
-    region = Region("a", ((10.0, 20.0),), 0.5)
+    region = EditedRegion("a", ((10.0, 20.0),), 0.5)
     old = Places((1.0, 2.0, 0.0), (0.0, 0.0), None, (region,))
     new = old._replace(start=(1.5, 2.0, 0.0), regions=(region._replace(points=((10.0, 21.0),)),))
     data = tomllib.loads(edited_text(text, old, new))

@@ -13,11 +13,10 @@ from slipfree.files.toml.source import ProblemError
 from slipfree.plan import search as searching
 from slipfree.plan.ipopt import IPOPT_TOLERANCE, convergence_from
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import motion_facts, open_result
-from slipfree.problem.solve import build, run_problem
+from slipfree.problem.result import build, motion_facts, open_result, run_problem
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan import PlanVerb, figure_options
-from slipfree.problem.verbs.plan_goals import regions
+from slipfree.problem.verbs.plan_schema import regions
 from slipfree.show.plan_figures import plan_plots
 from slipfree.show.plots import draw
 

@@ -12,8 +12,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.files.toml.source import ProblemError
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import motion_facts
-from slipfree.problem.solve import build, run_problem
+from slipfree.problem.result import build, motion_facts, run_problem
 
 HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 WINDOWS = (

@@ -19,7 +19,7 @@ from helpers.cases import function_of
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory, path_length
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import run_problem
 from slipfree.show import force_figures, motion_figures, plots
 from slipfree.terrain.solids import kerb, placed
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import run_problem
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 HALF_RADIUS = 0.15

@@ -22,8 +22,8 @@ from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
-from slipfree.problem.solve import run_problem
-from slipfree.problem.summary import has_friction
+from slipfree.problem.result import run_problem
+from slipfree.problem.verbs.base import has_friction
 from slipfree.show.html_page import MOST, Report, image, page
 
 ROOT = Path(__file__).parents[2]

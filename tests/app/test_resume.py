@@ -18,7 +18,7 @@ from slipfree.files import netcdf
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import run_problem
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 HILLS = PROBLEMS / "plan_rigid_hills.toml"

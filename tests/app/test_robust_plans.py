@@ -15,7 +15,7 @@ from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build, run_problem
+from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs.plan_robust import ReplayTask, replay_draw
 from slipfree.problem.verbs.plan_setup import source_of
 

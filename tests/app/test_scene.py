@@ -28,9 +28,8 @@ from slipfree.models.samples import measured_slip, part_poses, wheel_poses
 from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.plan.transcription import CollocationMesh, variable_layout
 from slipfree.problem.build_vehicle import read_vehicle
-from slipfree.problem.input_files import digest
+from slipfree.problem.inputs import STORED, StoredInputs, digest
 from slipfree.problem.result import shown
-from slipfree.problem.stored_inputs import STORED, StoredInputs
 from slipfree.problem.verbs.plan import poses_of_plan
 from slipfree.show import motion_figures
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals

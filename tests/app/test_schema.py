@@ -9,8 +9,8 @@ from typing import Any, get_args, get_origin
 import pytest
 
 from slipfree.problem import schema
-from slipfree.problem.schema_law import law_tables
-from slipfree.problem.verbs.registry import VERBS
+from slipfree.problem.load import VERBS
+from slipfree.problem.schema import law_tables
 
 SCHEMAS = [verb.schema for verb in VERBS]
 UNIT = re.compile(r" \[(?:1|(?:[mNs]|Pa|kg|rad|deg|Hz)[\w/ ^()+]*|1/s)(?:, (?:1|[\w/ ]+))*\]$")
@@ -49,5 +49,5 @@ def test_every_key_says_what_it_means_and_in_which_unit(table: type[schema.Recor
 
 def test_all_tables_are_looked_at() -> None:
     names = {table.__name__ for table in TABLES}
-    assert names >= {"Terrain", "PowerLaw", "Driver", "Guide", "KeepOut", "Noise"}
+    assert names >= {"TerrainTable", "PowerLaw", "DriverTable", "GuideTable", "KeepOut", "Noise"}
     assert len(names) > 35

@@ -247,7 +247,7 @@ def test_interruption_in_json(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("slipfree.problem.solve.build", interrupted)
+    monkeypatch.setattr("slipfree.problem.result.build", interrupted)
     assert _json("check", "p.toml", code=130)["errors"] == ["interrupted"]
 
 

@@ -17,9 +17,9 @@ from slipfree.cli import app
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.laws.soils import known_soil
 from slipfree.models.single_wheel import single_wheel
-from slipfree.problem.build_model import model_law
+from slipfree.problem.build import model_law
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build
+from slipfree.problem.result import build
 
 WHEEL = """
 [wheel]

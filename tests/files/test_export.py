@@ -18,7 +18,7 @@ from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.export import export_path, export_rates
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import run_problem
 
 PROBLEM = """\
 verb = "direct"

@@ -32,8 +32,7 @@ from slipfree.files.mcap_reader import read_joint_commands, read_mcap
 from slipfree.files.mcap_writer import DEFINITIONS
 from slipfree.files.tables import read_columns, read_names
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import export_mcap
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import export_mcap, run_problem
 
 pytestmark = pytest.mark.usefixtures("direct_reads")
 DRIVE = """\

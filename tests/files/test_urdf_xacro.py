@@ -21,8 +21,7 @@ from slipfree.problem.build_vehicle import (
     read_vehicle,
 )
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import open_result
-from slipfree.problem.solve import build
+from slipfree.problem.result import build, open_result
 from slipfree.problem.verbs.driving import vehicle_of
 from slipfree.problem.verbs.plan_setup import source_of
 from slipfree.sweep.grid import sweep_of

@@ -20,7 +20,7 @@ from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of
 from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTable, WheelTable
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
-from slipfree.problem.catalog_table import CATALOG
+from slipfree.problem.schema import CATALOG
 from slipfree.vehicle.drives import Motor, Torque
 from slipfree.vehicle.sections import SECTIONS, Disc, Omni, Sphere, Torus
 from slipfree.vehicle.tree import Coordinate, Joint
@@ -531,8 +531,8 @@ WHEELS, SWIVEL = "radius = 0.1\n", 'kind = "passive"'
     [
         ('"rep103"', "inertia = [1, 2, -3, 0, 0, 0]", "principal moments of inertia must be"),
         (WHEELS, "drive = { kind = 'steam' }", "'kind' is one of 'rate', 'torque', 'm"),
-        (WHEELS, "drive = { kind = 'motor', stall = 2 }", "the key 'no_load' for kind"),
-        (WHEELS, "drive = { kind = 'rate', kp = 2 }", "for kind = 'rate', not 'kp'"),
+        (WHEELS, "drive = { kind = 'motor', stall = 2 }", "drive.no_load"),
+        (WHEELS, "drive = { kind = 'rate', kp = 2 }", "found the unknown key 'kp'"),
         (WHEELS, "drive = { kind = 'motor', stall = '', no_load = 1, kp = 1 }", "number"),
         (WHEELS, "inertia = [0.0, 1.0]", "greater than 0"),
         (SWIVEL, "drive = { kind = 'steam' }", "v.toml:7: coordinates[0].drive (coordinate 'swi"),

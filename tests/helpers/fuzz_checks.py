@@ -19,9 +19,9 @@ from slipfree.files.maps.elevation import read_map
 from slipfree.files.mcap_reader import read_joint_commands, read_mcap
 from slipfree.files.netcdf import read_arrays
 from slipfree.problem.load import load_problem
+from slipfree.problem.report import describe
+from slipfree.problem.result import build, run_problem
 from slipfree.problem.schema import Time
-from slipfree.problem.solve import build, run_problem
-from slipfree.problem.vehicle_report import describe
 from slipfree.terrain.bicubic import Bicubic
 
 READ, REFUSED = "read", "refused"

@@ -25,10 +25,10 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Stop, Trajectory
 from slipfree.files import netcdf
-from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable, wheel_table
+from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable
 from slipfree.problem.build_vehicle import UrdfTable
+from slipfree.problem.load import VERBS
 from slipfree.problem.schema import CommonKeys
-from slipfree.problem.verbs.registry import VERBS
 from slipfree.vehicle.sections import SECTIONS
 
 ROOT = Path(__file__).parents[2]
@@ -172,7 +172,7 @@ def _made(hint: Any, facts: list[Any], rng: Random) -> Any:
     origin, args = get_origin(hint), get_args(hint)
     if hint is AnyWheelTable:
         named = rng.choice([{}, *({"section": name} for name in SECTIONS)])
-        return made(wheel_table(named), rng) | named
+        return made(AnyWheelTable.schema_for(named), rng) | named
     if origin is Annotated:
         return _made(args[0], [*args[1:]], rng)
     if origin in (Union, types.UnionType):
@@ -403,7 +403,7 @@ def results() -> tuple[bytes, ...]:
     import tempfile
 
     from slipfree.problem.load import load_problem
-    from slipfree.problem.solve import run_problem
+    from slipfree.problem.result import run_problem
 
     found = []
     with tempfile.TemporaryDirectory() as folder:

@@ -30,8 +30,8 @@ from slipfree.laws.protocols import SlipLaw
 from slipfree.models.given_rates import PLANAR
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.montana import montana_kinematics
-from slipfree.problem.contact_start import settle_contact
 from slipfree.solve.collocation import drive
+from slipfree.solve.settle import settle_contact
 from slipfree.vehicle.sections import Section
 
 TOLERANCE = 1e-8

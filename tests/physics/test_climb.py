@@ -34,7 +34,7 @@ from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import run_problem
 
 pytestmark = pytest.mark.slow
 FILE = FilePath(__file__).parents[2] / "problems" / "plan_climb_ramp.toml"

@@ -47,7 +47,7 @@ from slipfree.models.given_rates import (
 )
 from slipfree.models.given_rates import GAIN as STEERING_GAIN
 from slipfree.models.inverse import inverse_kinematics
-from slipfree.problem.input_files import input_files
+from slipfree.problem.inputs import input_files
 from slipfree.problem.load import load_problem
 from slipfree.solve.replay import apply_inputs, replay, round_trip, trim_states
 

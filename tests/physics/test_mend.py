@@ -22,9 +22,8 @@ from slipfree.files import netcdf
 from slipfree.files.maps.elevation import geographic_to_metric, read_map
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.build_ground import build_ground, ground_facts
-from slipfree.problem.result import motion_facts
-from slipfree.problem.schema import Terrain
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import motion_facts, run_problem
+from slipfree.problem.schema import TerrainTable
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import (
     Heights,
@@ -348,7 +347,7 @@ def test_friction_lies_where_the_ground_does(tmp_path: Path) -> None:
 
 def test_every_key_is_documented() -> None:
     text = (Path(__file__).parents[2] / "docs" / "elevation.md").read_text()
-    for key in Terrain.model_fields:
+    for key in TerrainTable.model_fields:
         assert f"`{key}`" in text or key in ("sample", "synthetic"), key
 
 

@@ -23,9 +23,9 @@ from helpers.problem_files import VALID
 from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import ProblemError
-from slipfree.problem.build_common import build_terrain
+from slipfree.problem.build import build_terrain
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import build
+from slipfree.problem.result import build
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic

@@ -20,7 +20,7 @@ from slipfree.models.samples import measured_slip
 from slipfree.plan.plan import plan
 from slipfree.plan.verification import inputs_along
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import run_problem
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}

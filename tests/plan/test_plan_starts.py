@@ -142,7 +142,7 @@ def test_no_starts_and_starts_that_cannot_be_simulated_are_an_error(model, monke
         raise ModelError("no guess")
 
     problem = load_problem(PROBLEM, FEW)
-    monkeypatch.setattr("slipfree.problem.verbs.plan_starts.find_plan", fail)
+    monkeypatch.setattr("slipfree.problem.verbs.plan_search.find_plan", fail)
     with pytest.raises(ProblemError, match="guess 1 failed: no guess"):
         run_problem(problem)
 

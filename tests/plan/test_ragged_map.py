@@ -9,7 +9,7 @@ import pytest
 
 from slipfree.core.outcome import Outcome
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
+from slipfree.problem.result import run_problem
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import hole_distance
 

@@ -10,7 +10,7 @@ import pytest
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
 from slipfree.control.path_following import arc_inputs, turning_axis_offset
 from slipfree.core.errors import ModelError
-from slipfree.problem.build_common import samples
+from slipfree.problem.build import samples
 from slipfree.problem.schema import Time
 from slipfree.routing.reeds_shepp import HEADINGS, reeds_shepp
 from slipfree.terrain.base import Terrain

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slipfree import load_problem, run_problem
-from slipfree.problem.verbs.registry import verb_of
+from slipfree.problem.load import verb_of
 
 SLOPE = Path(__file__).parents[2] / "problems" / "plan_sandy_slope.toml"
 SHORT = (

@@ -277,7 +277,7 @@ def test_memory_that_runs_out_is_told(folder: Path, monkeypatch: Any) -> None:
         raise MemoryError
 
     monkeypatch.chdir(folder)
-    monkeypatch.setattr("slipfree.problem.solve.build", fail)
+    monkeypatch.setattr("slipfree.problem.result.build", fail)
     found = CliRunner().invoke(app, ["check", "p.toml"])
     assert found.exit_code == 1
     assert found.stderr.startswith("not enough memory: reduce 'terrain.window'")

@@ -111,7 +111,7 @@ def test_a_medium_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO), "p.toml")
 
-    monkeypatch.setattr("slipfree.problem.solve.build", broken)
+    monkeypatch.setattr("slipfree.problem.result.build", broken)
     found = CliRunner().invoke(app, ["check", "p.toml"])
     assert (found.exit_code, found.output) == (
         1,

@@ -7,8 +7,7 @@ from numpy.testing import assert_allclose
 from helpers.cases import case1, closure_model, hills
 from slipfree import Analytic, ModelError, settle
 from slipfree.catalog import open_source_rover, three_wheeler
-from slipfree.problem.contact_start import settle_contact
-from slipfree.solve.settle import settle_exchanged, settle_nearest
+from slipfree.solve.settle import settle_contact, settle_exchanged, settle_nearest
 
 HILLS = Analytic(hills)
 

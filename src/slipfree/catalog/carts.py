@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import inf
 
 from slipfree.core.errors import ModelError
+from slipfree.core.schema import Angle, Factor, Length, Mass, Position, Radius
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.sections import Section, section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
@@ -20,16 +21,16 @@ AXLE_NAMES = {2: ("front", "rear"), 3: ("front", "middle", "rear")}
 
 def differential_drive(
     *,
-    half_track: float = 0.25,
-    caster_ahead: float = 0.35,
-    trail: float = 0.08,
-    r1: float = 0.03,
-    r2: float = 0.12,
-    caster_scale: float = 2 / 3,
-    mass: float = 20.0,
+    half_track: Length = 0.25,
+    caster_ahead: Length = 0.35,
+    trail: Position = 0.08,
+    r1: Radius = 0.03,
+    r2: Radius = 0.12,
+    caster_scale: Factor = 2 / 3,
+    mass: Mass = 20.0,
     center_of_mass: Vector = (0.0, 0.1, 0.0),
-    wheel_mass: float = 1.0,
-    grip: float = 1.0,
+    wheel_mass: Mass = 1.0,
+    grip: Factor = 1.0,
 ) -> Vehicle:
     """Return a cart with two driven wheels and a free caster ahead of them.
 
@@ -77,15 +78,15 @@ def differential_drive(
 
 def ackermann(
     *,
-    half_track: float = 0.3,
-    wheelbase: float = 0.7,
-    r1: float = 0.03,
-    r2: float = 0.12,
-    steer_stop: float = 0.7,
-    mass: float = 40.0,
+    half_track: Length = 0.3,
+    wheelbase: Length = 0.7,
+    r1: Radius = 0.03,
+    r2: Radius = 0.12,
+    steer_stop: Angle = 0.7,
+    mass: Mass = 40.0,
     center_of_mass: Vector = (0.0, 0.35, 0.0),
-    wheel_mass: float = 2.0,
-    grip: float = 1.0,
+    wheel_mass: Mass = 2.0,
+    grip: Factor = 1.0,
 ) -> Vehicle:
     """Return a car with a rocking front axle and driven rear wheels.
 
@@ -159,14 +160,14 @@ def ackermann(
 
 def skid_steer(
     *,
-    half_track: float = 0.3,
-    wheelbase: float = 0.5,
-    r1: float = 0.03,
-    r2: float = 0.12,
-    mass: float = 30.0,
+    half_track: Length = 0.3,
+    wheelbase: Length = 0.5,
+    r1: Radius = 0.03,
+    r2: Radius = 0.12,
+    mass: Mass = 30.0,
     center_of_mass: Vector = ORIGIN,
-    wheel_mass: float = 2.0,
-    grip: float = 1.0,
+    wheel_mass: Mass = 2.0,
+    grip: Factor = 1.0,
 ) -> Vehicle:
     """Return a cart with four driven wheels; the two right wheels are on a rocker.
 
@@ -217,14 +218,14 @@ def skid_steer(
 def rigid_skid_steer(
     *,
     axles: int = 2,
-    half_track: float = 0.285,
-    wheelbase: float = 0.51,
-    r1: float = 0.05,
-    r2: float = 0.115,
-    mass: float = 38.0,
+    half_track: Length = 0.285,
+    wheelbase: Length = 0.51,
+    r1: Radius = 0.05,
+    r2: Radius = 0.115,
+    mass: Mass = 38.0,
     center_of_mass: Vector = (0.0, 0.0, 0.05),
-    wheel_mass: float = 2.0,
-    grip: float = 1.0,
+    wheel_mass: Mass = 2.0,
+    grip: Factor = 1.0,
 ) -> Vehicle:
     """Return a rigid robot with two driven wheels on each of its axles, and no suspension.
 
@@ -274,16 +275,16 @@ def rigid_skid_steer(
 
 def articulated(
     *,
-    half_track: float = 0.35,
-    front: float = 0.4,
-    rear: float = 0.4,
-    r1: float = 0.04,
-    r2: float = 0.16,
-    bend_stop: float = 0.7,
-    mass: float = 60.0,
+    half_track: Length = 0.35,
+    front: Length = 0.4,
+    rear: Length = 0.4,
+    r1: Radius = 0.04,
+    r2: Radius = 0.16,
+    bend_stop: Angle = 0.7,
+    mass: Mass = 60.0,
     center_of_mass: Vector = ORIGIN,
-    wheel_mass: float = 4.0,
-    grip: float = 1.0,
+    wheel_mass: Mass = 4.0,
+    grip: Factor = 1.0,
 ) -> Vehicle:
     """Return an articulated loader with a driven steering joint and a free twist joint.
 

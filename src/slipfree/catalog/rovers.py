@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 from slipfree.catalog.carts import SIDES
 from slipfree.core.errors import ModelError
+from slipfree.core.schema import Factor, Mass, Radius
 from slipfree.geometry.frame import Vector
 from slipfree.geometry.tensor import Elements
 from slipfree.vehicle.sections import section_of_radii
@@ -133,11 +134,11 @@ def rocker_bogie(
 def rocky7(
     *,
     steered: Literal["front", "corners"] = "front",
-    r1: float = 0.02,
-    mass: float = 10.0,
+    r1: Radius = 0.02,
+    mass: Mass = 10.0,
     center_of_mass: Vector = (0.0, 0.12, 0.0),
-    wheel_mass: float = 0.5,
-    grip: float = 1.0,
+    wheel_mass: Mass = 0.5,
+    grip: Factor = 1.0,
 ) -> Vehicle:
     """Return the Rocky 7 rover of JPL [1]_, with the dimensions used by [2]_.
 
@@ -210,11 +211,11 @@ def _box_inertia(mass: float, sides: Vector) -> Elements | None:
 
 def open_source_rover(
     *,
-    r1: float = 0.02,
-    mass: float = 7.0,
+    r1: Radius = 0.02,
+    mass: Mass = 7.0,
     center_of_mass: Vector = ORIGIN,
-    wheel_mass: float = 0.8,
-    grip: float = 1.0,
+    wheel_mass: Mass = 0.8,
+    grip: Factor = 1.0,
 ) -> Vehicle:
     """Return the JPL Open Source Rover [1]_, with the front wheels on the bogies.
 

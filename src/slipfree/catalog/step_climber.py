@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from slipfree.catalog.carts import SIDES, _positive
 from slipfree.core.errors import ModelError
+from slipfree.core.schema import Factor, Force, JointConstant, Length, Mass, Position
 from slipfree.geometry.frame import Axis, Vector
 from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections import Disc, Omni
@@ -119,12 +120,12 @@ FRONT_MASS, REAR_MASS = 7.8, 13.8  # of the bodies, wheels included [kg]
 
 def seven_wheels(
     *,
-    joint: float = 0.0,
-    half_track: float = 0.235,
-    stiffness: float = 2e3,
-    preload: float = 20.0,
-    grip: float = 1.0,
-    wheel_mass: float = 0.0,
+    joint: Position = 0.0,
+    half_track: Length = 0.235,
+    stiffness: JointConstant = 2e3,
+    preload: Force = 20.0,
+    grip: Factor = 1.0,
+    wheel_mass: Mass = 0.0,
 ) -> Vehicle:
     """Return the step climber of Chugo et al. [1]_, with seven driven omni wheels.
 
@@ -229,7 +230,7 @@ def seven_wheels(
     )
 
 
-def step_climber(*, joint: float = 0.0, stiffness: float = 1.5e5) -> Vehicle:
+def step_climber(*, joint: Position = 0.0, stiffness: JointConstant = 1.5e5) -> Vehicle:
     """Return the step climber of Chugo et al. (2009), locked to the plane of its motion.
 
     It is the side view of `seven_wheels`, with one driven disc for the wheels of an axle; the

@@ -8,6 +8,7 @@ from math import inf
 from typing import Literal, get_args
 
 from slipfree.core.errors import ModelError
+from slipfree.core.schema import Angle, Factor, JointConstant, Length, Mass, Radius
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -21,19 +22,19 @@ MAX_TILT = 1.5  # a wheel with a larger tilt lies on its side [rad]
 def three_wheeler(
     *,
     axle: Axle = "tilting",
-    half_track: float = 1.0,
-    wheelbase: float = 1.5,
-    r1: float = 0.05,
-    r2: float = 0.25,
-    tilt_stop: float = MAX_TILT,
-    slide_stop: float = inf,
-    stiffness: float = 0.0,
-    damping: float = 0.0,
-    bump: float = 0.0,
-    mass: float = 30.0,
+    half_track: Length = 1.0,
+    wheelbase: Length = 1.5,
+    r1: Radius = 0.05,
+    r2: Radius = 0.25,
+    tilt_stop: Angle = MAX_TILT,
+    slide_stop: Length = inf,
+    stiffness: JointConstant = 0.0,
+    damping: JointConstant = 0.0,
+    bump: JointConstant = 0.0,
+    mass: Mass = 30.0,
     center_of_mass: tuple[float, float, float] = ORIGIN,
-    wheel_mass: float = 2.0,
-    grip: float = 1.0,
+    wheel_mass: Mass = 2.0,
+    grip: Factor = 1.0,
 ) -> Vehicle:
     """Return the three-wheeler of Chakraborty and Ghosal [1]_ with one of six rear axles.
 

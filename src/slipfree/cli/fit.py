@@ -56,7 +56,7 @@ def fit(
     with reported(), about(file):
         from slipfree.files.tables import write_rows
         from slipfree.files.vehicle_draft import vehicle_text
-        from slipfree.problem.input_files import files_read
+        from slipfree.problem.inputs import files_read
         from slipfree.problem.verbs.fit import (
             error_rows,
             estimate_rows,

@@ -37,7 +37,7 @@ from slipfree.core.errors import DataError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
-    from slipfree.problem.verbs.compare import Drive
+    from slipfree.problem.verbs.compare import ComparedMotion
 
 
 def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
@@ -46,8 +46,8 @@ def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
     Print facts about ground, vehicle and start; the motion is not computed.
     """
     with reported():
-        from slipfree.problem.solve import build
-        from slipfree.problem.verbs.registry import verb_of
+        from slipfree.problem.load import verb_of
+        from slipfree.problem.result import build
 
         problem = read_problem(file, settings, trust)
         setup = build(problem)
@@ -80,8 +80,8 @@ def vehicle(
     """
     with reported():
         from slipfree.problem.build_vehicle import guessed_completion
-        from slipfree.problem.input_files import files_named_in
-        from slipfree.problem.vehicle_report import describe
+        from slipfree.problem.inputs import files_named_in
+        from slipfree.problem.report import describe
 
         if write is not None:
             check_outputs([write], [file, *files_named_in(file)])
@@ -134,7 +134,7 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
             raise typer.Exit(INTERRUPTED)
 
 
-def _drive(drive: Drive) -> str:
+def _drive(drive: ComparedMotion) -> str:
     slips = "".join(
         f"{' '.join(f'{1e3 * value:.2f}' for value in values):18}"
         for values in (drive.along, drive.across)
@@ -154,9 +154,9 @@ def info(
     """Print outcome, attributes and ranges of the quantities of a result file."""
     with reported(), about(file):
         from slipfree.files.netcdf import read
+        from slipfree.problem.inputs import STORED
         from slipfree.problem.result import facts_of, motion_facts
-        from slipfree.problem.stored_inputs import STORED
-        from slipfree.problem.summary import outcome_fact, ranges
+        from slipfree.problem.verbs.base import outcome_fact, ranges
 
         motion = read(file, lazy=True)
         attributes = dict(motion.attributes)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from slipfree.core.facts import Facts
     from slipfree.core.trajectory import Stop, Trajectory
     from slipfree.problem.problem import Problem
-    from slipfree.problem.verbs.compare import Drive, Row
+    from slipfree.problem.verbs.compare import ComparedMotion, ComparedVehicle
 
 OUTPUT = ("output", "file")  # key of a problem file with the name of its result
 FIGURE = b"\x89PNG"  # first bytes of a PNG file
@@ -64,7 +64,7 @@ def quantities(run: Trajectory) -> dict[str, Any]:
     }
 
 
-def row_json(row: Row) -> dict[str, Any]:
+def row_json(row: ComparedVehicle) -> dict[str, Any]:
     """Return the JSON object of one vehicle of ``slipfree compare``."""
     return {
         "name": row.name,
@@ -76,7 +76,7 @@ def row_json(row: Row) -> dict[str, Any]:
     }
 
 
-def _drive(drive: Drive) -> dict[str, Any]:
+def _drive(drive: ComparedMotion) -> dict[str, Any]:
     """Return the JSON object of one motion of a vehicle: extremes over time, and its stop.
 
     Values of slip are arrays with one entry per wheel.
@@ -108,8 +108,8 @@ def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
 
 def resume_command(run: Trajectory, out: Path, *options: str) -> str:
     """Return the command that resumes an interrupted plan; empty for other motions."""
+    from slipfree.problem.load import find_motion_verb
     from slipfree.problem.verbs.base import RESUME, VERB_ATTRIBUTE
-    from slipfree.problem.verbs.registry import find_motion_verb
 
     found = run.attributes
     verb = find_motion_verb(found.get(VERB_ATTRIBUTE))

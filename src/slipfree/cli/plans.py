@@ -76,9 +76,14 @@ def pareto(
     with reported():
         from slipfree.files.netcdf import write
         from slipfree.files.tables import write_rows
-        from slipfree.problem.input_files import files_read
-        from slipfree.problem.pareto import plan_front
-        from slipfree.problem.pareto_table import front_facts, front_plot, front_rows, table_lines
+        from slipfree.problem.inputs import files_read
+        from slipfree.problem.pareto import (
+            front_facts,
+            front_plot,
+            front_rows,
+            plan_front,
+            table_lines,
+        )
 
         problem = read_problem(file, settings, trust)
         folder = out or Path(f"{problem.source.path.stem}_pareto")

@@ -46,8 +46,7 @@ if TYPE_CHECKING:
     from slipfree.cli.messages import Reports
     from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.problem.problem import Problem
-    from slipfree.problem.result import Result
-    from slipfree.problem.verbs.base import MotionVerb
+    from slipfree.problem.verbs.base import MotionVerb, Result
     from slipfree.show.plots import Plot
 
 
@@ -104,8 +103,8 @@ def run(
     Print a summary and draw figures.
     """
     with reported():
-        from slipfree.problem.input_files import files_read
-        from slipfree.problem.verbs.registry import verb_of
+        from slipfree.problem.inputs import files_read
+        from slipfree.problem.load import verb_of
 
         problem = read_problem(file, settings, trust)
         verb = verb_of(problem)
@@ -151,8 +150,8 @@ def _output_paths(
 
 def _check_options(problem: Problem[Any], cross_check: bool, resume: Path | None) -> None:
     """Raise DataError for options that the verb does not support."""
+    from slipfree.problem.load import check_option
     from slipfree.problem.verbs.base import CROSS_CHECK, RESUME
-    from slipfree.problem.verbs.registry import check_option
 
     given = {CROSS_CHECK: cross_check, RESUME: resume}
     for option, value in given.items():
@@ -196,7 +195,7 @@ def _solve(problem: Problem[Any], reports: Reports, former: SavedPlan | None, ou
     A solved plan is written to ``out`` before it is verified, in case that this process is killed.
     """
     from slipfree.files.netcdf import write
-    from slipfree.problem.solve import run_problem
+    from slipfree.problem.result import run_problem
 
     def keep(result: Result) -> None:
         with suppress(WriteError), held_interrupt():
@@ -252,7 +251,7 @@ def _cross_check(result: Result) -> None:
 
     JSON output contains the differences of all quantities.
     """
-    from slipfree.problem.solve import cross_check
+    from slipfree.problem.result import cross_check
 
     other, found = cross_check(result)
     differences = sorted(found, key=lambda each: -each.size)
@@ -280,7 +279,7 @@ def _cross_check(result: Result) -> None:
 
 
 def _print_summary(result: Result, verb: MotionVerb) -> None:
-    from slipfree.problem.summary import outcome_fact
+    from slipfree.problem.verbs.base import outcome_fact
 
     motion = result.trajectory
     print_facts([outcome_fact(motion), *result.setup.facts, *verb.summary(motion)])

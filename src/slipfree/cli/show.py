@@ -21,7 +21,7 @@ from slipfree.cli.outputs import check_outputs, check_page
 from slipfree.system.regular_files import escape_name, regular_file, replace_file
 
 if TYPE_CHECKING:
-    from slipfree.problem.plan_document import Document
+    from slipfree.problem.plan_edit import Document
     from slipfree.show.plan_page import PlanPage
     from slipfree.show.scene import Scene
 
@@ -101,8 +101,8 @@ def _write_page(file: Path, text: str) -> None:
 def _read(files: Sequence[Path], folder: Path | None) -> list[Any]:
     """Return the motions in the result files."""
     from slipfree.core.trajectory import SCENE_SAMPLES
+    from slipfree.problem.load import verb_of
     from slipfree.problem.result import open_result
-    from slipfree.problem.verbs.registry import verb_of
 
     results, found = [], []
     for file in files:
@@ -212,7 +212,7 @@ def edit(
 def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
     """Serve the page of a problem until Ctrl-C."""
     from slipfree.files.urdf.xacro import trusted_paths
-    from slipfree.problem.plan_document import read_document
+    from slipfree.problem.plan_edit import read_document
     from slipfree.problem.plan_session import Desk, state_of
     from slipfree.show.local_server import Gate, json_content, start_server
 
@@ -240,10 +240,9 @@ def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
 
 def _page_drawer() -> Callable[[Document], PlanPage]:
     """Return a function that draws the page of a document, again only if other keys changed."""
-    from slipfree.problem.build_common import build_vehicle
     from slipfree.problem.build_ground import at, build_ground
-    from slipfree.problem.plan_document import PLACES
-    from slipfree.problem.plan_edit import way_points_in
+    from slipfree.problem.build_vehicle import build_vehicle
+    from slipfree.problem.plan_edit import PLACES, way_points_in
     from slipfree.show.plan_page import PlanMap, plan_page
 
     last: tuple[object, PlanPage] | None = None

@@ -105,7 +105,7 @@ def sweep(
     was interrupted or killed.
     """
     with reported():
-        from slipfree.problem.input_files import files_read
+        from slipfree.problem.inputs import files_read
         from slipfree.sweep.grid import sweep_of
         from slipfree.sweep.log import FAILED, LOST
         from slipfree.sweep.run import TABLE, choose_figures, drawn_grids, grids, sweep_facts

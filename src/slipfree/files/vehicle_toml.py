@@ -5,21 +5,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, fields, replace
+from dataclasses import fields, replace
 from difflib import get_close_matches
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     ConfigDict,
     Field,
     PlainValidator,
     ValidationError,
-    WrapValidator,
-    create_model,
 )
 
 from slipfree.core.errors import ModelError
@@ -47,7 +43,9 @@ from slipfree.files.toml.types import (
     Record,
     bare_words,
     expected_error,
+    given_values,
     in_radians,
+    record_of,
     unit_faults,
 )
 from slipfree.files.toml.types import Place as Place3
@@ -118,26 +116,27 @@ def _known_section(_: Any) -> None:
     raise expected_error(f"one of {', '.join(map(repr, SECTIONS))}")
 
 
-def _drive(value: Any) -> Drive:
-    given = dict(value) if isinstance(value, dict) else {}
-    kind = given.pop("kind", None)
-    if kind not in DRIVES:
-        raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, DRIVES))}")
-    keys = {field.name: field.default for field in fields(DRIVES[kind])}
-    for name in given:
-        if name not in keys:
-            known = ", ".join(map(repr, ("kind", *keys)))
-            raise expected_error(f"only the keys {known} for kind = {kind!r}, not {name!r}")
-    for name, default in keys.items():
-        if default is MISSING and name not in given:
-            raise expected_error(f"the key {name!r} for kind = {kind!r}")
-    for name, number in given.items():
-        if not isinstance(number, int | float) or isinstance(number, bool):
-            raise expected_error(f"a number as {name!r} for kind = {kind!r}")
-    try:
-        return DRIVES[kind](**given)
-    except ModelError as error:
-        raise expected_error(f"a valid drive ({error})") from error
+class DriveKind(Record):
+    """Key of the table of a drive that is not a parameter of its kind."""
+
+    kind: str
+
+    @classmethod
+    def schema_for(cls, data: Any) -> type[Record]:
+        """Return the record with the parameters of the kind."""
+        if cls is not DriveKind:
+            return cls
+        kind = data.get("kind") if isinstance(data, dict) else None
+        if not isinstance(kind, str) or kind not in DRIVES:
+            raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, DRIVES))}")
+        drive: Any = DRIVES[kind]
+        schema: type[Record] = record_of(drive, DriveKind)
+        return schema
+
+
+def _drive(data: Any) -> Drive:
+    parameters = given_values(DriveKind.model_validate(data))
+    return DRIVES[parameters.pop("kind")](**parameters)
 
 
 Axis = Annotated[Any, PlainValidator(_axis)]
@@ -147,7 +146,7 @@ Name = Annotated[str, Field(min_length=1)]
 Inertia = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
 WheelInertia = Annotated[tuple[Positive, Positive], Field(strict=False)]
 Length = Annotated[Positive, AfterValidator(_meters)]
-DriveTable = Annotated[Any, PlainValidator(_drive)]
+DriveTable = Annotated[DriveKind | Any, PlainValidator(_drive)]
 
 
 class CoordinateTable(Record):
@@ -197,6 +196,18 @@ class AnyWheelTable(Record):
     inertia: WheelInertia | None = None
     drive: DriveTable = RATE
 
+    @classmethod
+    def schema_for(cls, data: Any) -> type[Record]:
+        """Return the record with the dimensions of the section."""
+        if cls is not AnyWheelTable:
+            return cls
+        if not isinstance(data, dict) or "section" not in data:
+            return WheelTable
+        name = data["section"]
+        section = SECTIONS.get(name) if isinstance(name, str) else None
+        schema: type[Record] = record_of(section, cls) if section else UnknownSectionTable
+        return schema
+
 
 class WheelTable(AnyWheelTable):
     """Table of a wheel without the key ``section``: a torus, disc or sphere."""
@@ -212,30 +223,6 @@ class UnknownSectionTable(AnyWheelTable):
     section: Annotated[Any, PlainValidator(_known_section)]
 
 
-def wheel_table(data: Any) -> type[AnyWheelTable]:
-    """Return the schema for the table of a wheel; its section determines further keys."""
-    if not isinstance(data, dict) or "section" not in data:
-        return WheelTable
-    section = SECTIONS.get(data["section"]) if isinstance(data["section"], str) else None
-    return UnknownSectionTable if section is None else _section_table(section)
-
-
-@cache
-def _section_table(section: type[Section]) -> type[AnyWheelTable]:
-    hints = get_type_hints(section)
-    keys: dict[str, Any] = {
-        each.name: (
-            Positive if hints[each.name] is float else hints[each.name],
-            ... if each.default is MISSING else each.default,
-        )
-        for each in fields(section)
-    }
-    return create_model(f"{section.__name__}Table", __base__=AnyWheelTable, **keys)
-
-
-WHEEL_READER = WrapValidator(lambda data, _: wheel_table(data).model_validate(data))
-
-
 class VehicleTable(Record):
     """Contents of a vehicle file."""
 
@@ -248,16 +235,7 @@ class VehicleTable(Record):
     planar: bool = False
     coordinates: Annotated[tuple[CoordinateTable, ...], Field(strict=False)] = ()
     joints: Annotated[tuple[JointTable, ...], Field(strict=False)] = ()
-    wheels: Annotated[tuple[Annotated[AnyWheelTable, WHEEL_READER], ...], Field(strict=False)]
-
-
-# function from the data of an element to its schema, by name of the array of tables
-Tables = Mapping[str, Callable[[Any], type[BaseModel]]]
-TABLES: Tables = {
-    "coordinates": lambda _: CoordinateTable,
-    "joints": lambda _: JointTable,
-    "wheels": wheel_table,
-}
+    wheels: Annotated[tuple[AnyWheelTable, ...], Field(strict=False)]
 
 
 class File(NamedTuple):
@@ -310,36 +288,29 @@ def _element_lines(text: str, start: int) -> Iterator[int]:
             return
 
 
-def validated(model: type[Record], parts: Tables, file: File) -> Any:
+def validated(model: type[Record], file: File) -> Any:
     """Return the contents of a file as a record of type ``model``.
 
-    ``parts`` are the functions from the data of an element to its schema, by name of the array of
-    tables. VehicleError is raised if values are invalid; its message has a line for each.
+    VehicleError is raised if values are invalid; its message has a line for each.
     """
     try:
         table = model.model_validate(file.data)
     except ValidationError as error:
         errors = error.errors(include_url=False)
-        faults = [_worded(model, parts, file.data, dict(each)) for each in errors]
+        faults = [_worded(model, file.data, dict(each)) for each in errors]
         raise file.error(faults) from error
     if faults := [*value_errors(file.data)]:
         raise file.error(faults)
     return table
 
 
-def _worded(
-    model: type[BaseModel], parts: Tables, data: dict[str, Any], error: dict[str, Any]
-) -> Fault:
+def _worded(model: type[Record], data: dict[str, Any], error: dict[str, Any]) -> Fault:
     """Return a validation error of pydantic as a `Fault`, with descriptions for this file."""
     place, kind = tuple(error["loc"]), error["type"]
-    if kind == "extra_forbidden":
-        table = parts[place[0]](data[place[0]][place[1]]) if len(place) > 1 else model
-        (unknown,) = name_errors(place[:-1], [str(place[-1])], list(table.model_fields))
-        return unknown
     if kind == "missing" and isinstance(place[-1], str):
         expected = {"frame": FRAMES, "parent": PARENT, "wheels": "at least three wheels"}
         return Fault(place, expected.get(place[-1], "a value"), "none")
-    return validation_fault(model, error)
+    return validation_fault(model, data, error)
 
 
 def read_toml(file: File) -> Draft:
@@ -351,7 +322,7 @@ def read_toml(file: File) -> Draft:
         If the file has errors; the exception contains a message for each of them, and a draft if
         all single values are valid.
     """
-    table: VehicleTable = validated(VehicleTable, TABLES, file)
+    table: VehicleTable = validated(VehicleTable, file)
     faults = [
         *_name_errors(table),
         *_parent_errors(table),

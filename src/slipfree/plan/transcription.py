@@ -76,7 +76,7 @@ class PlanTask:
     initial_inputs : ndarray, shape (n_u, 2), optional
         Smallest and largest value of each input at the beginning; by default those of ``inputs``.
     periodic : ndarray of bool, shape (n_x,)
-        States that mean the same after a whole turn (`slipfree.solve.whole_turns`).
+        States that mean the same after a whole turn (`slipfree.solve.sampling`).
     """
 
     dae: Dae

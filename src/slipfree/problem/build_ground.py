@@ -1,9 +1,11 @@
-"""Ground of a problem, from its table [terrain]."""
+"""Ground of a problem: map or synthetic heights, friction, geographic places and obstacles."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
+from math import degrees, isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,11 +14,14 @@ import numpy as np
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.cf import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import Frame, Map, jacksboro, read_map, takes_key
+from slipfree.files.maps.reference_systems import from_degrees
 from slipfree.files.toml.source import Place, ProblemError
+from slipfree.files.toml.source import Place as KeyPath
+from slipfree.files.toml.types import AngleWithUnit
 from slipfree.problem import schema
-from slipfree.problem.problem import A, Problem, S
-from slipfree.problem.sharing import shared
-from slipfree.problem.summary import Lines
+from slipfree.problem.problem import A, Problem, S, shared
+from slipfree.problem.schema import TerrainKeys
+from slipfree.problem.verbs.base import Lines
 from slipfree.terrain.base import Grid
 from slipfree.terrain.friction import check_friction
 from slipfree.terrain.grid_ops import MAX_NODES, cut, disturbed, scaled, smoothed
@@ -28,7 +33,7 @@ LATER = {"smooth", "error", "rolled", "friction", "obstacles"}  # keys that do n
 EARTH = -12000.0, 9000.0  # heights between the deepest ocean and the highest mountain [m]
 
 
-class Ground(NamedTuple):
+class GroundMap(NamedTuple):
     """Ground of a problem with its friction, and facts about them.
 
     Attributes
@@ -75,38 +80,36 @@ def at(problem: Problem[A], place: Place) -> Iterator[None]:
         raise ProblemError(f"{problem.source.where(place)}: {words}") from error
 
 
-def build_ground(problem: Problem[S]) -> Ground:
+def build_ground(problem: Problem[S]) -> GroundMap:
     """Return the ground of a problem.
 
     The order of operations is: read the file inside the window, fill holes, convert degrees to
     metres, scale, cut to the window (if there is no file), smooth, add the random elevation error
     (``error``), and fill the hollows that a wheel cannot touch (``rolled``).
 
-    Raises
-    ------
-    ProblemError
-        If a file cannot be read, its heights cannot be metres and ``vertical_scale`` is missing,
-        the ground is too large, or a key of the table is not valid or does not apply.
+    ProblemError is raised if a file cannot be read, its heights cannot be metres and
+    ``vertical_scale`` is missing, the ground is too large, or a key of the table is not valid or
+    does not apply.
     """
     spec = problem.spec.terrain
     _check_keys(problem)
     horizontal, vertical = _scales(spec)
-    found, source = _source(problem)
-    grid = scaled(found.grid, horizontal, vertical)
+    ground_map, source = _source(problem)
+    grid = scaled(ground_map.grid, horizontal, vertical)
     if spec.window is not None and spec.file is None:
         with at(problem, ("terrain", "window")):
             grid = cut(grid, spec.window)
     grid, changes = _changed(problem, grid)
-    coordinates = _map_coordinates(found, horizontal, vertical)
-    facts = [*found.facts, *changes, *_map_facts(found.crs, coordinates)]
-    mu, friction = _friction(problem, found)
+    coordinates = _map_coordinates(ground_map, horizontal, vertical)
+    facts = [*ground_map.facts, *changes, *_map_facts(ground_map.crs, coordinates)]
+    mu, friction = _friction(problem, ground_map)
     if spec.rolled is None:
-        return Ground(grid, source + _scale_words(spec), None, mu, friction, facts, coordinates)
+        return GroundMap(grid, source + _scale_words(spec), None, mu, friction, facts, coordinates)
     with at(problem, ("terrain", "rolled")):
         remedy = "cut the ground to a window, or increase the radius 'rolled'"
         _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES, remedy)
         changed = rolled(grid, spec.rolled)
-    return Ground(
+    return GroundMap(
         changed.grid, source + _scale_words(spec), changed, mu, friction, facts, coordinates
     )
 
@@ -124,12 +127,12 @@ def _check_keys(problem: Problem[S]) -> None:
             )
 
 
-def _scales(spec: schema.Terrain) -> tuple[float, float]:
+def _scales(spec: schema.TerrainTable) -> tuple[float, float]:
     """Return the scale factor of x and y, and that of heights [1]."""
     return spec.scale * spec.horizontal_scale, spec.scale * spec.vertical_scale
 
 
-def _scale_words(spec: schema.Terrain) -> str:
+def _scale_words(spec: schema.TerrainTable) -> str:
     horizontal, vertical = _scales(spec)
     if horizontal == vertical:
         return f" scaled by {horizontal:g}" if horizontal != 1 else ""
@@ -160,12 +163,14 @@ def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Lines]:
     return grid, facts
 
 
-def _map_coordinates(found: Map, horizontal: float, vertical: float) -> tuple[MapCoordinate, ...]:
+def _map_coordinates(
+    ground_map: Map, horizontal: float, vertical: float
+) -> tuple[MapCoordinate, ...]:
     """Return x, y and z of a map file as functions of those of motions; empty if all are equal."""
-    x0, kx, y0, ky = found.frame
-    if found.frame == Frame() and (horizontal, vertical) == (1, 1):
+    x0, kx, y0, ky = ground_map.frame
+    if ground_map.frame == Frame() and (horizontal, vertical) == (1, 1):
         return ()
-    x, y = ("longitude", "latitude") if found.geographic else ("x", "y")
+    x, y = ("longitude", "latitude") if ground_map.geographic else ("x", "y")
     return (
         MapCoordinate(x, x0, kx / horizontal, "x"),
         MapCoordinate(y, y0, ky / horizontal, "y"),
@@ -199,21 +204,18 @@ def _check_size(width: float, length: float, spacing: float, remedy: str) -> Non
 def read_source(problem: Problem[Any]) -> tuple[Map, tuple[MapCoordinate, ...]]:
     """Return the map of a problem before scaling, and the coordinates of its file.
 
+    ProblemError is raised if the map cannot be read, or if its heights cannot be metres and
+    ``vertical_scale`` is missing.
+
     Returns
     -------
-    found : Map
+    ground_map : Map
         Ground before scaling.
     coordinates : tuple of MapCoordinate
-        As in `Ground`.
-
-    Raises
-    ------
-    ProblemError
-        If the map cannot be read, or if its heights cannot be metres and ``vertical_scale`` is
-        missing.
+        As in `GroundMap`.
     """
-    found, _ = _source(problem)
-    return found, _map_coordinates(found, *_scales(problem.spec.terrain))
+    ground_map, _ = _source(problem)
+    return ground_map, _map_coordinates(ground_map, *_scales(problem.spec.terrain))
 
 
 def _source(problem: Problem[S]) -> tuple[Map, str]:
@@ -238,10 +240,10 @@ def _read(problem: Problem[S]) -> tuple[Map, str]:
         if "vertical_scale" in spec.model_fields_set:
             options["vertical_scale"] = spec.vertical_scale
         with at(problem, ("terrain", "file")):
-            found = read_map(problem.folder / spec.file, window=window, **options)
+            ground_map = read_map(problem.folder / spec.file, window=window, **options)
             if "vertical_scale" not in spec.model_fields_set:
-                _check_heights(found, spec.scale)
-        return found, spec.file
+                _check_heights(ground_map, spec.scale)
+        return ground_map, spec.file
     if spec.synthetic is not None:
         with at(problem, ("terrain", "synthetic")):
             return Map(_synthetic(spec.synthetic)), "synthetic"
@@ -249,10 +251,10 @@ def _read(problem: Problem[S]) -> tuple[Map, str]:
         return Map(jacksboro()), "Jacksboro fault (sample of matplotlib)"
 
 
-def _check_heights(found: Map, scale: float) -> None:
+def _check_heights(ground_map: Map, scale: float) -> None:
     """Raise ModelError if heights are gray levels, or exceed those on the earth in metres."""
-    low, high = found.grid.values.min(), found.grid.values.max()
-    if found.gray:
+    low, high = ground_map.grid.values.min(), ground_map.grid.values.max()
+    if ground_map.gray:
         raise ModelError(
             "expected vertical_scale, the metres per gray level of a picture, found none; "
             "set it to the difference between the highest and the lowest height in metres divided "
@@ -280,13 +282,13 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
     if ground.geographic:
         options["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):
-        found = read_map(problem.folder / name, **options)
-        check_friction(found.grid)  # before scaling: the message has coordinates of the file
+        friction_map = read_map(problem.folder / name, **options)
+        check_friction(friction_map.grid)  # before scaling: the message has coordinates of the file
     # both files describe the same area, so that both are scaled; coefficients are not
-    mu = scaled(found.grid, horizontal, 1.0)
+    mu = scaled(friction_map.grid, horizontal, 1.0)
     details = "".join(
         f"; {key.removeprefix('ground ')} {words}"
-        for key, words in found.facts
+        for key, words in friction_map.facts
         if not key.startswith("ground map")
     )
     return mu, f"{name}, {mu.z.min():g} to {mu.z.max():g}{details}"
@@ -297,12 +299,11 @@ def _synthetic(spec: schema.Synthetic) -> Grid:
     _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing, remedy)
     grid = blank(spec.x, spec.y, spec.spacing)
     grid = Grid(grid.x, grid.y, grid.z + spec.base)
-    for feature in spec.features():
-        grid = feature.added(grid)
+    grid = spec.with_features(grid)
     return place_rocks(grid, map(Rock._make, spec.placed_rocks))
 
 
-def ground_facts(ground: Ground) -> Lines:
+def ground_facts(ground: GroundMap) -> Lines:
     """Return facts about a ground, pairs of name and text: origin, size, heights and friction."""
     grid = ground.grid
     (n_x, n_y), (h_x, h_y) = grid.z.shape, grid.spacing
@@ -319,3 +320,104 @@ def ground_facts(ground: Ground) -> Lines:
         change = f"at most {ground.rolled.largest:.3g} m, rms {ground.rolled.rms:.3g} m"
         facts.append(("ground changed by rolled", change))
     return facts
+
+
+def convert_places(problem: Problem[A]) -> Problem[A]:
+    """Return a problem with x and y instead of longitude and latitude in all places.
+
+    The reference system is that of the map file, which is read only if a place is in degrees.
+
+    ProblemError is raised if a place has only one of longitude and latitude, or also x or y; if a
+    longitude or latitude is a range or exceeds 360 or 90 degrees; if the place is outside the
+    domain of the map's projection; or if the map cannot be read or has no reference system.
+    """
+    spec = problem.spec
+    if not isinstance(spec, TerrainKeys):
+        return problem
+    places = [place for place in _places(spec) if any(name in place[1] for name in DEGREES)]
+    if not places:
+        return problem
+    ground, coordinates = read_source(problem)
+    for keys, values in places:
+        with at(problem, keys):
+            spec = _replaced(spec, keys, _in_metres(values, ground, coordinates))
+    return replace(problem, spec=spec)
+
+
+def _places(spec: TerrainKeys) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
+    """Yield key and values of start, goal, way-points and keep-out regions of a problem."""
+    yield ("start",), spec.start
+    if (goal := getattr(spec, "goal", None)) is not None:
+        yield ("goal",), goal
+    for index, values in enumerate(getattr(spec, "way_points", ())):
+        yield ("way_points", index), values
+    for index, region in enumerate(getattr(spec, "keep_out", ())):
+        yield ("keep_out", index), region.model_dump(exclude_none=True)
+
+
+def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
+    """Return the values of a problem with another value of one position."""
+    name, old = str(keys[0]), getattr(spec, str(keys[0]))
+    if len(keys) == 1:
+        return spec.model_copy(update={name: values})
+    index = int(keys[1])
+    new = values if isinstance(old[index], Mapping) else type(old[index])(**values)
+    return spec.model_copy(update={name: (*old[:index], new, *old[index + 1 :])})
+
+
+def _in_metres(
+    values: Mapping[str, Any], ground: Map, coordinates: tuple[MapCoordinate, ...]
+) -> dict[str, Any]:
+    """Return the values of a place with x and y instead of longitude and latitude.
+
+    ModelError is raised if the place cannot be converted; see `convert_places`.
+    """
+    if {"x", "y"} & {*values} or not {*DEGREES} <= {*values}:
+        given = [name for name in ("x", "y", *DEGREES) if name in values]
+        raise ModelError(
+            f"expected either longitude and latitude, or x and y, found {', '.join(given)}; give "
+            "one of these pairs"
+        )
+    is_range = isinstance(values["longitude"], tuple)
+    place = [_degrees(values[name], name) for name in DEGREES]
+    if ground.geographic and not ground.crs:
+        x, y = place  # those of the file
+    elif ground.crs:
+        x, y = from_degrees(ground.crs, *place)
+    else:
+        raise ModelError(
+            "expected a map with a reference system for longitude and latitude, found none; give "
+            "x and y, or write the system into the map file: gdal_edit.py -a_srs EPSG:326xx in.tif "
+            "(xx: the UTM zone; EPSG:327xx south of the equator)"
+        )
+    if not (isfinite(x) and isfinite(y)):
+        raise ModelError(
+            f"expected a place in the domain of the map's projection ({ground.crs}), found "
+            f"longitude {place[0]:.9g}, latitude {place[1]:.9g}; correct them"
+        )
+    for each in coordinates:
+        x = (x - each.offset) / each.factor if each.axis == "x" else x
+        y = (y - each.offset) / each.factor if each.axis == "y" else y
+    found = {name: value for name, value in values.items() if name not in DEGREES}
+    return {"x": (x, x), "y": (y, y), **found} if is_range else {"x": x, "y": y, **found}
+
+
+def _degrees(value: float | tuple[float, float], name: str) -> float:
+    """Return a longitude or latitude in degrees, from a number or a range with equal ends.
+
+    ModelError is raised if the ends of the range differ, or the value is out of range.
+    """
+    low, high = value if isinstance(value, tuple) else (value, value)
+    number, last = (degrees(v) if isinstance(v, AngleWithUnit) else v for v in (low, high))
+    bound = 90 if name == "latitude" else 360
+    if low != high:
+        raise ModelError(
+            f"{name}: expected one number, found the range {number:.9g} to {last:.9g} degrees; "
+            "give one number"
+        )
+    if abs(number) > bound:
+        raise ModelError(
+            f"{name}: expected a number from {-bound} to {bound} degrees, found {number:.9g}; "
+            "correct it"
+        )
+    return float(number)

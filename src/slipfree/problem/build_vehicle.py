@@ -39,7 +39,6 @@ from slipfree.files.vehicle_toml import (
     File,
     Inertia,
     Length,
-    Tables,
     VehicleError,
     WheelInertia,
     couple_errors,
@@ -49,9 +48,8 @@ from slipfree.files.vehicle_toml import (
 )
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem import schema
-from slipfree.problem.catalog_table import CATALOG
-from slipfree.problem.problem import Problem
-from slipfree.problem.sharing import shared
+from slipfree.problem.problem import Problem, shared
+from slipfree.problem.schema import CATALOG
 from slipfree.system.regular_files import read_bytes, regular_file
 from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.tree import Vehicle, actuated
@@ -61,7 +59,7 @@ from slipfree.vehicle.wheel import ORIGIN
 HARMLESS = re.compile(r"[\w .,+-]*", re.ASCII)
 
 
-class JointTable(Record):
+class UrdfJointTable(Record):
     """Table of a joint in a file that completes a URDF: its kind, and keys of its coordinate.
 
     A joint that is not in the URDF has the key ``carries``.
@@ -83,7 +81,7 @@ class JointTable(Record):
     drive: DriveTable = None
 
 
-class WheelTable(Record):
+class UrdfWheelTable(Record):
     """Table of a wheel in a file that completes a URDF: added or overriding properties."""
 
     driven: bool | None = None
@@ -118,10 +116,10 @@ class UrdfTable(Record):
     tube: NonNegative = 0.0
     radius: Length | None = None
     forward: Literal["x", "-x", "y", "-y"] | None = None
-    joints: dict[str, Annotated[JointTable, BeforeValidator(_expanded_kind)]] = Field(
+    joints: dict[str, Annotated[UrdfJointTable, BeforeValidator(_expanded_kind)]] = Field(
         default_factory=dict
     )
-    wheels: dict[str, WheelTable] = Field(default_factory=dict)
+    wheels: dict[str, UrdfWheelTable] = Field(default_factory=dict)
     links: dict[str, LinkTable] = Field(default_factory=dict)
     couple: dict[str, float] = Field(default_factory=dict)
 
@@ -163,8 +161,12 @@ class VehicleFile(NamedTuple):
     meshes: Mapping[str, str] | None = None
 
 
-def build_vehicle(spec: schema.Vehicle, problem: Problem[Any]) -> Vehicle:
+def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
     """Return the vehicle of a problem.
+
+    VehicleError is raised if its file does not contain a valid vehicle; DataError if its file
+    cannot be read, is not a vehicle file, or is xacro that is not trusted; ModelError if a keyword
+    of the catalogue is not allowed, or a joint has no free coordinate to actuate.
 
     Parameters
     ----------
@@ -173,22 +175,13 @@ def build_vehicle(spec: schema.Vehicle, problem: Problem[Any]) -> Vehicle:
     problem : Problem
         The problem: the folder to which file names are relative, and the xacro files that the
         command line trusts; of a result, its stored vehicle.
-
-    Raises
-    ------
-    VehicleError
-        If its file does not contain a valid vehicle.
-    DataError
-        If its file cannot be read, is not a vehicle file, or is xacro that is not trusted.
-    ModelError
-        If a keyword of the catalogue is not allowed, or a joint has no free coordinate to actuate.
     """
     if spec.file is not None:
         return actuated(vehicle_file(spec.file, problem).vehicle, *spec.actuated)
     return actuated(CATALOG[str(spec.catalog)](**spec.keywords), *spec.actuated)
 
 
-def read_robot(spec: schema.Vehicle, problem: Problem[Any]) -> Robot | None:
+def read_robot(spec: schema.VehicleSource, problem: Problem[Any]) -> Robot | None:
     """Return the URDF of the vehicle of a problem; None if it has another source.
 
     Parameters and errors are those of `build_vehicle`.
@@ -246,10 +239,7 @@ def guessed_completion(path: Path, folder: Path, trust: Sequence[Path] = ()) -> 
 
     ``trust`` are xacro files that may be expanded.
 
-    Raises
-    ------
-    DataError
-        If the file is not a URDF, or its vehicle is invalid.
+    DataError is raised if the file is not a URDF, or its vehicle is invalid.
     """
     if not is_description(path):
         raise DataError(
@@ -304,12 +294,7 @@ def _draft(path: Path, trusted: frozenset[str]) -> _Read:
 
 def _completion(file: File) -> UrdfTable:
     """Return the table of a vehicle file that completes a URDF."""
-    tables: Tables = {
-        "joints": lambda _: JointTable,
-        "wheels": lambda _: WheelTable,
-        "links": lambda _: LinkTable,
-    }
-    table: UrdfTable = validated(UrdfTable, tables, file)
+    table: UrdfTable = validated(UrdfTable, file)
     return table
 
 
@@ -426,7 +411,7 @@ def _check(table: UrdfTable, tree: Tree, file: File) -> None:
 
 
 def _new_joint_errors(
-    name: str, joint: JointTable, tree: Tree, carried: Sequence[str]
+    name: str, joint: UrdfJointTable, tree: Tree, carried: Sequence[str]
 ) -> Iterator[tuple[str, str]]:
     """Yield expected and found value for each error of a joint that is not in the URDF."""
     if name in tree.joints or name in tree.links:

@@ -1,26 +1,78 @@
-"""Loading of problem files by their verb."""
+"""Loading of problem files, and the registry of their verbs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from slipfree.files.toml.source import (
     Fault,
+    ProblemError,
     Source,
     format_value,
     problem_error,
     read_text,
 )
 from slipfree.files.urdf.xacro import trusted_paths
-from slipfree.problem.geographic_places import convert_places
-from slipfree.problem.problem import Problem
+from slipfree.problem.build_ground import convert_places
+from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import CommonKeys, Runnable
-from slipfree.problem.validation import validated_problem
-from slipfree.problem.verbs.base import Verb
-from slipfree.problem.verbs.registry import find_verb, verbs_of
+from slipfree.problem.verbs.base import MotionVerb, Verb
+from slipfree.problem.verbs.compare import CompareVerb
+from slipfree.problem.verbs.direct import DirectVerb
+from slipfree.problem.verbs.fit import FitVerb
+from slipfree.problem.verbs.inverse import InverseVerb
+from slipfree.problem.verbs.plan import PlanVerb
+
+VERBS: tuple[Verb, ...] = (
+    DirectVerb(),
+    InverseVerb(),
+    PlanVerb(),
+    CompareVerb(),
+    FitVerb(),
+)
+
+
+def verbs_of(command: str) -> tuple[Verb, ...]:
+    """Return the verbs that a command accepts."""
+    return tuple(verb for verb in VERBS if command in verb.commands)
+
+
+def find_verb(name: object) -> Verb | None:
+    """Return the verb with a name; None for an unknown name."""
+    return next((verb for verb in VERBS if verb.name == name), None)
+
+
+def motion_verbs() -> tuple[MotionVerb, ...]:
+    """Return the verbs of the problems that ``slipfree run`` solves."""
+    return cast("tuple[MotionVerb, ...]", verbs_of("run"))
+
+
+def find_motion_verb(name: object) -> MotionVerb | None:
+    """Return the verb with a name if ``slipfree run`` solves its problems, otherwise None."""
+    return next((verb for verb in motion_verbs() if verb.name == name), None)
+
+
+def verb_of(problem: Problem[Runnable]) -> MotionVerb:
+    """Return the verb of a problem that ``slipfree run`` solves."""
+    return cast("MotionVerb", find_verb(problem.spec.verb))
+
+
+def check_option(problem: Problem[Any], option: str) -> None:
+    """Check that the verb of a problem supports an option of ``slipfree run``.
+
+    ProblemError is raised if the verb does not support the option; the message names the verbs that
+    do.
+    """
+    if option in verb_of(problem).options:
+        return
+    able = [verb.name for verb in motion_verbs() if option in verb.options]
+    raise ProblemError(
+        f"{problem.source.where(('verb',))}: expected {' or '.join(map(repr, able))} for "
+        f"--{option}, found {problem.spec.verb!r}; omit --{option}"
+    )
 
 
 def load_problem(
@@ -64,6 +116,8 @@ def load_variants(
 ) -> Iterator[Problem[Any]]:
     """Yield the variants of the problem in a TOML file, which is read once.
 
+    ProblemError is raised as in `load_problem`.
+
     Parameters
     ----------
     path : str or Path
@@ -72,11 +126,6 @@ def load_variants(
         Settings of all variants; see `load_problem`.
     variants : iterable of sequence of str
         Further settings of each variant, from the option ``--vary``.
-
-    Raises
-    ------
-    ProblemError
-        As in `load_problem`.
     """
     text = read_text(Path(path))
     for varied in variants:
@@ -114,10 +163,7 @@ def _from_text(
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:
     """Return the verb of a problem, by default the first of ``verbs``.
 
-    Raises
-    ------
-    ProblemError
-        If the verb is unknown, or if another command solves it.
+    ProblemError is raised if the verb is unknown, or if another command solves it.
     """
     if "verb" not in data:
         return verbs[0]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,22 +18,27 @@ from slipfree.core.facts import Fact
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, outcome_words
 from slipfree.files.toml.source import ProblemError
+from slipfree.plan.constraints import unit_words
 from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
 from slipfree.plan.polynomial_motion import SavedPlan, from_arrays
 from slipfree.plan.problem import costs_of
-from slipfree.problem.load import load_again
+from slipfree.problem.load import load_again, verb_of
 from slipfree.problem.problem import Problem
-from slipfree.problem.solve import build, run_problem
-from slipfree.problem.verbs.base import Result
-from slipfree.problem.verbs.plan_schema import Plan
-from slipfree.problem.verbs.registry import verb_of
+from slipfree.problem.result import build, run_problem
+from slipfree.problem.verbs.base import Lines, Result
+from slipfree.problem.verbs.plan_schema import PlanKeys
 from slipfree.system.processes import Processes, finish_tasks
+
+if TYPE_CHECKING:
+    from slipfree.show.plots import Plot
+
 
 SLIP, TIME, DURATION, ENERGY = "slip", "time", "duration", "energy"
 USUAL = (DURATION, "effort", ENERGY)  # second objectives of every planning problem
 SHORTEST = 0.01  # lower bound of the least duration, relative to the largest duration
 LineCallback = Callable[[str, str], None]
 SettingTexts = tuple[str, ...]
+MISSING = "-"  # number of a point that is not solved
 
 
 class FrontPlan(NamedTuple):
@@ -127,7 +132,7 @@ class _PointTask(NamedTuple):
 
 
 def plan_front(
-    problem: Problem[Plan],
+    problem: Problem[PlanKeys],
     against: str = DURATION,
     count: int = 7,
     *,
@@ -140,6 +145,12 @@ def plan_front(
     The duration is fixed, or the integral of the term limited, at each point, and the slip is
     minimised. Other costs of the problem are omitted; its limits, bounds and weight of smoothness
     remain. The longest duration is that of the problem.
+
+    ProblemError is raised if the problem cannot be built, is not a planning problem, or has no
+    weight of the slip; DataError if the second objective is unknown; ModelError if fewer than two
+    points are requested; SolverError if the plan of the problem, the plan of least slip or that of
+    least second objective is not solved; KeyboardInterrupt if ``report`` raises it before the first
+    point.
 
     Parameters
     ----------
@@ -159,20 +170,6 @@ def plan_front(
     keep : callable, optional
         Called with the number of a point (from 0) and the point, for each solution of a point that
         is better than earlier ones.
-
-    Raises
-    ------
-    ProblemError
-        If the problem cannot be built, is not a planning problem, or has no weight of the slip.
-    DataError
-        If the second objective is unknown.
-    ModelError
-        If fewer than two points are requested.
-    SolverError
-        If the plan of the problem, the plan of least slip or that of least second objective is not
-        solved.
-    KeyboardInterrupt
-        If ``report`` raises it before the first point.
     """
     check_count(count)
     unit = _checked(problem, against)
@@ -196,15 +193,11 @@ def plan_front(
 def _checked(problem: Problem[Any], against: str) -> str:
     """Return the unit of the second objective, after a check of problem and objective.
 
-    Raises
-    ------
-    ProblemError
-        If the problem is not a planning problem or has no weight of the slip.
-    DataError
-        If the second objective is unknown.
+    ProblemError is raised if the problem is not a planning problem or has no weight of the slip;
+    DataError if the second objective is unknown.
     """
     spec = problem.spec
-    if not isinstance(spec, Plan):
+    if not isinstance(spec, PlanKeys):
         where = problem.source.where(("verb",))
         raise ProblemError(
             f"{where}: expected 'plan' for slipfree pareto, found {spec.verb!r}; give a planning "
@@ -241,25 +234,25 @@ def _key(table: str, name: str) -> str:
     return f"{table}.{json.dumps(name)}"
 
 
-def _without(problem: Problem[Plan], *kept: str) -> SettingTexts:
+def _without(problem: Problem[PlanKeys], *kept: str) -> SettingTexts:
     """Return the settings that remove all costs except those named in ``kept``."""
     return tuple(f"{_key('costs', name)}=" for name in problem.spec.costs if name not in kept)
 
 
-def _measured(problem: Problem[Plan], against: str) -> SettingTexts:
+def _measured(problem: Problem[PlanKeys], against: str) -> SettingTexts:
     """Return the settings by which a plan reports its second objective."""
     weight = problem.spec.costs.get(against, 0.0)
     return () if against == DURATION else (f"{_key('costs', against)}={weight!r}",)
 
 
-def _longest(problem: Problem[Plan]) -> tuple[float, float]:
+def _longest(problem: Problem[PlanKeys]) -> tuple[float, float]:
     """Return the smallest and the largest duration of the plans of a front [s]."""
     given = problem.spec.plan.duration or problem.spec.time.duration
     low, high = given if isinstance(given, tuple) else (SHORTEST * given, given)
     return (low, high) if low < high else (SHORTEST * high, high)
 
 
-def _least_settings(problem: Problem[Plan], against: str) -> SettingTexts:
+def _least_settings(problem: Problem[PlanKeys], against: str) -> SettingTexts:
     """Return the settings of the plan of least second objective."""
     # Smoothness would increase the second objective.
     smooth = "plan.smooth=0.0"
@@ -272,7 +265,7 @@ def _least_settings(problem: Problem[Plan], against: str) -> SettingTexts:
 
 
 def _slip_settings(
-    problem: Problem[Plan], against: str, bound: float | None = None
+    problem: Problem[PlanKeys], against: str, bound: float | None = None
 ) -> SettingTexts:
     """Return the settings of the plan of least slip, with a bound on the second objective."""
     if against == DURATION:
@@ -283,7 +276,7 @@ def _slip_settings(
 
 
 def _solve_one(
-    problem: Problem[Plan],
+    problem: Problem[PlanKeys],
     against: str,
     report: LineCallback | None,
     name: str,
@@ -294,12 +287,8 @@ def _solve_one(
 ) -> FrontPoint:
     """Return one of the points that a front needs before its own points.
 
-    Raises
-    ------
-    SolverError
-        If it is needed and not solved.
-    KeyboardInterrupt
-        If the search was interrupted.
+    SolverError is raised if it is needed and not solved; KeyboardInterrupt if the search was
+    interrupted.
     """
     task = _task(problem, against, settings, FrontTask(0, np.nan, start or FrontPoint(np.nan)))
     _, point = _solve_point(task, _named(name, report))
@@ -321,7 +310,11 @@ def _named(name: str, report: LineCallback | None) -> LineCallback | None:
 
 
 def _task(
-    problem: Problem[Plan], against: str, settings: SettingTexts, task: FrontTask, index: int = 0
+    problem: Problem[PlanKeys],
+    against: str,
+    settings: SettingTexts,
+    task: FrontTask,
+    index: int = 0,
 ) -> _PointTask:
     source, found = problem.source, task.start.solution
     return _PointTask(
@@ -386,7 +379,7 @@ class _PointSolver:
 
     def __init__(
         self,
-        problem: Problem[Plan],
+        problem: Problem[PlanKeys],
         against: str,
         count: int,
         processes: int,
@@ -450,3 +443,85 @@ class _PointSolver:
             self._kept[number] = point
             if self._keep is not None:
                 self._keep(number, point)
+
+
+def front_facts(front: PlanFront) -> Lines:
+    """Return the facts about the given plan, the least second objective, and the front's points."""
+    unit, given = unit_words(front.unit), front.given
+    solved = sum(each.is_solved for each in front.points)
+    dominated = sum(each.is_dominated for each in front.points)
+    return [
+        (
+            "costs of the problem",
+            f"{front.against} {given.second:.4g} {unit}, slip {1e3 * given.solution.slip:.3g} mm "
+            "per wheel and metre",
+        ),
+        (f"least {front.against}", f"{front.least.second:.4g} {unit}, slip not minimised"),
+        ("front", f"{len(front.points)} points, {solved} solved, {dominated} dominated"),
+    ]
+
+
+def table_lines(front: PlanFront) -> Iterator[str]:
+    """Yield the lines of the table of a front."""
+    unit = unit_words(front.unit)
+    heads = [("point", ""), (front.against, unit), ("at most", unit), ("slip*", "mm/m")]
+    heads += [("slip^2", "mm2/s"), ("smoothing", "%"), ("slope", f"mm2/s per {unit}")]
+    widths = [max(10, *(len(word) + 4 for word in head)) for head in heads]
+    yield _line((name for name, _ in heads), widths) + "outcome"
+    yield _line((unit and f"[{unit}]" for _, unit in heads), widths)
+    for number, point in enumerate(front.points, 1):
+        words = "dominated" if point.is_dominated else "solved"
+        values = [point.second, point.bound, np.nan, np.nan, np.nan, np.nan]
+        if point.is_solved:
+            found = point.solution
+            share = 100 * (1 - found.squared_slip / point.first)
+            values[2:] = 1e3 * found.slip, 1e6 * found.squared_slip, share, 1e6 * point.slope
+        else:
+            words = (point.words or point.outcome.title).splitlines()[0]
+        cells = (f"{value:.4g}" if np.isfinite(value) else MISSING for value in values)
+        yield _line([str(number), *cells], widths) + words
+    yield "* per wheel and metre of path"
+
+
+def _line(cells: Iterable[str], widths: Sequence[int]) -> str:
+    return "".join(f"{cell:{width}}" for cell, width in zip(cells, widths, strict=True))
+
+
+def front_rows(front: PlanFront) -> tuple[list[str], list[list[object]]]:
+    """Return column names and rows of the table of a front, with numbers in SI units."""
+    names = ["point", "bound", front.against, "slip_per_path", "squared_slip", "smoothness_share"]
+    return [*dict.fromkeys([*names, "slope", "outcome", "dominated", "reason"])], [
+        [
+            number,
+            point.bound,
+            point.second,
+            point.solution.slip if point.is_solved else np.nan,
+            point.solution.squared_slip if point.is_solved else np.nan,
+            1 - point.solution.squared_slip / point.first if point.is_solved else np.nan,
+            point.slope,
+            point.outcome.name.lower(),
+            int(point.is_dominated),
+            point.words,
+        ]
+        for number, point in enumerate(front.points, 1)
+    ]
+
+
+def front_plot(front: PlanFront) -> Plot:
+    """Return the figure of a front."""
+    from slipfree.show.plots import Plot
+    from slipfree.show.sweep_figures import DrawnFront, front_figure
+
+    points, given = front.points, front.given
+    drawn = DrawnFront(
+        front.against,
+        front.unit,
+        np.array([each.bound for each in points]),
+        np.array([each.second for each in points]),
+        np.array([each.first for each in points]),
+        np.array([each.slope for each in points]),
+        np.array([each.solution.slip if each.is_solved else np.nan for each in points]),
+        np.array([each.is_dominated for each in points]),
+        (given.second, given.first, given.solution.slip),
+    )
+    return Plot("pareto", "Pareto front", partial(front_figure, drawn))

@@ -6,12 +6,17 @@ tomlkit moves and drops comments and tables when it edits arrays of tables of a 
 
 from __future__ import annotations
 
+import hashlib
 import math
+import os
 import re
 import secrets
+import shutil
 import tomllib
+from codecs import BOM_UTF8
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import tomlkit
@@ -19,12 +24,14 @@ from tomlkit.exceptions import TOMLKitError
 
 from slipfree.core.errors import DataError
 from slipfree.files.cf import DEGREES
+from slipfree.files.toml.source import decode_text, read_raw
 from slipfree.files.toml.types import parse_unit
 from slipfree.problem.build_ground import at
+from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
-from slipfree.problem.region_table import region_of
-from slipfree.problem.verbs.plan_goals import way_points_of
-from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.schema_ground import region_of
+from slipfree.problem.verbs.plan_schema import PlanKeys, way_points_of
+from slipfree.system.regular_files import replace_file
 
 SAME = 1e-9  # smaller changes are rounding [m, rad]
 DIGITS = 4  # decimals of changed values [m, rad]
@@ -33,9 +40,10 @@ MAX_IDENTITY = 50  # largest number of characters of the identity of a region
 LINE = re.compile(r"[^\n]*\n|[^\n]+")
 HEADER = re.compile(r"\s*\[[^,#]*\]\s*(#|$)")  # of a table; not a corner of a polygon
 Point = tuple[float, float]
+PLACES = ("start", "goal", "keep_out")  # keys that the page changes
 
 
-class Region(NamedTuple):
+class EditedRegion(NamedTuple):
     """A keep-out region: a disc, or a polygon without ``radius``.
 
     Attributes
@@ -64,23 +72,20 @@ class Places(NamedTuple):
         x and y, the middles of ranges; None if the goal has no x or no y. [m]
     goal_heading : float or None
         Heading at the goal; None if the goal gives no heading or a range. [rad]
-    regions : tuple of Region
+    regions : tuple of EditedRegion
         Keep-out regions.
     """
 
     start: tuple[float, float, float]
     goal: Point | None
     goal_heading: float | None
-    regions: tuple[Region, ...]
+    regions: tuple[EditedRegion, ...]
 
 
-def places_in(problem: Problem[Plan]) -> Places:
+def places_in(problem: Problem[PlanKeys]) -> Places:
     """Return the places of a problem, whose regions get new identities.
 
-    Raises
-    ------
-    ProblemError
-        If a keep-out region is neither a disc nor a polygon.
+    ProblemError is raised if a keep-out region is neither a disc nor a polygon.
     """
     spec, goal = problem.spec, None
     start = (*(float(spec.start.get(name, 0.0)) for name in ("x", "y", "heading")),)
@@ -97,17 +102,14 @@ def places_in(problem: Problem[Plan]) -> Places:
         if points is None:
             points, radius = ((each.x or 0.0, each.y or 0.0),), float(each.radius or 0.0)
         corners = tuple((float(x), float(y)) for x, y in points)
-        regions.append(Region(secrets.token_hex(8), corners, radius))
+        regions.append(EditedRegion(secrets.token_hex(8), corners, radius))
     return Places((start[0], start[1], start[2]), goal, heading, tuple(regions))
 
 
-def way_points_in(problem: Problem[Plan]) -> tuple[tuple[str, float, float], ...]:
+def way_points_in(problem: Problem[PlanKeys]) -> tuple[tuple[str, float, float], ...]:
     """Return name, x and y of the way-points that have both, the middles of ranges [m].
 
-    Raises
-    ------
-    ProblemError
-        If a fraction of the duration is missing or not valid.
+    ProblemError is raised if a fraction of the duration is missing or not valid.
     """
     return tuple(
         (f"way-point at {part:g}", sum(wanted["x"]) / 2, sum(wanted["y"]) / 2)
@@ -119,10 +121,8 @@ def way_points_in(problem: Problem[Plan]) -> tuple[tuple[str, float, float], ...
 def places_from(data: object) -> Places:
     """Return the places in a JSON object of the page.
 
-    Raises
-    ------
-    DataError
-        If the object does not have the form of `Places` or contains numbers that are not finite.
+    DataError is raised if the object does not have the form of `Places` or contains numbers that
+    are not finite.
     """
     try:
         if not isinstance(data, Mapping):
@@ -143,7 +143,7 @@ def places_from(data: object) -> Places:
         ) from error
 
 
-def _region(data: Mapping[str, Any]) -> Region:
+def _region(data: Mapping[str, Any]) -> EditedRegion:
     identity, points = data["identity"], tuple(map(_point, data["points"]))
     radius = None if data["radius"] is None else _number(data["radius"])
     if not isinstance(identity, str) or len(identity) > MAX_IDENTITY:
@@ -152,7 +152,7 @@ def _region(data: Mapping[str, Any]) -> Region:
         raise ValueError
     if radius is not None and (len(points) != 1 or radius <= 0):
         raise ValueError
-    return Region(identity, points, radius)
+    return EditedRegion(identity, points, radius)
 
 
 def _point(data: Sequence[Any]) -> Point:
@@ -172,6 +172,8 @@ def edited_text(text: str, old: Places, new: Places) -> str:
     Values that have not changed keep their text; others keep their unit. A range of the goal is
     moved as a whole.
 
+    DataError is raised if the text has a form that cannot be edited.
+
     Parameters
     ----------
     text : str
@@ -181,11 +183,6 @@ def edited_text(text: str, old: Places, new: Places) -> str:
     new : Places
         Places in the result. Its new regions follow the others in the file; see
         `in_order_of_file`.
-
-    Raises
-    ------
-    DataError
-        If the text has a form that cannot be edited.
     """
     sections = _sections(text)
     if old.start != new.start:
@@ -203,7 +200,9 @@ def edited_text(text: str, old: Places, new: Places) -> str:
     return "".join(sections)
 
 
-def in_order_of_file(old: Sequence[Region], new: Sequence[Region]) -> tuple[Region, ...]:
+def in_order_of_file(
+    old: Sequence[EditedRegion], new: Sequence[EditedRegion]
+) -> tuple[EditedRegion, ...]:
     """Return the regions of a page in the order that they have in the file after `edited_text`."""
     wanted, former = {each.identity: each for each in new}, {each.identity for each in old}
     kept = [wanted[each.identity] for each in old if each.identity in wanted]
@@ -274,7 +273,9 @@ def _shifted(value: Any, change: float) -> float | str:
     return f"{in_degrees} deg" if "deg" in value else f"{number} rad"
 
 
-def _edit_regions(sections: list[str], old: Sequence[Region], new: Sequence[Region]) -> None:
+def _edit_regions(
+    sections: list[str], old: Sequence[EditedRegion], new: Sequence[EditedRegion]
+) -> None:
     """Change, remove and add tables of keep-out regions."""
     kept = {each.identity: each for each in new}
     added = in_order_of_file(old, new)[sum(each.identity in kept for each in old) :]
@@ -319,7 +320,7 @@ def _body_and_tail(section: str) -> tuple[str, str]:
     return "".join(lines[:end]), "".join(lines[end:])
 
 
-def _edit_region(table: Any, old: Region | None, new: Region) -> None:
+def _edit_region(table: Any, old: EditedRegion | None, new: EditedRegion) -> None:
     """Change the values of a region that differ."""
     if old is None or old.points != new.points:
         if new.radius is None:
@@ -344,3 +345,141 @@ def _assign(table: Any, key: str | int, value: float | Sequence[Any]) -> None:
             _assign(old, k, element)
     else:
         table[key] = [[round(x, DIGITS), round(y, DIGITS)] for x, y in value]
+
+
+class Document(NamedTuple):
+    """A problem file as it was read or saved.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    raw : bytes
+        Contents of the file.
+    problem : Problem
+        The problem in the file.
+    places : Places
+        Its places; the regions keep their identities when the page saves them.
+    """
+
+    path: Path
+    raw: bytes
+    problem: Problem[PlanKeys]
+    places: Places
+
+    @property
+    def revision(self) -> str:
+        """Text that differs between different contents of the file."""
+        return hashlib.sha256(self.raw).hexdigest()[:16]
+
+    def text_with(self, places: Places) -> str:
+        """Return the text of the file with other places; CRLF at all lines becomes LF."""
+        text = decode_text(self.path, self.raw)
+        text = text.replace("\r\n", "\n") if _has_crlf(self.raw) else text
+        return edited_text(text, self.places, places)
+
+
+def read_document(path: Path, trusted: frozenset[str] = frozenset()) -> Document:
+    """Return the document in a file; ``trusted`` is that of its problem.
+
+    DataError is raised if the file cannot be read, is not a valid problem, has another verb than
+    ``"plan"``, or has solids.
+    """
+    raw = read_raw(path)
+    problem: Problem[Any] = load_again(path, decode_text(path, raw), (), trusted)
+    if problem.spec.verb != "plan":
+        raise DataError(
+            f"{path}: expected a problem with verb = 'plan', found verb = {problem.spec.verb!r}; "
+            "use slipfree run"
+        )
+    if problem.spec.terrain.obstacles:
+        raise DataError(
+            f"{path}: expected a plan without [[terrain.obstacles]], since a plan over solids has "
+            "no places to edit, found obstacles; use slipfree run"
+        )
+    return Document(path, raw, problem, places_in(problem))
+
+
+def is_current(document: Document) -> bool:
+    """Return whether the file still has the contents of the document, or is missing.
+
+    DataError is raised if the file cannot be read.
+    """
+    return not os.path.lexists(document.path) or read_raw(document.path) == document.raw
+
+
+def saved(document: Document, places: Places) -> Document:
+    """Write other places to the file of a document, and return the document with them.
+
+    Byte order mark, line endings and permissions of the file are kept. A missing file is written
+    again.
+
+    Raises
+    ------
+    DataError
+        If the file is read-only or cannot be written, or if the result is not a valid problem; the
+        file is then unchanged.
+    """
+    path, text = document.path, document.text_with(places)
+    problem = load_again(path, text, (), document.problem.trusted)
+    found = places_in(problem)
+    wanted = places._replace(regions=in_order_of_file(document.places.regions, places.regions))
+    _check_edit(document, text, found, wanted)
+    pairs = zip(found.regions, wanted.regions, strict=True)
+    regions = tuple(new._replace(identity=sent.identity) for new, sent in pairs)
+    raw = _encoded(text, document.raw)
+    _write(path, raw)
+    return Document(path, raw, problem, found._replace(regions=regions))
+
+
+def _encoded(text: str, like: bytes) -> bytes:
+    """Return a text with the byte order mark and the line endings of other bytes."""
+    text = text.replace("\n", "\r\n") if _has_crlf(like) else text
+    return BOM_UTF8 * like.startswith(BOM_UTF8) + text.encode()
+
+
+def _has_crlf(raw: bytes) -> bool:
+    return 0 < raw.count(b"\n") == raw.count(b"\r\n")
+
+
+def _check_edit(document: Document, text: str, places: Places, wanted: Places) -> None:
+    """Raise DataError unless a text has the wanted places and all other values of a document."""
+    old, new = tomllib.loads(decode_text(document.path, document.raw)), tomllib.loads(text)
+    others = [{key: data[key] for key in data.keys() - {*PLACES}} for data in (old, new)]
+    if others[0] == others[1] and _is_close(_shape(places), _shape(wanted)):
+        return
+    raise DataError(
+        f"{document.path}: expected tables of start, goal and keep-out regions that can be edited, "
+        "found another form; the file is unchanged: edit these values in a text editor"
+    )
+
+
+def _shape(places: Places) -> Any:
+    """Return the values of places without identities of regions."""
+    return places[:3], [each[1:] for each in places.regions]
+
+
+def _is_close(first: Any, second: Any) -> bool:
+    """Return whether nested numbers agree up to the rounding of saved values."""
+    if isinstance(first, tuple | list):
+        return len(first) == len(second) and all(map(_is_close, first, second))
+    if first is None or second is None:
+        return first is second
+    return bool(abs(first - second) <= 10**-DIGITS)
+
+
+def _write(path: Path, raw: bytes) -> None:
+    """Replace the contents of a file that is not read-only, and keep its permissions."""
+    is_there = path.exists()
+    if is_there and not (os.access(path, os.W_OK) and path.stat().st_mode & 0o222):
+        raise DataError(
+            f"{path}: expected a file that can be written, found a read-only file; make it "
+            "writable (chmod u+w), then save again"
+        )
+
+    def fill(part: Path) -> None:
+        part.write_bytes(raw)
+        if is_there:
+            shutil.copymode(path, part)
+
+    replace_file(path, fill)

@@ -1,25 +1,41 @@
-"""Report of a result file: facts, checks, figures, problem and versions."""
+"""Reports: of result files in HTML, and of vehicles for ``slipfree describe``."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.closure import has_exact_closure
+from slipfree.core.dae import Dae
+from slipfree.core.errors import DataError, ModelError
+from slipfree.core.records import Array, leaves, unpack
 from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
 from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.source import ProblemError
-from slipfree.problem.input_files import digest
-from slipfree.problem.result import Result, motion_facts, open_result
-from slipfree.problem.stored_inputs import STORED
-from slipfree.problem.summary import Lines, outcome_fact, ranges
-from slipfree.problem.verbs.base import MotionVerb
-from slipfree.problem.verbs.registry import find_motion_verb, verb_of
+from slipfree.files.vehicle_draft import Draft
+from slipfree.files.vehicle_toml import VehicleError
+from slipfree.geometry.frame import AXES, unit_vector
+from slipfree.models.dynamics import dynamics
+from slipfree.models.kinematics import check_driven, direct_kinematics
+from slipfree.models.records import is_determinate
+from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
+from slipfree.problem.inputs import STORED, digest
+from slipfree.problem.load import find_motion_verb, load_problem, verb_of
+from slipfree.problem.result import build, motion_facts, open_result
+from slipfree.problem.verbs.base import Lines, MotionVerb, Result, outcome_fact, ranges
 from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
+from slipfree.solve.settle import settle
+from slipfree.solve.system import with_inputs
+from slipfree.terrain.analytic import Analytic
+from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 
 VERSION = "_version"
 ELSEWHERE = (  # attributes reported in other sections
@@ -32,9 +48,11 @@ ELSEWHERE = (  # attributes reported in other sections
     STORED,
     MAP_TRANSFORM,
 )
+MIN_SHARE = 0.3  # smallest named entry of a singular vector, relative to the largest
+MAX_TREE_DEPTH = 40  # largest printed depth of the tree of parts
 
 
-class _Drawn(NamedTuple):
+class _ReportFigures(NamedTuple):
     """Figures of a result, and a note on omitted samples or the reason for missing figures."""
 
     figures: Sequence[Plot]
@@ -44,17 +62,14 @@ class _Drawn(NamedTuple):
 def report(file: Path, folder: Path | None = None) -> Report:
     """Return the report of a result file.
 
+    DataError is raised if the file cannot be read, or input files of its problem are missing.
+
     Parameters
     ----------
     file : Path
         A result file.
     folder : Path, optional
         Folder of the input files of its problem; see `open_result`.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, or input files of its problem are missing.
     """
     result = open_result(file, folder, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
@@ -125,10 +140,10 @@ def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
     return {"Problem": found["problem"], "To repeat the run": again}
 
 
-def _drawn(result: Result, count: int) -> _Drawn:
+def _drawn(result: Result, count: int) -> _ReportFigures:
     """Return the figures of ``slipfree run``, or the reason why they cannot be drawn."""
     if "problem" not in result.trajectory.attributes:
-        return _Drawn(
+        return _ReportFigures(
             (), "No figures: the result contains no problem file, so that its ground is unknown."
         )
     try:
@@ -136,6 +151,280 @@ def _drawn(result: Result, count: int) -> _Drawn:
         note = f"The figures show {shown} of {count} samples, including the extremes of all "
         note += "quantities; the tables use all samples."
         figures = verb_of(result.problem).figures(result)
-        return _Drawn(figures, note if shown < count else "")
+        return _ReportFigures(figures, note if shown < count else "")
     except ProblemError as error:
-        return _Drawn((), f"No figures: {error}")
+        return _ReportFigures((), f"No figures: {error}")
+
+
+class Description(NamedTuple):
+    """Description of a vehicle.
+
+    Attributes
+    ----------
+    tree : list of str
+        Lines of text: the name of the vehicle, and the tree of its parts.
+    facts : list of pairs of str
+        Facts about unknowns, equations and conditioning: pairs of name and text.
+    faults : tuple of str
+        Reasons why the vehicle cannot be built or cannot rest on its ground; empty if it can.
+    """
+
+    tree: list[str]
+    facts: Lines
+    faults: tuple[str, ...]
+
+
+def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = ()) -> Description:
+    """Return the description of the vehicle in a problem or in a vehicle file.
+
+    The vehicle of a vehicle file stands on level ground. For an invalid vehicle the description has
+    the errors and the facts about its known parts.
+
+    DataError is raised if the problem is invalid, no part of the vehicle can be read, or settings
+    are given for a vehicle file.
+
+    Parameters
+    ----------
+    path : Path
+        Problem file or vehicle file.
+    settings : sequence of str
+        Values that replace those of a problem file, as ``key=value``.
+    trust : sequence of Path
+        Xacro files that may be expanded.
+    """
+    try:
+        if not is_vehicle_file(path):
+            setup = build(load_problem(path, settings, command="vehicle", trust=trust))
+            return _description(setup.vehicle, setup.model, setup.start)
+        if settings:
+            raise DataError(
+                f"--set: expected a problem file, found the vehicle file {path}; omit --set"
+            )
+        vehicle = read_vehicle(path, trust=trust)
+    except VehicleError as error:
+        if error.draft is None:
+            raise
+        return Description(_drawn_tree(error.draft), _shares(error.draft), error.faults)
+    level = Analytic(_level, mu=1.0)
+    dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
+    try:
+        check_driven(vehicle)
+        return _description(vehicle, dae, settle(dae))
+    except ModelError as error:
+        facts = [*counts(vehicle, dae), *_notes(vehicle)]
+        faults = (f"{path}: on level ground: {error}",)
+        return Description(_drawn_tree(vehicle), facts, faults)
+
+
+def _description(vehicle: Vehicle, dae: Dae, start: Trajectory) -> Description:
+    solved = conditioning(dae, start) if dae.labels.z else []
+    facts = [*counts(vehicle, dae), *solved, *_notes(vehicle)]
+    return Description(_drawn_tree(vehicle), facts, ())
+
+
+def _drawn_tree(vehicle: Vehicle | Draft) -> list[str]:
+    return [f"{vehicle.name}, in axes x right, y forward, z up", *tree(vehicle)]
+
+
+def _notes(vehicle: Vehicle | Draft) -> Lines:
+    return [("vehicle file", note) for note in vehicle.notes]
+
+
+def _level(x: ca.SX, _: ca.SX) -> ca.SX:
+    return 0 * x
+
+
+def tree(vehicle: Vehicle | Draft) -> list[str]:
+    """Return the lines of the tree of a vehicle's parts, indented below their parents.
+
+    Axes are those with all coordinates at zero, in the vehicle's frame.
+    """
+    kinds = {c.name: c for c in vehicle.coordinates}
+    connected: list[Joint] = []
+
+    def below(part: str, indent: str, rotation: Array) -> Iterator[str]:
+        if len(indent) > 2 * MAX_TREE_DEPTH:
+            yield f"{indent}..."
+            return
+        for joint in vehicle.joints:
+            if joint.parent == part:
+                connected.append(joint)
+                turned = rotation @ _rotation(joint)
+                axis = turned @ unit_vector(joint.axis)
+                yield f"{indent}{joint.name}: {_joint(joint, axis, kinds)}"
+                yield from below(joint.name, indent + "  ", turned)
+        for wheel in vehicle.wheels:
+            if wheel.parent == part:
+                drive = "driven" if wheel.driven else "free"
+                more = f", {wheel.mass:g} kg" if wheel.mass else ""
+                more += f", grip {wheel.grip:g}" if wheel.grip != 1 else ""
+                yield f"{indent}wheel {wheel.name}: {drive}, {wheel.section}{more}"
+
+    body = vehicle.body
+    at = ", ".join(f"{each:g}" for each in body.at)
+    mass = f": {body.mass:g} kg, centre of mass at ({at}) m" if body.mass else ""
+    lines = [f"platform{mass}", *below("platform", "  ", np.eye(3))]
+    parts = {"platform", *(joint.name for joint in connected)}
+    loose = [(j.name, j.parent) for j in vehicle.joints if j not in connected]
+    loose += [(f"wheel {w.name}", w.parent) for w in vehicle.wheels if w.parent not in parts]
+    return lines + [f"not connected to the platform: {name}, on {parent}" for name, parent in loose]
+
+
+def _rotation(joint: Joint) -> Array:
+    """Return the rotation matrix of a part in its parent's frame, with all coordinates at zero."""
+    pose = joint.pose(dict.fromkeys(joint.coordinates, ca.SX(0)))
+    return np.array(ca.evalf(pose.rotation))
+
+
+def _joint(joint: Joint, vector: Array, kinds: dict[str, Coordinate]) -> str:
+    """Return the description of a joint: motion, axis in the vehicle's frame, and coordinates."""
+    moved = {name: _kind(kinds.get(name)) for name in sorted(joint.coordinates)}
+    if not moved:
+        return "rigid" if joint.value in ("0", "0.0") else f"fixed at {joint.value}"
+    names = AXES | {f"-{n}": (-x, -y, -z) for n, (x, y, z) in AXES.items()}
+    axis = next(
+        (name for name, each in names.items() if np.allclose(each, vector, atol=1e-6)), None
+    )
+    along = axis or f"({', '.join(f'{each:.3g}' for each in vector)})"
+    does = "turns about" if joint.motion == "turn" else "slides along"
+    if joint.value in moved:
+        return f"{does} {along} by {joint.value} ({moved[joint.value]})"
+    kinds_of = "; ".join(f"{name}: {kind}" for name, kind in moved.items())
+    return f"{does} {along} by {joint.value} ({kinds_of})"
+
+
+def _kind(c: Coordinate | None) -> str:
+    """Return the kind of a coordinate, and its spring, damper and stops."""
+    if c is None:
+        return "kind not given"
+    acts = [(c.stiffness, "spring"), (c.damping, "damper"), (c.bump, "elastic stops")]
+    return ", ".join([c.kind, *(f"{words} {value:g}" for value, words in acts if value)])
+
+
+def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
+    """Yield the fact about the number of contact forces; nothing for a vehicle without mass."""
+    if not vehicle.mass:
+        return
+    count = 3 * len(vehicle.wheels)
+    if not has_exact_closure(vehicle):
+        how = "the depths of the wheels determine the loads, on which friction depends"
+    elif _has_ground_law(dae):
+        how = "the wheel-ground law determines them, together with the rates"
+    elif is_determinate(vehicle):
+        how = "equilibrium determines them"
+    else:
+        how = (
+            f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are not "
+            "determined by equilibrium: they are load-weighted"
+        )
+    yield "contact forces", f"{count}: {how}"
+
+
+def counts(vehicle: Vehicle, dae: Dae) -> Lines:
+    """Return the facts about the numbers of unknowns and equations of a vehicle's motion."""
+
+    def listed(record: Any) -> str:
+        names = [label.full for label in leaves(record)]
+        return f"{len(names)}: {', '.join(names) or 'none'}"
+
+    inputs, states = ("inputs", listed(dae.labels.u)), ("states", listed(dae.labels.x))
+    if not dae.labels.z:  # dynamics has no algebraic unknowns
+        return [inputs, states]
+    wheels = len(vehicle.wheels)
+    position, rates, _ = dae.labels.z
+    free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
+    passive = [c.name for c in vehicle.of("passive")]
+    given, needed = len(passive) + len(free), 2 * wheels - 3
+    if given == needed:
+        rolls = "as many as needed: it can roll without slip (slip = 'rolling')"
+    else:
+        more = "too few by" if given < needed else "too many by"
+        rolls = f"{more} {abs(needed - given)}: it moves with least slip (slip = 'least')"
+    return [
+        inputs,
+        states,
+        *_contact_facts(vehicle, dae, listed(position)),
+        ("rates", listed((rates.motion, rates.law))),
+        ("  equations", f"{len(dae.labels.alg[1])}: {_equations(dae)}"),
+        ("passive joints", f"{len(passive)}: {', '.join(passive) or 'none'}"),
+        ("free wheels", f"{len(free)}: {', '.join(free) or 'none'}"),
+        (
+            "no-slip conditions",
+            f"{needed} besides the contacts; passive joints and free wheels: {rolls}",
+        ),
+        *_forces(vehicle, dae),
+    ]
+
+
+def _contact_facts(vehicle: Vehicle, dae: Dae, unknowns: str) -> Iterator[tuple[str, str]]:
+    """Yield the unknowns and equations of contact, and the number of suspension coordinates."""
+    wheels, given = len(vehicle.wheels), len(vehicle.of("suspension"))
+    count = f"{given} of {wheels - 3} for exact contact of all wheels"
+    if has_exact_closure(vehicle):
+        yield "determined by the ground", unknowns
+        yield "  equations", f"{3 * wheels}: three for each wheel that touches the ground"
+        yield "suspension", count
+        return
+    yield "contact unknowns", unknowns
+    yield "  equations", f"{len(dae.labels.alg[0])}: two for each contact point"
+    yield "suspension", f"{count}: the wheels are pressed into the ground, and may lift off it"
+
+
+def _has_ground_law(dae: Dae) -> bool:
+    """Return whether a wheel-ground law gives the forces, which do not follow from the motion."""
+    follow = any(leaves(dae.labels.z.forces))
+    return bool(dae.labels.y.forces) and not follow and not dae.rest.numel()
+
+
+def _equations(dae: Dae) -> str:
+    """Return a description of the equations that determine the rates."""
+    if _has_ground_law(dae):
+        return "equilibrium and the wheel-ground law; they also determine the normal forces"
+    return dae.labels.alg[1][0].name.replace("_", " ")
+
+
+def _shares(draft: Draft) -> Lines:
+    """Return the facts about wheels and joints of the draft of an invalid vehicle."""
+
+    def listed(names: list[str]) -> str:
+        return f"{len(names)}: {', '.join(names) or 'none'}"
+
+    needed = max(len(draft.wheels) - 3, 0)
+    suspension = [c.name for c in draft.of("suspension")]
+    return [
+        ("wheels", listed([wheel.name for wheel in draft.wheels])),
+        ("driven wheels", listed([wheel.name for wheel in draft.wheels if wheel.driven])),
+        ("commanded", listed([c.name for c in draft.of("commanded")])),
+        ("passive joints", listed([c.name for c in draft.of("passive")])),
+        ("suspension", f"{listed(suspension)}; at most {needed}"),
+        *_notes(draft),
+    ]
+
+
+def conditioning(dae: Dae, start: Trajectory) -> Lines:
+    """Return the condition numbers of the equations at a start, with the least determined unknowns.
+
+    The condition numbers are those of the Jacobians in metres and radians, separately for the
+    equations of position and of the rates. The least determined unknowns have large entries in the
+    right singular vector of the smallest singular value.
+    """
+    rest = unpack(dae.u, [0.0] * len(list(leaves(dae.u))))
+    system, (x, z) = with_inputs(dae, rest, 0), (dae.rows(record, start, 0) for record in "xz")
+    labels, facts = list(leaves(dae.labels.z)), []
+    moving = {*leaves(dae.labels.z.position), *leaves(dae.labels.z.rates.motion)}
+    for name, block in zip(("position", "rates"), system.blocks, strict=False):
+        point = 0.0, x, z, np.zeros(len(list(leaves(dae.u)))), block.stages[-1]
+        jacobian = np.array(block.newton(*point)[1]) * dae.sizes.alg[block.span, None]
+        _, values, right = np.linalg.svd(jacobian)
+        size = [
+            abs(part) if label in moving else 0.0
+            for part, label in zip(right[-1], labels[block.span], strict=True)
+        ]
+        weak = [
+            labels[block.span][k].full
+            for k in np.argsort(size)[::-1]
+            if size[k] > MIN_SHARE * max(size)
+        ]
+        words = f"{values[0] / values[-1]:.3g} at the start, least determined: {', '.join(weak)}"
+        facts.append((f"condition of {name}", words))
+    return facts

@@ -1,12 +1,19 @@
-"""Schema of the ground of a problem: the table ``[terrain]`` and its subtables."""
+"""Schema of the ground of a problem: the table ``[terrain]`` and its subtables.
+
+A feature of synthetic grounds is a function with annotated parameters, and an entry of `FEATURES`.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from collections.abc import Callable
+from math import inf
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PlainValidator, create_model
 
+from slipfree.core.errors import ModelError
 from slipfree.files.toml.types import (
+    Angle,
     Count,
     Pair,
     Positive,
@@ -14,9 +21,91 @@ from slipfree.files.toml.types import (
     Rock,
     Window,
     coefficient,
+    record_of,
 )
-from slipfree.problem.ground_features import FEATURES, SEED, Feature
-from slipfree.problem.schema_solids import Obstacle
+from slipfree.geometry.regions import Region
+from slipfree.terrain import solids, synthetic
+from slipfree.terrain.base import Grid
+from slipfree.terrain.solids import Profile
+
+FEATURES: dict[str, Callable[..., Grid]] = {  # in the order in which they are added
+    "ramp": synthetic.ramp,
+    "ridge": synthetic.ridge,
+    "power_law": synthetic.power_law,
+    "craters": synthetic.craters,
+    "rocks": synthetic.rocks,
+}
+OBSTACLES: dict[str, tuple[Callable[..., Profile], str]] = {  # and their descriptions
+    "ramp": (solids.ramp, "a ramp up to a plateau, which begins at x = 0"),
+    "step": (solids.step, "a vertical step at x = 0 up to a plateau"),
+    "kerb": (solids.kerb, "a rectangular block, which begins at x = 0"),
+    "stairs": (solids.stairs, "stairs up to a plateau, which begin at x = 0"),
+}
+KINDS = (*OBSTACLES, "points")
+
+
+class RegionTable(Record):
+    """A region of the ground: a disc or a polygon."""
+
+    x: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
+    y: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
+    radius: Positive | None = Field(default=None, description="radius of a disc [m]")
+    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
+        default=None, description="corners of a polygon [m]"
+    )
+
+
+def region_of(table: RegionTable) -> Region:
+    """Return the region of a table.
+
+    ModelError is raised if the region is neither a disc nor a valid polygon.
+    """
+    disc = (table.x, table.y, table.radius)
+    if table.points is not None and disc == (None, None, None):
+        return Region.polygon(table.points)
+    if table.points is None and None not in disc:
+        return Region.disc(*(float(value or 0.0) for value in disc))
+    keys = ("x", "y", "radius", "points")
+    given = [repr(key) for key in keys if getattr(table, key) is not None]
+    raise ModelError(
+        "expected either 'x', 'y' and 'radius' (a disc), or 'points' (a polygon), found "
+        f"{', '.join(given) or 'none'}; add the missing keys or remove the others"
+    )
+
+
+def _optional(kind: Callable[..., Any], meaning: str) -> Any:
+    """Return the definition of an optional table with the parameters of a function."""
+    record = record_of(kind, omitted=("grid",), meaning=f"{meaning[:1].upper()}{meaning[1:]}.")
+    return record | None, Field(default=None, description=meaning)
+
+
+if TYPE_CHECKING:
+    Shapes = Record
+else:
+    Shapes = create_model(
+        "Shapes",
+        __base__=Record,
+        __doc__="Obstacles of which a problem gives one.",
+        **{name: _optional(*entry) for name, entry in OBSTACLES.items()},
+    )
+
+
+class Obstacle(Shapes):
+    """An obstacle on the ground: a profile with vertical sides, at a position and heading."""
+
+    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
+        default=None,
+        description="corners of a convex polygon: distance along the heading, and height [m]",
+    )
+    x: float = Field(default=0.0, description="x of the point where the profile begins [m]")
+    y: float = Field(default=0.0, description="y of the point where the profile begins [m]")
+    heading: Angle = Field(
+        default=0.0,
+        description="direction of the profile, counter-clockwise from the axis of frame [rad]",
+    )
+    half_width: Positive = Field(
+        default=inf, description="half the width across the heading; infinite by default [m]"
+    )
 
 
 class MadeGround(Record):
@@ -30,16 +119,19 @@ class MadeGround(Record):
         default=(), description="rocks at given positions, added last [m]"
     )
 
-    def features(self) -> list[Feature]:
-        """Return the features to add to the level grid, in order."""
-        found = (getattr(self, name) for name in FEATURES)
-        return [each for each in found if each is not None]
+    def with_features(self, grid: Grid) -> Grid:
+        """Return a grid with the features of the ground added, in order."""
+        for name, add in FEATURES.items():
+            table = getattr(self, name)
+            if table is not None:
+                grid = add(grid, **dict(table))
+        return grid
 
 
-def _description(feature: type[Feature]) -> str:
-    """Return the description of a feature's key: the first line of its docstring."""
-    words = (feature.__doc__ or "").partition("\n")[0].rstrip(".")
-    return words[:1].lower() + words[1:]
+def _description(feature: Callable[..., Grid]) -> str:
+    """Return the noun of "Return the grid with ... added", the docstring of a feature."""
+    summary = (feature.__doc__ or "").partition("\n")[0]
+    return summary.removeprefix("Return the grid with ").replace(" added", "").rstrip(".")
 
 
 if TYPE_CHECKING:
@@ -49,10 +141,7 @@ else:
         "Synthetic",
         __base__=MadeGround,
         __doc__=MadeGround.__doc__,
-        **{
-            name: (feature | None, Field(default=None, description=_description(feature)))
-            for name, feature in FEATURES.items()
-        },
+        **{name: _optional(feature, _description(feature)) for name, feature in FEATURES.items()},
     )
 
 
@@ -68,10 +157,10 @@ class HeightErrors(Record):
 class ElevationError(HeightErrors):
     """A random error of the heights of a map."""
 
-    seed: Count = Field(description=SEED)
+    seed: Count = Field(description="seed of the random numbers")
 
 
-class Terrain(Record):
+class TerrainTable(Record):
     """Ground of a problem, from a map file, a sample map or a description, and its friction."""
 
     file: str | None = Field(default=None, description="map file, relative to the problem file")

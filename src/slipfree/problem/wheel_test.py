@@ -24,19 +24,18 @@ from slipfree.files.toml.source import (
     validation_fault,
     value_errors,
 )
-from slipfree.files.toml.types import Angle, Positive, Record
+from slipfree.files.toml.types import Angle, Positive, Record, given_values
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
-from slipfree.problem.law_record import given_values
-from slipfree.problem.soil_table import named_soil, soil_of
-from slipfree.problem.summary import Lines
+from slipfree.problem.schema import NamedSoil, soil_of
+from slipfree.problem.verbs.base import Lines
 
 COLUMNS = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
 QUANTITIES = tuple(COLUMNS)
 MAX_POINTS = 100_000  # slip ratios times slip angles
 
 
-class WheelTable(Record):
+class TestedWheelTable(Record):
     """Table ``[wheel]``: dimensions and load of the wheel."""
 
     radius: Positive = Field(description="radius, without grousers [m]")
@@ -73,8 +72,8 @@ def wheel_file() -> type[Record]:
     """Return the schema of a wheel file; the table ``[soil]`` has the constants of `Soil`."""
     tables: dict[str, Any] = {
         "title": (str | None, Field(default=None, description="title of the summary")),
-        "wheel": (WheelTable, Field(description="the wheel")),
-        "soil": (named_soil(), Field(default=named_soil()(), description="the soil")),
+        "wheel": (TestedWheelTable, Field(description="the wheel")),
+        "soil": (NamedSoil, Field(default=NamedSoil(), description="the soil")),
         "test": (TestTable, Field(default=TestTable(), description="the test")),
     }
     return create_model("WheelFile", __base__=Record, **tables)
@@ -125,21 +124,16 @@ class WheelTest(NamedTuple):
 def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     """Return the curves of a wheel file, and their difference from its measured points.
 
+    ProblemError is raised if the file cannot be read, or values do not fit its schema; DataError if
+    the file of measured points cannot be read; ModelError if the wheel sinks to its axle, or the
+    soil is not valid.
+
     Parameters
     ----------
     path : Path
         The file.
     settings : sequence of str
         Values that replace those of the file, as ``key=value``.
-
-    Raises
-    ------
-    ProblemError
-        If the file cannot be read, or values do not fit its schema.
-    DataError
-        If the file of measured points cannot be read.
-    ModelError
-        If the wheel sinks to its axle, or the soil is not valid.
     """
     spec: Any = _read(path, settings)
     soil = soil_of(**given_values(spec.soil))
@@ -166,7 +160,8 @@ def _read(path: Path, settings: Sequence[str]) -> Any:
     try:
         spec: Any = schema.model_validate(data)
     except ValidationError as error:
-        faults = [validation_fault(schema, dict(each)) for each in error.errors(include_url=False)]
+        errors = error.errors(include_url=False)
+        faults = [validation_fault(schema, data, dict(each)) for each in errors]
         raise problem_error(source, faults) from error
     faults = [*value_errors(data), *_faults(spec)]
     if faults:

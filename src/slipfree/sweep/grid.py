@@ -18,7 +18,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.version import __version__
 from slipfree.files.toml.source import key_path, load_toml, shortened
 from slipfree.files.urdf.xacro import trusted_paths
-from slipfree.problem.input_files import digest, input_files, input_names
+from slipfree.problem.inputs import digest, input_files, input_names
 from slipfree.problem.load import load_variants
 from slipfree.problem.problem import Problem
 

@@ -15,8 +15,8 @@ from slipfree.core.facts import Swept, Varied
 from slipfree.core.records import Array
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
+from slipfree.problem.load import verb_of
 from slipfree.problem.units import unit_of
-from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.grid import Run, Sweep
 from slipfree.sweep.log import FAILED, LOST, NAME, Rows, RunLog, RunRow
 from slipfree.sweep.pools import COMPLETE, Pool, RunTask
@@ -24,7 +24,7 @@ from slipfree.system.processes import Poll, finish_tasks
 from slipfree.system.regular_files import check_name
 
 if TYPE_CHECKING:
-    from slipfree.problem.summary import Lines
+    from slipfree.problem.verbs.base import Lines
 
 TABLE = "table.csv"
 MAX_FAILURES = 3  # number of printed failures

@@ -12,11 +12,9 @@ from typing import Any
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact, numbers
 from slipfree.core.trajectory import SolverError, Trajectory
-from slipfree.problem.load import load_again
-from slipfree.problem.problem import Problem
-from slipfree.problem.sharing import Shared, sharing
-from slipfree.problem.solve import run_problem
-from slipfree.problem.verbs.registry import verb_of
+from slipfree.problem.load import load_again, verb_of
+from slipfree.problem.problem import Problem, Shared, sharing
+from slipfree.problem.result import run_problem
 from slipfree.sweep.log import FAILED, LOST, RunRow
 from slipfree.sweep.pools import COMPLETE, Done, RunTask, own_settings, without_motion
 

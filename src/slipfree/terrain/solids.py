@@ -11,14 +11,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from annotated_types import Ge, Gt, Le, Unit, doc
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
+from slipfree.core.schema import Length
 from slipfree.terrain.base import Terrain
 
 Point = tuple[float, float]
@@ -472,7 +474,10 @@ def flat() -> Profile:
     return Profile((_block(-FLOOR_LENGTH, 0.0, FLOOR_LENGTH),))
 
 
-def ramp(angle: float, height: float) -> Profile:
+def ramp(
+    angle: Annotated[float, Gt(0), Le(math.pi / 2), Unit("rad"), doc("angle of the ramp")],
+    height: Annotated[Length, doc("height of the plateau")],
+) -> Profile:
     """Return a floor with a ramp to a plateau, from x = 0 on.
 
     Parameters
@@ -512,8 +517,8 @@ def ramp(angle: float, height: float) -> Profile:
     return Profile((*flat().solids, wedge))
 
 
-def step(height: float) -> Profile:
-    """Return a floor with a plateau of a given height [m] from x = 0 on.
+def step(height: Annotated[Length, doc("height of the plateau")]) -> Profile:
+    """Return a floor with a step to a plateau of a given height [m], at x = 0.
 
     Raises
     ------
@@ -524,7 +529,10 @@ def step(height: float) -> Profile:
     return Profile((*flat().solids, _block(0.0, height, FLOOR_LENGTH)))
 
 
-def kerb(height: float, length: float) -> Profile:
+def kerb(
+    height: Annotated[Length, doc("height of the block")],
+    length: Annotated[Length, doc("length of the block along x")],
+) -> Profile:
     """Return a floor with a block of a given height and length [m] from x = 0 on.
 
     Raises
@@ -536,7 +544,11 @@ def kerb(height: float, length: float) -> Profile:
     return Profile((*flat().solids, _block(0.0, height, length)))
 
 
-def stairs(height: float, depth: float, count: int) -> Profile:
+def stairs(
+    height: Annotated[Length, doc("height of a step")],
+    depth: Annotated[Length, doc("depth of a step along x")],
+    count: Annotated[int, Ge(1), Le(1000), doc("number of steps")],
+) -> Profile:
     """Return a floor with stairs from x = 0 on; the last step is a plateau.
 
     Parameters

@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Ge, Gt, Le, Unit, doc
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
+from slipfree.core.schema import Factor, Length, Position
 from slipfree.terrain.base import Grid
 
 WAVES = 1000  # number of plane waves of a rough ground
+Seed = Annotated[int, Ge(0), doc("seed of the random numbers")]
 SIZE_EXPONENT = 2.0  # the number of craters or rocks above a diameter falls with its square
 
 
@@ -71,7 +74,15 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
 
 
 def power_law(
-    grid: Grid, *, rms: float, hurst: float, longest: float, shortest: float, seed: int
+    grid: Grid,
+    *,
+    rms: Annotated[Length, doc("root mean square of the added heights")],
+    hurst: Annotated[
+        float, Gt(0), Le(1), Unit("1"), doc("Hurst exponent: 0.5 is jagged, 1 is smooth")
+    ],
+    longest: Annotated[Length, doc("longest wavelength")],
+    shortest: Annotated[Length, doc("shortest wavelength, at least twice the spacing")],
+    seed: Seed,
 ) -> Grid:
     """Return the grid with self-affine roughness added.
 
@@ -130,8 +141,20 @@ def power_law(
     return Grid(grid.x, grid.y, grid.z + rough * (rms / math.sqrt(np.mean(rough**2))))
 
 
-def craters(grid: Grid, *, count: int, diameters: tuple[float, float], seed: int) -> Grid:
-    """Return the grid with fresh simple craters added.
+def craters(
+    grid: Grid,
+    *,
+    count: Annotated[
+        int,
+        Ge(0),
+        doc("number of craters; a larger number adds craters to those of a smaller number"),
+    ],
+    diameters: Annotated[
+        tuple[float, float], Unit("m"), doc("smallest and largest diameter of the rim crests")
+    ],
+    seed: Seed,
+) -> Grid:
+    """Return the grid with scattered fresh craters added.
 
     Parameters
     ----------
@@ -176,9 +199,18 @@ def craters(grid: Grid, *, count: int, diameters: tuple[float, float], seed: int
 
 
 def rocks(
-    grid: Grid, *, count: int, diameters: tuple[float, float], height_ratio: float, seed: int
+    grid: Grid,
+    *,
+    count: Annotated[
+        int, Ge(0), doc("number of rocks; a larger number adds rocks to those of a smaller number")
+    ],
+    diameters: Annotated[
+        tuple[float, float], Unit("m"), doc("smallest and largest diameter of the rocks")
+    ],
+    height_ratio: Annotated[Factor, doc("height of a rock divided by its diameter")],
+    seed: Seed,
 ) -> Grid:
-    """Return the grid with rocks scattered over it.
+    """Return the grid with scattered rocks added.
 
     Parameters
     ----------
@@ -235,7 +267,18 @@ def place_rocks(grid: Grid, placed: Iterable[Rock]) -> Grid:
 
 
 def ramp(
-    grid: Grid, *, start: float, end: float, rise: float, smooth: bool = True, rounding: float = 0.0
+    grid: Grid,
+    *,
+    start: Annotated[Position, doc("y at which the ramp begins")],
+    end: Annotated[Position, doc("y at which the ramp ends")],
+    rise: Annotated[Position, doc("height behind the ramp")],
+    smooth: Annotated[
+        bool,
+        doc("whether the slope is continuous, at most 15/8 of its mean; otherwise constant"),
+    ] = True,
+    rounding: Annotated[
+        float, Ge(0), Unit("m"), doc("length of the rounding of each edge of a constant slope")
+    ] = 0.0,
 ) -> Grid:
     """Return the grid with a ramp along y added.
 
@@ -285,7 +328,13 @@ def ramp(
     return Grid(grid.x, grid.y, grid.z + rise * profile)
 
 
-def ridge(grid: Grid, *, middle: float, height: float, width: float) -> Grid:
+def ridge(
+    grid: Grid,
+    *,
+    middle: Annotated[Position, doc("y of the crest")],
+    height: Annotated[Position, doc("height of the crest; negative for a trench")],
+    width: Annotated[Length, doc("distance from the crest to 1/e of its height")],
+) -> Grid:
     """Return the grid with a Gaussian ridge added, its crest perpendicular to the y axis.
 
     Parameters

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import inf
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import casadi as ca
+from annotated_types import Ge, Gt, Lt, Unit, doc
 
-from slipfree.core.errors import ModelError
+from slipfree.core.schema import check_bounds
 
 
 @dataclass(frozen=True)
@@ -103,20 +104,16 @@ class Motor(Drive):
     """
 
     has_integral: ClassVar[bool] = True
-    stall: float
-    no_load: float
-    kp: float
-    ki: float = 0.0
-    rotor_inertia: float = 0.0
+    stall: Annotated[float, Gt(0), Lt(inf), Unit("N m"), doc("largest effort, behind the gear")]
+    no_load: Annotated[float, Gt(0), Lt(inf), Unit("rad/s"), doc("rate without effort")]
+    kp: Annotated[float, Gt(0), Lt(inf), Unit("N m s/rad"), doc("proportional gain")]
+    ki: Annotated[float, Ge(0), Lt(inf), Unit("N m/rad"), doc("integral gain")] = 0.0
+    rotor_inertia: Annotated[
+        float, Ge(0), Lt(inf), Unit("kg m^2"), doc("inertia of the rotor, behind the gear")
+    ] = 0.0
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value, least = getattr(self, each.name), each.name in ("ki", "rotor_inertia")
-            if not (0 < value < inf or (least and value == 0)):
-                words = "finite number of zero or more" if least else "finite positive number"
-                raise ModelError(
-                    f"motor: {each.name!r}: expected a {words}, found {value}; change it"
-                )
+        check_bounds(self)
 
     @property
     def added_inertia(self) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
+from slipfree.core.schema import Length
 from slipfree.geometry.mesh import Mesh, sheet
 
 AXLE = ca.SX(ca.DM([1, 0, 0]))  # direction of the axle in the wheel's axes
@@ -31,8 +32,9 @@ ARC_LENGTH_POINTS = 721  # points of a table of arc lengths
 class Section(ABC):
     """Cross-section of a wheel, a body of revolution about its axle.
 
-    A subclass is a frozen dataclass of positive numbers that defines `profile`. The other methods
-    follow from it; a subclass overrides one where a closed form has fewer operations.
+    A subclass is a frozen dataclass that defines `profile`; its fields are of the type
+    `slipfree.core.schema.Length`. The other methods follow from it; a subclass overrides one where
+    a closed form has fewer operations.
 
     Attributes
     ----------
@@ -220,7 +222,7 @@ class Disc(Section):
         Radius of the edge. [m]
     """
 
-    radius: float
+    radius: Length
 
     @property
     def torus_radii(self) -> tuple[float, float]:
@@ -242,7 +244,7 @@ class Sphere(Section):
         Radius of the ball. [m]
     """
 
-    radius: float
+    radius: Length
 
     @property
     def torus_radii(self) -> tuple[float, float]:
@@ -274,8 +276,8 @@ class Torus(Section):
         Radius of the circle of tube centres; the rolling radius is ``r1 + r2``. [m]
     """
 
-    r1: float
-    r2: float
+    r1: Length
+    r2: Length
 
     @property
     def torus_radii(self) -> tuple[float, float]:

@@ -285,24 +285,23 @@ def value_errors(value: Any, place: Place = ()) -> Iterator[Fault]:
         yield Fault(place, expected, format_value(value))
 
 
-def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
-    """Return a validation error of pydantic as a `Fault`: key, expected and found value."""
+def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) -> Fault:
+    """Return an error of pydantic in the ``data`` of a file as a `Fault`: key and both values."""
     place, kind = tuple(error["loc"]), error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":
-        model = record_at(schema, place[:-1])
-        return _unknown(place, list(model.model_fields))
+        return _unknown(place, record_at(schema, place[:-1], data).known_keys())
     if kind == "missing" and isinstance(place[-1], int):
         return Fault(place, "a number", found)
     if kind == "missing":
-        wanted = record_at(schema, place[:-1]).model_fields[place[-1]].annotation
+        wanted = record_at(schema, place[:-1], data).model_fields[place[-1]].annotation
         table = isinstance(wanted, type) and issubclass(wanted, BaseModel)
         table |= str(wanted).startswith("dict")
         return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
     words = EXPECTED.get(kind)
     details = error.get("ctx", {})
     expected = words.format(**details) if words else error["msg"]
-    return Fault(place, expected, found, details.get("hint", ""))
+    return Fault(place, expected, details.get("found", found))
 
 
 def _unknown(place: Place, known: Sequence[str]) -> Fault:
@@ -323,13 +322,20 @@ def listed(known: Sequence[str]) -> str:
     return ", ".join(known[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
-def record_at(schema: type[BaseModel], place: Place) -> type[BaseModel]:
-    """Return the schema of the nested table at ``place`` in the schema of a file."""
-    model = schema
+def record_at(schema: type[Any], place: Place, data: Any) -> type[Any]:
+    """Return the schema of the nested table at ``place`` in the ``data`` of a file."""
+    is_container = False
+    model: type[Any] = schema.schema_for(data)
     for part in place:
-        if isinstance(part, int):
-            continue  # index in an array of tables
-        model = next(_records(model.model_fields[str(part)].annotation))
+        data = data[part]
+        if is_container:  # the part is the index or name of a table
+            is_container = False
+        else:
+            annotation = model.model_fields[str(part)].annotation
+            model = next(_records(annotation))
+            is_container = isinstance(data, list) or "dict[" in str(annotation)
+        if not is_container:
+            model = model.schema_for(data)
     return model
 
 

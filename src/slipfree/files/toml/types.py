@@ -6,21 +6,28 @@ Angles and their rates are numbers in radians, or text with a unit as in "30 deg
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import MISSING
+from functools import cache
 from itertools import pairwise
 from math import pi
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, get_origin
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
+    ModelWrapValidatorHandler,
     PlainValidator,
     ValidatorFunctionWrapHandler,
     WrapValidator,
+    create_model,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
+from slipfree.core.schema import Key, keys_of
 from slipfree.files.toml.source import Fault, format_value
 from slipfree.files.toml.source import Place as KeyPath
 
@@ -36,6 +43,26 @@ class Record(BaseModel):
     """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def schema_for(cls, data: Any) -> type[Record]:  # noqa: ARG003 - for records that depend on it
+        """Return the schema for a table with given contents, by default this one.
+
+        PydanticCustomError or ValidationError is raised if the contents belong to no schema.
+        """
+        return cls
+
+    @classmethod
+    def known_keys(cls) -> list[str]:
+        """Return the keys that messages about unknown keys list."""
+        return [*cls.model_fields]
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _by_contents(cls, data: Any, handler: ModelWrapValidatorHandler[Record]) -> Record:
+        """Validate a table by the schema for its contents."""
+        schema = cls.schema_for(data)
+        return handler(data) if schema is cls else schema.model_validate(data)
 
 
 def expected_error(text: str) -> PydanticCustomError:
@@ -161,6 +188,55 @@ def in_radians(value: float) -> float:
     return value
 
 
+ANGULAR = {  # angles and rates may have a unit; a bare angle of more than a full turn is an error
+    "rad": (IN_RADIANS, AfterValidator(in_radians)),
+    "rad/s": (IN_RADIANS_PER_SECOND,),
+}
+
+
+@cache
+def record_of(
+    kind: Callable[..., Any],
+    base: type[Record] = Record,
+    *,
+    omitted: tuple[str, ...] = (),
+    meaning: str = "",
+) -> type[Any]:
+    """Return the record of a dataclass or function, with the keys of ``base`` before its own.
+
+    Bounds, units and descriptions are those of `slipfree.core.schema.keys_of`; keys whose names are
+    ``omitted`` are left out. The docstring is ``meaning``, by default the summary of ``kind``.
+    """
+    keys: dict[str, Any] = {
+        key.name: (
+            _toml_type(key),
+            Field(
+                default=... if key.default is MISSING else key.default,
+                description=key.description,
+            ),
+        )
+        for key in keys_of(kind)
+        if key.name not in omitted
+    }
+    meaning = meaning or (kind.__doc__ or "").partition("\n")[0]
+    name = kind.__name__
+    name = name if isinstance(kind, type) else name.title().replace("_", "")
+    return create_model(name, __base__=base, __doc__=meaning, **keys)
+
+
+def _toml_type(key: Key) -> Any:
+    """Return the type of a key's values in TOML: arrays are tuples, angles may have a unit."""
+    plain = getattr(key.hint, "__origin__", key.hint)
+    if tuple in (plain, get_origin(plain)):
+        return Annotated[key.hint, Field(strict=False)]
+    return Annotated[key.hint, *ANGULAR.get(key.unit, (Field(),))]
+
+
+def given_values(table: Record) -> dict[str, Any]:
+    """Return the values that a file gives for the keys of a table, without defaults."""
+    return {name: getattr(table, name) for name in table.model_fields_set}
+
+
 def _numbers(value: Any) -> Iterator[float]:
     if isinstance(value, float):
         yield value
@@ -230,6 +306,17 @@ def coefficient(value: Any) -> float | str:
     if _is_number(value) and value > 0:
         return float(value)
     raise expected_error("a number greater than 0, or the name of a file in quotes")
+
+
+def one_of(known: Collection[str]) -> AfterValidator:
+    """Return a validator that accepts the names among ``known``, which may change later."""
+
+    def check(name: str) -> str:
+        if name not in known:
+            raise expected_error(f"one of {', '.join(known)}")
+        return name
+
+    return AfterValidator(check)
 
 
 def not_zero(value: float) -> float:

@@ -1,7 +1,7 @@
-"""Interface between commands and verbs.
+"""Interface between commands and verbs, and the lines of all summaries.
 
 A verb is a kind of problem: the value of the key ``verb`` in a problem file. Commands use only this
-interface and the registry; everything specific to a verb is in the module of the verb.
+interface and `slipfree.problem.load`; everything specific to a verb is in the module of the verb.
 """
 
 from __future__ import annotations
@@ -12,16 +12,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, get_args
 
 import numpy as np
-from typing_extensions import TypeVar  # with a default
+from typing_extensions import TypeVar
 
 from slipfree.core.facts import Fact
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
-from slipfree.core.trajectory import SolverError, Stop, Trajectory
+from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words
 from slipfree.files.netcdf import NOTHING
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
-from slipfree.problem.summary import Lines
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
@@ -32,12 +31,70 @@ if TYPE_CHECKING:
     from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.show.plots import Plot
 
+
+Lines = list[tuple[str, str]]
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
 FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagnostics
 CROSS_CHECK, RESUME = "cross-check", "resume"  # options of slipfree run
+P = TypeVar("P", bound=CommonKeys, default=Any)  # record of a problem
+D = TypeVar("D", default=Any)  # its set-up, or None
 
 
-class Setup(Protocol):
+def ranges(run: Trajectory) -> Lines:
+    """Return the facts about the range of every quantity over time and wheels.
+
+    On a ground without a friction coefficient, ``utilisation`` equals ``friction_needed`` and is
+    omitted.
+    """
+    facts = []
+    for name, column in run.columns.items():
+        if name == "utilisation" and not has_friction(run):
+            continue
+        low, high = (float(end.reduce(column.values, axis=None)) for end in (np.fmin, np.fmax))
+        unit = column.label.unit
+        span = _number(low) if low == high else f"{_number(low)} to {_number(high)}"
+        facts.append((name, span if unit == "1" or np.isinf(low) else f"{span} {unit}"))
+    return facts
+
+
+def _number(value: float) -> str:
+    return "infinite" if np.isinf(value) else f"{value:.6g}"
+
+
+def has_friction(run: Trajectory) -> bool:
+    """Return whether the ground of a motion has a friction coefficient, according to its result."""
+    given = "ground_friction" in run.attributes
+    return given or not np.array_equal(run["utilisation"], run["friction_needed"])
+
+
+def plain_facts(run: Trajectory) -> Lines:
+    """Return the facts about duration and cost of a motion."""
+    return [duration_fact(run), integrator_fact(run)]
+
+
+def outcome_fact(run: Trajectory) -> tuple[str, str]:
+    """Return the fact about the outcome of a motion, the first line of every summary."""
+    return "outcome", outcome_words(run)
+
+
+def duration_fact(run: Trajectory) -> tuple[str, str]:
+    """Return the fact about duration and number of samples of a motion."""
+    return "duration", f"{run.t[-1] - run.t[0]:g} s, {run.t.size} samples"
+
+
+def integrator_fact(run: Trajectory) -> tuple[str, str]:
+    """Return the fact about the cost of the integration."""
+    counts = run.statistics
+    if "steps" not in counts:
+        return "integrator", "not used"
+    return (
+        "integrator",
+        f"{counts['steps']:.0f} steps, {counts['residuals']:.0f} evaluations, "
+        f"{counts['cpu_seconds']:.3g} s CPU, tolerance {counts['tolerance']:g}",
+    )
+
+
+class VerbSetup(Protocol):
     """Common attributes of the set-ups of all verbs: start, sample times and facts."""
 
     @property
@@ -66,35 +123,31 @@ class Watch(NamedTuple):
         Called for every iterate of a plan with the path of the platform in map coordinates, an
         ndarray of shape (n, 2). [m]
     keep : callable
-        Called with a `Solution` of what is computed so far, which is the result if the computation
-        is interrupted or fails afterwards. The last one counts.
+        Called with a `VerbSolution` of what is computed so far, which is the result if the
+        computation is interrupted or fails afterwards. The last one counts.
     """
 
     time: Callable[[float], None] | None = None
     line: Callable[[str, str], None] | None = None
     path: Callable[[Array], None] | None = None
-    keep: Callable[[Solution], None] = lambda _: None
+    keep: Callable[[VerbSolution], None] = lambda _: None
 
 
-P = TypeVar("P", bound=CommonKeys, default=Any)  # record of a problem
-D = TypeVar("D", default=Any)  # its set-up, or None
-
-
-class Solution(NamedTuple):
+class VerbSolution(NamedTuple):
     """Solution of a problem: a motion, its set-up and further arrays.
 
     Attributes
     ----------
     trajectory : Trajectory
         The motion, complete or up to its stop.
-    setup : Setup
+    setup : VerbSetup
         Model, start and inputs of the motion.
     arrays : mapping of str to ndarray
         Arrays for the result file besides the samples.
     """
 
     trajectory: Trajectory
-    setup: Setup
+    setup: VerbSetup
     arrays: Mapping[str, Array] = NOTHING
 
 
@@ -134,6 +187,8 @@ def with_diagnostics(
 ) -> Trajectory:
     """Return a motion with diagnostics; a fact names those that fail, with the error.
 
+    KeyboardInterrupt is raised after Ctrl-C.
+
     Parameters
     ----------
     run : Trajectory
@@ -142,11 +197,6 @@ def with_diagnostics(
         Functions that return a motion with one more diagnostic, by name.
     keep : callable
         Called after Ctrl-C with the motion and the diagnostics so far.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        After Ctrl-C.
     """
     for name, diagnose in diagnostics.items():
         try:
@@ -193,7 +243,7 @@ class Result(Generic[P, D]):
     verification : mapping of str to Fact
         Largest differences of the motion from an independent computation, and violations of
         limits, by name; empty for verbs without verification.
-    setup : Setup or None
+    setup : VerbSetup or None
         Model, start and inputs of the motion; None if it was read from a file.
     arrays : mapping of str to ndarray
         Arrays of the result file besides the samples, such as the plan for a warm start.
@@ -276,7 +326,7 @@ class MotionVerb(Verb):
     verified: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def build(self, problem: Problem[Any]) -> Setup:
+    def build(self, problem: Problem[Any]) -> VerbSetup:
         """Return model, start and inputs of a problem.
 
         Raises
@@ -288,14 +338,14 @@ class MotionVerb(Verb):
     @abstractmethod
     def solve(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
-    ) -> Solution:
+    ) -> VerbSolution:
         """Return the motion of a problem.
 
         Parameters
         ----------
         problem : Problem
             The problem.
-        setup : Setup
+        setup : VerbSetup
             Result of `build`.
         watch : Watch
             Callbacks that report the progress.
@@ -333,10 +383,7 @@ class MotionVerb(Verb):
     def shown(self, result: Result, name: str) -> Any:
         """Return the motion of a result with ground and vehicle, as input of the viewer.
 
-        Raises
-        ------
-        DataError
-            If ground or vehicle differ from those of the motion.
+        DataError is raised if ground or vehicle differ from those of the motion.
         """
 
     def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:

@@ -14,18 +14,17 @@ from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.files.toml.types import Quantity
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.samples import measured_slip
-from slipfree.problem.build_common import (
+from slipfree.problem.build import (
+    build_law,
     build_start,
     build_terrain,
     build_vehicle,
     check_names,
     samples,
 )
-from slipfree.problem.build_driver import build_law
-from slipfree.problem.build_ground import Ground, at, build_ground
+from slipfree.problem.build_ground import GroundMap, at, build_ground
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import INPUTS, VERB, Driver, Task
-from slipfree.problem.schema import Vehicle as VehicleTable
+from slipfree.problem.schema import INPUTS, VERB, DriverTable, TerrainKeys, VehicleSource
 from slipfree.problem.verbs.base import Verb
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
@@ -36,13 +35,13 @@ from slipfree.vehicle.tree import Vehicle
 RANK = 1e-9  # smaller singular values, relative to the largest, count as zero
 
 
-class Compared(VehicleTable):
+class Compared(VehicleSource):
     """A named vehicle of a comparison."""
 
     name: Annotated[str, Field(min_length=1)] = Field(description="name of the vehicle")
 
 
-class Compare(Task):
+class Compare(TerrainKeys):
     """Several vehicles on one ground: at common rates, and at the rates of a driving law."""
 
     verb: Literal["compare"] = Field(description=VERB)
@@ -50,7 +49,7 @@ class Compare(Task):
         description="the vehicles to compare"
     )
     inputs: dict[str, Quantity] = Field(description=INPUTS)
-    driver: Driver = Field(description="the driving law")
+    driver: DriverTable = Field(description="the driving law")
 
 
 class CompareVerb(Verb):
@@ -60,7 +59,7 @@ class CompareVerb(Verb):
     commands = ("compare",)
 
 
-class Drive(NamedTuple):
+class ComparedMotion(NamedTuple):
     """Results of one motion of a vehicle of a comparison.
 
     Attributes
@@ -88,7 +87,7 @@ class Drive(NamedTuple):
     stop: Stop | None
 
 
-class Row(NamedTuple):
+class ComparedVehicle(NamedTuple):
     """One vehicle of a comparison.
 
     Attributes
@@ -100,7 +99,7 @@ class Row(NamedTuple):
     rank, conditions : int
         Rank of the Jacobian of the slip in the unknown rates, and number of slip conditions; the
         vehicle can roll without slip if they are equal.
-    same, fitting : Drive
+    same, fitting : ComparedMotion
         Motions at the common rates, and at the rates of the driving law.
     """
 
@@ -108,14 +107,19 @@ class Row(NamedTuple):
     wheels: tuple[str, ...]
     rank: int
     conditions: int
-    same: Drive
-    fitting: Drive
+    same: ComparedMotion
+    fitting: ComparedMotion
 
 
-def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple[Ground, list[Row]]:
+def compare(
+    problem: Problem[Compare], progress: Callable[[str], None]
+) -> tuple[GroundMap, list[ComparedVehicle]]:
     """Compare vehicles on one ground; return the ground and the results of each vehicle.
 
     After a Ctrl-C held back by `held_interrupt`, the results are those of the finished vehicles.
+
+    ProblemError is raised if the problem cannot be built; SolverError if a motion fails before its
+    first sample.
 
     Parameters
     ----------
@@ -123,13 +127,6 @@ def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple
         The comparison.
     progress : callable
         Called with the name of each vehicle before its computation.
-
-    Raises
-    ------
-    ProblemError
-        If the problem cannot be built.
-    SolverError
-        If a motion fails before its first sample.
     """
     ground, rows = build_ground(problem), []
     terrain = build_terrain(problem, ground)
@@ -151,7 +148,7 @@ def _row(
     name: str,
     vehicle: Vehicle,
     dae: Dae,
-) -> Row:
+) -> ComparedVehicle:
     spec, start = problem.spec, build_start(problem, dae)
     known = [label.full for label in leaves(dae.labels.u)]
     free = {f"{wheel.name}_rate" for wheel in vehicle.wheels if not wheel.driven}
@@ -161,7 +158,7 @@ def _row(
     same = dae.inputs(**{key: given.get(key, 0.0) for key in known})
     law = build_law(problem, spec.driver, dae, vehicle, start)
     drives = [_drive(vehicle, dae, start, inputs, t, spec.solver.options) for inputs in (same, law)]
-    return Row(
+    return ComparedVehicle(
         name, start.wheels, _rank(dae, start, spec.solver.options), 3 * len(vehicle.wheels), *drives
     )
 
@@ -173,7 +170,7 @@ def _drive(
     inputs: Any,
     t: Array,
     options: SolverOptions,
-) -> Drive:
+) -> ComparedMotion:
     try:
         run = simulate(dae, start, inputs, t, options=options)
     except SolverError as error:
@@ -185,7 +182,7 @@ def _drive(
     tilts = [run[c.name] for c in vehicle.of("passive") if vehicle.unit(c.name) == "rad"]
     gaps = [run[f"center_{axis}"][:, 0] - run[f"center_{axis}"][:, 1] for axis in "xyz"]
     width = np.sqrt(sum(gap**2 for gap in gaps))
-    return Drive(
+    return ComparedMotion(
         np.abs(run["slip_along"]).max(axis=0),
         np.abs(run["slip_across"]).max(axis=0),
         slip.max(axis=0),

@@ -12,8 +12,7 @@ from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, path_length
 from slipfree.models.samples import has_pressed_wheels, lightest_wheel, rocks
 from slipfree.models.single_wheel import RESERVE
-from slipfree.problem.summary import duration_fact
-from slipfree.problem.verbs.base import FAILED_DIAGNOSTICS, Extremes
+from slipfree.problem.verbs.base import FAILED_DIAGNOSTICS, Extremes, duration_fact
 
 FORMULATION = "formulation"  # attribute of results of direct problems
 OBSTACLES = "obstacles"  # fact of motions over solids: their ending
@@ -47,6 +46,7 @@ EXTREMES = Extremes(
     ),
     gained=("work", "potential_energy", "lost_energy"),
 )
+NOT_ANGLES = ("_rate", "_stop", "_torque")  # ends of the names of other quantities of tilting parts
 
 
 def drive_facts(run: Trajectory) -> dict[str, Fact]:
@@ -90,9 +90,6 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
     }
     facts["not_converged"] = Fact({name: count for name, count in unknown.items() if count})
     return facts
-
-
-NOT_ANGLES = ("_rate", "_stop", "_torque")  # ends of the names of other quantities of tilting parts
 
 
 def _placed(run: Trajectory, name: str) -> Fact:

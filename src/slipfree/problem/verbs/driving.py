@@ -24,20 +24,26 @@ from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.records import is_determinate
 from slipfree.models.samples import has_pressed_wheels, obstacle_ending, wheel_poses
 from slipfree.models.single_wheel import RESERVE, drawbar_reserve
-from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
-from slipfree.problem.build_ground import Ground, at, build_ground
-from slipfree.problem.build_model import law_name, model_law
-from slipfree.problem.build_solids import build_solids
+from slipfree.problem.build import (
+    Setup,
+    build_solids,
+    build_terrain,
+    build_vehicle,
+    law_name,
+    model_law,
+)
+from slipfree.problem.build_ground import GroundMap, at, build_ground
 from slipfree.problem.build_vehicle import VehicleFile, vehicle_file
-from slipfree.problem.input_files import digest
+from slipfree.problem.inputs import digest
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import Modelled, Motion
-from slipfree.problem.summary import Lines, integrator_fact
+from slipfree.problem.schema import Modelled, MotionKeys
 from slipfree.problem.verbs.base import (
+    Lines,
     MotionVerb,
     Result,
-    Solution,
+    VerbSolution,
     Watch,
+    integrator_fact,
     with_diagnostics,
 )
 from slipfree.problem.verbs.drive_facts import (
@@ -93,18 +99,20 @@ class DriveVerb(MotionVerb):
 
     def solve(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
-    ) -> Solution:
+    ) -> VerbSolution:
         """Return the motion of a problem with its diagnostics."""
         run, arrays = self.drive(problem, setup, watch, resume)
         law = model_law(problem, problem.spec) if isinstance(problem.spec, Modelled) else None
 
         def keep(run: Trajectory) -> None:
-            watch.keep(Solution(run, setup, arrays))
+            watch.keep(VerbSolution(run, setup, arrays))
 
         run = with_diagnostics(run, _diagnostics(setup, law, run), keep)
-        return Solution(run, setup, arrays)
+        return VerbSolution(run, setup, arrays)
 
-    def describe_start(self, problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, Lines]:
+    def describe_start(
+        self, problem: Problem[MotionKeys], setup: Setup
+    ) -> tuple[Trajectory, Lines]:
         """Return the start in the frame of the problem, and facts about start and samples."""
         spec = problem.spec
         start = setup.start.in_frame(spec.frame)
@@ -170,10 +178,7 @@ class DriveVerb(MotionVerb):
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, as input of the viewer.
 
-        Raises
-        ------
-        DataError
-            If ground or vehicle differ from those of the motion.
+        DataError is raised if ground or vehicle differ from those of the motion.
         """
         from slipfree.show.drive_scene import Driven
 
@@ -232,7 +237,7 @@ def _is_known(mesh: str, folder: Path, file: VehicleFile) -> bool:
     return is_mesh and file.meshes.get(mesh) == digest(find_mesh(mesh, folder))
 
 
-def _stable_poses(problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, ...]:
+def _stable_poses(problem: Problem[MotionKeys], setup: Setup) -> tuple[Trajectory, ...]:
     """Return the stable poses at the start of a motion, that of the motion first.
 
     Headings are those of the problem's frame. With exact contact there is one pose.
@@ -253,7 +258,7 @@ def model_attributes(spec: Modelled) -> dict[str, str]:
     return {"model": spec.model, "law": law_name(spec)}
 
 
-def ground_of(result: Result) -> Ground:
+def ground_of(result: Result) -> GroundMap:
     """Return the ground of a result, from its set-up if present, or built from its problem."""
     return build_ground(result.problem) if result.setup is None else result.setup.ground
 
@@ -332,7 +337,7 @@ def _check_ground(
     terrain: Bicubic,
     prisms: Sequence[Prism],
     vehicle: Vehicle,
-    problem: Problem[Motion],
+    problem: Problem[MotionKeys],
 ) -> None:
     """Raise DataError unless the ground or a solid is at the contact points of the motion."""
     heights = terrain.elevation(run["contact_x"], run["contact_y"])

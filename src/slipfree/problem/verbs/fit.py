@@ -41,16 +41,15 @@ from slipfree.fit.unknowns import (
 from slipfree.fit.windows import Log, Windows, cut
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
+from slipfree.problem.build import model_law
 from slipfree.problem.build_ground import at
-from slipfree.problem.build_model import model_law
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import LAW, MODEL, SLIP, VERB, CommonKeys, Law, SlipName, Vehicle
-from slipfree.problem.summary import Lines
-from slipfree.problem.unit_checks import check_heading_unit, check_sampling, check_travel
-from slipfree.problem.verbs.base import Verb
+from slipfree.problem.schema import MODEL, VERB, CommonKeys, LawKeys, VehicleSource
+from slipfree.problem.units import check_heading_unit, check_sampling, check_travel
+from slipfree.problem.verbs.base import Lines, Verb
 from slipfree.terrain.analytic import Analytic
-from slipfree.vehicle.tree import Vehicle as VehicleModel
+from slipfree.vehicle.tree import Vehicle
 
 TIME_SLACK = 1e-6  # of window ends [window]
 SHOWN_WEIGHT = 0.2  # smallest weight of an unknown that is named in a direction
@@ -117,17 +116,15 @@ class UnknownTable(Record):
         return Unknown(name, self.quantity or name, self.wheels, lower, upper, self.prior)
 
 
-class Fit(CommonKeys):
+class Fit(LawKeys, CommonKeys):
     """Fit: numbers of a vehicle and of a law, calibrated on a log of rates and poses."""
 
     verb: Literal["fit"] = Field(description=VERB)
     frame: Frame = Field(
         default="paper", description="axis from which the headings of the log count: y, or x"
     )
-    vehicle: Vehicle = Field(description="the vehicle, with nominal values")
+    vehicle: VehicleSource = Field(description="the vehicle, with nominal values")
     model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
-    slip: SlipName = Field(default="least", description=SLIP)
-    law: Law = Field(default=Law.model_construct(), description=LAW)
     friction: Positive = Field(
         default=0.6, description="coefficient of friction of the ground, which is level [1]"
     )
@@ -176,7 +173,7 @@ class Fitted(NamedTuple):
     """
 
     calibration: Calibration
-    vehicle: VehicleModel
+    vehicle: Vehicle
     constants: dict[str, float]
     sensor: dict[str, float]
     notes: tuple[str, ...]
@@ -185,12 +182,8 @@ class Fitted(NamedTuple):
 def fit(problem: Problem[Fit]) -> Fitted:
     """Return the result of a fit.
 
-    Raises
-    ------
-    ProblemError
-        If the vehicle, the law, an unknown or the log is not valid.
-    ModelError
-        If the log has too few windows, or the model has no motion at its rates.
+    ProblemError is raised if the vehicle, the law, an unknown or the log is not valid; ModelError
+    if the log has too few windows, or the model has no motion at its rates.
     """
     spec = problem.spec
     with at(problem, ("vehicle",)):
@@ -207,7 +200,7 @@ def fit(problem: Problem[Fit]) -> Fitted:
     names = body_motion(dae).names
     radii = {f"{wheel.name}_rate": wheel.radius for wheel in vehicle.wheels if wheel.driven}
     windows, notes = _read_windows(problem, names, [c.name for c in vehicle.of("passive")], radii)
-    found = calibrate(
+    calibration = calibrate(
         build,
         vehicle,
         law,
@@ -217,11 +210,11 @@ def fit(problem: Problem[Fit]) -> Fitted:
         seed=spec.seed,
         loss=spec.loss,
     )
-    values = found.estimate.values.tolist()
+    values = calibration.estimate.values.tolist()
     new = law_with_unknowns(law, unknowns, values)
     pairs = list(zip(unknowns, values, strict=True))
     return Fitted(
-        found,
+        calibration,
         with_unknowns(vehicle, unknowns, values),
         {u.quantity: getattr(new, u.quantity) for u, _ in pairs if hasattr(new, u.quantity)},
         {u.quantity: value for u, value in pairs if u.quantity.startswith("sensor_")},
@@ -233,7 +226,7 @@ def _builder(spec: Fit) -> Any:
     """Return the function of vehicle and law to the model on level ground."""
     ground = Analytic(lambda x, _: 0 * x, mu=spec.friction)
 
-    def build(vehicle: VehicleModel, law: Any) -> Dae:
+    def build(vehicle: Vehicle, law: Any) -> Dae:
         if spec.model == "kinematics":
             return direct_kinematics(vehicle, ground, slip=law)
         return quasi_statics(vehicle, ground, law=law)
@@ -248,10 +241,8 @@ def _read_windows(
 
     The ``radii`` of the driven wheels, by the names of their rates, are for a check of units [m].
 
-    Raises
-    ------
-    ProblemError
-        If the log cannot be read, lacks a column, or has times or headings in other units.
+    ProblemError is raised if the log cannot be read, lacks a column, or has times or headings in
+    other units.
     """
     data = problem.spec.data
     measured = [name for name in names if name not in passive]
@@ -362,38 +353,44 @@ def _divided(log: Log, duration: float) -> Log:
 
 def facts(fitted: Fitted) -> Lines:
     """Return the facts of a fit: estimates, identifiable directions, and errors of predictions."""
-    found = fitted.calibration
-    outcome = Outcome.INTERRUPTED if found.estimate.is_interrupted else Outcome.COMPLETE
+    calibration = fitted.calibration
+    train, test = (len(part.measured) for part in (calibration.train, calibration.test))
+    outcome = Outcome.INTERRUPTED if calibration.estimate.is_interrupted else Outcome.COMPLETE
     return [
         ("outcome", outcome.title),
         *([("log", "; ".join(fitted.notes))] if fitted.notes else []),
-        ("windows", f"{len(found.train.measured)} for training, {len(found.test.measured)} others"),
-        *_estimates(found.estimate),
-        *_directions(found.estimate),
+        ("windows", f"{train} for training, {test} others"),
+        *_estimates(calibration.estimate),
+        *_directions(calibration.estimate),
         *map(_error_line, error_rows(fitted)),
     ]
 
 
-def _estimates(found: Estimate) -> Iterator[tuple[str, str]]:
+def _estimates(estimate: Estimate) -> Iterator[tuple[str, str]]:
     """Yield the estimates, with 95 % intervals."""
-    for k, label in enumerate(found.labels):
+    for k, label in enumerate(estimate.labels):
         unit = "" if label.unit == "1" else f" {label.unit}"
-        low, high = found.intervals[k]
-        if found.at_bound[k]:
+        low, high = estimate.intervals[k]
+        if estimate.at_bound[k]:
             words = "at its bound: the data favour values beyond it"
-        elif label.name in found.undetermined:
+        elif label.name in estimate.undetermined:
             words = "not determined by these data"
         else:
             words = f"95 % interval {low:.5g} to {high:.5g}"
-        yield label.name, f"{found.values[k]:.5g}{unit} ({words}), before {found.nominal[k]:.5g}"
+        yield (
+            label.name,
+            f"{estimate.values[k]:.5g}{unit} ({words}), before {estimate.nominal[k]:.5g}",
+        )
 
 
-def _directions(found: Estimate) -> Iterator[tuple[str, str]]:
+def _directions(estimate: Estimate) -> Iterator[tuple[str, str]]:
     """Yield the combinations of unknowns that the data determine best, weakly, or not at all."""
     names = [
-        label.name for label, fixed in zip(found.labels, found.at_bound, strict=True) if not fixed
+        label.name
+        for label, fixed in zip(estimate.labels, estimate.at_bound, strict=True)
+        if not fixed
     ]
-    for k, direction in enumerate(found.directions):
+    for k, direction in enumerate(estimate.directions):
         words = _combination(direction, names)
         if direction.deviation > WEAK:
             size = (
@@ -430,18 +427,18 @@ def _error_line(row: Mapping[str, Any]) -> tuple[str, str]:
 
 def estimate_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
     """Return column names and rows of the estimates, in SI units."""
-    found = fitted.calibration.estimate
-    deviation = np.sqrt(np.diag(found.covariance))
+    estimate = fitted.calibration.estimate
+    deviation = np.sqrt(np.diag(estimate.covariance))
     names = ["name", "unit", "nominal", "value", "deviation", "lower", "upper", "at_bound"]
     return names, [
         [
             label.name,
             label.unit,
-            *(float(each[k]) for each in (found.nominal, found.values, deviation)),
-            *(float(each) for each in found.intervals[k]),
-            int(found.at_bound[k]),
+            *(float(each[k]) for each in (estimate.nominal, estimate.values, deviation)),
+            *(float(each) for each in estimate.intervals[k]),
+            int(estimate.at_bound[k]),
         ]
-        for k, label in enumerate(found.labels)
+        for k, label in enumerate(estimate.labels)
     ]
 
 
@@ -464,10 +461,10 @@ def window_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
     """Return column names and rows of the windows: measured ends and errors [m, rad]."""
     axes = ("right", "ahead", "heading")
     names = ["set", *(f"{kind}_{a}" for kind in ("measured", "before", "after") for a in axes)]
-    found = fitted.calibration
+    calibration = fitted.calibration
     return names, [
         [words, *np.concatenate(row).tolist()]
-        for words, errors in (("train", found.train), ("test", found.test))
+        for words, errors in (("train", calibration.train), ("test", calibration.test))
         for row in zip(*errors, strict=True)
     ]
 

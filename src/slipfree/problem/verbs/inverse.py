@@ -13,8 +13,8 @@ import numpy as np
 from slipfree.control.path_tracking import path_inputs, track_path
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
-from slipfree.core.facts import Fact
-from slipfree.core.records import Array, leaves
+from slipfree.core.facts import Fact, starting_with
+from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.mcap_reader import is_mcap
 from slipfree.files.netcdf import NOTHING
@@ -41,7 +41,7 @@ from slipfree.models.inverse import (
     steering_slip,
 )
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.problem.build_common import (
+from slipfree.problem.build import (
     Setup,
     build_start,
     build_terrain,
@@ -52,31 +52,19 @@ from slipfree.problem.build_common import (
 )
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem, S
-from slipfree.problem.summary import Lines, integrator_fact
-from slipfree.problem.unit_checks import check_heading_unit, check_time_unit
+from slipfree.problem.units import check_heading_unit, check_time_unit
 from slipfree.problem.verbs.base import (
     Extremes,
+    Lines,
     Result,
-    Solution,
+    VerbSolution,
     Watch,
     integrate,
+    integrator_fact,
     with_diagnostics,
 )
 from slipfree.problem.verbs.driving import DriveVerb
-from slipfree.problem.verbs.inverse_commands import ROBOT, are_commands, read_commands
-from slipfree.problem.verbs.inverse_facts import (
-    CHECKS,
-    COLLOCATION,
-    METHOD,
-    REPLAY,
-    ROUND_TRIP,
-    collocation_line,
-    inverse_lines,
-    is_collocated,
-    replay_lines,
-    steering_warning,
-)
-from slipfree.problem.verbs.inverse_schema import Inverse
+from slipfree.problem.verbs.inverse_schema import ROBOT, Inverse, are_commands, read_commands
 from slipfree.solve.collocation import drive
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states
@@ -87,11 +75,131 @@ if TYPE_CHECKING:
     from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.show.plots import Plot
 
+
+ROUND_TRIP, REPLAY = "round_trip_", "replay_"  # beginnings of the names of differences
+METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and one of its values
+STEERED = 0.02  # largest error of a steering coordinate at its target [rad, m]
+CHECKS = (
+    "margin",
+    "round trip",
+    "replay by the direct model",
+    "replay stopped early",
+    "collocation",
+)  # facts about accuracy and validity
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
 MIN_POINTS = 6  # smallest number of way-points, for a spline of degree five
 MIN_SAMPLES = 4  # smallest number of samples between jumps of the given rates, for a replay
 GUESS_SPEED = 0.1  # speed of the initial guess if the velocity is not given [m/s]
+
+
+def is_collocated(run: Trajectory) -> bool:
+    """Return whether the steering of a motion was computed by collocation."""
+    return run.attributes.get(METHOD) == COLLOCATION
+
+
+def steering_warning(run: Trajectory) -> str:
+    """Return the warning about an unstable integrated steering; empty if it is stable."""
+    if "steering_growth" not in run.columns or is_collocated(run):
+        return ""
+    return steering_note(run)
+
+
+def inverse_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the lines of an inverse motion: rates, steering, margin and errors."""
+    commanded = [name for name in COMMANDS if f"{name}_error" in run.columns]
+    for wheel in run.wheels:
+        if (name := f"{wheel}_rate") in run.columns:
+            first, last = run[name][[0, -1]]
+            yield f"rate of wheel {wheel}", f"{first:.6g} at the start, {last:.6g} rad/s at the end"
+    for name in ("steer", "steer_rate"):
+        if name in run.columns:
+            low, high, unit = run[name].min(), run[name].max(), run.columns[name].label.unit
+            words = "steering angle" if unit == "rad" else "steering rate"
+            yield words, f"{low:.6g} to {high:.6g} {unit.replace(' s-1', '/s')}"
+    if "inverse_margin" in run.columns:
+        margin = run["inverse_margin"]
+        worst = int(margin.argmin())
+        words = run.columns["inverse_margin"].label.words
+        yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
+    known = {*COMMANDS, "path", "heading"}
+    held = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
+    steered = [name for name in run if f"{name}_error" in run.columns and name not in known]
+    for name in steered:
+        low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
+        unit = run.columns[name].label.unit
+        at_stop = "; reaches its stop" if name in held else ""
+        words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{at_stop}"
+        yield f"steering {name}", words
+    errors = [np.abs(run[f"{name}_error"]) for name in steered]
+    is_turning = np.max([np.zeros(run.t.size), *errors], axis=0) > STEERED
+    for name in commanded:
+        yield f"error of {name}", _largest_error(run, f"{name}_error", is_turning)
+    for name in ("path_error", "heading_error"):
+        if name in run.columns:
+            yield name.replace("_", " "), _largest_error(run, name)
+    if "steering_slip" in run.columns:
+        yield (
+            "steering slip",
+            f"{run['steering_slip'].max():.2e} m/s at most (steering lever times steering rate)",
+        )
+    if warning := steering_warning(run):
+        yield "warning", warning
+    trip = [gap.value for gap in starting_with(ROUND_TRIP, run.facts).values()]
+    if trip:
+        yield (
+            "round trip",
+            f"{max(trip):.1e} at most: difference of the platform rates from those of the direct "
+            "model at the same wheel and joint rates",
+        )
+
+
+def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
+    """Return a text about the absolute error of a command or path.
+
+    The text contains the largest error and its time. For a path, where errors accumulate, it adds
+    the error at the end. For a command, it adds the largest error while the steering is at its
+    target, if the steering is off its target at some samples.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    name : str
+        Name of the error in the motion.
+    is_turning : ndarray of bool, shape (n,), or None
+        Whether the steering is off its target, by sample; None for a path.
+    """
+    error, unit = np.abs(run[name]), run.columns[name].label.unit.replace(" s-1", "/s")
+    worst = int(error.argmax())
+    words = f"{error[worst]:.1e} {unit} at most (t = {run.t[worst]:.4g} s)"
+    if is_turning is None:
+        return f"{words}, {error[-1]:.1e} {unit} at the end"
+    if is_turning.all():
+        return f"{words}; the steering is never within {STEERED:g} rad of its target"
+    if is_turning.any():
+        return f"{words}, {error[~is_turning].max():.1e} {unit} while the steering is at its target"
+    return words
+
+
+def collocation_line(run: Trajectory) -> tuple[str, str]:
+    """Return the line about the cost of the collocation along a path."""
+    counts = run.statistics
+    return (
+        "collocation",
+        f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
+        f"{counts['cpu_seconds']:.3g} s CPU, steering error {counts['sought_error']:.1e} rad",
+    )
+
+
+def replay_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the lines about the differences of the replay by the direct model, if computed."""
+    gaps = starting_with(REPLAY, run.facts)
+    listed = ", ".join(f"{name} {gap.value:.1e} {gap.unit}" for name, gap in gaps.items())
+    if gaps:
+        yield "replay by the direct model", f"differs by at most {listed}"
+    if "stopped_replay" in run.facts:
+        yield "replay stopped early", run.facts["stopped_replay"].value
 
 
 class InverseVerb(DriveVerb):
@@ -163,7 +271,7 @@ class InverseVerb(DriveVerb):
         run = with_diagnostics(
             _with_steering(setup.vehicle, run),
             {"replay": replayed},
-            lambda run: watch.keep(Solution(run, setup)),
+            lambda run: watch.keep(VerbSolution(run, setup)),
         )
         return run, NOTHING
 
@@ -206,10 +314,8 @@ def _given_rates(
     For a path the rates are zeros. Their names are those of commands if the steering angle is
     unknown and the vehicle cannot roll without slip, else those of the rates to impose.
 
-    Raises
-    ------
-    ProblemError
-        If names, number or kinds of the rates are not valid, or the key ``exact`` does not apply.
+    ProblemError is raised if names, number or kinds of the rates are not valid, or the key
+    ``exact`` does not apply.
     """
     if points is None and are_commands(spec.given or ()):
         return read_commands(problem, spec)
@@ -276,11 +382,8 @@ def _points(problem: Problem[S], spec: Inverse) -> tuple[Array | None, tuple[str
 
     Way-points are t, x, y, heading [s, m, m, rad], shape (4, n), with headings from the y axis.
 
-    Raises
-    ------
-    ProblemError
-        If the file cannot be read or has headings of another frame or in degrees, or times or
-        headings are not valid.
+    ProblemError is raised if the file cannot be read or has headings of another frame or in
+    degrees, or times or headings are not valid.
     """
     path = spec.path
     if path is None:

@@ -1,19 +1,33 @@
-"""Keys of the problems with ``verb = "inverse"``."""
+"""Keys of the problems with ``verb = "inverse"``, and commands in them and in files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import ClassVar, Literal
+from collections.abc import Collection, Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, ClassVar, Literal
 
+import casadi as ca
+import numpy as np
 from pydantic import Field
 
-from slipfree.files.toml.source import Fault, format_value
+from slipfree.core.errors import DataError, ModelError
+from slipfree.files.tables import read_columns, read_names
+from slipfree.files.toml.source import Fault, format_value, problem_error
 from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import Angles, Column, Record, TimeFunction, bare_words
-from slipfree.problem.schema import FILE, VERB, Motion, Task
+from slipfree.files.toml.types import Angles, Column, Piecewise, Record, TimeFunction, bare_words
+from slipfree.models.given_rates import COMMANDS
+from slipfree.problem.build import samples
+from slipfree.problem.build_ground import at
+from slipfree.problem.problem import Problem, S
+from slipfree.problem.schema import FILE, VERB, MotionKeys, TerrainKeys, Time
+from slipfree.problem.units import check_time_unit
+from slipfree.vehicle.formula import evaluate
+
+ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
 
 
-class Path(Record):
+class PathTable(Record):
     """Timed path: positions and headings of the platform's centre, as arrays or from a file."""
 
     t: Column | None = Field(default=None, description="times, increasing from 0 [s]")
@@ -23,7 +37,7 @@ class Path(Record):
     file: str | None = Field(default=None, description="CSV file with the columns t, x, y, heading")
 
 
-class Inverse(Motion):
+class Inverse(MotionKeys):
     """Inverse problem: wheel and steering rates for given platform rates or a platform path."""
 
     verb: Literal["inverse"] = Field(description=VERB)
@@ -37,13 +51,13 @@ class Inverse(Motion):
         description="whether rates in the heading frame are met exactly; otherwise their errors "
         "are minimised; true by default unless all three are given",
     )
-    path: Path | None = Field(default=None, description="a timed path, instead of given rates")
+    path: PathTable | None = Field(default=None, description="a timed path, instead of given rates")
     steering: Literal["rate", "angle"] = Field(
         default="angle", description="unknown of the steering: its rate or its angle"
     )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
-        **Task.alternatives,
+        **TerrainKeys.alternatives,
         (): ("given", "path"),
         ("path",): ("t", "file"),
     }
@@ -73,3 +87,127 @@ class Inverse(Motion):
                 expected = f"an array of {len(times)} numbers, one for each time in 't'"
                 found = "none" if column is None else f"an array of {len(column)}"
                 yield Fault(place, expected, found)
+
+
+def are_commands(given: Collection[str]) -> bool:
+    """Return whether names of given rates are those of commands.
+
+    Commands are rates of the platform in its heading frame, or the key of a file with such rates.
+    """
+    names = set(given)
+    return FILE in names or (bool(names) and (names <= set(COMMANDS) or names <= set(ROBOT)))
+
+
+def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], str]:
+    """Return the commands of a problem by the names of `COMMANDS`, and their description.
+
+    ProblemError is raised if the name of the file is not a text, the file cannot be read or is not
+    valid, a name is unknown, occurs twice or is of another frame, a formula is not a finite
+    function of t, or the key ``steering`` does not fit commands.
+    """
+    given, columns, words = dict(spec.given or {}), dict[str, Any](), []
+    if (file := given.pop(FILE, None)) is not None:
+        with at(problem, ("given", FILE)):
+            if not isinstance(file, str):
+                raise DataError(
+                    "expected the name of a CSV file in quotes, found "
+                    f"{format_value(file)}; put the name in quotes"
+                )
+            columns, notes = _read_file(problem.folder / file, spec.time.duration)
+        words = ["; ".join([f"{', '.join(columns)} of {file}", *notes])]
+    if faults := [*_faults(spec, given, columns)]:
+        raise problem_error(problem.source, faults)
+    for name, value in given.items():
+        if isinstance(value, str):
+            with at(problem, ("given", name)):
+                _check_formula(value, spec.time)
+    found = {
+        ROBOT.get(name, name): _negative(value) if name == "v_y" else value
+        for name, value in (columns | given).items()
+    }
+    words += [f"{name} {_rate_words(value)} {_unit(name)}" for name, value in given.items()]
+    return found, ", ".join(words)
+
+
+def _read_file(file: Path, duration: float) -> tuple[dict[str, Piecewise], tuple[str, ...]]:
+    """Return the commands of a table by name, constant until the next row, and notes on units.
+
+    DataError is raised if the file cannot be read, its first line is not valid, or times do not
+    increase from 0 or are probably not in seconds.
+    """
+    names = read_names(file, "commands")
+    rates = [name for name in names if name != "t"]
+    if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
+        raise DataError(
+            f"{file}: expected a first line with the names of columns, each once: t, and one or "
+            f"more of {', '.join(COMMANDS)} or one or more of {', '.join(ROBOT)}, found "
+            f"{','.join(names)!r}; correct the first line"
+        )
+    table = read_columns(file, ["t", *rates], "commands")
+    if not table.values["t"].size:
+        raise DataError(f"{file}: expected one or more rows of numbers, found only names; add rows")
+    t, *columns = (column.tolist() for column in table.values.values())
+    if t[0] != 0:
+        raise DataError(f"{file}: expected 0 as the first time, found {t[0]:g} s; shift the times")
+    for before, after in pairwise(t):
+        if after <= before:
+            found = f"{after:g} s after {before:g} s"
+            remedy = "sort the rows" if after < before else "keep one row for each time"
+            raise DataError(f"{file}: expected increasing times, found {found}; {remedy}")
+    check_time_unit(table.values["t"], duration)
+    pairs = zip(rates, columns, strict=True)
+    return {name: tuple(zip(t, rate, strict=True)) for name, rate in pairs}, table.notes
+
+
+def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -> Iterator[Fault]:
+    """Yield errors in commands: names of other kinds, repeated names, wrong frame or steering."""
+    if spec.steering != "angle":
+        expected = f"'angle' with given rates {', '.join(COMMANDS)}"
+        yield Fault(("steering",), expected, f"{spec.steering!r}; remove the key")
+    for name in given:
+        if not are_commands({name, *columns}):
+            yield Fault(
+                ("given", name),
+                f"rates of the same kind as {', '.join(columns)} in the CSV file",
+                f"{name!r}; remove it, or give all rates in one frame",
+            )
+        elif name in columns:
+            expected, found = "only rates that are not in the CSV file", f"{name!r}; remove it"
+            yield Fault(("given", name), expected, found)
+    if spec.frame != "rep103" and (robot := [n for n in (*columns, *given) if n in ROBOT]):
+        place = ("given", robot[0] if robot[0] in given else FILE)
+        expected = f"{', '.join(COMMANDS)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
+        found = f"{robot[0]} in the frame {spec.frame!r}; set frame = 'rep103', or give the former"
+        yield Fault(place, expected, found)
+
+
+def _check_formula(text: str, time: Time) -> None:
+    """Raise ModelError for a formula that is not a function of t or not finite at a sample."""
+    t, symbol = samples(time, {})[0], ca.SX.sym("t")
+    try:
+        value = evaluate(text, {"t": symbol})
+    except ModelError as error:
+        raise ModelError(f"{error}; a rate may be a formula of t, in seconds") from error
+    rates = np.array(ca.Function("rate", [symbol], [value])(t[None])).ravel()
+    if not np.isfinite(rates).all():
+        k = int(np.flatnonzero(~np.isfinite(rates))[0])
+        raise ModelError(
+            f"expected finite values of {text!r}, found {rates[k]:g} at t = {t[k]:g} s; change the "
+            "formula"
+        )
+
+
+def _negative(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple((t, -rate) for t, rate in value)
+    return f"-({value})" if isinstance(value, str) else -value
+
+
+def _rate_words(value: float | Piecewise | str) -> str:
+    if isinstance(value, tuple):
+        return " then ".join(f"{rate:g}" for _, rate in value)
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _unit(name: str) -> str:
+    return COMMANDS[ROBOT.get(name, name)].unit.replace(" s-1", "/s")

@@ -40,20 +40,20 @@ from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays
 from slipfree.plan.search import PlanProgress
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.windows import LongPlan
-from slipfree.problem.build_common import (
+from slipfree.problem.build import (
     Setup,
     build_terrain,
+    model_law,
     wheel_angles_at,
 )
-from slipfree.problem.build_ground import Ground, at
-from slipfree.problem.build_model import model_law
+from slipfree.problem.build_ground import GroundMap, at
 from slipfree.problem.problem import Problem
-from slipfree.problem.summary import Lines
 from slipfree.problem.verbs import plan_schema
 from slipfree.problem.verbs.base import (
     RESUME,
+    Lines,
     Result,
-    Solution,
+    VerbSolution,
     Watch,
     with_diagnostics,
 )
@@ -72,23 +72,20 @@ from slipfree.problem.verbs.plan_facts import (
     optimality_facts,
     plan_lines,
 )
-from slipfree.problem.verbs.plan_goals import places_of, regions, way_points_of
 from slipfree.problem.verbs.plan_over_solids import (
     OverSolids,
     build_over_solids,
     drive_over_solids,
 )
 from slipfree.problem.verbs.plan_robust import UNTESTED, Tested, make_robust
-from slipfree.problem.verbs.plan_search import find_plan, guess_motion
+from slipfree.problem.verbs.plan_schema import places_of, regions, way_points_of
+from slipfree.problem.verbs.plan_search import best_start, find_plan, guess_motion
 from slipfree.problem.verbs.plan_setup import (
     Planning,
     build_planning,
+    long_plan,
     plan_arguments,
     settled_start,
-)
-from slipfree.problem.verbs.plan_starts import best_start
-from slipfree.problem.verbs.plan_windows import (
-    long_plan,
 )
 from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.options import SolverOptions
@@ -114,14 +111,14 @@ FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail
 class PlanVerb(DriveVerb):
     """Planning: inputs that reach a goal at least cost, and the resulting motion."""
 
-    schema = plan_schema.Plan
+    schema = plan_schema.PlanKeys
     options = (RESUME,)
     is_timed = False
     checks = (*DriveVerb.checks, *CHECKS)
     verified = (DIFFERENCE, VIOLATION)
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
-    def build(self, problem: Problem[plan_schema.Plan]) -> Setup:
+    def build(self, problem: Problem[plan_schema.PlanKeys]) -> Setup:
         """Return the model, the settled start and the inputs of the initial guess.
 
         Over solids, return the plan and the set-up of its simulation.
@@ -132,7 +129,7 @@ class PlanVerb(DriveVerb):
 
     def drive(
         self,
-        problem: Problem[plan_schema.Plan],
+        problem: Problem[plan_schema.PlanKeys],
         setup: Planning | OverSolids,
         watch: Watch,
         resume: SavedPlan | None,
@@ -146,47 +143,47 @@ class PlanVerb(DriveVerb):
             return self._drive_windows(problem, setup, watch, progress, resume)
         if resume is None and spec.plan.starts > 1:
             resume, facts, is_interrupted = best_start(problem, setup, watch.line)
-            progress = _stopped if is_interrupted else progress
+            progress = (lambda *_: False) if is_interrupted else progress
         with at(problem, ("driver" if spec.driver else "inputs",)):
             guesses = [] if resume else [guess_motion(setup, start) for start in setup.starts]
         length = resume.motion.duration if resume else float(guesses[0].t[-1])
 
-        def described(found: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
-            run, arrays = _described(setup, found, run, facts)
+        def described(plan: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
+            run, arrays = _described(setup, plan, run, facts)
             lines = [np.stack([guess["x"], guess["y"]], axis=1) for guess in guesses]
             drawn = _lines_as_arrays("guess", lines) | _lines_as_arrays("route", setup.paths)
             return run, {**arrays, **drawn}
 
-        def keep(found: Plan) -> None:
-            run, arrays = described(found, found.replay)
-            watch.keep(Solution(run, setup, arrays))
+        def keep(plan: Plan) -> None:
+            run, arrays = described(plan, plan.replay)
+            watch.keep(VerbSolution(run, setup, arrays))
 
-        found = find_plan(problem, setup, guesses, resume, progress, length, keep=keep)
-        tested = Tested(found)
-        if spec.plan.robust is not None and found.accurate:
-            keep(replace(found, replay=replace(found.replay, stop=UNTESTED)))
-            tested = make_robust(problem, setup, found, spec.plan.robust, progress, watch.line)
-            found = tested.plan
-        run, stop = found.replay, tested.stop or with_offer(setup, found, guesses)
-        if stop is not None and (tested.stop or not found.success):
+        plan = find_plan(problem, setup, guesses, resume, progress, length, keep=keep)
+        tested = Tested(plan)
+        if spec.plan.robust is not None and plan.accurate:
+            keep(replace(plan, replay=replace(plan.replay, stop=UNTESTED)))
+            tested = make_robust(problem, setup, plan, spec.plan.robust, progress, watch.line)
+            plan = tested.plan
+        run, stop = plan.replay, tested.stop or with_offer(setup, plan, guesses)
+        if stop is not None and (tested.stop or not plan.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         facts |= tested.facts
-        run, arrays = described(found, run)
+        run, arrays = described(plan, run)
         diagnostics: dict[str, Diagnostic] = {
-            "optimality": lambda run: run.with_facts(optimality_facts(found)),
-            "by_friction": lambda run: run.with_facts(_by_friction(setup, found)),
-            "by_stiffness": lambda run: run.with_facts(_by_stiffness(problem, setup, found)),
-            "in_soil": lambda run: run.with_facts(_in_soil(problem, setup, found)),
-            "momentum": lambda run: run.with_facts(_momentum(setup, found)),
+            "optimality": lambda run: run.with_facts(optimality_facts(plan)),
+            "by_friction": lambda run: run.with_facts(_by_friction(setup, plan)),
+            "by_stiffness": lambda run: run.with_facts(_by_stiffness(problem, setup, plan)),
+            "in_soil": lambda run: run.with_facts(_in_soil(problem, setup, plan)),
+            "momentum": lambda run: run.with_facts(_momentum(setup, plan)),
         }
         run = with_diagnostics(
-            run, diagnostics, lambda run: watch.keep(Solution(run, setup, arrays))
+            run, diagnostics, lambda run: watch.keep(VerbSolution(run, setup, arrays))
         )
         return run, arrays
 
     def _drive_windows(
         self,
-        problem: Problem[plan_schema.Plan],
+        problem: Problem[plan_schema.PlanKeys],
         setup: Planning,
         watch: Watch,
         progress: PlanProgress,
@@ -196,19 +193,19 @@ class PlanVerb(DriveVerb):
         spec, model = problem.spec, (setup.dae, setup.vehicle, setup.terrain)
         arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
 
-        def described(found: LongPlan) -> tuple[Trajectory, Mapping[str, Array]]:
-            windows = Fact([window._asdict() for window in found.windows])
-            return _described(setup, found, found.replay, {"plan_windows": windows})
+        def described(plan: LongPlan) -> tuple[Trajectory, Mapping[str, Array]]:
+            windows = Fact([window._asdict() for window in plan.windows])
+            return _described(setup, plan, plan.replay, {"plan_windows": windows})
 
-        def keep(found: LongPlan) -> None:
-            run, arrays = described(found)
-            watch.keep(Solution(run, setup, arrays))
+        def keep(plan: LongPlan) -> None:
+            run, arrays = described(plan)
+            watch.keep(VerbSolution(run, setup, arrays))
 
-        found = long_plan(problem, setup, setup.paths[0], arguments, resume, progress, keep)
-        run, arrays = described(found)
-        diagnostics = {"by_friction": lambda run: run.with_facts(_by_friction(setup, found))}
+        plan = long_plan(problem, setup, setup.paths[0], arguments, resume, progress, keep)
+        run, arrays = described(plan)
+        diagnostics = {"by_friction": lambda run: run.with_facts(_by_friction(setup, plan))}
         run = with_diagnostics(
-            run, diagnostics, lambda run: watch.keep(Solution(run, setup, arrays))
+            run, diagnostics, lambda run: watch.keep(VerbSolution(run, setup, arrays))
         )
         return run, arrays
 
@@ -216,7 +213,7 @@ class PlanVerb(DriveVerb):
         """Return the attributes of the result, including model and law."""
         return super().attributes(problem, setup) | model_attributes(problem.spec)
 
-    def describe_samples(self, problem: Problem[plan_schema.Plan], setup: Setup) -> str:
+    def describe_samples(self, problem: Problem[plan_schema.PlanKeys], setup: Setup) -> str:
         """Return the description of the sampling, without the duration, which may be unknown."""
         return f"{problem.spec.time.step:g} s apart or less, depending on the intervals of the plan"
 
@@ -258,17 +255,17 @@ class PlanVerb(DriveVerb):
 
 
 def _described(
-    setup: Planning, found: Plan | LongPlan, run: Trajectory, facts: Facts
+    setup: Planning, plan: Plan | LongPlan, run: Trajectory, facts: Facts
 ) -> tuple[Trajectory, Mapping[str, Array]]:
     """Return the simulation of a plan with its facts, and the plan as arrays.
 
     If the plan is not accurate, the motion gets a stop that says so.
     """
-    if run.stop is None and not found.accurate:
-        run = replace(run, stop=_inaccurate(setup.spec, found))
-    arrays = convergence_arrays([stage.convergence for stage in found.stages])
-    run = run.with_facts({**facts_of(found, setup), **facts})
-    return run, found.saved.arrays | arrays
+    if run.stop is None and not plan.accurate:
+        run = replace(run, stop=_inaccurate(setup.spec, plan))
+    arrays = convergence_arrays([stage.convergence for stage in plan.stages])
+    run = run.with_facts({**facts_of(plan, setup), **facts})
+    return run, plan.saved.arrays | arrays
 
 
 def _lines_as_arrays(name: str, lines: Sequence[Array]) -> dict[str, Array]:
@@ -284,7 +281,7 @@ def _line_points(name: str, arrays: Mapping[str, Array]) -> Array:
     return np.stack([arrays.get(f"{name}_{axis}", empty) for axis in "xy"], axis=1)
 
 
-def layers_of(result: Result, ground: Ground) -> Traversability:
+def layers_of(result: Result, ground: GroundMap) -> Traversability:
     """Return the traversability of the ground for the vehicle of a result."""
     if result.setup is not None:
         layers: Traversability = result.setup.layers
@@ -309,12 +306,12 @@ def figure_options(result: Result) -> dict[str, Any]:
     }
 
 
-def _inaccurate(spec: plan_schema.Plan, found: Plan | LongPlan) -> Stop:
+def _inaccurate(spec: plan_schema.PlanKeys, plan: Plan | LongPlan) -> Stop:
     """Return the stop of a solved plan whose simulation misses the required accuracy."""
-    sizes = found.difference | found.violation
+    sizes = plan.difference | plan.violation
     parts = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
-    worst = missed_words(parts, found.units) or "a narrow limit"
-    last = found.stages[-1]
+    worst = missed_words(parts, plan.units) or "a narrow limit"
+    last = plan.stages[-1]
     advice = "raise plan.intervals or plan.accuracy"
     further = f"its mesh was not refined any further; {advice}"
     if last.words.endswith("intervals"):
@@ -328,7 +325,7 @@ def _inaccurate(spec: plan_schema.Plan, found: Plan | LongPlan) -> Stop:
         f"{spec.plan.accuracy:g}: {why}"
     )
     outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
-    return Stop(PLAN_ACCURACY, float(found.replay.t[-1]), words, outcome)
+    return Stop(PLAN_ACCURACY, float(plan.replay.t[-1]), words, outcome)
 
 
 def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate], bool]:
@@ -370,7 +367,7 @@ def _path_of(iterate: Iterate, setup: Planning) -> Array:
 
 def _simulated(
     prefix: str,
-    found: Plan | LongPlan,
+    plan: Plan | LongPlan,
     drive: Callable[[], Trajectory],
     more: Callable[[Trajectory], dict[str, Fact]] = lambda _: {},
 ) -> dict[str, Fact]:
@@ -385,19 +382,19 @@ def _simulated(
         return {f"{prefix}_failure": Fact(f"not simulated: {error}")}
     if run.stop is not None:
         return {f"{prefix}_failure": Fact(outcome_words(run))}
-    apart = float(np.hypot(*(run[name][-1] - found.replay[name][-1] for name in "xy")))
+    apart = float(np.hypot(*(run[name][-1] - plan.replay[name][-1] for name in "xy")))
     facts = {"end_distance": Fact(apart, "m"), **more(run)}
     return {f"{prefix}_{name}": fact for name, fact in facts.items()}
 
 
-def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, Fact]:
+def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
     """Return the facts of the quasi-static motion under the plan's inputs.
 
     There are none without mass, friction or exact contact, for plans with forces, and for plans
     that are not solved.
     """
     able = has_exact_closure(setup.vehicle) and setup.vehicle.mass and setup.terrain.has_friction
-    if not (found.success and able and setup.spec.model == "kinematics"):
+    if not (plan.success and able and setup.spec.model == "kinematics"):
         return {}
     options = setup.spec.solver.options
     options = replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
@@ -405,7 +402,7 @@ def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, Fact]:
     def drive() -> Trajectory:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
         start = settle(model, options=options, **_start_values(setup))
-        return simulate_plan(model, start, found.motion, step=setup.spec.time.step, options=options)
+        return simulate_plan(model, start, plan.motion, step=setup.spec.time.step, options=options)
 
     def slip(run: Trajectory) -> dict[str, Fact]:
         slip = np.hypot(run["slip_along"], run["slip_across"])
@@ -415,7 +412,7 @@ def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, Fact]:
             "utilisation_largest": Fact(float(run["utilisation"].max()), "1"),
         }
 
-    return _simulated("friction", found, drive, slip)
+    return _simulated("friction", plan, drive, slip)
 
 
 def _start_values(setup: Planning) -> dict[str, Any]:
@@ -424,14 +421,14 @@ def _start_values(setup: Planning) -> dict[str, Any]:
 
 
 def _by_stiffness(
-    problem: Problem[plan_schema.Plan], setup: Planning, found: Plan
+    problem: Problem[plan_schema.PlanKeys], setup: Planning, plan: Plan
 ) -> dict[str, Fact]:
     """Return the facts of the motion with stiffer wheels under the plan's inputs.
 
     There are none for a vehicle with exact contact, a plan with inertia, and a plan that is not
     solved.
     """
-    if has_exact_closure(setup.vehicle) or not found.success or setup.spec.model == "dynamics":
+    if has_exact_closure(setup.vehicle) or not plan.success or setup.spec.model == "dynamics":
         return {}
     wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
     stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(problem, problem.spec)
@@ -440,32 +437,34 @@ def _by_stiffness(
 
     def drive() -> Trajectory:
         start = settled_start(model, setup)
-        return simulate_plan(model, start, found.motion, step=step, options=options)
+        return simulate_plan(model, start, plan.motion, step=step, options=options)
 
-    return _simulated("stiff", found, drive)
+    return _simulated("stiff", plan, drive)
 
 
-def _in_soil(problem: Problem[plan_schema.Plan], setup: Planning, found: Plan) -> dict[str, Fact]:
+def _in_soil(
+    problem: Problem[plan_schema.PlanKeys], setup: Planning, plan: Plan
+) -> dict[str, Fact]:
     """Return the facts of the motion in soil with inertia under the plan's inputs.
 
     Slip, sinkage and work are also those of the plan's own simulation. There are none for other
     plans, and for plans that are not solved.
     """
     law = model_law(problem, problem.spec)
-    if not (found.success and setup.spec.model == "quasi-static" and isinstance(law, Soil)):
+    if not (plan.success and setup.spec.model == "quasi-static" and isinstance(law, Soil)):
         return {}
     step, options = setup.spec.time.step, setup.spec.solver.options
 
     def drive() -> Trajectory:
         model: Dae = dynamics(setup.vehicle, setup.terrain, law=law)
-        values = _start_values(setup) | {SPEED: initial_speed(found.replay)}
+        values = _start_values(setup) | {SPEED: initial_speed(plan.replay)}
         start = settle(model, options=options, **values)
-        return simulate_plan(model, start, found.motion, step=step, options=options)
+        return simulate_plan(model, start, plan.motion, step=step, options=options)
 
     def compared(run: Trajectory) -> dict[str, Fact]:
         return {
             f"{name}{which}": fact
-            for motion, which, depth in ((run, "", "depth"), (found.replay, "_plan", "sinkage"))
+            for motion, which, depth in ((run, "", "depth"), (plan.replay, "_plan", "sinkage"))
             for name, fact in {
                 "slip_ratio_largest": Fact(float(motion["slip_ratio"].max()), "1"),
                 "sinkage_largest": Fact(float(motion[depth].max()), "m"),
@@ -473,27 +472,27 @@ def _in_soil(problem: Problem[plan_schema.Plan], setup: Planning, found: Plan) -
             }.items()
         }
 
-    return _simulated("soil", found, drive, compared)
+    return _simulated("soil", plan, drive, compared)
 
 
-def _momentum(setup: Planning, found: Plan) -> dict[str, Fact]:
+def _momentum(setup: Planning, plan: Plan) -> dict[str, Fact]:
     """Return the facts of a plan with inertia, and of slow driving along the same path.
 
     There are none for other plans.
     """
     if setup.spec.model != "dynamics":
         return {}
-    facts = {"momentum_distance": Fact(max(found.difference[name] for name in "xyz"), "m")}
-    for name, run in (("_plan", found.run), ("", found.replay)):
+    facts = {"momentum_distance": Fact(max(plan.difference[name] for name in "xyz"), "m")}
+    for name, run in (("_plan", plan.run), ("", plan.replay)):
         least = run["force_normal"].min(axis=0)
         wheel = run.wheels[int(least.argmin())]
         facts[f"momentum_force_normal{name}"] = Fact(float(least.min()), "N", wheel)
-    return facts | (_slowly(setup, found) if found.success else {})
+    return facts | (_slowly(setup, plan) if plan.success else {})
 
 
-def _slowly(setup: Planning, found: Plan) -> dict[str, Fact]:
+def _slowly(setup: Planning, plan: Plan) -> dict[str, Fact]:
     """Return the torques that the path of a plan needs without inertia."""
-    run = found.run
+    run = plan.run
     try:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
         start = settled_start(model, setup)
@@ -527,9 +526,9 @@ def initial_speed(run: Trajectory) -> float:
     return float(level * np.cos(pitch) + run["velocity_z"][0] * np.sin(pitch))
 
 
-def with_offer(setup: Planning, found: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
+def with_offer(setup: Planning, plan: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
     """Return the stop of a plan; after a failed slow plan, it suggests a plan with momentum."""
-    stop, spec = found.run.stop, setup.spec
+    stop, spec = plan.run.stop, setup.spec
     slow = spec.model == "quasi-static" or FORCE_LIMITS & {*spec.limits}
     if stop is None or not slow or stop.outcome not in (Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE):
         return stop
@@ -551,10 +550,6 @@ def _torque_need(setup: Planning, guess: Trajectory) -> str:
         f"{guess['x'][k]:.2f} m, y = {guess['y'][k]:.2f} m), limits.drive_torque allows {most:.3g} "
         "N m"
     )
-
-
-def _stopped(_words: str, _iterate: Iterate) -> bool:
-    return False
 
 
 def poses_of_plan(

@@ -15,7 +15,7 @@ from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.optimality import Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
 from slipfree.plan.windows import LongPlan
-from slipfree.problem.verbs.plan_goals import spelled
+from slipfree.problem.verbs.plan_schema import spelled
 from slipfree.problem.verbs.plan_setup import Planning
 from slipfree.solve.sampling import TURN
 
@@ -49,51 +49,53 @@ SIMULATED = {  # further simulations of a plan, by the prefix of their facts
     ),
     "stiff": ("with wheels ten times stiffer", "ends {end_distance:.3g} m from the plan"),
 }
+MILLIMETRES = re.compile("slip_per_path|sinkage_")  # numbers that a summary shows in mm
+MAX_LISTED = 4  # largest number of bounds in a line of the summary
 
 
-def facts_of(found: Plan | LongPlan, setup: Planning) -> dict[str, Fact]:
+def facts_of(plan: Plan | LongPlan, setup: Planning) -> dict[str, Fact]:
     """Return the facts of a plan: iterations, times, costs, differences and violations."""
-    times = [stage.seconds for stage in found.stages]
+    times = [stage.seconds for stage in plan.stages]
     return {
-        "plan_iterations": Fact(sum(stage.iterations for stage in found.stages), "1"),
+        "plan_iterations": Fact(sum(stage.iterations for stage in plan.stages), "1"),
         "plan_seconds": Fact(sum(each["total"] for each in times), "s"),
         "plan_seconds_functions": Fact(sum(each["functions"] for each in times), "s"),
-        **{f"{PLAN_COST}{name}": Fact(value) for name, value in found.costs.items()},
-        **_differences(found),
+        **{f"{PLAN_COST}{name}": Fact(value) for name, value in plan.costs.items()},
+        **_differences(plan),
         **{
             VIOLATION + re.sub("[^a-zA-Z0-9.]+", "_", name).strip("_"): Fact(
-                size, found.units[name], name
+                size, plan.units[name], name
             )
-            for name, size in found.violation.items()
+            for name, size in plan.violation.items()
         },
         "plan_accuracy": Fact(setup.spec.plan.accuracy),
-        "plan_compiled": Fact(float(found.compiled), "1"),
-        "plan_intervals": Fact(found.motion.mesh.ends.size - 1, "1"),
-        "plan_searches": Fact([stage.words for stage in found.stages]),
-        **_turns(setup, found),
+        "plan_compiled": Fact(float(plan.compiled), "1"),
+        "plan_intervals": Fact(plan.motion.mesh.ends.size - 1, "1"),
+        "plan_searches": Fact([stage.words for stage in plan.stages]),
+        **_turns(setup, plan),
     }
 
 
-def _differences(found: Plan | LongPlan) -> dict[str, Fact]:
+def _differences(plan: Plan | LongPlan) -> dict[str, Fact]:
     """Return the largest difference of each quantity between plan and simulation."""
     facts = dict[str, Fact]()
-    for name, size in found.difference.items():
+    for name, size in plan.difference.items():
         key = DIFFERENCE + name.partition("[")[0]  # the largest of the wheels
         if key not in facts or size > facts[key].value:
-            facts[key] = Fact(size, found.units[name])
+            facts[key] = Fact(size, plan.units[name])
     return facts
 
 
-def _turns(setup: Planning, found: Plan | LongPlan) -> dict[str, Fact]:
+def _turns(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
     """Return a table of angles that differ by whole turns from the goal or the plan."""
     rows = list[dict[str, Any]]()
-    end = found.motion.states(np.ones(1))[:, 0] + setup.dae.shift[0] if found.success else ()
+    end = plan.motion.states(np.ones(1))[:, 0] + setup.dae.shift[0] if plan.success else ()
     for label, value in zip(leaves(setup.dae.labels.x), end, strict=False):
         if label.unit != "rad":
             continue
         name = label.full
-        apart = round((float(found.replay.of(label)[-1]) - value) / TURN)
-        if apart and found.accurate:
+        apart = round((float(plan.replay.of(label)[-1]) - value) / TURN)
+        if apart and plan.accurate:
             rows.append({"angle": name, "turns": apart, "than": "plan"})
         low, high = setup.spec.goal.get(name, (-np.inf, np.inf))
         reached = float(value) + setup.dae.reported.get(name, 0.0)
@@ -106,17 +108,17 @@ def _turns(setup: Planning, found: Plan | LongPlan) -> dict[str, Fact]:
     return {"plan_turns": Fact(rows)} if rows else {}
 
 
-def optimality_facts(found: Plan) -> dict[str, Fact]:
+def optimality_facts(plan: Plan) -> dict[str, Fact]:
     """Return the second-order conditions and the prices of the limits of a solved plan."""
     facts = {
         f"plan_price_{price.label.name}": Fact(price.rate)
-        for price in found.prices
+        for price in plan.prices
         if price.role in (COST, DURATION)
     }
-    if found.optimality is None:
+    if plan.optimality is None:
         return facts
-    checked = {f"plan_{name}": Fact(v, "1") for name, v in found.optimality._asdict().items()}
-    return {**facts, **checked, "plan_prices": Fact(price_rows(found.prices))}
+    checked = {f"plan_{name}": Fact(v, "1") for name, v in plan.optimality._asdict().items()}
+    return {**facts, **checked, "plan_prices": Fact(price_rows(plan.prices))}
 
 
 def plan_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
@@ -163,9 +165,6 @@ def plan_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
             in_mm = {key: 1e3 * numbers[key] for key in numbers if MILLIMETRES.match(key)}
             words = template.format(**numbers | in_mm, slides=" (a wheel slides)" * slides)
             yield name, words
-
-
-MILLIMETRES = re.compile("slip_per_path|sinkage_")  # numbers that a summary shows in mm
 
 
 def _turn_words(row: Mapping[str, Any]) -> str:
@@ -235,9 +234,6 @@ def _starts_lines(facts: Facts) -> Iterator[tuple[str, str]]:
             f"s, path up to {row['distance']:.2g} m from the best one; {row['seconds']:.2g} s of "
             "search",
         )
-
-
-MAX_LISTED = 4  # largest number of bounds in a line of the summary
 
 
 def _robust_lines(facts: Facts) -> Iterator[tuple[str, str]]:

@@ -29,15 +29,19 @@ from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.source import Fault, problem_error
 from slipfree.plan.constraints import missed_words
 from slipfree.plan.ipopt import solve_nlp
-from slipfree.problem.build_common import Setup, build_start, samples, solver_options
-from slipfree.problem.build_driver import level_section
+from slipfree.problem.build import (
+    Setup,
+    build_start,
+    build_world,
+    level_section,
+    samples,
+    solver_options,
+)
 from slipfree.problem.build_ground import at
-from slipfree.problem.build_world import build_world
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import Modelled
-from slipfree.problem.schema_climbing import STEP_CLIMBING
+from slipfree.problem.schema import STEP_CLIMBING, Modelled
 from slipfree.problem.verbs.base import Watch, integrate
-from slipfree.problem.verbs.plan_schema import Guide, Plan
+from slipfree.problem.verbs.plan_schema import GuideTable, PlanKeys
 from slipfree.terrain.solids import Profile
 
 KEYS = {
@@ -49,7 +53,7 @@ KEYS = {
     "driver": {"name", "speed", "control"},
     "driver.control": {"proportional", "torque", "motors"},
 }  # supported keys of plans over solids, by table; other keys of plans are errors
-OF_PLANS = {*Plan.model_fields} - {*Modelled.model_fields}
+OF_PLANS = {*PlanKeys.model_fields} - {*Modelled.model_fields}
 
 
 class Planned(NamedTuple):
@@ -88,16 +92,12 @@ class OverSolids(Setup):
     plan: Planned
 
 
-def build_over_solids(problem: Problem[Plan]) -> OverSolids:
+def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
     """Return the plan of a problem over solids, and the set-up of its simulation.
 
-    Raises
-    ------
-    ProblemError
-        If ground, vehicle or start are not valid, keys are not supported, or the vehicle gets
-        stuck on its path.
-    SolverError
-        If a leg needs more friction than is available, or the solver finds no plan of a leg.
+    ProblemError is raised if ground, vehicle or start are not valid, keys are not supported, or the
+    vehicle gets stuck on its path; SolverError if a leg needs more friction than is available, or
+    the solver finds no plan of a leg.
     """
     spec = problem.spec
     faults = [*_faults(spec)]
@@ -125,7 +125,7 @@ def build_over_solids(problem: Problem[Plan]) -> OverSolids:
     return OverSolids(*parts, plan, prisms=world.prisms)
 
 
-def _faults(spec: Plan) -> Iterator[Fault]:
+def _faults(spec: PlanKeys) -> Iterator[Fault]:
     """Yield an error for each key that plans over solids do not support, and for wrong costs."""
     tables = {"": spec, **{name: getattr(spec, name) for name in KEYS if name.isalpha()}}
     if spec.driver is None or spec.driver.name != STEP_CLIMBING:
@@ -146,15 +146,11 @@ def _faults(spec: Plan) -> Iterator[Fault]:
         yield Fault(("limits", "utilisation"), "no limit with the cost 'friction'", found)
 
 
-def plan_climb(spec: Plan, driver: Guide, climber: Climber, section: Profile) -> Planned:
+def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Profile) -> Planned:
     """Return the plan of a climb.
 
-    Raises
-    ------
-    ModelError
-        If the vehicle gets stuck.
-    SolverError
-        If a leg needs more friction than is available, or the solver finds no plan of a leg.
+    ModelError is raised if the vehicle gets stuck; SolverError if a leg needs more friction than is
+    available, or the solver finds no plan of a leg.
     """
     cost = next(name for name, weight in spec.costs.items() if weight > 0)
     if not isinstance(spec.terrain.friction, float):
@@ -214,7 +210,7 @@ def _leg(number: int, leg: Leg) -> str:
 
 
 def drive_over_solids(
-    problem: Problem[Plan], setup: OverSolids, watch: Watch
+    problem: Problem[PlanKeys], setup: OverSolids, watch: Watch
 ) -> tuple[Trajectory, Mapping[str, Array]]:
     """Return the simulated motion that tracks a plan, with the errors and costs of the plan."""
     spec, plan = problem.spec, setup.plan

@@ -19,7 +19,7 @@ from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.facts import Fact, Facts
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import PLAN_SHARE, Stop, Trajectory
-from slipfree.plan.plan import Plan as FoundPlan
+from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.robust import (
     CONFIDENCE,
@@ -34,10 +34,9 @@ from slipfree.plan.robust import (
 )
 from slipfree.plan.search import PlanProgress
 from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
-from slipfree.problem.build_common import build_start
-from slipfree.problem.build_model import build_model
+from slipfree.problem.build import build_model, build_start
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.plan_schema import Plan, Robust
+from slipfree.problem.verbs.plan_schema import PlanKeys, Robust
 from slipfree.problem.verbs.plan_search import find_plan
 from slipfree.problem.verbs.plan_setup import (
     Planning,
@@ -67,7 +66,7 @@ class Tested(NamedTuple):
 
     Attributes
     ----------
-    plan : FoundPlan
+    plan : Plan
         The plan, with tightened limits if too few simulations of the first one satisfied them.
     stop : Stop or None
         Reason why too few simulations satisfy the limits, or interruption by Ctrl-C.
@@ -76,7 +75,7 @@ class Tested(NamedTuple):
         without simulations, and after Ctrl-C.
     """
 
-    plan: FoundPlan
+    plan: Plan
     stop: Stop | None = None
     facts: Facts = MappingProxyType({})
 
@@ -89,7 +88,7 @@ class ReplayTask(NamedTuple):
     draw: Draw
 
 
-class World(NamedTuple):
+class DrawnWorld(NamedTuple):
     """A drawn world: the problem, the model of the plan, and model, start and limits in the world.
 
     Attributes
@@ -106,7 +105,7 @@ class World(NamedTuple):
         Arguments of `slipfree.plan` for ``dae``.
     """
 
-    problem: Problem[Plan]
+    problem: Problem[PlanKeys]
     planned: Dae
     dae: Dae
     start: Trajectory
@@ -114,9 +113,9 @@ class World(NamedTuple):
 
 
 def make_robust(
-    problem: Problem[Plan],
+    problem: Problem[PlanKeys],
     setup: Planning,
-    first: FoundPlan,
+    first: Plan,
     robust: Robust,
     progress: PlanProgress,
     report: Report | None,
@@ -129,7 +128,7 @@ def make_robust(
     ----------
     problem, setup : Problem, Planning
         The problem and its set-up.
-    first : FoundPlan
+    first : Plan
         Plan with the limits as given.
     robust : Robust
         Uncertainties of the drawn worlds, numbers of draws, and required share.
@@ -140,7 +139,7 @@ def make_robust(
     """
     source, latest = source_of(problem), first
 
-    def solve(tightening: Tightening, before: FoundPlan) -> FoundPlan:
+    def solve(tightening: Tightening, before: Plan) -> Plan:
         nonlocal latest
         length = before.motion.duration
         found = find_plan(problem, setup, [], before.saved, progress, length, tightening)
@@ -159,7 +158,7 @@ def make_robust(
     try:
         with local_tasks(replay_draw, robust.draws) as finish:
 
-            def replay(plans: Sequence[FoundPlan], draws: Sequence[Draw]) -> list[Replays]:
+            def replay(plans: Sequence[Plan], draws: Sequence[Draw]) -> list[Replays]:
                 done: dict[Draw, tuple[DisturbedRun, ...]] = {}
 
                 def poll() -> None:
@@ -202,7 +201,7 @@ def replay_draw(task: ReplayTask) -> tuple[Draw, tuple[DisturbedRun, ...]]:
 
 
 @lru_cache(1)
-def _drawn_world(source: PlanSource, draw: Draw | None) -> World:
+def _drawn_world(source: PlanSource, draw: Draw | None) -> DrawnWorld:
     """Return a drawn world, or the world of the problem if there is no draw."""
     problem, setup = _planning(source)
     spec = problem.spec
@@ -212,10 +211,12 @@ def _drawn_world(source: PlanSource, draw: Draw | None) -> World:
     dae = build_model(problem, spec, setup.vehicle, terrain)
     model = (dae, setup.vehicle, terrain)
     arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
-    return World(problem, setup.dae, dae, build_start(problem, dae), arguments)
+    return DrawnWorld(problem, setup.dae, dae, build_start(problem, dae), arguments)
 
 
-def _replay_in(world: World, robust: Robust, planned: PolynomialMotion, draw: Draw) -> DisturbedRun:
+def _replay_in(
+    world: DrawnWorld, robust: Robust, planned: PolynomialMotion, draw: Draw
+) -> DisturbedRun:
     spec = world.problem.spec
     tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
     options = replace(spec.solver.options, tolerance=tolerance)
@@ -239,7 +240,7 @@ def _without_motion(error: SlipfreeError) -> DisturbedRun:
 
 
 @lru_cache(1)
-def _planning(source: PlanSource) -> tuple[Problem[Plan], Planning]:
+def _planning(source: PlanSource) -> tuple[Problem[PlanKeys], Planning]:
     problem = problem_from(source)
     return problem, build_planning(problem)
 
@@ -258,16 +259,16 @@ def drawn_terrain(setup: Planning, draw: Draw, robust: Robust) -> Bicubic:
     return Bicubic(grid, setup.terrain.origin[:2], mu)
 
 
-def drawn_motion(found: PolynomialMotion, draw: Draw, deviation: float) -> PolynomialMotion:
+def drawn_motion(motion: PolynomialMotion, draw: Draw, deviation: float) -> PolynomialMotion:
     """Return a plan with each input multiplied by a random gain of mean 1.
 
     ``deviation`` is the standard deviation of the gains.
     """
-    where = found.layout.inputs
+    where = motion.layout.inputs
     errors = np.random.default_rng(_seed(draw, 2)).standard_normal(where.shape[1])
-    unknowns = found.unknowns.copy()
+    unknowns = motion.unknowns.copy()
     unknowns[where] *= 1 + deviation * errors
-    return found._replace(unknowns=unknowns)
+    return motion._replace(unknowns=unknowns)
 
 
 def _seed(draw: Draw, part: int) -> int:
@@ -275,22 +276,22 @@ def _seed(draw: Draw, part: int) -> int:
     return int(np.random.SeedSequence((*draw, part)).generate_state(1)[0])
 
 
-def robust_facts(found: RobustPlan[FoundPlan], first: FoundPlan) -> dict[str, Fact]:
+def robust_facts(result: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
     """Return shares, tightening, violations and costs of a robust plan."""
-    after, (low, high) = found.after, found.after.interval
+    after, (low, high) = result.after, result.after.interval
     interval = f"{CONFIDENCE:.0%} confidence interval"
     half, most = after.distances(0.5, 0.95)
     facts = {
         "": Fact(after.share, "1"),
-        "_first": Fact(found.before.share, "1"),
+        "_first": Fact(result.before.share, "1"),
         "_draws": Fact(after.draws, "1"),
-        "_rounds": Fact(found.rounds, "1"),
+        "_rounds": Fact(result.rounds, "1"),
         "_low": Fact(low, "1", interval),
         "_high": Fact(high, "1", interval),
         "_distance": Fact(half, "m"),
         "_distance_95": Fact(most, "m"),
     }
-    sizes = sorted(found.tightening.items(), key=lambda item: -item[1])
+    sizes = sorted(result.tightening.items(), key=lambda item: -item[1])
     tightened = [
         {"bound": str(bound), "size": size, "unit": _unit(first, bound)} for bound, size in sizes
     ]
@@ -299,25 +300,25 @@ def robust_facts(found: RobustPlan[FoundPlan], first: FoundPlan) -> dict[str, Fa
         **{f"plan_share{name}": fact for name, fact in facts.items()},
         "plan_tightened": Fact(tightened),
         "plan_violated": Fact(violated),
-        "plan_total_cost": Fact(found.plan.solution.cost),
+        "plan_total_cost": Fact(result.plan.solution.cost),
         "plan_untightened_total": Fact(first.solution.cost),
         **{f"plan_untightened_{name}": Fact(cost) for name, cost in first.costs.items()},
-        **({"plan_tightening_failure": Fact(found.failure)} if found.failure else {}),
+        **({"plan_tightening_failure": Fact(result.failure)} if result.failure else {}),
     }
 
 
-def _unit(found: FoundPlan, bound: Bound) -> str:
-    unit = found.units.get(bound.name, "1")
+def _unit(plan: Plan, bound: Bound) -> str:
+    unit = plan.units.get(bound.name, "1")
     return "" if unit == "1" else f" {unit}"
 
 
-def _stop(found: RobustPlan[FoundPlan], robust: Robust) -> Stop | None:
+def _stop(result: RobustPlan[Plan], robust: Robust) -> Stop | None:
     """Return the stop of a plan that holds in too few drawn worlds, otherwise None."""
-    after = found.after
+    after = result.after
     if after.share >= robust.share:
         return None
     bound, count = next(iter(after.violated.items()))
-    tighter = f"; tighter limits are not solved: {found.failure}" if found.failure else ""
+    tighter = f"; tighter limits are not solved: {result.failure}" if result.failure else ""
     words = (
         f"the plan holds in {after.held} of {after.draws} drawn worlds, expected at "
         f"least {100 * robust.share:.3g} %; violated most often: {bound} in {count}{tighter}; "

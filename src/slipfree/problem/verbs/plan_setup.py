@@ -1,15 +1,17 @@
-"""Set-up of planning problems: model, start, arguments of the search, initial guesses."""
+"""Set-up of plans: model, goal, costs, limits, initial guess and windows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.contact.closure import has_exact_closure
 from slipfree.control.path_following import arc_inputs, follow, turning_axis_offset
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
@@ -23,24 +25,28 @@ from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundLaw
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.rigid_dynamics import rigid_dynamics
+from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.plan.problem import limits_of, task_of
-from slipfree.problem.build_common import (
+from slipfree.plan.search import PlanProgress
+from slipfree.plan.windows import LongPlan, plan_windows
+from slipfree.problem.build import (
     Setup,
+    build_law,
+    build_model,
     build_start,
     build_terrain,
     build_vehicle,
     check_names,
     in_frame,
+    model_law,
     samples,
 )
-from slipfree.problem.build_driver import build_law
-from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.build_model import build_model, model_law
-from slipfree.problem.geographic_places import convert_places
-from slipfree.problem.problem import Problem
-from slipfree.problem.validation import validated_problem
-from slipfree.problem.verbs.plan_goals import (
+from slipfree.problem.build_ground import at, build_ground, convert_places
+from slipfree.problem.problem import Problem, validated_problem
+from slipfree.problem.verbs.plan_schema import (
+    GuideTable,
     Place,
+    PlanKeys,
     Ranges,
     cusp_goal,
     initial_paths,
@@ -50,8 +56,6 @@ from slipfree.problem.verbs.plan_goals import (
     spelled,
     way_points_of,
 )
-from slipfree.problem.verbs.plan_schema import Guide, Plan
-from slipfree.problem.verbs.plan_windows import check_windows
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.reeds_shepp import reeds_shepp
 from slipfree.routing.traversability import Traversability, extents, traversability
@@ -59,10 +63,145 @@ from slipfree.solve.settle import settle
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 
+OVERLAP = 1 / 3  # default overlap, relative to the window
 SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]
 HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
 HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of plan.accuracy
 RUNS = count()
+
+
+def check_windows(
+    problem: Problem[PlanKeys], spec: PlanKeys, vehicle: Vehicle, paths: tuple[Array, ...]
+) -> None:
+    """Raise ProblemError if a problem with windows has keys or a vehicle that do not suit them."""
+    window = spec.plan.window
+    if window is None:
+        if spec.plan.overlap is not None:
+            with at(problem, ("plan", "overlap")):
+                raise ModelError(
+                    "expected this key only with 'window', found no 'window'; add it to [plan], or "
+                    "remove 'overlap'"
+                )
+        return
+    for key, words in _contradictions(spec, vehicle, paths, window):
+        with at(problem, key):
+            raise ModelError(words)
+
+
+def _contradictions(
+    spec: PlanKeys, vehicle: Vehicle, paths: tuple[Array, ...], window: float
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield key and message of each reason why a problem cannot be planned in windows."""
+    if len(paths) != 1:
+        yield (
+            ("plan", "window"),
+            "expected a driver that follows one path (name = 'route' with count = 1, or 'follow' "
+            f"with 'path' or 'file'), found {len(paths) or 'no'} paths; use such a driver, or "
+            "remove 'window'",
+        )
+        return
+    if _overlap(spec, window) >= window:
+        yield (
+            ("plan", "overlap"),
+            f"expected less than the window, {window:g} m, found {_overlap(spec, window):g} m; "
+            "reduce the overlap",
+        )
+    for name, is_given in (
+        ("duration", spec.plan.duration is not None),
+        ("starts", spec.plan.starts > 1),
+    ):
+        if is_given:
+            yield (
+                ("plan", name),
+                f"expected no '{name}' with 'window', found both; remove one of them",
+            )
+    for name, advice in (
+        ("way_points", "remove the way-points, or lead the driver's path through them"),
+        ("cost_limits", "remove 'cost_limits'"),
+    ):
+        if getattr(spec, name):
+            yield (name,), f"expected no {name!r} with plan.window, found both; {advice}"
+    if not has_exact_closure(vehicle):
+        yield (
+            ("plan", "window"),
+            "expected a vehicle with exact contact of all wheels, found "
+            f"{vehicle.name}, whose wheels press into the ground; remove 'window'",
+        )
+    speed = abs(spec.driver.speed) if spec.driver else 1.0
+    least = Path(paths[0]).length / speed
+    if spec.time.duration < least:
+        yield (
+            ("time", "duration"),
+            f"expected at least {least:.6g} s, which the path takes at {speed:g} m/s, found "
+            f"{spec.time.duration:g} s; increase the duration",
+        )
+
+
+def _overlap(spec: PlanKeys, window: float) -> float:
+    """Return the overlap of the windows [m]."""
+    return OVERLAP * window if spec.plan.overlap is None else spec.plan.overlap
+
+
+def search_arguments(spec: PlanKeys) -> dict[str, Any]:
+    """Return the arguments of `plan` about mesh, accuracy, solver and sampling of a problem."""
+    return {
+        "intervals": spec.plan.intervals,
+        "degree": spec.plan.degree,
+        "accuracy": spec.plan.accuracy,
+        "options": spec.solver.options,
+        "step": spec.time.step,
+    }
+
+
+def long_plan(
+    problem: Problem[PlanKeys],
+    setup: Setup,
+    route: Array,
+    arguments: Mapping[str, Any],
+    resume: SavedPlan | None,
+    progress: PlanProgress,
+    keep: Callable[[LongPlan], None],
+) -> LongPlan:
+    """Return the plan of a problem along a route, planned in windows.
+
+    ProblemError is raised if speed, lengths or limits are not valid, or ``resume`` is a plan of
+    another model; SolverError if no motion along the route can be simulated from the start.
+
+    Parameters
+    ----------
+    problem, setup : Problem, Setup
+        The problem and its set-up.
+    route : ndarray, shape (n, 2)
+        Points of the route in map coordinates. [m]
+    arguments : mapping
+        Arguments of `plan` for the problem.
+    resume : SavedPlan or None
+        Plan in windows from which the search continues.
+    progress, keep : callable
+        As for `plan_windows`.
+    """
+    spec = problem.spec
+    window, speed = spec.plan.window or 0.0, spec.driver.speed if spec.driver else 0.0
+    options = {
+        name: value
+        for name, value in arguments.items()
+        if name not in ("way_points", "cost_limits")
+    }
+    with at(problem, ("plan",)):
+        return plan_windows(
+            setup.dae,
+            partial(follow, setup.dae, setup.vehicle, speed=speed),
+            setup.start,
+            Path(route),
+            speed=abs(speed),
+            length=window,
+            overlap=_overlap(spec, window),
+            resume=resume,
+            progress=progress,
+            keep=keep,
+            **search_arguments(spec),
+            **options,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +220,7 @@ class Planning(Setup):
         Paths of the initial guesses; empty if the guesses follow no path. [m]
     starts : tuple of (record, ndarray)
         Inputs and times of the samples of each initial guess. [rad/s or m/s, s]
-    spec : Plan
+    spec : PlanKeys
         Record of the problem file.
     between : mapping of float to mapping
         Ranges of quantities at the way-points, by fraction of the duration.
@@ -95,20 +234,18 @@ class Planning(Setup):
     keep_out: tuple[Region, ...]
     paths: tuple[Array, ...]
     starts: tuple[tuple[Any, Array], ...]
-    spec: Plan
+    spec: PlanKeys
     between: Mapping[float, Ranges]
     guide: Dae
     guide_start: Trajectory
 
 
-def build_planning(problem: Problem[Plan]) -> Planning:
+def build_planning(problem: Problem[PlanKeys]) -> Planning:
     """Return the set-up of a planning problem.
 
-    Raises
-    ------
-    ProblemError
-        If ground, vehicle or start are not valid, names are unknown, the goal cannot be reached,
-        or limits, windows, drawn worlds or initial guess do not suit vehicle and ground.
+    ProblemError is raised if ground, vehicle or start are not valid, names are unknown, the goal
+    cannot be reached, or limits, windows, drawn worlds or initial guess do not suit vehicle and
+    ground.
     """
     spec = problem.spec
     ground = build_ground(problem)
@@ -166,7 +303,7 @@ def build_planning(problem: Problem[Plan]) -> Planning:
     )
 
 
-def momentum_models(problem: Problem[Plan], vehicle: Vehicle, terrain: Bicubic) -> list[Dae]:
+def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicubic) -> list[Dae]:
     """Return the models of plans with inertia, one for each search; the last one is the plan's.
 
     For wheels that slide, searches with larger creep speeds come first.
@@ -180,7 +317,7 @@ def momentum_models(problem: Problem[Plan], vehicle: Vehicle, terrain: Bicubic) 
         return [in_frame(problem, model) for model in models]
 
 
-def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None:
+def check_robust(problem: Problem[PlanKeys], spec: PlanKeys, has_friction: bool) -> None:
     """Raise ProblemError for a table ``plan.robust`` that cannot be used.
 
     The table needs at least one uncertainty, a ground with friction if the friction is uncertain,
@@ -206,7 +343,7 @@ def check_robust(problem: Problem[Plan], spec: Plan, has_friction: bool) -> None
             )
 
 
-def _check_quantities(problem: Problem[Plan], dae: Dae) -> None:
+def _check_quantities(problem: Problem[PlanKeys], dae: Dae) -> None:
     """Raise ProblemError for goals and limits of unknown quantities."""
     spec = problem.spec
     own = {name for limit in dae.limits for name in (limit.label.name, limit.label.full)}
@@ -217,7 +354,7 @@ def _check_quantities(problem: Problem[Plan], dae: Dae) -> None:
 
 
 def _starts(
-    problem: Problem[Plan],
+    problem: Problem[PlanKeys],
     dae: Dae,
     vehicle: Vehicle,
     start: Trajectory,
@@ -251,8 +388,8 @@ def _path_guess(
 
 
 def _cusp_guess(
-    problem: Problem[Plan],
-    driver: Guide,
+    problem: Problem[PlanKeys],
+    driver: GuideTable,
     dae: Dae,
     vehicle: Vehicle,
     start: Trajectory,
@@ -260,10 +397,7 @@ def _cusp_guess(
 ) -> tuple[Any, Array]:
     """Return the inputs along the shortest path with cusps to the goal, and times of samples [s].
 
-    Raises
-    ------
-    ProblemError
-        If the driver, the goal or the duration do not suit such a path.
+    ProblemError is raised if the driver, the goal or the duration do not suit such a path.
     """
     spec = problem.spec
     with at(problem, ("driver",)):
@@ -288,16 +422,18 @@ def _cusp_guess(
 
 
 def plan_arguments(
-    spec: Plan,
+    spec: PlanKeys,
     keep_out: tuple[Region, ...],
     model: tuple[Dae, Vehicle, Bicubic],
     between: Mapping[float, Ranges],
 ) -> dict[str, Any]:
     """Return the arguments of `plan` for a problem: goal, costs, limits, way-points and bounds.
 
+    ModelError is raised if a limit has an unknown name.
+
     Parameters
     ----------
-    spec : Plan
+    spec : PlanKeys
         Record of the problem.
     keep_out : tuple of Region
         Keep-out regions.
@@ -305,11 +441,6 @@ def plan_arguments(
         Model, vehicle and ground.
     between : mapping of float to mapping
         Ranges of quantities at the way-points, by fraction of the duration.
-
-    Raises
-    ------
-    ModelError
-        If a limit has an unknown name.
     """
     limits = (
         *limits_of(model[0], spec.limits),
@@ -347,7 +478,7 @@ def _kept_out(
     ]
 
 
-def _kept_off_holes(spec: Plan, dae: Dae) -> Iterator[Limit]:
+def _kept_off_holes(spec: PlanKeys, dae: Dae) -> Iterator[Limit]:
     """Yield the limits that keep wheels off holes of the map, unless the problem has its own.
 
     The search has these limits from its beginning: otherwise its first plan may cross a hole, and
@@ -362,15 +493,12 @@ def _kept_off_holes(spec: Plan, dae: Dae) -> Iterator[Limit]:
 def settled_start(dae: Dae, setup: Planning) -> Trajectory:
     """Return the start of a plan, settled for another model ``dae`` of the vehicle.
 
-    Raises
-    ------
-    ModelError
-        If the vehicle cannot stand there.
+    ModelError is raised if the vehicle cannot stand there.
     """
     return _same_start(dae, setup.start, setup.spec)
 
 
-def _same_start(dae: Dae, start: Trajectory, spec: Plan) -> Trajectory:
+def _same_start(dae: Dae, start: Trajectory, spec: PlanKeys) -> Trajectory:
     """Return a start, settled for another model ``dae`` of the vehicle."""
     values: dict[str, Any] = {
         label.full: float(start.of(label)[-1]) for label in leaves(dae.labels.x)
@@ -401,16 +529,16 @@ class PlanSource(NamedTuple):
     run: int
 
 
-def source_of(problem: Problem[Plan]) -> PlanSource:
+def source_of(problem: Problem[PlanKeys]) -> PlanSource:
     """Return the source of a problem, with a new run number."""
     source = problem.source
     settings = tuple(dict.fromkeys(source.settings.values()))
     return PlanSource(source.path, source.text, settings, problem.trusted, next(RUNS))
 
 
-def problem_from(source: PlanSource) -> Problem[Plan]:
+def problem_from(source: PlanSource) -> Problem[PlanKeys]:
     """Return the problem of a source; errors are those of `slipfree.problem.load.load_problem`."""
-    problem: Problem[Plan] = validated_problem(
-        lambda *_: Plan, source.path, source.text, source.settings
+    problem: Problem[PlanKeys] = validated_problem(
+        lambda *_: PlanKeys, source.path, source.text, source.settings
     )
     return replace(convert_places(problem), trusted=source.trusted)

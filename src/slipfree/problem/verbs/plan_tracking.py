@@ -24,9 +24,7 @@ from slipfree.plan.mpc import horizon, track_plan
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.plan.verification import simulate_plan
-from slipfree.problem.build_common import build_start
-from slipfree.problem.build_model import model_law
-from slipfree.problem.build_world import build_world
+from slipfree.problem.build import build_start, build_world, model_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import problem_of
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
@@ -70,7 +68,7 @@ class TrackingTest(NamedTuple):
     motions: tuple[Followed, ...]
 
 
-class World(NamedTuple):
+class ChangedWorld(NamedTuple):
     """The changed world: vehicle, ground, model, and the vehicle settled at the start."""
 
     vehicle: Vehicle
@@ -95,6 +93,11 @@ def follow_plan(
     from the measured state at every period. The controllers know the plan's ground and vehicle, not
     the changed ones.
 
+    DataError is raised if the file does not contain a plan, input files are missing, or the changed
+    problem cannot be built, for example because the vehicle cannot stand at the start; ModelError
+    if period or window do not suit the plan, or the changed vehicle has other joints or wheels;
+    SolverError if the first window cannot be solved, or a motion fails before its first sample.
+
     Parameters
     ----------
     file : Path
@@ -115,16 +118,6 @@ def follow_plan(
     TrackingTest
         The motions, the replanned one last. After a Ctrl-C held back by `held_interrupt` those
         simulated until then.
-
-    Raises
-    ------
-    DataError
-        If the file does not contain a plan, input files are missing, or the changed problem cannot
-        be built, for example because the vehicle cannot stand at the start.
-    ModelError
-        If period or window do not suit the plan, or the changed vehicle has other joints or wheels.
-    SolverError
-        If the first window cannot be solved, or a motion fails before its first sample.
     """
     run = read(file)
     saved = from_arrays(read_arrays(file), str(file))
@@ -141,11 +134,13 @@ def follow_plan(
         )
     setup = build_planning(planned)
     duration = saved.motion.duration
-    found = find_plan(planned, setup, [], saved, lambda *_: True, duration)
-    world = _world(real)
+    plan = find_plan(planned, setup, [], saved, lambda *_: True, duration)
+    changed = build_world(real)
+    start = build_start(real, changed.dae)
+    world = ChangedWorld(changed.vehicle, changed.terrain, changed.dae, start)
     window = duration / WINDOWS_PER_PLAN if window is None else window
     period = window / CYCLES_PER_WINDOW if period is None else period
-    frame = horizon(found, span=window)
+    frame = horizon(plan, span=window)
     options = planned.spec.solver.options
     tracked = track_plan(
         frame,
@@ -159,40 +154,34 @@ def follow_plan(
     cycles = f"{tracked.cycles} cycles, {tracked.failures} failed, window {window:.3g} s"
     others = list[Followed]()
     try:
-        run = simulate_plan(world.dae, world.start, found.motion, step=step, options=options)
+        run = simulate_plan(world.dae, world.start, plan.motion, step=step, options=options)
         others.append(Followed("open loop", run, "inputs of the plan"))
-        others.extend(_with_forces(found, real, world))
-        others.append(_followed(found, world, step, options))
+        others.extend(_with_forces(plan, real, world))
+        others.append(_followed(plan, world, step, options))
     except KeyboardInterrupt:
         if not interrupt_requested():
             raise
-    return TrackingTest(found.replay, (*others, Followed("replanned", tracked.run, cycles)))
+    return TrackingTest(plan.replay, (*others, Followed("replanned", tracked.run, cycles)))
 
 
-def _world(problem: Problem[Any]) -> World:
-    """Return the changed world, with the model of its problem."""
-    found = build_world(problem)
-    return World(found.vehicle, found.terrain, found.dae, build_start(problem, found.dae))
-
-
-def _with_forces(found: Plan, problem: Problem[Any], world: World) -> Iterator[Followed]:
+def _with_forces(plan: Plan, problem: Problem[Any], world: ChangedWorld) -> Iterator[Followed]:
     """Yield the motions under the plan's inputs with quasi-statics and with dynamics.
 
     With dynamics the vehicle starts at the plan's speed along its forward axis.
     """
     if problem.spec.model != "quasi-static":
-        yield _with_model("quasi-static", quasi_statics, found, problem, world)
-    law, speed = model_law(problem, problem.spec), initial_speed(found.replay)
+        yield _with_model("quasi-static", quasi_statics, plan, problem, world)
+    law, speed = model_law(problem, problem.spec), initial_speed(plan.replay)
     model = partial(dynamics, law=law) if isinstance(law, Soil) else dynamics
-    yield _with_model("dynamics", model, found, problem, world, speed=speed)
+    yield _with_model("dynamics", model, plan, problem, world, speed=speed)
 
 
 def _with_model(
     name: str,
     model: Callable[[Vehicle, Bicubic], Dae],
-    found: Plan,
+    plan: Plan,
     problem: Problem[Any],
-    world: World,
+    world: ChangedWorld,
     speed: float | None = None,
 ) -> Followed:
     """Return the motion under the plan's inputs with another model of the changed world.
@@ -210,7 +199,7 @@ def _with_model(
         _check_inputs(dae, world.dae)
         start = settle(dae, options=options, **values)
         step = problem.spec.time.step
-        run = simulate_plan(dae, start, found.motion, step=step, options=options)
+        run = simulate_plan(dae, start, plan.motion, step=step, options=options)
     except (ModelError, SolverError) as error:
         return Followed(name, None, f"not simulated: {error}")
     return Followed(name, run, "inputs of the plan")
@@ -227,16 +216,16 @@ def _check_inputs(dae: Dae, planned: Dae) -> None:
 
 
 def _followed(
-    found: Plan,
-    world: World,
+    plan: Plan,
+    world: ChangedWorld,
     step: float,
     options: SolverOptions,
 ) -> Followed:
     """Return the motion of the driving law along the plan's path at its mean speed."""
-    run, name = found.replay, "follow"
+    run, name = plan.replay, "follow"
     points = np.column_stack([run["x"], run["y"]])
     points = np.concatenate([points[:-1:PATH_SPACING], points[-1:]])
-    duration = found.motion.duration
+    duration = plan.motion.duration
     times = np.append(np.arange(0.0, duration - 0.5 * step, step), duration)
     try:
         path = GroundPath(points)

@@ -1,4 +1,4 @@
-"""Inputs that a result file contains: its vehicle, and digests of its other input files.
+"""Input files of a problem, their digests, and the inputs that a result file contains.
 
 A result may come from somebody else, so that no vehicle file is read which its problem names, and
 maps and meshes only if they are those with which it was computed.
@@ -7,8 +7,12 @@ maps and meshes only if they are those with which it was computed.
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from hashlib import file_digest
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +22,96 @@ from slipfree.core.errors import DataError, ModelError
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import find_mesh
 from slipfree.files.vehicle_draft import vehicle_text
-from slipfree.files.vehicle_toml import file_of, read_toml
+from slipfree.files.vehicle_toml import file_of, open_file, read_toml
 from slipfree.problem.build_vehicle import VehicleFile, vehicle_file
-from slipfree.problem.input_files import DRAWN, digest, input_names
-from slipfree.problem.problem import Problem
-from slipfree.problem.sharing import shared
+from slipfree.problem.problem import Problem, shared
+from slipfree.problem.schema import CommonKeys
+from slipfree.system.regular_files import read_bytes, regular_file
 
+TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
+DRAWN = ("terrain", "profile")  # tables of the ground
+MISSING = "missing"
+SIDES = (".prj", ".aux.xml", ".hdr", ".tfw", ".wld", ".ovr", ".msk")  # endings beside maps
+URDF = (".urdf", ".xacro", ".xml")
+# name in a package, as in package://NAME/meshes/a.stl and $(find NAME)/a.xacro, or a path
+FILE_NAME = re.compile(
+    r"""filename\s*=\s*["'](?:package://[^/"']*/|file://|[^"']*[)}]/)?([^"']+)"""
+)
 STORED = "stored_inputs"  # attribute of a result file
+
+
+def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
+    """Return the file names in the keys ``file`` and ``friction`` of tables, as written there.
+
+    With the default ``tables``, the names of further input files of the problem's verb are added.
+    """
+    records = [getattr(spec, name, None) for name in tables]
+    names: list[Any] = [getattr(table, "file", None) for table in records]
+    names += [getattr(table, "friction", None) for table in records]
+    if tables is TABLES:
+        names += spec.named_files
+    return tuple(name for name in names if isinstance(name, str))
+
+
+def input_files(problem: Problem[Any]) -> dict[str, Path]:
+    """Return the paths of all input files by name, including the URDF of a vehicle file."""
+    names = list(input_names(problem.spec))
+    for name in input_names(problem.spec, ["vehicle"]):
+        names += _named_urdf(problem.folder, name)
+    return {name: problem.folder / name for name in names}
+
+
+def files_read(problem: Problem[Any]) -> list[Path]:
+    """Return the paths of all files of a problem: its own, its inputs, and files that these name.
+
+    Those are the side files of maps, such as ``.prj``, and includes and meshes of a URDF.
+    """
+    files = [problem.source.path]
+    for path in input_files(problem).values():
+        files += [path, *_side_files(path), *files_named_in(path)]
+    return files
+
+
+def _side_files(path: Path) -> list[Path]:
+    """Return the names of side files of a map."""
+    return [path.with_name(name + ending) for name in (path.stem, path.name) for ending in SIDES]
+
+
+def files_named_in(urdf: Path) -> list[Path]:
+    """Return the files that exist of those named in a URDF and in its includes."""
+    files, waiting = list[Path](), [urdf] if urdf.suffix in URDF else []
+    while waiting:
+        file = waiting.pop()
+        with suppress(DataError):  # build_vehicle reports errors in the file
+            text = read_bytes(file, "a URDF").decode(errors="replace")
+            tops = (file.parent, *file.absolute().parents[1:4])  # a package is above its folders
+            places = [top / name for name in FILE_NAME.findall(text) for top in tops]
+            new = [each for each in dict.fromkeys(places) if each.is_file() and each not in files]
+            files += new
+            waiting += [each for each in new if each.suffix in URDF]
+    return files
+
+
+def digest(file: Path) -> str:
+    """Return the SHA-256 of a file; ``"missing"`` if it cannot be read."""
+    try:
+        # the file may exceed the memory; some files of /proc are endless, with a size of 0
+        with regular_file(file, "an input file") as size, file.open("rb") as stream:
+            return file_digest(stream if size else BytesIO(), "sha256").hexdigest()
+    except DataError:
+        return MISSING
+
+
+def _named_urdf(folder: Path, name: str) -> list[str]:
+    """Return the URDF named by a vehicle file, relative to the problem's folder.
+
+    The list is empty if the file names no URDF or cannot be read.
+    """
+    with suppress(DataError):  # build_vehicle reports errors in the file
+        urdf = open_file(folder / name).data.get("urdf")
+        if isinstance(urdf, str):
+            return [str(Path(name).parent / urdf)]
+    return []
 
 
 class StoredVehicle(BaseModel):
@@ -96,32 +183,29 @@ def _meshes(robot: Robot | None) -> dict[str, str]:
     """Return the SHA-256 of the visible meshes of a URDF by name; missing ones are omitted."""
     if robot is None:
         return {}
-    folder, found = Path(robot.tree.file).parent, dict[str, str]()
+    folder, digests = Path(robot.tree.file).parent, dict[str, str]()
     for name in {mesh.name for link in robot.tree.links.values() for mesh in link.visuals}:
         with suppress(DataError):  # the vehicle is drawn with simple bodies
-            found[name] = digest(find_mesh(name, folder))
-    return found
+            digests[name] = digest(find_mesh(name, folder))
+    return digests
 
 
 def read_stored(file: Path, text: str | None, problem: Problem[Any]) -> StoredInputs:
     """Return the stored inputs in an attribute of the result ``file``, with its problem.
 
-    Raises
-    ------
-    DataError
-        If the attribute is missing although the problem names files, or is damaged.
+    DataError is raised if the attribute is missing although the problem names files, or is damaged.
     """
     names, vehicle = input_names(problem.spec, DRAWN), _file(problem)
     if text is None and not names and vehicle is None:
         return StoredInputs(vehicle=None, files={})
     try:
-        found = StoredInputs.model_validate_json(text or "")
+        inputs = StoredInputs.model_validate_json(text or "")
     except ValidationError as error:
         raise _incomplete(file) from error
-    stored = None if found.vehicle is None else found.vehicle.file
-    if stored != vehicle or not {*names} <= {*found.files}:
+    stored = None if inputs.vehicle is None else inputs.vehicle.file
+    if stored != vehicle or not {*names} <= {*inputs.files}:
         raise _incomplete(file)
-    return found
+    return inputs
 
 
 def restored_vehicle(file: Path, stored: StoredVehicle, folder: Path) -> VehicleFile:

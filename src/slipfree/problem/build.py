@@ -1,0 +1,527 @@
+"""Set-up of problems: start, times, solids, model and driving law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from inspect import signature
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from slipfree.catalog.step_climber import climber_of
+from slipfree.control.path_following import follow, straight
+from slipfree.control.reference_speeds import Noise
+from slipfree.control.step_climbing import StepClimbing, check_period, climbing, held_torques
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, leaves
+from slipfree.core.trajectory import OFFSET, Column, Trajectory
+from slipfree.files.tables import read_columns
+from slipfree.files.toml.source import Fault, ProblemError, name_errors, problem_error
+from slipfree.files.toml.source import Place as KeyPath
+from slipfree.geometry.path import Path
+from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
+from slipfree.models.dynamics import dynamics
+from slipfree.models.kinematics import check_driven, direct_kinematics
+from slipfree.models.quasi_statics import quasi_statics
+from slipfree.problem import schema
+from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
+from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
+from slipfree.problem.problem import A, Problem, S, shared
+from slipfree.problem.schema import DriverTable, LawKeys, Modelled, soil_of
+from slipfree.problem.schema_ground import KINDS, OBSTACLES
+from slipfree.problem.units import check_units
+from slipfree.problem.verbs.base import Lines
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.settle import SPEED, settle
+from slipfree.terrain.base import Terrain
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.solids import (
+    Prism,
+    Profile,
+    Solid,
+    Solids,
+    flat,
+    placed,
+    section_of,
+)
+from slipfree.vehicle.tree import Vehicle
+
+DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth
+TIME_TOLERANCE = 1e-9  # relative difference of times that count as equal
+EVEN = 1e-6  # smaller relative differences of periods count as zero
+LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
+    "kinematics": SLIP_LAWS,
+    "quasi-static": GROUND_LAWS,
+    "dynamics": CONTACT_LAWS,
+}  # laws of each model; the first is the default
+MAKERS = {"soil": soil_of}  # functions that make a law from a table with further keys
+OF_THE_MOTION = {"title", "start", "inputs", "driver", "time", "solver", "output"}
+ORIGIN = ("x", "y")  # states at the start that the ground depends on
+L = TypeVar("L")
+M = TypeVar("M", bound=Modelled)
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Set-up of the integration of a problem.
+
+    Attributes
+    ----------
+    ground, terrain : GroundMap, Bicubic
+        Ground as heights on a grid, and as a smooth surface.
+    vehicle : Vehicle
+        Vehicle of the problem.
+    model, dae : Dae
+        Model that settles the vehicle at its start, and model to integrate.
+    start : Trajectory
+        One sample: the vehicle at its start, at rest or with the given rates of its platform.
+    inputs : record
+        Inputs of ``dae``: constant rates, rates per interval of ``t``, or a driving law.
+    t : ndarray, shape (n,)
+        Times of the samples, or of the evaluations of a sampled driving law. [s]
+    driven : str
+        Description of the inputs.
+    prisms : tuple of Prism
+        Solids on the ground.
+    every : int
+        Number of evaluations of a sampled driving law per sample of the result; zero for a
+        continuous one.
+    """
+
+    ground: GroundMap
+    terrain: Bicubic
+    vehicle: Vehicle
+    model: Dae
+    dae: Dae
+    start: Trajectory
+    inputs: Any
+    t: Array
+    driven: str
+    prisms: tuple[Prism, ...] = field(default=(), kw_only=True)
+    every: int = field(default=0, kw_only=True)
+
+    @property
+    def facts(self) -> Lines:
+        """Facts about ground, vehicle and inputs: pairs of name and description."""
+        drive = ("driven by", self.driven)
+        return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), drive]
+
+
+def build_terrain(problem: Problem[S], ground: GroundMap) -> Bicubic:
+    """Return the ground as a surface, with its local origin at the start.
+
+    ProblemError is raised if the start lies off the ground.
+    """
+    start, grid = problem.spec.start, ground.grid
+    for axis, nodes in (("x", grid.x), ("y", grid.y)):
+        place = start.get(axis, 0.0)
+        if not nodes[0] <= place <= nodes[-1]:
+            raise ProblemError(
+                f"{problem.source.where(('start', axis))}: expected a start on the map, which "
+                f"extends from {nodes[0]:.10g} to {nodes[-1]:.10g} m in {axis}, found {axis} = "
+                f"{place:.10g} m; move the start, or enlarge the ground in [terrain]"
+            )
+    return Bicubic(grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
+
+
+def heading_offset(problem: Problem[S]) -> float:
+    """Return the angle that converts a heading of the problem to one from the y axis [rad]."""
+    return -OFFSET[getattr(problem.spec, "frame", "paper")]
+
+
+def in_frame(problem: Problem[S], dae: Dae) -> Dae:
+    """Return a model whose conditions, costs and messages have headings of the problem's frame."""
+    return replace(dae, reported={"heading": -heading_offset(problem)})
+
+
+def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
+    """Return the vehicle settled on the ground at the start of a problem, as one sample.
+
+    ProblemError is raised if the vehicle cannot stand at the start.
+    """
+    values: dict[str, Any] = dict(problem.spec.start)
+    if "heading" in _start_names(dae):
+        values["heading"] = values.get("heading", 0.0) + heading_offset(problem)
+    with at(problem, ("start",)):
+        return settle(dae, options=solver_options(problem), **values)
+
+
+def solver_options(problem: Problem[S]) -> SolverOptions:
+    """Return the solver options of a problem; the default tolerance depends on the model."""
+    spec = problem.spec
+    options: SolverOptions = spec.solver.options
+    is_dynamic = getattr(spec, "model", None) == "dynamics"
+    if is_dynamic and "tolerance" not in spec.solver.model_fields_set:
+        return replace(options, tolerance=DYNAMIC_TOLERANCE)
+    return options
+
+
+def samples(
+    time: schema.Time, inputs: Mapping[str, float | schema.Piecewise]
+) -> tuple[Array, dict[str, float | Array]]:
+    """Return the sample times, including jumps of the inputs, and the rates by interval.
+
+    Parameters
+    ----------
+    time : Time
+        Duration and time between samples. [s]
+    inputs : mapping of str to float or tuple of (time, rate)
+        Constant rates, or pairs of the time at which a rate begins and the rate. [s, rad/s or m/s]
+
+    Returns
+    -------
+    t : ndarray, shape (n,)
+        Times from zero to the duration. [s]
+    rates : dict of str to float or ndarray of shape (n - 1,)
+        Constant rates, or rates per interval of `t`. [rad/s, m/s]
+    """
+    near = TIME_TOLERANCE * time.duration
+    regular = time.step * np.arange(int(time.duration / time.step) + 1)
+    jumps = [pair[0] for value in inputs.values() if isinstance(value, tuple) for pair in value]
+    t = np.sort(np.concatenate([regular, [time.duration], jumps]))
+    t = t[t <= time.duration]
+    t = t[np.append(True, np.diff(t) > near)]
+    t[-1] = time.duration
+    middles = (t[1:] + t[:-1]) / 2
+
+    def by_interval(value: float | schema.Piecewise) -> float | Array:
+        if not isinstance(value, tuple):
+            return value
+        times, rates = (np.array(column) for column in zip(*value, strict=True))
+        return np.asarray(rates[np.searchsorted(times, middles, side="right") - 1])
+
+    return t, {name: by_interval(value) for name, value in inputs.items()}
+
+
+class SampledTimes(NamedTuple):
+    """Times of a motion that may have a sampled controller.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times of the samples of the result, or of the steps of a sampled controller. [s]
+    every : int
+        Number of controller steps per sample of the result; zero for continuous control.
+    """
+
+    t: Array
+    every: int
+
+
+def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> SampledTimes:
+    """Return the times of the steps of a sampled controller, up to the last regular sample.
+
+    ProblemError is raised if the period does not divide the time between samples, or there are more
+    than a million steps.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    key : tuple of str
+        Key of the period, for messages.
+    period : float
+        Time between the steps of the controller. [s]
+    """
+    time = problem.spec.time
+    if time.duration / period > schema.MAX_SAMPLES:
+        expected = f"a period with at most {schema.MAX_SAMPLES} steps in {time.duration:g} s"
+        raise problem_error(problem.source, [Fault(key, expected, f"{period:g} s; increase it")])
+    every = round(time.step / period)
+    if every < 1 or abs(every * period - time.step) > EVEN * period:
+        expected = f"a multiple of {'.'.join(map(str, key))}, {period:g} s"
+        fault = Fault(("time", "step"), expected, f"{time.step:g}; change one of them")
+        raise problem_error(problem.source, [fault])
+    count = every * int(time.duration / time.step + EVEN) + 1
+    return SampledTimes(np.asarray(period * np.arange(count)), every)
+
+
+def check_names(
+    problem: Problem[S], dae: Dae, inputs: Iterable[str] | None, driven: Dae | None = None
+) -> None:
+    """Raise ProblemError for unknown states, unknown or missing inputs, and wrong units.
+
+    Inputs are not checked if ``inputs``, the names of the given inputs, is None. They are inputs of
+    ``driven``, by default of ``dae``.
+    """
+    faults = [*name_errors(("start",), problem.spec.start, _start_names(dae))]
+    if inputs is not None:
+        known = _names((driven or dae).labels.u)
+        faults += name_errors(("inputs",), inputs, known)
+        faults += [
+            Fault(("inputs", name), "a rate", "none") for name in known if name not in inputs
+        ]
+    faults = faults or [*check_units(problem.spec, dae)]
+    if faults:
+        raise problem_error(problem.source, faults)
+
+
+def _start_names(dae: Dae) -> list[str]:
+    """Return the names of the states that a start may have."""
+    if dae.standing is None:
+        return _names(dae.labels.x)
+    return [*_names(dae.standing.model.labels.x), SPEED]
+
+
+def _names(labels: Iterable[Any]) -> list[str]:
+    return [label.full for label in leaves(labels)]
+
+
+def vehicle_facts(vehicle: Vehicle) -> Lines:
+    """Return facts about a vehicle, pairs of name and text: wheels, mass and notes of its file."""
+    wheels = ", ".join(
+        f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
+    )
+    facts = [("vehicle", f"{vehicle.name}: {wheels}")]
+    if vehicle.mass:
+        facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
+    if vehicle.notes:
+        facts.append(("vehicle file", "; ".join(vehicle.notes)))
+    return facts
+
+
+def wheel_angles_at(run: Trajectory, t: Array) -> Column:
+    """Return the column of wheel angles of a motion, interpolated at times ``t`` [s]."""
+    turns = run.columns["wheel_angle"]
+    values = [np.interp(t, run.t, each) for each in turns.values.T]
+    return Column(turns.label, np.stack(values, axis=1))
+
+
+def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
+    """Return the obstacles of a ground as prisms that stand on it.
+
+    Height zero of an obstacle's profile is the height of the ground where the profile begins.
+
+    ProblemError is raised if an obstacle is not of exactly one kind, its numbers are invalid, or it
+    begins off the map.
+    """
+    found = list[Prism]()
+    for k, spec in enumerate(problem.spec.terrain.obstacles):
+        place = ("terrain", "obstacles", k)
+        given = [name for name in KINDS if getattr(spec, name) is not None]
+        if len(given) != 1:
+            expected = f"one of {', '.join(KINDS)}"
+            words = f"{', '.join(given) or 'none'}; give one of them"
+            raise problem_error(problem.source, [Fault(place, expected, words)])
+        with at(problem, (*place, given[0])):
+            profile = _profile(given[0], getattr(spec, given[0]))
+        west, east, south, north = terrain.domain
+        if not (west <= spec.x <= east and south <= spec.y <= north):
+            expected = f"x from {west:g} to {east:g} m and y from {south:g} to {north:g} m"
+            words = f"x = {spec.x:g} m, y = {spec.y:g} m, off the map; move the obstacle"
+            raise problem_error(problem.source, [Fault(place, expected, words)])
+        heading = spec.heading + heading_offset(problem)
+        z = float(terrain.elevation(np.array(spec.x), np.array(spec.y)))
+        where: dict[str, Any] = {"x": spec.x, "y": spec.y, "z": z, "heading": heading}
+        found += placed(profile, **where, half_width=spec.half_width)
+    return tuple(found)
+
+
+def _profile(name: str, spec: Any) -> Profile:
+    """Return the profile of an obstacle of a given kind, with a floor as its first solid."""
+    if name == "points":
+        return Profile((*flat().solids, Solid(spec)))
+    return OBSTACLES[name][0](**dict(spec))
+
+
+def build_model(
+    problem: Problem[S],
+    spec: schema.Modelled,
+    vehicle: Vehicle,
+    terrain: Terrain,
+    prisms: tuple[Prism, ...] = (),
+) -> Dae:
+    """Return the model of a problem for a vehicle on a ground; ``prisms`` are for dynamics.
+
+    ProblemError is raised if the law does not belong to the model, a parameter is missing, or the
+    model does not support the vehicle or the ground.
+    """
+    law = model_law(problem, spec)
+    if spec.model == "kinematics":
+        with at(problem, ("vehicle",)):
+            check_driven(vehicle)
+    with at(problem, ("slip",) if spec.model == "kinematics" else ("model",)):
+        if spec.model == "kinematics":
+            return in_frame(problem, direct_kinematics(vehicle, terrain, slip=law))
+        if spec.model == "quasi-static":
+            return in_frame(problem, quasi_statics(vehicle, terrain, law=law))
+        ground = Solids(terrain, prisms) if prisms else terrain
+        return in_frame(problem, dynamics(vehicle, ground, law=law))
+
+
+def law_name(spec: LawKeys) -> str:
+    """Return the name of the law of a problem's model: the given one, or the default."""
+    if spec.model == "kinematics":
+        return spec.slip
+    return next(iter(sorted(spec.law.model_fields_set)), next(iter(LAWS[spec.model])))
+
+
+def model_law(problem: Problem[A], spec: LawKeys) -> Any:
+    """Return the law of a problem's model: a slip law, a wheel-ground law or a contact law.
+
+    ProblemError is raised if a given law or the key ``slip`` does not belong to the model, several
+    laws are given, or a parameter is missing or invalid.
+    """
+    name, known = law_name(spec), LAWS[spec.model]
+    if spec.model != "kinematics" and "slip" in spec.model_fields_set:
+        expected = f"no slip law with model = {spec.model!r}, where forces determine the slip"
+        raise problem_error(
+            problem.source, [Fault(("slip",), expected, f"{spec.slip!r}; remove the key")]
+        )
+    for other in spec.law.model_fields_set - ({name} & set(known)):
+        raise problem_error(problem.source, [_wrong_law(spec, other)])
+    return _with_parameters(problem, spec, MAKERS.get(name, known[name]))
+
+
+def _wrong_law(spec: LawKeys, name: str) -> Fault:
+    """Return the error for the table of a law that does not apply."""
+    if name in LAWS[spec.model]:
+        tables = ", ".join(sorted(spec.law.model_fields_set))
+        if spec.model == "kinematics":
+            found = f"slip = {spec.slip!r}; set slip = {name!r}, or remove the table"
+            return Fault(("law", name), f"slip = {name!r}, where this law applies", found)
+        words = f"one law with model = {spec.model!r}, of {', '.join(LAWS[spec.model])}"
+        return Fault(("law", name), words, f"{tables}; keep one of these tables")
+    model = next(each for each, laws in LAWS.items() if name in laws)
+    expected = f"model = {model!r}, where this law applies"
+    return Fault(
+        ("law", name), expected, f"model = {spec.model!r}; set it to {model!r}, or remove the table"
+    )
+
+
+def _with_parameters(problem: Problem[A], spec: LawKeys, law: Callable[..., L]) -> L:
+    """Return a law with the parameters that a problem gives, and defaults of all others.
+
+    ProblemError is raised if a parameter without default is missing, or a value is invalid.
+    """
+    name = law_name(spec)
+    given = spec.law.parameters(name)
+    for key, parameter in signature(law).parameters.items():
+        needed = (
+            parameter.kind is not parameter.VAR_KEYWORD and parameter.default is parameter.empty
+        )
+        if needed and key not in given:
+            raise problem_error(problem.source, [Fault(("law", name, key), "a value", "none")])
+    with at(problem, ("law", name)):
+        return law(**given)
+
+
+class World(NamedTuple):
+    """Ground and vehicle of a problem, and its model.
+
+    Attributes
+    ----------
+    ground : GroundMap
+        Heights on a grid, with their origin and facts.
+    terrain : Bicubic
+        The ground as a surface, with its local origin at the start.
+    vehicle : Vehicle
+        The vehicle.
+    prisms : tuple of Prism
+        Solids on the ground.
+    dae : Dae
+        Model of the vehicle on the ground.
+    """
+
+    ground: GroundMap
+    terrain: Bicubic
+    vehicle: Vehicle
+    prisms: tuple[Prism, ...]
+    dae: Dae
+
+
+def build_world(problem: Problem[M]) -> World:
+    """Return ground, vehicle and model of a problem.
+
+    Consecutive runs of a sweep share them, unless a key changes on which they depend.
+
+    ProblemError is raised if ground, vehicle, law or solids are not valid, or the start lies off
+    the ground.
+    """
+    spec = problem.spec
+    rest = spec.model_dump_json(exclude=OF_THE_MOTION, exclude_unset=True, serialize_as_any=True)
+    origin = tuple(spec.start.get(name) for name in ORIGIN)
+    return shared("world", (problem.folder, rest, origin), lambda: _built(problem))
+
+
+def _built(problem: Problem[M]) -> World:
+    """Return ground, vehicle and model of a problem, built anew."""
+    ground = build_ground(problem)
+    with at(problem, ("vehicle",)):
+        vehicle = build_vehicle(problem.spec.vehicle, problem)
+    terrain = build_terrain(problem, ground)
+    prisms = build_solids(problem, terrain)
+    dae = build_model(problem, problem.spec, vehicle, terrain, prisms)
+    return World(ground, terrain, vehicle, prisms, dae)
+
+
+def build_law(
+    problem: Problem[S],
+    driver: DriverTable,
+    dae: Dae,
+    vehicle: Vehicle,
+    start: Trajectory,
+) -> Any:
+    """Return the inputs that the driving law of a problem computes from state and time.
+
+    ProblemError is raised if ``path`` and ``file`` do not fit the name of the law, the file cannot
+    be read, or the law cannot drive the vehicle along the path.
+    """
+    with at(problem, ("driver",)):
+        if driver.name == "straight":
+            if driver.path is not None or driver.file is not None:
+                key = "path" if driver.path is not None else "file"
+                raise ModelError(
+                    f"driver: expected no path with name = 'straight', found the key {key!r}; use "
+                    "name = 'follow', or remove the key"
+                )
+            return straight(dae, vehicle, start, speed=driver.speed)
+        return follow(dae, vehicle, Path(path_points(problem, driver)), speed=driver.speed)
+
+
+def build_climbing(problem: Problem[Any], world: World) -> tuple[Dae, Any]:
+    """Return the model of a step climber with its controller, and the inputs of this model.
+
+    ProblemError is raised if the vehicle is not a step climber, or a number of the controller is
+    out of range.
+    """
+    driver = problem.spec.driver
+    with at(problem, ("driver", "control")):
+        values = dict(driver.control)
+        noise = values.pop("noise")
+        control = StepClimbing(**values, noise=None if noise is None else Noise(**dict(noise)))
+    with at(problem, ("vehicle",)):
+        climber = climber_of(world.vehicle)
+    if driver.period is not None:
+        with at(problem, ("driver", "period")):
+            check_period(driver.period, control, climber)
+    with at(problem, ("driver", "control", "directions")):
+        sampled = driver.period is not None
+        dae = climbing(world.dae, world.vehicle, control, level_section(world), sampled=sampled)
+    held = held_torques(dae, control) if sampled else {}
+    return dae, dae.inputs(reference_speed=driver.speed, **held)
+
+
+def level_section(world: World) -> Profile | None:
+    """Return the section of level ground and solids in the vehicle's plane; None without it."""
+    if not world.terrain.is_level:
+        return None
+    return section_of(world.prisms, float(world.terrain.grid.z[0, 0]))
+
+
+def path_points(problem: Problem[S], driver: DriverTable) -> Array:
+    """Return the points of the path that a driving law follows, shape (n, 2) [m].
+
+    ModelError is raised if neither or both of ``path`` and ``file`` are given; DataError if the
+    file cannot be read or has no columns x and y.
+    """
+    if (driver.path is None) == (driver.file is None):
+        raise ModelError(
+            "driver: name = 'follow' requires either 'path' (an array of [x, y]) or 'file', found "
+            + ("neither; give one" if driver.path is None else "both; remove one")
+        )
+    if driver.path is not None:
+        return np.array(driver.path)
+    return np.array(read_columns(problem.folder / str(driver.file), "xy").rows())
