@@ -563,8 +563,8 @@ def test_a_second_ctrl_c_while_a_result_is_written_leaves_the_old_one(folder, mo
 @pytest.mark.parametrize(
     ("where", "name", "at", "settings"),
     [
-        (simulate, "_doubles", 9, ()),
-        (simulate, "_doubles", 200, ("model=dynamics",)),
+        (integrator, "_doubles", 9, ()),
+        (integrator, "_doubles", 200, ("model=dynamics",)),
         (zero_order_hold, "run_buffered", 61, ("model=dynamics", "driver.period=0.01")),
     ],
     ids=["kinematics", "dynamics", "sampled"],
