@@ -20,18 +20,24 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import chdir
 from itertools import zip_longest
 from pathlib import Path
+
+from typer.testing import CliRunner
+
+from slipfree.cli import app
 
 FENCE = re.compile(r"^(```+)(\w*)\n(.*?)^\1$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"# (\w[\w/]*\.\w+)\n")
 COMMAND = re.compile(r"^\$ .*\n(?:> .*\n)*", re.MULTILINE)
-END = "\x1e"  # what no program prints
+SHELL = re.compile(r"[|<>&;$`*?~]")  # what only a shell understands
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 VARIES = re.compile(
     r"[\d.e+-]+ (?:s CPU|steps|evaluations|iterations|s, of which [\d.]+ s in)|in [\d.]+ s\b"
@@ -69,16 +75,28 @@ def play(page: str, folder: Path) -> str:
 
 
 def _typed(commands: list[str], folder: Path) -> Iterator[str]:
-    """Yield each command, and what it prints, as a terminal shows them."""
-    mark = f"{{ code=$?; printf '{END}'; (exit $code); }}\n"
-    script = "".join(command[2:].replace("\n> ", "\n") + mark for command in commands)
+    """Yield each command, and what it prints, as a terminal shows them.
+
+    Those of slipfree alone run in this process: an interpreter takes a second to start.
+    """
     place = {"PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])}
     plain = {k: v for k, v in os.environ.items() if "COLOR" not in k and k != "COLUMNS"}
-    found = subprocess.run(
-        ["bash", "-c", script], cwd=folder, env=plain | place, text=True, check=False,
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    )  # fmt: skip
-    for command, printed in zip_longest(commands, found.stdout.split(END)[:-1], fillvalue="?"):
+    code = 0
+    for command in commands:
+        line = command[2:].replace("\n> ", "\n")
+        if line.startswith("slipfree ") and not SHELL.search(line):
+            with chdir(folder):
+                done = CliRunner(env=dict.fromkeys(os.environ.keys() - plain)).invoke(
+                    app, shlex.split(line)[1:]
+                )
+            code, printed = done.exit_code, done.output
+        else:
+            found = subprocess.run(
+                ["bash", "-c", f"(exit {code})\n{line}"], cwd=folder, env=plain | place, text=True,
+                check=False, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+            )  # fmt: skip
+            code, printed = found.returncode, found.stdout
         lines = (line.rstrip() for line in printed.splitlines() if not PROGRESS.match(line))
         yield command + "".join(f"{line}\n" for line in lines)
 

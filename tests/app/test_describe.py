@@ -13,9 +13,8 @@ from slipfree import Analytic, direct_kinematics, settle
 from slipfree.catalog import ackermann, differential_drive, rocky7, skid_steer
 from slipfree.cli import app
 from slipfree.core.errors import DataError
-from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.load import load_problem
-from slipfree.problem.report import conditioning, describe, tree
+from slipfree.problem.report import conditioning, describe
 from slipfree.problem.result import build
 
 
@@ -43,18 +42,6 @@ def test_a_vehicle_file_by_itself():
     notes = [words for name, words in found.facts if name == "vehicle file"]
     assert notes[0] == "omitted, since they carry no wheel and no mass: lidar_mount"
     assert notes[1].startswith("wheel right_drive: its rate is positive forward, opposite")
-
-
-def test_a_urdf_by_itself_is_drawn_with_its_guesses():
-    found = describe(DATA / "cart.urdf")
-    assert not found.faults
-    assert "    caster: turns about (0.02, -0.03, 0.999) by caster (passive)" in found.tree
-    notes = [words for name, words in found.facts if name == "vehicle file"]
-    assert any(
-        words.startswith("guessed passive: a caster or a trailer swivels: caster;")
-        for words in notes
-    )
-    assert any(words.startswith("guessed free: other wheels") for words in notes)
 
 
 @pytest.mark.slow
@@ -122,20 +109,6 @@ def test_a_caster_without_trail_is_named(tmp_path):
         "on level ground: the model is singular here: no equation determines caster_rate" in fault
     )
     assert facts(found)["passive joints"] == "1: caster"
-
-
-def test_values_are_set_in_problems_only():
-    result = CliRunner().invoke(app, ["vehicle", str(DATA / "cart.toml"), "--set", "name=a"])
-    assert result.exit_code == 2
-    assert "--set: expected a problem file, found the vehicle file" in result.stderr
-
-
-@pytest.mark.parametrize("name", ["cart", "bogie"])
-def test_every_part_is_drawn_once(name):
-    vehicle = read_vehicle(DATA / f"{name}.toml")
-    lines = tree(vehicle)
-    assert len(lines) == 1 + len(vehicle.joints) + len(vehicle.wheels)
-    assert np.all(["not on" not in line for line in lines])
 
 
 def test_axes_are_in_the_frame_of_the_vehicle(tmp_path):

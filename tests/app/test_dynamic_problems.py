@@ -25,13 +25,13 @@ def invoke(*words):
 @pytest.mark.slow
 def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path, monkeypatch):
     file = tmp_path / "r.nc"
-    done = invoke("run", ROCKS, "-o", file, "--set", "time.duration=0.5", "--figures-all")
+    done = invoke("run", ROCKS, "-o", file, "--set", "time.duration=0.5", "--no-draw")
     assert done.exit_code == 0, done.output
     for name in ("compliant contact", "vehicle in the air", "energy balance", "a prediction with"):
         assert name in done.output
-    drawn = {each.stem for each in (tmp_path / "r_figures").iterdir()}
-    assert {"contact", "energy", "checks"} <= drawn
-    run = open_result(file).trajectory
+    result = open_result(file)
+    run, figures = result.trajectory, verb_of(result.problem).figures(result)
+    assert {"contact", "energy", "checks"} <= {each.name for each in figures}
     energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
     gain = energy - energy[0] - run["work"] + run["lost_energy"]
     exchanged = np.abs(run["work"]).max() + run["lost_energy"][-1]
@@ -138,34 +138,15 @@ def test_a_sampled_driver_stops_at_a_limit(tmp_path):
     assert 0 <= run.stop.t - run.t[-1] < 0.02
 
 
-def test_a_check_gives_the_start_at_equilibrium():
-    done = invoke("check", ROCKS)
-    assert done.exit_code == 0, done.output
-    assert "least loaded wheel" in done.output
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("problem", "settings", "words"),
     [
         (ROCKS, ["terrain.friction="], "dynamics: expected a ground with a coefficient of"),
         (ROCKS, ["vehicle.mass=0", "vehicle.wheel_mass=0"], "dynamics: expected a vehicle with"),
-        (ROCKS, ["formulation=montana"], "expected model = 'kinematics' with formulation"),
-        (ROCKS, ["law.coulomb={ creep = 1e-3 }"], "model = 'quasi-static', where this law applies"),
         (ROCKS, ["start.sped=1"], "did you mean 'speed'?"),
-        (
-            ROCKS,
-            ["driver.period=0.02"],
-            "time.step: expected a multiple of driver.period, 0.02 s, found 0.01; change one",
-        ),
-        (ROCKS, ["driver.period=0.0"], "driver.period: expected a number greater than 0, found 0"),
-        (ROCKS, ["driver.period=1e-7"], "driver.period: expected a period with at most 1000000"),
-        (
-            ROCKS,
-            ["driver.period=0.01", "model=quasi-static"],
-            "driver.period: expected a period only with model = 'dynamics', found model = 'quasi-",
-        ),
-        (str(PROBLEMS / "plan_real_dem.toml"), ["driver.period=0.01"], "unknown key 'period'"),
+        (ROCKS, ["driver.period=0.02"], "time.step: expected a multiple of driver.period, 0.02 s,"),
+        (ROCKS, ["driver.period=0.01", "model=quasi-static"], "driver.period: expected a period o"),
     ],
 )
 def test_mistakes_are_reported(problem, settings, words, tmp_path):
@@ -202,26 +183,6 @@ def test_a_rover_meets_a_step(tmp_path):
     assert run["contact_z"].max() > 0.05
     page = invoke("show", file, "--html", tmp_path / "page.html")
     assert page.exit_code == 0, page.output
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (
-            ["model=kinematics"],
-            "expected obstacles only with verb = 'direct' or 'plan' and model = 'dynam",
-        ),
-        (["terrain.obstacles=[{y = 0.6}]"], "expected one of ramp, step, kerb, stairs, points, f"),
-        (["terrain.obstacles=[{step = {height = 0.1}, y = 9.0}]"], "off the map; move the obst"),
-        (["start.y=0.4"], "touches a solid at the start"),
-        (["terrain.obstacles=[{points = [[0, 0], [1, 0]], y = 1}]"], "three or more points"),
-    ],
-)
-def test_obstacles_that_do_not_fit_are_refused(change, words):
-    done = invoke("check", STEP, *(word for each in change for word in ("--set", each)))
-    assert done.exit_code == 2
-    assert words in " ".join(done.output.split())
 
 
 def test_an_obstacle_stands_where_the_file_says():

@@ -14,7 +14,6 @@ from helpers.friction_cases import slope
 from slipfree import direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
-from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
 from slipfree.models import friction_feasibility
@@ -116,23 +115,14 @@ def test_samples_that_do_not_converge_are_counted(monkeypatch):
 
 
 @pytest.mark.usefixtures("file")
-@pytest.mark.parametrize("error", [SolverError("gave up"), np.linalg.LinAlgError("gave up")])
-def test_a_diagnostic_that_fails_loses_no_motion(monkeypatch, error):
+def test_a_diagnostic_that_fails_loses_no_motion(monkeypatch):
     def fail(*_):
-        raise error
+        raise np.linalg.LinAlgError("gave up")
 
     monkeypatch.setattr(runner, "best_utilisation", fail)
-    words = f"utilisation_best: {type(error).__name__}: gave up"
+    words = "utilisation_best: LinAlgError: gave up"
     assert facts("run")["diagnostics failed"].strip() == words
     assert netcdf.read(Path("p.nc")).t[-1] == 2.0
-
-
-@pytest.mark.usefixtures("file")
-def test_without_friction_the_coefficient_needed_is_told():
-    told = facts("run", "model=kinematics", "terrain.friction=")
-    assert told["friction"].strip().startswith("coefficient needed 0.")
-    assert told["friction"].endswith("the ground has no given coefficient")
-    assert told["least slip"].strip().startswith("the least that kinematics allows")
 
 
 @pytest.mark.usefixtures("file")
@@ -199,32 +189,8 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
             "'kinematics'; set it to 'quasi-static', or remove the table",
         ),
         (["terrain.friction="], "p.toml:2: model: Coulomb friction: expected a ground with"),
-        (
-            ["vehicle.mass=0", "vehicle.wheel_mass=0"],
-            "a vehicle with mass, found none in 'three_wheeler with fixed axle'",
-        ),
-        (["law.coulomb.creep=0.0"], "law.coulomb.creep: expected a number greater than 0, found 0"),
-        (["law.coulomb.creep=0.4"], "law.coulomb.creep: expected a number of at most 0.3, found"),
-        (["law.coulomb={ grip = 1.0 }"], "law.coulomb.grip: expected one of creep, reserve, found"),
-        (
-            ["law.columb={}"],
-            "law.columb: did you mean 'coulomb'? expected one of coulomb, ",
-        ),
-        (["law=3"], "law: expected a table, found 3"),
         (["slip=least"], "slip: expected no slip law with model = 'quasi-static', where"),
-        (["model=kinematics", "slip=lest"], "--set slip: expected one of least, rolling, found"),
-        (["model=", "traction.creep=1e-3"], "--set traction: did you mean 'terrain'?"),
-        (["vehicle.stiffness=60"], "the fixed axle has no free joint for a spring"),
-        (
-            ["vehicle.actuated=['tilt_right']"],
-            "expected one of the passive coordinates (the vehicle has none), found 'tilt_right'",
-        ),
-        (["vehicle.mass=-1"], "vehicle.mass: expected a number of at least 0, found -1"),
-        (
-            ["vehicle.center_of_mass=[0, 0]"],
-            "vehicle.center_of_mass[2]: expected a number, found none",
-        ),
-        (["formulation='montana'"], "formulation: expected model = 'kinematics' with formu"),
+        (["vehicle.actuated=['tilt_right']"], "expected one of the passive coordinates (the vehic"),
         (["terrain.synthetic.ramp.rise=20.0", "start.y=1.5"], "no quasi-static equilibrium"),
     ],
 )
@@ -261,17 +227,15 @@ def test_springs_masses_and_actuators_reach_the_vehicle(file):
     assert np.abs(motion["tilt_right_torque"]).max() > 0
 
 
-@pytest.mark.parametrize(
-    ("name", "stop"), [("traction_hills", None), ("traction_ice", "no_equilibrium")]
-)
-def test_shipped_problems(name, stop):
-    motion = run_problem(load_problem(PROBLEMS / f"{name}.toml")).trajectory
-    assert (motion.stop and motion.stop.name) == stop
+def test_ice_bears_no_vehicle():
+    motion = run_problem(load_problem(PROBLEMS / "traction_ice.toml")).trajectory
+    assert motion.stop.name == "no_equilibrium"
 
 
 def test_the_papers_direct_run_needs_more_friction_than_most_grounds_give():
     """The figures of README."""
     motion = run_problem(load_problem(PROBLEMS / "paper_direct.toml")).trajectory
+    assert_allclose(motion["tilt_right"][-1], 0.075 * 6, atol=0.1)  # the wheels lie down
     at = [int(np.argmin(np.abs(motion.t - t))) for t in range(7)]
     needed = motion["friction_needed"][at].max(axis=1)
     expected = [0.070, 0.179, 0.289, 0.402, 0.523, 0.654, 0.801]
@@ -283,7 +247,6 @@ def test_the_papers_direct_run_needs_more_friction_than_most_grounds_give():
     ("axle", "discs", "expected"),
     [
         ("tilting", False, (0.529, 1.092, 0.936, 0.492, 0.613)),
-        ("sliding", True, (0.529, 1.092, 0.936, 0.492, 0.613)),
         ("prismatic", True, (0.258, 0.509, 0.457, 0.492, 0.613)),
         ("fixed", False, (0.177, 0.364, 0.432, 0.492, 0.613)),
     ],
@@ -299,16 +262,3 @@ def test_least_friction_on_which_the_axles_stand(axle, discs, expected):
         start = settle(direct_kinematics(vehicle, ground), heading=np.radians(way))
         found = best_utilisation(vehicle, ground, start)["utilisation_best"][0]
         assert found == pytest.approx(mu, rel=0.02)
-
-
-@pytest.mark.usefixtures("file")
-def test_vehicle_tells_masses_springs_and_forces():
-    settings = ("vehicle.axle=tilting", "vehicle.stiffness=60", "vehicle.bump=100")
-    told = called("vehicle", *settings, "model=kinematics").stdout
-    assert "platform: 30 kg" in told
-    assert "spring 60" in told
-    assert "elastic stops 100" in told
-    assert "contact forces" in told
-    assert "equilibrium determines them" in told
-    assert "load-weighted" in called("vehicle", "model=kinematics").stdout
-    assert "wheel-ground law" in called("vehicle").stdout

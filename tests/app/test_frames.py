@@ -27,27 +27,11 @@ from slipfree.sweep.worker import figures_of
 PROBLEM = """\
 verb = "direct"
 frame = "rep103"
-
-[terrain.synthetic]
-x = [-3, 3]
-y = [-3, 3]
-spacing = 0.5
-
-[vehicle]
-catalog = "three_wheeler"
-
-[start]
-x = 0.5
-heading = 0.3
-
-[inputs]
-right_rate = 0.5
-left_rate = 0.5
-steer_rate = 0.0
-
-[time]
-duration = 0.5
-step = 0.25
+terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }
+vehicle = { catalog = "three_wheeler" }
+start = { x = 0.5, heading = 0.3 }
+inputs = { right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0 }
+time = { duration = 0.5, step = 0.25 }
 """
 
 

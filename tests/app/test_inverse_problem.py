@@ -16,9 +16,8 @@ from slipfree.cli import app
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, Stop
 from slipfree.files import netcdf
-from slipfree.files.toml.source import ProblemError
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import build, run_problem
+from slipfree.problem.result import run_problem
 from slipfree.problem.verbs import inverse
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -145,29 +144,16 @@ def test_check_and_vehicle() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("file", ["path.toml", "file.toml"])
-def test_along_a_path(folder: Path, file: str) -> None:
-    result = _invoke("run", file, "--no-draw", *_set("time.duration=1", LOOSE, RIDGES))
+@pytest.mark.usefixtures("folder")
+def test_along_a_path() -> None:
+    result = _invoke("run", "file.toml", "--no-draw", *_set("time.duration=1", LOOSE, RIDGES))
     assert (result.exit_code, result.stderr) == (0, ""), result.output
-    for words in (
-        "path of 6 way-points in 5 s",
-        "collocation ",
-        "replay by the direct model  ",
-        "differs by at most x ",
-    ):
+    for words in ("path of 6 way-points in 5 s", "collocation ", "differs by at most x "):
         assert words in result.stdout, words
-    motion = netcdf.read(folder / file.replace("toml", "nc"))
+    motion = netcdf.read("file.nc")
     assert_allclose(motion["y"], 0.135 * motion.t, atol=1e-6)
     assert 0 < motion.facts["replay_steer"].value < 1e-3
-    assert "replay by the direct model" in _invoke("info", file.replace("toml", "nc")).stdout
-
-
-@pytest.mark.usefixtures("folder")
-def test_columns_of_a_path_may_be_in_another_order() -> None:
-    rows = [line.split(",") for line in CSV.splitlines()]
-    text = "\n".join(",".join(row[k] for k in (3, 2, 0, 1)) for row in rows)
-    Path("way.csv").write_text(text + "\n\n")
-    assert _invoke("check", "file.toml").exit_code == 0
+    assert "replay by the direct model" in _invoke("info", "file.nc").stdout
 
 
 @pytest.mark.usefixtures("folder")
@@ -243,8 +229,9 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.usefixtures("folder")
 def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any, **__: Any) -> None:
-        raise SolverError("it gave up")
+        raise error
 
+    error: BaseException = SolverError("it gave up")
     monkeypatch.setattr(inverse, "replay", fail)
     result = _invoke("run", "path.toml", "--no-draw", *_set(LOOSE))
     assert (result.exit_code, result.stderr) == (0, "")
@@ -253,6 +240,9 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inverse, "drive", fail)
     result = _invoke("run", "path.toml", "--no-draw")
     assert (result.exit_code, result.stderr) == (1, "it gave up\n")
+    error = KeyboardInterrupt()
+    result = _invoke("run", "path.toml", "--no-draw")
+    assert (result.exit_code, result.stderr) == (130, "interrupted\n")
 
 
 @pytest.mark.slow
@@ -260,95 +250,32 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (
-            ["given.heading_rate="],
-            "p.toml:14: given: expected three rates of the platform, found "
-            "2: velocity_x, velocity_y",
-        ),
-        (["given={}"], "--set given: expected three rates of the platform, found none"),
-        (
-            ["given.velocity_x=", "given.velocity_u=1"],
-            "--set given.velocity_u: did you mean 'velocity_z'? expected one of "
-            "velocity_x, velocity_y, velocity_z, omega_x, omega_y, omega_z, heading_rate, "
-            "roll_rate, pitch_rate, forward, right, yaw_rate, v_x, v_y, found the unknown key "
-            "'velocity_u'",
-        ),
-        (
-            ["given.velocity_x=", "given.omega_x=0"],
-            "given: expected either rates of omega_x, omega_y, "
-            "omega_z or rates of heading_rate, roll_rate, pitch_rate, not both, found "
-            "heading_rate, omega_x",
-        ),
-        (["given.velocity_x=[[0, 1]]"], "--set given.velocity_x: expected a number, found"),
+        (["given.heading_rate="], "p.toml:14: given: expected three rates of the platform, found"),
         (
             ["given.velocity_x=0", "given.velocity_y=0", "given.heading_rate=0"],
             "given: the model is singular here: no equation determines steer (steering angle",
         ),
-        (["path.file=way.csv"], "expected exactly one of given, path, found given and path"),
-        (["given="], "p.toml:1: expected exactly one of given, path, found none"),
-        (["steering=torque"], "--set steering: expected 'rate' or 'angle', found 'torque'"),
-        (
-            ["steering=rate"],
-            "p.toml:14: given: the model is singular here: no equation determines steer_rate",
-        ),
+        (["steering=rate"], "p.toml:14: given: the model is singular here: no equation determines"),
         (["vehicle.axle=fixed"], "axle' cannot roll without slip, as inverse"),
-        (["vehicle.axle=prismatic"], "axle' cannot roll without slip, as inverse"),
-        (["start.sail=1"], "--set start.sail: expected one of x, y, heading, tilt_right"),
-        (["inputs.right_rate=1"], "--set inputs: expected one of verb, title, "),
-        (
-            ["verb=drive"],
-            "--set verb: expected 'direct' or 'inverse' or 'plan' for this "
-            "command, found 'drive'; correct the verb\n",
-        ),
         (["verb=compare"], "found 'compare'; use slipfree compare p.toml"),
     ],
 )
 def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None:
-    for command in ("run", "check"):
-        assert words in _refused(command, "p.toml", *_set(*settings))
+    assert words in _refused("check", "p.toml", *_set(*settings))
 
 
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (
-            ["path.y="],
-            "--set path.y: expected an array of 6 numbers, one for each time in 't', found none",
-        ),
-        (
-            ["path.y=[0, 1]"],
-            "--set path.y: expected an array of 6 numbers, one for each time in 't', "
-            "found an array of 2",
-        ),
-        (["path.t="], "path.toml:14: path: expected exactly one of t, file, found none"),
+        (["path.y=[0, 1]"], "--set path.y: expected an array of 6 numbers, one for each time in '"),
         (["path.t=", "path.file=way.csv"], "path.toml:16: path.x: expected no array beside 'file'"),
-        (
-            ["path.t=[0, 1, 1, 3, 4, 5]"],
-            "--set path.t: expected increasing times, found 1 s at way-point 3 after 1 s",
-        ),
-        (
-            ["path.t=[1, 2, 3, 4, 5, 6]"],
-            "--set path.t: expected 0 as the first time, found 1 s",
-        ),
-        (
-            ["time.duration=6"],
-            "--set time.duration: expected at most the time of the last way-point, 5 s, found 6",
-        ),
+        (["time.duration=6"], "--set time.duration: expected at most the time of the last way-poi"),
         (
             [f"path.{name}=[0, 0, 0, 0, 0]" for name in ("t", "x", "y", "heading")],
             "expected at least 6 way-points, found 5",
         ),
-        (
-            ["start.x=0.5"],
-            "path.toml:14: path: expected a path that begins at the position and "
-            "heading of the start, found x = 0 instead of 0.5",
-        ),
-        (
-            ["steering=rate"],
-            "path.toml:14: path: the model is singular here: no equation determines",
-        ),
-        (["path.bend=1"], "--set path.bend: expected one of t, x, y, heading, file, found"),
+        (["start.x=0.5"], "path.toml:14: path: expected a path that begins at the position and he"),
     ],
 )
 def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
@@ -360,21 +287,10 @@ def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
     ("text", "words"),
     [
         (None, "way.csv: expected way-points as text, found that it cannot be read"),
-        ("", "path.file: expected at least 6 way-points, found 0"),
         (CSV.replace("3,0.0,", "3,"), "way.csv:5: expected four numbers t,x,y,heading, found '3,"),
-        (CSV.replace("3,0.0,", "3,nan,"), "way.csv:5: expected four numbers t,x,y,heading"),
-        (
-            CSV.replace("heading", "psi"),
-            "way.csv: expected the columns t, x, y, heading, found no column 'heading' among t, x,",
-        ),
-        (CSV.replace("3,0.0,", "1,0.0,"), "path.file: expected increasing times, found 1 s at"),
         (
             CSV.replace(",0.0,", "000,0.0,").replace("0000,", "0,"),
             "found rows 1000 s apart (median); if the times are in other units, name them in the",
-        ),
-        (
-            "t,x,y,heading\n" + "".join(f"{k},{-k},{2 * k},26.6\n" for k in range(6)),
-            "found values up to 26.6 that agree with the direction of motion as degrees; name",
         ),
     ],
 )
@@ -398,16 +314,6 @@ def test_what_belongs_to_direct_kinematics_is_refused() -> None:
     )
 
 
-@pytest.mark.usefixtures("folder")
-def test_interrupted_on_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: Any, **__: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(inverse, "drive", fail)
-    result = _invoke("run", "path.toml", "--no-draw")
-    assert (result.exit_code, result.stderr) == (130, "interrupted\n")
-
-
 @pytest.mark.slow
 def test_the_shipped_problems_run() -> None:
     given = run_problem(load_problem(PROBLEMS / "paper_inverse.toml", ["time.step=0.5"])).trajectory
@@ -422,29 +328,11 @@ def test_the_shipped_problems_run() -> None:
     assert max(v.value for k, v in motion.facts.items() if k.startswith("replay_")) < 1e-3
 
 
-def test_the_shipped_path_is_passed_whole() -> None:
-    setup = build(load_problem(PROBLEMS / "path_inverse.toml"))
-    assert setup.t[-1] == 15.0
-    with pytest.raises(ProblemError, match="expected at most the time of the last way-point"):
-        build(load_problem(PROBLEMS / "path_inverse.toml", ["time.duration=16"]))
-
-
 def test_a_path_may_be_sampled_more_coarsely_than_it_is_solved(tmp_path):
     """Elements of the collocation without a sample are no trouble."""
-    result = CliRunner().invoke(
-        app,
-        [
-            "run",
-            str(PROBLEMS / "path_inverse.toml"),
-            "--no-draw",
-            "-o",
-            str(tmp_path / "p.nc"),
-            "--set",
-            "time.duration=6",
-            "--set",
-            "time.step=6",
-        ],
-    )
+    file = str(PROBLEMS / "path_inverse.toml")
+    coarse = _set("time.duration=6", "time.step=6")
+    result = _invoke("run", file, "--no-draw", "-o", str(tmp_path / "p.nc"), *coarse)
     assert result.exit_code == 0, result.stderr
 
 

@@ -26,14 +26,11 @@ def pitch_plot(drive: PlottedDrive) -> Plot:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("option", "is_drawn"), [("--figures-all", True), ("--draw", False)])
 def test_a_new_figure_is_drawn_with_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, is_drawn: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(motion_figures, "FIGURES", (*FIGURES[:6], pitch_plot))
+    monkeypatch.setattr(motion_figures, "FIGURES", (*FIGURES[:2], pitch_plot))
     words = ["run", str(PROBLEM), "-o", str(tmp_path / "r.nc"), "--set", "time.duration=0.2"]
-    result = CliRunner().invoke(app, [*words, option])
+    result = CliRunner().invoke(app, [*words, "--figures-all"])
     assert result.exit_code == 0, result.output
-    drawn = sorted(file.stem for file in (tmp_path / "r_figures").iterdir())
-    assert ("attitude" in drawn) == is_drawn
-    assert {"map", "elevation", "utilisation"} <= set(drawn)
+    assert "attitude" in {file.stem for file in (tmp_path / "r_figures").iterdir()}

@@ -70,8 +70,6 @@ def test_a_problem_file_may_ask_for_it(tmp_path: Path) -> None:
     done = called("check", str(file), "--set", "terrain.synthetic.dunes.height=-1")
     assert done.returncode == 2
     assert "terrain.synthetic.dunes.height: expected a number greater than 0" in done.stderr
-    done = called("check", str(file), "--set", "terrain.synthetic.dune.height=1")
-    assert "dune: did you mean 'dunes'? expected" in done.stderr
 
 
 def test_its_heights_are_those_of_its_formula() -> None:

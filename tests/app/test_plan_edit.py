@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -20,36 +19,25 @@ from slipfree.cli.show import open_page
 from slipfree.core.errors import DataError
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem import plan_session
-from slipfree.problem.load import load_problem
 from slipfree.problem.plan_edit import (
     Document,
     EditedRegion,
     Places,
     edited_text,
     places_from,
-    places_in,
     read_document,
     saved,
 )
 from slipfree.problem.plan_session import (
     IDLE,
     PLANNING,
-    SHOWN,
     Desk,
-    FoundError,
-    FoundIterate,
-    FoundPlan,
-    Session,
-    begun,
-    cancelled,
-    reported,
     state_of,
 )
 from slipfree.show.local_server import (
     ConflictError,
     Content,
     Gate,
-    is_own_request,
     json_content,
     start_server,
 )
@@ -57,7 +45,6 @@ from slipfree.show.plan_page import PlanPage
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PARKING = PROBLEMS / "plan_parking.toml"
-PATH = np.array([[0.0, 0.0], [1.0, 2.0]])
 
 
 PAGE = PlanPage("page", Content(b"", ""), Content(b"", ""))
@@ -134,11 +121,6 @@ def document(tmp_path: Path) -> Document:
 
 
 @pytest.fixture
-def session(document: Document) -> Session:
-    return Session(document, PAGE)
-
-
-@pytest.fixture
 def desk(document: Document, monkeypatch: pytest.MonkeyPatch) -> Desk:
     class Worker:
         def prepare(self) -> None: ...
@@ -176,48 +158,6 @@ def shapes(regions: Any) -> list[Any]:
     return [each[1:] for each in regions]
 
 
-def test_places_of_a_problem() -> None:
-    places = places_in(load_problem(PARKING))
-    discs = [(((2.0, y),), 0.8) for y in (2.5, -2.5)]
-    assert places[:3] == ((0.0, 0.0, 0.0), (2.0, 0.0), 0.0)
-    assert shapes(places.regions) == discs
-
-
-def test_a_problem_without_changes_keeps_its_text() -> None:
-    text, places = PARKING.read_text(encoding="utf-8"), places_in(load_problem(PARKING))
-    assert edited_text(text, places, places) == text
-
-
-def test_changed_places_keep_comments_and_other_values() -> None:
-    text, places = PARKING.read_text(encoding="utf-8"), places_in(load_problem(PARKING))
-    moved = places._replace(start=(0.5, 0.0, 1.0), goal_heading=0.25)
-    found = edited_text(text, places, moved)
-    changed = [line for line in found.splitlines() if line not in text.splitlines()]
-    assert [line.split() for line in changed] == [
-        ["x", "=", "0.5", "#", "[m]"],
-        ["heading", "=", "1.0", "#", "[rad]"],
-        ["heading", "=", "0.25", "#", "[rad]"],
-    ]
-
-
-def test_regions_are_moved_removed_and_added() -> None:
-    text, places = PARKING.read_text(encoding="utf-8"), places_in(load_problem(PARKING))
-    first, _ = places.regions
-    triangle = EditedRegion("triangle", ((0.0, 3.0), (1.0, 3.0), (0.5, 4.0)))
-    regions = (
-        first._replace(points=((2.5, 2.5),)),
-        EditedRegion("disc", ((4.0, 0.0),), 0.3),
-        triangle,
-    )
-    data = tomllib.loads(edited_text(text, places, places._replace(regions=regions)))
-    assert data["keep_out"] == [
-        {"x": 2.5, "y": 2.5, "radius": 0.8},
-        {"x": 4.0, "y": 0.0, "radius": 0.3},
-        {"points": [[0.0, 3.0], [1.0, 3.0], [0.5, 4.0]]},
-    ]
-    assert "keep_out" not in tomllib.loads(edited_text(text, places, places._replace(regions=())))
-
-
 def test_ranges_of_a_goal_move_as_a_whole() -> None:
     text = "[start]\n[goal]\nx = [1.0, 2.0]  # wide\ny = 0.0\n"
     old = Places((0.0, 0.0, 0.0), (1.5, 0.0), None, ())
@@ -238,9 +178,9 @@ def _text(form: str) -> str:
     return INLINE + "\n".join(kept)
 
 
-@pytest.mark.parametrize("start", ["", "\ufeff"], ids=["plain", "bom"])
-@pytest.mark.parametrize("newline", ["\n", "\r\n"], ids=["lf", "crlf"])
-@pytest.mark.parametrize("form", ["tables", "inline"])
+@pytest.mark.parametrize(
+    ("form", "newline", "start"), [("tables", "\n", ""), ("inline", "\r\n", "\ufeff")]
+)
 def test_a_saved_file_has_the_places_and_all_else_of_the_former(
     tmp_path: Path, form: str, newline: str, start: str
 ) -> None:
@@ -321,29 +261,6 @@ def test_values_of_a_page_are_checked() -> None:
         places_from(None)
 
 
-def test_a_session_shows_iterates_then_the_last_two_plans(session: Session) -> None:
-    now = begun(session)
-    assert now.phase == PLANNING
-    for k in range(SHOWN + 3):
-        now = reported(now, FoundIterate(f"iteration {k}", PATH + k))
-    assert now.line == f"iteration {SHOWN + 2}"
-    assert len(now.iterates) == SHOWN
-    for k in range(3):
-        now = reported(now, FoundPlan(PATH, True, (("cost", str(k)),), {}))
-    assert now.phase == IDLE
-    assert now.iterates == ()
-    assert [plan["facts"] for plan in state_of(now)["plans"]] == [
-        (("cost", "2"),),
-        (("cost", "1"),),
-    ]
-    failed = reported(begun(now), FoundError("too steep"))
-    assert (failed.phase, failed.error) == (IDLE, "too steep")
-    assert failed.plans == now.plans
-    assert cancelled(begun(now)).line == "cancelled"
-    assert failed.version > now.version > session.version
-    json.dumps(state_of(now))
-
-
 def test_an_invalid_problem_is_not_saved(document: Document) -> None:
     turned = document.places._replace(goal_heading=1e300)
     with pytest.raises(ProblemError, match="heading"):
@@ -402,25 +319,6 @@ def test_only_planning_problems_are_edited() -> None:
     done = CliRunner().invoke(app, ["edit", str(PROBLEMS / "paper_direct.toml"), "--no-browser"])
     assert done.exit_code == 2
     assert "expected a problem with verb = 'plan', found verb = 'direct'" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("hosts", "origins", "is_own"),
-    [
-        (["127.0.0.1:8000"], [], True),
-        (["LocalHost:8000"], ["http://localhost:8000"], True),
-        (["127.0.0.1:8000"], ["http://evil.example"], False),
-        (["127.0.0.1:8000"], ["https://127.0.0.1:8000"], False),
-        (["evil.example:8000"], [], False),
-        (["127.0.0.1:8001"], [], False),
-        (["127.0.0.1:8000", "127.0.0.1:8000"], [], False),
-        ([], [], False),
-    ],
-)
-def test_requests_of_other_pages_are_refused(
-    hosts: list[str], origins: list[str], is_own: bool
-) -> None:
-    assert is_own_request(hosts, origins, 8000) == is_own
 
 
 class Client:

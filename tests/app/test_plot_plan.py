@@ -128,53 +128,11 @@ def test_searches_of_one_name_have_one_colour(ax):
     assert convergence_from({}) == {}
 
 
-def test_every_reason_has_words_and_a_colour_of_its_own(layers):
-    assert set(plan_figures.BLOCKED) == set(blocked_by(layers))
-    assert len({color for color, _ in plan_figures.BLOCKED.values()}) == len(plan_figures.BLOCKED)
-
-
-def test_a_map_that_is_blocked_everywhere_is_drawn(layers, grid, ax):
-    full = layers._replace(cost=np.full_like(layers.cost, np.inf))
-    plan_figures.cost_map(full, grid, ax, ground_drawing.whole(grid))
-    ax.figure.draw_without_rendering()
-
-
-def test_ways_have_their_lengths(ax):
-    plan_figures.initial_routes([way()], ax)
-    length = np.hypot(8, 12) + 10
-    assert labels(ax) == [f"initial route, {length:.4g} m"]
-    two = Figure().subplots()
-    plan_figures.initial_routes([way(), way()], two)
-    assert [words.split(",")[0] for words in labels(two)] == ["initial route 1", "initial route 2"]
-
-
 def test_places_are_marked_by_name(run, ax):
     plan_figures.motion(run, (START, ("way-point 1", 14.0, 20.0), GOAL), ax)
     assert labels(ax) == ["planned motion", "start", "way-point 1", "goal"]
     np.testing.assert_array_equal(ax.lines[0].get_xdata(), run["x"])
     assert ax.lines[-1].get_xydata()[0] == pytest.approx(GOAL[1:])
-
-
-def test_inputs_are_drawn_with_their_bounds(run, ax):
-    plan_figures.inputs(run, BOUNDS, ax)
-    assert labels(ax) == ["right rate", "left rate", "steer rate", *["bound"] * 3]
-    np.testing.assert_array_equal(ax.lines[0].get_ydata(), run["right_rate"])
-    bounds = {line.get_ydata()[0]: line.get_color() for line in ax.lines[3:]}
-    # -1 and 3 are common to two inputs; no bound is drawn at infinity
-    assert set(bounds) == {-1.0, 3.0, -0.5}
-    assert bounds[-0.5] == ax.lines[2].get_color()
-    assert bounds[3.0] not in {line.get_color() for line in ax.lines[:3]}
-    assert ax.get_ylabel() == "inputs [rad/s]"
-
-
-def test_a_limited_quantity_of_one_wheel_is_drawn_with_its_limits(run, ax):
-    plan_figures.limited(run, "slip_across[front]", (-0.1, 0.1), ax)
-    line, *limits = ax.lines
-    np.testing.assert_array_equal(line.get_ydata(), run["slip_across", "front"])
-    assert [each.get_ydata()[0] for each in limits] == [-0.1, 0.1]
-    of_all = Figure().subplots()
-    plan_figures.limited(run, "slip_across", (-np.inf, 0.1), of_all)
-    assert labels(of_all) == ["right", "left", "front", "limit"]
 
 
 def test_room_is_the_distance_less_what_the_wheels_reach(run, layers, ax):
@@ -204,34 +162,11 @@ def test_figures_of_a_plan_are_complete_and_fit(run, grid, layers):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("count", "limits"), [(0, LIMITS), (9, {})])
-def test_labels_of_the_panels_do_not_meet(run, grid, layers, count, limits):
-    columns = {f"steer_rear_right_{k}_rate": run.columns["steer_rate"] for k in range(count)}
+def test_labels_of_the_panels_do_not_meet(run, grid, layers):
+    columns = {f"steer_rear_right_{k}_rate": run.columns["steer_rate"] for k in range(9)}
     many = replace(run, columns={**run.columns, **columns})
     bounds = BOUNDS | dict.fromkeys(columns, (-np.inf, np.inf))
-    figure = figures(many, grid, layers, bounds=bounds, limits=limits)["plan"]
+    figure = figures(many, grid, layers, bounds=bounds, limits={})["plan"]
     figure.draw_without_rendering()
     boxes = [ax.yaxis.label.get_window_extent() for ax in figure.axes]
     assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))
-
-
-def test_a_plan_without_bounds_limits_or_keep_outs_is_drawn(run, grid, layers):
-    bare = layers._replace(limits=layers.limits._replace(keep_out=()))
-    figure = figures(run, grid, bare)["plan"]
-    assert len(figure.axes) == 2
-
-
-def test_a_short_way_is_drawn_without_the_rest_of_the_map(run, grid, layers):
-    figure = figures(run, grid, layers)["traversability"]
-    assert np.ptp(figure.axes[0].get_xlim()) < 0.6 * 40
-    whole = figures(run, grid, layers, found=[np.array([[2.0, 2.0], [38.0, 38.0]])])
-    assert np.ptp(whole["traversability"].axes[0].get_xlim()) == pytest.approx(40)
-
-
-def test_files_are_written(run, grid, layers, tmp_path):
-    files = plots.save(plan_figures.plan_plots(run, grid, layers, bounds=BOUNDS), tmp_path)
-    names = [file.name for file in files]
-    assert names == ["plan.png", "traversability.png"]
-    assert all(file.stat().st_size > 1000 for file in files)
-    with pytest.raises(sf.ModelError, match=r"expected some of .* found 'gifx'"):
-        plots.save(plan_figures.plan_plots(run, grid, layers), tmp_path, ("gifx",))

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem
@@ -15,27 +14,6 @@ HALF_RADIUS = 0.15
 
 def motion(name, *settings):
     return run_problem(load_problem(PROBLEMS / f"{name}.toml", settings)).trajectory
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "path",
-    [*sorted(PROBLEMS.glob("*_direct.toml")), PROBLEMS / "real_dem_rough.toml"],
-    ids=lambda path: path.stem,
-)
-def test_shortened(path):
-    trajectory = run_problem(load_problem(path, ["time.duration=2.0", "time.step=0.5"])).trajectory
-    assert trajectory.stop is None
-    assert trajectory.t[-1] == 2.0
-    assert trajectory["closure_residual"].max() < 1e-12
-    assert trajectory["newton_step"].max() < 100 * 1e-8
-
-
-def test_the_papers_rates_lay_the_wheels_down():
-    trajectory = motion("paper_direct")
-    assert trajectory.t[-1] == 6.0
-    assert_allclose(trajectory["tilt_right"][-1], 0.075 * 6, atol=0.1)
-    assert np.abs(trajectory["slip_across"]).max() < 1e-12
 
 
 def test_kilometres_over_a_real_map():

@@ -46,7 +46,6 @@ def test_more_lines_of_a_phase_that_lasts(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("option", ["--quiet", "--json"])
-@pytest.mark.parametrize("words", [PLAN, DIRECT])
+@pytest.mark.parametrize(("words", "option"), [(PLAN, "--quiet"), (DIRECT, "--json")])
 def test_no_lines_where_they_are_not_wanted(words: list[str], option: str) -> None:
     assert CliRunner().invoke(app, [*words, option]).stderr == ""

@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
-from slipfree import DataError
 from slipfree.cli import app
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
@@ -45,22 +44,13 @@ def iterations(file):
 
 
 @pytest.mark.slow
-def test_a_plan_goes_on_from_a_file(solved, tmp_path):
-    out = tmp_path / "second.nc"
-    result = command(out, "--resume", str(solved))
-    assert result.exit_code == 0, result.output
-    assert iterations(out) <= 3
-    assert netcdf.read(out)["x"][-1] == pytest.approx(0.6, abs=1e-4)
-
-
-@pytest.mark.slow
 def test_another_goal_takes_at_most_half_the_iterations(solved, tmp_path):
+    out = tmp_path / "moved.nc"
     moved = (*SMALL, "goal.x=0.63", "goal.y=2.73")
-    cold, warm = tmp_path / "cold.nc", tmp_path / "warm.nc"
-    for out, options in ((cold, ()), (warm, ("--resume", str(solved)))):
-        result = command(out, *options, settings=moved)
-        assert result.exit_code == 0, result.output
-    assert iterations(warm) <= iterations(cold) / 2
+    result = command(out, "--resume", str(solved), settings=moved)
+    assert result.exit_code == 0, result.output
+    assert iterations(out) <= iterations(solved) / 2  # of a goal 4 cm away
+    assert netcdf.read(out)["x"][-1] == pytest.approx(0.63, abs=1e-4)
 
 
 @pytest.mark.slow
@@ -102,7 +92,8 @@ def test_an_interrupted_plan_says_so_first_and_names_the_command_that_goes_on(st
     assert re.match(rf"outcome +interrupted: {re.escape(begin)}", result.stdout)
     assert "\niterate  " in result.stdout
     assert "\nplan  " not in result.stdout
-    assert "stopped early" not in result.output
+    assert np.isfinite(from_arrays(netcdf.read_arrays(file), str(file)).unknowns).all()
+    assert (netcdf.read(file).stop.name, netcdf.read(file).outcome.name) == ("plan", "INTERRUPTED")
     first, second = result.stderr.splitlines()
     assert first == f"interrupted; {file} contains the result so far"
     go_on = second.removeprefix("to resume: ")
@@ -117,15 +108,6 @@ def test_an_interrupted_plan_says_so_first_and_names_the_command_that_goes_on(st
     assert again.exit_code == 0, again.output
     assert re.match("outcome +complete\n", again.stdout)
     assert netcdf.read(file).outcome is Outcome.COMPLETE
-
-
-@pytest.mark.slow
-def test_an_interrupted_plan_is_kept(stopped):
-    file, _ = stopped
-    kept = from_arrays(netcdf.read_arrays(file), str(file))
-    assert np.isfinite(kept.unknowns).all()
-    assert netcdf.read(file).stop.name == "plan"
-    assert netcdf.read(file).outcome is Outcome.INTERRUPTED
 
 
 @pytest.mark.slow
@@ -160,8 +142,3 @@ def test_what_cannot_be_gone_on_from_is_told(solved, tmp_path, problem, words):
     result = CliRunner().invoke(app, named)
     assert result.exit_code == 2
     assert words in result.stderr
-
-
-def test_a_file_without_a_plan_is_refused():
-    with pytest.raises(DataError, match="found no plan in it"):
-        from_arrays({}, "file")

@@ -111,7 +111,7 @@ def test_warnings_and_details() -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX terminal")
-@pytest.mark.parametrize("words", [["info", "o.nc"], ["info", "o.nc", "--problem"]])
+@pytest.mark.parametrize("words", [["info", "o.nc", "--problem"]])
 def test_a_terminal(words: list[str]) -> None:
     name = _problem(title=NASTY)
     assert CliRunner().invoke(app, ["run", name, "-o", "o.nc", "--no-draw"]).exit_code == 0

@@ -33,28 +33,16 @@ SIZE = (1000, 480)
 PROBLEM = """\
 verb = "direct"
 title = "Over <hills> & back"
+vehicle = { catalog = "three_wheeler" }
+start = { x = 0.0, y = -2.0, heading = 0.0 }
+driver = { name = "straight", speed = 0.5 }
+time = { duration = 4.0, step = 0.05 }
 
 [terrain.synthetic]
 x = [-5, 5]
 y = [-5, 5]
 spacing = 0.25
 power_law = { rms = 0.1, hurst = 0.9, longest = 8.0, shortest = 2.0, seed = 11 }
-
-[vehicle]
-catalog = "three_wheeler"
-
-[start]
-x = 0.0
-y = -2.0
-heading = 0.0
-
-[driver]
-name = "straight"
-speed = 0.5
-
-[time]
-duration = 4.0
-step = 0.05
 """
 
 
@@ -271,25 +259,6 @@ def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path:
     assert complaints(browser) == []
 
 
-@pytest.mark.slow
-def test_a_page_without_vehicles_is_told_from_one_with_them(
-    files: list[Path], browser: Any, tmp_path: Path
-) -> None:
-    from slipfree.show.viewer import page
-
-    scene = scene_of(files)
-    actors = [
-        actor._replace(bodies=tuple(each._replace(meshes=()) for each in actor.bodies))
-        for actor in scene.actors
-    ]
-    out = tmp_path / "page.html"
-    out.write_text(page(scene._replace(actors=tuple(actors)), "title", "height"), encoding="utf-8")
-    browser.get(out.as_uri())
-    faded_in(browser)
-    faults = missing([picture(browser)] * 3)
-    assert [fault.split()[0] for fault in faults] == ["orange:", "gray:"]  # too few points
-
-
 def scene_of(files: list[Path]) -> Scene:
     from slipfree.problem.result import shown
     from slipfree.show.drive_scene import Driven, drive_scene
@@ -298,17 +267,14 @@ def scene_of(files: list[Path]) -> Scene:
     return drive_scene([each for each in found if isinstance(each, Driven)])
 
 
-@pytest.mark.parametrize("option", ["--quiet", "--json"])
-def test_a_quiet_page_says_where_it_is(
-    files: list[Path], monkeypatch: pytest.MonkeyPatch, option: str
-) -> None:
+def test_a_quiet_page_says_where_it_is(files: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     from slipfree.show import viewer
 
     def serve(*words: Any) -> None:
         words[-1]("http://127.0.0.1:1")
 
     monkeypatch.setattr(viewer, "serve", serve)
-    done = CliRunner().invoke(app, ["show", str(files[0]), "--no-browser", option])
+    done = CliRunner().invoke(app, ["show", str(files[0]), "--no-browser", "--quiet"])
     assert done.exit_code == 0
     assert done.stderr == "http://127.0.0.1:1 shows the motions; Ctrl-C ends the server\n"
 
@@ -328,25 +294,6 @@ def server() -> Iterator[Any]:
     found, _ = viewer._server(0)
     yield found
     local_server.stop(found)
-
-
-def test_parts_may_be_called_like_nodes_of_the_page(files: list[Path], server: Any) -> None:
-    from slipfree.show.viewer import Stage
-
-    scene = scene_of(files[:1])
-    (actor,) = scene.actors
-    names = ("tracks", "name", "here", "here/force", "here/contacts")
-    bodies = tuple(
-        body._replace(name=name)
-        for body, name in zip(actor.bodies, (*names, *"abcdefgh"), strict=False)
-    )
-    stage = Stage(server, scene._replace(actors=(actor._replace(bodies=bodies),)), "height")
-    kinds = {
-        name: type(server.scene.get_handle_by_name(f"/world/run 1/{name}")).__name__
-        for name in names[:3]
-    }
-    assert kinds == {"tracks": "LineSegmentsHandle", "name": "LabelHandle", "here": "FrameHandle"}
-    assert len({node.name for node, _, _ in stage.actors[0].frames}) == len(bodies)
 
 
 @pytest.mark.slow
@@ -375,18 +322,6 @@ def test_what_follows_keeps_the_vehicle_where_it_is_seen(files: list[Path], serv
     assert np.linalg.norm(camera.position - camera.look_at) < 10 * 0.05
     far.show(4.0)
     assert np.allclose(far.world.position, origins[0] - origins[-1])
-
-
-def test_a_label_says_that_a_motion_stopped(files: list[Path], server: Any) -> None:
-    from slipfree.show.viewer import Stage
-
-    scene = scene_of(files[:1])
-    actor = scene.actors[0]._replace(stop="stopped at t = 4 s: too steep")
-    stage = Stage(server, scene._replace(actors=(actor,)), "height")
-    stage.show(3.9)
-    assert stage.actors[0].label.text == "tilting, t = 3.90 s"
-    stage.show(4.0)
-    assert stage.actors[0].label.text == "tilting, stopped at t = 4 s"
 
 
 def test_without_viser_it_says_what_to_install(
@@ -464,38 +399,3 @@ def test_keys_step_through_the_time_and_change_the_speed(files: list[Path], serv
     for _ in range(9):
         by_key["arrowdown"]()
     assert panel.speed.value == "0.1x"
-
-
-@pytest.mark.slow
-def test_motions_side_by_side(files: list[Path], server: Any) -> None:
-    from slipfree.show.viewer import SPREAD, Stage
-
-    scene = scene_of(files)
-    stage = Stage(server, scene, "height")
-    stage.spread(True)
-    first, second = (drawn.root.position for drawn in stage.actors)
-    assert np.allclose(first, 0)
-    assert np.linalg.norm(second) == pytest.approx(SPREAD * scene.reach)
-    stage.spread(False)
-    assert np.allclose(stage.actors[1].root.position, 0)
-
-
-def test_layers_and_hillshade_are_chosen(files: list[Path], server: Any) -> None:
-    from slipfree.show.viewer import Stage
-
-    stage = Stage(server, scene_of(files[:1]), "height")
-    stage.paint("slope", shaded=False)
-    visible = [name for name, node in stage.grounds.items() if node.visible]
-    assert visible == ["slope without hillshade"]
-    stage.paint("height", shaded=True)
-    assert stage.grounds["height"].visible
-
-
-def test_names_of_different_models_say_the_model() -> None:
-    from slipfree.cli.show import _named_by_model
-
-    assert _named_by_model(["a", "b"], ["kinematics", "kinematics"]) == ["a", "b"]
-    assert _named_by_model(["a", "b"], ["kinematics", "dynamics"]) == [
-        "a (kinematics)",
-        "b (dynamics)",
-    ]

@@ -22,31 +22,18 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
 
 WHEEL = """
-[wheel]
-radius = 0.09
-width = 0.11
-load = 64.68
-[soil]
-name = "lunar"
-friction_angle = "34 deg"
-[test]
-slip = [-0.2, 0.6]
-points = 5
-slip_angles = ["0 deg", "16 deg"]
+wheel = { radius = 0.09, width = 0.11, load = 64.68 }
+soil = { name = "lunar", friction_angle = "34 deg" }
+test = { slip = [-0.2, 0.6], points = 5, slip_angles = ["0 deg", "16 deg"] }
 """
 SAND = """
 verb = "direct"
 model = "dynamics"
-[terrain.synthetic]
-x = [-3.0, 3.0]
-y = [-3.0, 3.0]
-spacing = 0.2
-[vehicle]
-catalog = "skid_steer"
-[start]
-x = 0.0
-y = 0.0
-heading = 0.0
+terrain.synthetic = { x = [-3.0, 3.0], y = [-3.0, 3.0], spacing = 0.2 }
+vehicle = { catalog = "skid_steer" }
+start = { x = 0.0, y = 0.0, heading = 0.0 }
+time = { duration = 0.2, step = 0.1 }
+
 [inputs]
 front_right_rate = 1.0
 front_left_rate = 1.0
@@ -55,9 +42,6 @@ rear_left_rate = 1.0
 [law.soil]
 friction_angle = "30 deg"
 cohesion = 500.0
-[time]
-duration = 0.2
-step = 0.1
 """
 
 
@@ -138,10 +122,7 @@ def test_measured_points_have_their_own_loads(file, tmp_path):
     [
         (["wheel.radius=-1"], "wheel.radius: expected a number greater than 0, found -1"),
         (["soil.name=mud"], "soil.name: expected one of regolith_simulant"),
-        (["soil.phi=0.5"], "soil.phi: "),
         (["test.slip=[0.5, 0.1]"], "test.slip: expected two slip ratios in ascending order"),
-        (["test.points=90000"], "test.points: expected"),
-        (["test.measured=none.csv"], "none.csv"),
         (["wheel.load=1e5"], "expected a sinkage smaller than the wheel's radius, 0.09 m"),
     ],
 )
@@ -151,13 +132,6 @@ def test_errors_name_the_value(file, tmp_path, settings, words):
     assert done.exit_code == 2
     assert words in done.output
     assert not (tmp_path / "x.csv").exists()
-
-
-def test_measured_points_need_their_columns(file, tmp_path):
-    (tmp_path / "points.csv").write_text("slip,force\n0.1,2\n")
-    done = run(file, "-o", tmp_path / "x.csv", "--set", "test.measured=points.csv")
-    assert done.exit_code == 2
-    assert "expected a first line with 'slip' and one of pull" in done.output
 
 
 @pytest.mark.slow
@@ -196,11 +170,9 @@ def test_problems_take_soils_by_name_and_regions(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('"dry_sand"', '"mud"', "law.soil.regions[0].name: expected one of regolith_simulant, dry"),
         ("width = 0.2", "", "law.soil.regions[0].width: expected a value, found none"),
         ("radius = 0.5", "", "expected either 'x', 'y' and 'radius' (a disc), or 'points'"),
         ("cohesion = 700.0", "creep = 0.1", "creep: expected one of x, y, radius, points, "),
-        ("width = 0.2", "width = 0.0", "width: expected a number greater than 0"),
     ],
 )
 def test_errors_of_regions_name_the_key(tmp_path, old, new, words):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from rasterio.crs import CRS
@@ -42,13 +40,6 @@ def test_a_motion_without_a_map_is_a_trajectory_over_x_y_z(tmp_path):
     run = netcdf.read(tmp_path / "a.nc")
     assert list(run.columns) == ["x", "y", "z", "pitch", "slip"]
     np.testing.assert_array_equal(run["slip"], _motion()["slip"])
-
-
-def test_a_climb_in_its_plane_is_no_trajectory_of_the_conventions(tmp_path):
-    run = _motion()
-    found = _written(replace(run, columns={"slip": run.columns["slip"]}), tmp_path / "a.nc")
-    assert "featureType" not in found[""]
-    assert "trajectory" not in found
 
 
 def test_a_motion_on_a_map_has_its_reference_system(tmp_path):
@@ -99,30 +90,12 @@ def test_a_motion_on_a_map_in_degrees(tmp_path):
                 "standard_parallel": (49, 44),
             },
         ),
-        (
-            3035,
-            {
-                "grid_mapping_name": "lambert_azimuthal_equal_area",
-                "latitude_of_projection_origin": 52,
-                "longitude_of_projection_origin": 10,
-                "false_easting": 4321000,
-                "false_northing": 3210000,
-            },
-        ),
         (3857, {}),  # the conventions have no name for it: WKT alone
     ],
 )
 def test_projections_have_the_names_of_the_conventions(code, expected):
     found = grid_mapping(f"EPSG:{code}")
     assert {k: v for k, v in found.items() if k not in ("crs_wkt", "spatial_ref")} == expected
-
-
-def test_further_arrays_have_names(tmp_path):
-    arrays = {"plan_sizes": np.arange(3.0)}
-    netcdf.write(tmp_path / "a.nc", _motion(), arrays)
-    with netcdf_file(str(tmp_path / "a.nc"), mmap=False) as file:
-        assert file.variables["plan_sizes"].long_name == b"plan sizes"
-    assert list(netcdf.read_arrays(tmp_path / "a.nc")) == ["plan_sizes"]
 
 
 def test_an_unknown_reference_system(tmp_path):

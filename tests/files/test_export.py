@@ -11,9 +11,7 @@ import pytest
 import rasterio
 from numpy.testing import assert_allclose
 from rasterio.transform import Affine
-from typer.testing import CliRunner
 
-from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.export import export_path, export_rates
@@ -173,18 +171,3 @@ def test_without_a_reference_system_geojson_says_so(tmp_path):
     content = json.loads((tmp_path / "path.geojson").read_text())
     assert "crs" not in content
     assert content["features"][0]["properties"]["reference_system"].startswith("not given")
-
-
-def test_the_command(tmp_path):
-    _utm(tmp_path)
-    out, path, rates = (str(tmp_path / name) for name in ("out.nc", "path.csv", "rates.csv"))
-    done = CliRunner().invoke(app, ["export", out, "--path", path, "--rates", rates])
-    assert done.exit_code == 0, done.output
-    assert done.stdout == f"wrote {path}\nwrote {rates}\n"
-    for words in ([], ["--path", str(tmp_path / "path.shp")], ["--rates", out]):
-        refused = CliRunner().invoke(app, ["export", out, *words])
-        assert refused.exit_code == 2
-        assert "expected" in refused.stderr
-    checked = CliRunner().invoke(app, ["check", str(tmp_path / "p.toml")])
-    assert "ground map" in checked.stdout
-    assert "GeoTIFF of float64, EPSG:32633, heights at the centres of cells" in checked.stdout

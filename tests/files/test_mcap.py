@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -161,13 +160,6 @@ def test_messages_and_their_definitions_are_those_of_ros(drive):
             assert bare.hash_rihs01(kind) == STORE.hash_rihs01(kind)
 
 
-@pytest.mark.slow
-def test_a_vehicle_without_joints(tmp_path):
-    run = _exported(tmp_path, DRIVE.replace("rocky7", "rigid_skid_steer"))
-    states = _read(tmp_path / "out.mcap", "mcap")["/joint_states"]
-    assert list(states[-1][1].name) == list(run.wheels)
-
-
 def test_wheels_turn_forward_about_the_left_axis(drive):
     folder, run = drive
     messages = _read(folder / "out.mcap", "mcap")["/tf"]
@@ -305,31 +297,6 @@ def test_paths_are_read(tmp_path):
     assert_allclose(read_columns(file, "xy").rows(), np.array(expected)[:, 1:3], rtol=0, atol=1e-15)
 
 
-@pytest.mark.bounded
-def test_a_written_path_is_read_again(drive):
-    folder, run = drive
-    table = read_mcap(folder / "out.mcap", "x")
-    assert_allclose(table["x"], run["x"], rtol=0, atol=1e-12)
-    assert_allclose(table["heading"], run["yaw"], rtol=0, atol=1e-12)
-
-
-def test_odometry_is_read(tmp_path):
-    t = STORE.types
-    cover, twist = (
-        np.zeros(36),
-        t["geometry_msgs/msg/TwistWithCovariance"](_twists()[0], np.zeros(36)),
-    )
-    kind = "nav_msgs/msg/Odometry"
-    messages = [
-        t[kind](
-            p.header, "base_link", t["geometry_msgs/msg/PoseWithCovariance"](p.pose, cover), twist
-        )
-        for p in _poses([0.0, 0.1])
-    ]
-    table = read_columns(_bag(tmp_path, ("/odom", kind, messages)), ("t", "x", "y", "heading"))
-    assert_allclose(table.rows(), [[0, 0, 0, 0], [1, 1, 0.1, 0.1]], rtol=0, atol=1e-12)
-
-
 def test_what_cannot_be_read(tmp_path):
     kind = "geometry_msgs/msg/Twist"
     file = _bag(tmp_path, ("/a", kind, _twists()), ("/b", kind, _twists()))
@@ -371,34 +338,6 @@ def _recorded(file, kind, text, message):
         schema = writer.register_msgdef(kind.replace("/", "/msg/"), text)
         writer.write_message("/a", schema, message, log_time=1)
         writer.finish()
-
-
-@pytest.mark.parametrize(
-    ("kind", "text", "message"),
-    [
-        ("geometry_msgs/Twist", "float64 speed", {"speed": 1.0}),
-        ("geometry_msgs/Twist", "float64 linear\nfloat64 angular", {"linear": 1.0, "angular": 0.0}),
-        ("nav_msgs/Odometry", "string pose", {"pose": "here"}),
-        ("nav_msgs/Path", "string[] poses", {"poses": ["here"]}),
-        ("sensor_msgs/JointState", "string[] joint", {"joint": ["left"]}),
-        (
-            "sensor_msgs/JointState",
-            "string[] name\nstring[] position\nfloat64[] velocity",
-            {"name": ["left"], "position": ["far"], "velocity": []},
-        ),
-    ],
-)
-def test_types_with_other_fields_are_refused(kind, text, message, tmp_path):
-    file = tmp_path / "a.mcap"
-    _recorded(file, kind, text, message)
-    read = {
-        "Twist": lambda: read_mcap(file, "v_x"),
-        "JointState": lambda: read_joint_commands(file),
-    }
-    with pytest.raises(
-        DataError, match=r"a\.mcap: expected messages in topic '/a' with the fields"
-    ):
-        read.get(kind.partition("/")[2], lambda: read_mcap(file, "x"))()
 
 
 @pytest.mark.bounded
@@ -493,25 +432,10 @@ def test_positions_of_joints_are_reached_at_the_next_message(tmp_path):
         assert angles[run.wheels.index(wheel)] == pytest.approx(angle, abs=1e-6)
 
 
-@pytest.mark.slow
-def test_exported_joint_states_drive_the_same_motion(drive, tmp_path):
-    folder, run = drive
-    _ground(tmp_path)
-    start, _, rest = DRIVE.partition("[driver]")
-    inputs = f'[inputs]\nfile = "{(folder / "out.mcap").as_posix()}"\n'
-    (tmp_path / "p.toml").write_text(start + inputs + rest[rest.index("[time]") :])
-    again = run_problem(load_problem(tmp_path / "p.toml")).trajectory
-    # the rates are held for 0.25 s
-    assert_allclose([again[n][-1] for n in "xy"], [run[n][-1] for n in "xy"], atol=0.01)
-
-
 @pytest.mark.parametrize(
     ("messages", "words"),
     [
-        (
-            [(["arm"], [], [1.0])],
-            "commands of one or more of the joints .*right_drive, found those of arm",
-        ),
+        ([(["arm"], [], [1.0])], "commands of one or more of the joints .*right_drive, found thos"),
         ([(["left_drive"], [], [1.0])], "right_drive_rate: expected a rate, found none"),
         ([(["left_drive"], [1.0], []), (["left_drive"], [], [1.0])], "in every message"),
     ],
@@ -532,25 +456,3 @@ def test_steering_starts_at_its_first_command(tmp_path):
         run_problem(load_problem(tmp_path / "p.toml"))
     run = run_problem(load_problem(tmp_path / "p.toml", ["start.steer=0.1"])).trajectory
     assert run["steer"][-1] == pytest.approx(0.3, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        ("inputs.file=3", "the name of an MCAP file in quotes, found 3"),
-        ('inputs.file="c.csv"', "expected an MCAP file, whose name ends in .mcap"),
-        ('inputs.left_drive_rate="c.mcap"', r"a number, or an array of \[time, value\] pairs"),
-    ],
-)
-def test_files_of_inputs(value, words, tmp_path):
-    with pytest.raises(DataError, match=words):
-        run_problem(load_problem(_cart(tmp_path, (["left_drive"], [], [1.0])), [value]))
-
-
-@pytest.mark.slow
-def test_the_libraries_are_imported_only_when_used():
-    code = (
-        "import sys, slipfree.cli, slipfree.files.tables, slipfree.problem.result; "
-        "assert not {'mcap', 'mcap_ros2'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

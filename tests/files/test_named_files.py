@@ -33,8 +33,6 @@ KINDS = {
     "long": "found that it cannot be read (File name too long)",
 }
 
-WHY = {"loop": "Too many levels of symbolic links", "long": "File name too long"}
-
 
 @pytest.fixture(autouse=True)
 def limited():
@@ -87,7 +85,6 @@ def _refused(*words):
     ("command", "ending"),
     [
         ("run", ".toml"),
-        ("check", ".toml"),
         ("compare", ".toml"),
         ("sweep", ".toml"),
         ("vehicle", ".toml"),
@@ -118,7 +115,6 @@ def test_a_file_on_the_command_line_that_is_none(command, ending, kind):
         ("terrain", "file", ".npz"),
         ("terrain", "file", ".asc"),
         ("terrain", "file", ".tif"),
-        ("terrain", "file", ".png"),
         ("terrain", "file", ".xyz"),
         ("terrain", "friction", ".asc"),
         ("vehicle", "file", ".toml"),
@@ -152,8 +148,7 @@ def test_a_urdf_named_in_a_vehicle_file_that_is_none(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["loop", "long"])
-def test_an_output_whose_name_cannot_be_used(folder, kind):
+def test_an_output_whose_name_cannot_be_used(folder):
     run = CliRunner().invoke(app, ["run", "p.toml", "-o", "x.nc", "--no-draw"])
     assert run.exit_code == 0, run.output
     before = sorted(folder.iterdir())
@@ -170,14 +165,11 @@ def test_an_output_whose_name_cannot_be_used(folder, kind):
         "examples paper_direct --to": "",
         "sweep p.toml --vary time.duration=0.1,0.2 -o": "",
     }.items():
-        name = f"{'n' * 5000}{ending}"
-        if kind == "loop":
-            name = f"loop{ending}"
-            Path(name).symlink_to(name)
+        name = f"loop{ending}"
+        Path(name).symlink_to(name)
         told = _refused(*words.split(), name)
-        assert f"({WHY[kind]})" in told, words
-        if kind == "loop":
-            Path(name).unlink()
+        assert "(Too many levels of symbolic links)" in told, words
+        Path(name).unlink()
     assert sorted(folder.iterdir()) == before
 
 
@@ -198,10 +190,6 @@ def test_a_medium_that_fails_while_it_is_read(tmp_path, monkeypatch):
         name = {load_problem: "a.toml", read_map: "a.asc"}.get(read, "a.nc")
         with pytest.raises(DataError, match=r"cannot be read \(Input/output error\)"):
             read(tmp_path / name)
-
-
-def test_a_file_without_end_is_read_to_its_size():
-    assert regular_files.read_bytes(Path("/proc/self/maps"), "a file") == b""
 
 
 @pytest.mark.slow

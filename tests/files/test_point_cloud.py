@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from random import Random
 
@@ -51,7 +50,7 @@ def scattered(count=4000, size=20.0):
     return places[~within] + [WEST, SOUTH]
 
 
-@pytest.mark.parametrize("ending", ["las", "laz", "LAZ"])
+@pytest.mark.parametrize("ending", ["las", "LAZ"])
 def test_a_plane_is_exact_and_cells_without_points_are_holes(tmp_path, ending):
     places = scattered()
     found = read_map(cloud(tmp_path / f"a.{ending}", places, plane(*places.T)), spacing=1.0)
@@ -142,9 +141,7 @@ def test_a_file_without_a_system_has_none(tmp_path):
     ("options", "words"),
     [
         ({"crs": "EPSG:4326"}, r"a point cloud in metres, found degrees .*pdal translate"),
-        ({"crs": "EPSG:2263"}, r"found the unit 'US survey foot' of EPSG:2263; .*pdal translate"),
         ({"keys": ((3076, 9002), (3072, 32767))}, r"in metres, found the unit 'foot'"),
-        ({"keys": ((3072, 32633), (4099, 9036))}, r"a unit of length, found the unit 'EPSG unit"),
     ],
 )
 def test_other_units_are_refused(tmp_path, options, words):
@@ -211,14 +208,3 @@ def test_without_the_package_the_message_says_how_to_install_it(tmp_path, monkey
     (tmp_path / "a.laz").write_bytes(b"LASF")
     with pytest.raises(DataError, match=r"package 'laspy', .*pip install '\.\[points\]'"):
         read_map(tmp_path / "a.laz")
-
-
-def test_other_files_do_not_import_the_package(tmp_path):
-    np.savez(tmp_path / "a.npz", x=np.arange(5.0), y=np.arange(5.0), z=np.zeros((5, 5)))
-    code = (
-        "import sys; from slipfree import read_map; read_map('a.npz'); "
-        "print({'laspy', 'lazrs', 'pyproj'} & set(sys.modules))"
-    )
-    words = [sys.executable, "-c", code]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"

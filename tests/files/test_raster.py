@@ -5,11 +5,9 @@ from __future__ import annotations
 import http.server
 import re
 import struct
-import sys
 import threading
 import warnings
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,13 +19,11 @@ from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
 from rasterio.warp import transform
 
-from helpers.cases import drive
-from slipfree import Bicubic, DataError, Grid
+from slipfree import DataError
 from slipfree.files.maps.elevation import read_map
 
 UTM = "EPSG:32633"
 WEST, NORTH, CELL = 500000.0, 4.5e6, 0.25
-SIZE = 40, 32  # columns, rows
 ROWS = (
     np.round(  # heights that a float32 holds exactly; rows from the north
         1024 * (0.3 + 0.15 * np.sin(0.5 * np.arange(32.0))[:, None] * np.cos(0.4 * np.arange(40.0)))
@@ -78,9 +74,8 @@ def test_nodes_are_the_middles_of_pixels_whatever_their_registration(tmp_path):
         assert UTM in words
 
 
-@pytest.mark.slow
-def test_one_ground_from_every_file_is_one_motion(tmp_path):
-    """Registered by corner and by centre, compressed in three ways: one motion."""
+def test_one_ground_from_every_file(tmp_path):
+    """Registered by corner and by centre, compressed in three ways."""
     asc = [
         f"ncols 40\nnrows 32\nxll{where} {WEST + shift}\nyll{where} {NORTH - 8 + shift}\n"
         f"cellsize {CELL}\n" + "\n".join(" ".join(map(repr, row)) for row in ROWS.tolist())
@@ -100,28 +95,11 @@ def test_one_ground_from_every_file_is_one_motion(tmp_path):
         ),
         geotiff(tmp_path / "map.img", dtype="float64", driver="HFA"),
     ]
-    grids = [read_map(file).grid for file in files]
-    runs = [
-        drive(Bicubic(grid, (WEST + 5, NORTH - 5)), np.linspace(0, 6, 4), x=WEST + 5, y=NORTH - 5)
-        for grid in grids
-    ]
-    assert np.ptp(runs[0]["z"]) > 0.005  # it goes up and down
-    for run in runs[1:]:
-        for name in ("x", "y", "z", "heading", "pitch", "roll"):
-            assert_allclose(run[name], runs[0][name], rtol=0, atol=1e-9)
-
-
-def test_a_map_at_utm_coordinates_gives_the_motion_of_the_shifted_one(tmp_path):
-    far = read_map(geotiff(tmp_path / "map.tif")).grid
-    near = Grid(far.x - WEST, far.y - NORTH, far.z)
-    runs = [
-        drive(Bicubic(grid), np.linspace(0, 3, 4), x=x + 5, y=y - 5)
-        for grid, x, y in ((far, WEST, NORTH), (near, 0.0, 0.0))
-    ]
-    assert_allclose(runs[0]["x"] - WEST, runs[1]["x"], rtol=0, atol=1e-9)
-    assert_allclose(runs[0]["y"] - NORTH, runs[1]["y"], rtol=0, atol=1e-9)
-    for name in ("z", "heading", "pitch", "roll", "slip_along"):
-        assert_allclose(runs[0][name], runs[1][name], rtol=0, atol=1e-9)
+    first, *others = (read_map(file).grid for file in files)
+    for grid in others:
+        assert_allclose(grid.x, first.x, rtol=0, atol=1e-9)
+        assert_allclose(grid.y, first.y, rtol=0, atol=1e-9)
+        assert_array_equal(grid.z, first.z)
 
 
 def test_only_the_window_is_read(tmp_path, monkeypatch):
@@ -231,31 +209,6 @@ def test_a_mask_inside_a_raster_makes_holes(tmp_path):
     assert_array_equal(read_map(path).grid.holes, ~mask[::-1].T)
 
 
-def test_damage_outside_the_window_does_not_matter(tmp_path):
-    """So no other block is read at all."""
-    rows = np.random.default_rng(0).normal(size=(256, 256))
-    options = TILED | {"dtype": "float64", "compress": "deflate"}
-    path = geotiff(tmp_path / "map.tif", rows, transform=from_origin(0, 256, 1), **options)
-    data = bytearray(path.read_bytes())
-    data[-32000:-2000] = bytes(30000)  # of a block in the south: these come last
-    path.write_bytes(data)
-    north = read_map(path, window=(0, 60, 200, 256)).grid
-    assert_array_equal(north.z[:, -1], rows[0, :60])
-    refuses(
-        path, r"map.tif: expected a readable GeoTIFF, found map.tif, band 1", window=(0, 256, 0, 60)
-    )
-
-
-def test_a_large_sparse_map_needs_a_window(tmp_path):
-    path = tmp_path / "map.tif"
-    profile = {"width": 20000, "height": 20000, "count": 1, "crs": UTM, "dtype": "float32"}
-    profile |= TILED | {"transform": from_origin(0, 20000, 1), "SPARSE_OK": True}
-    with rasterio.open(path, "w", driver="GTiff", **profile) as file:
-        file.write(np.ones((64, 64), "float32"), 1, window=((0, 64), (0, 64)))
-    refuses(path, r"found 4e\+08 \(20000 by 20000 .*window = \[x_min")
-    assert read_map(path, window=(10, 20, 19950, 19960)).grid.z.min() == 1
-
-
 def test_holes_scales_and_offsets_of_a_geotiff(tmp_path):
     rows = np.round(100 * ROWS).astype("int16")
     rows[5, 7] = -32768
@@ -327,17 +280,13 @@ def test_tiles_in_degrees(tmp_path):
             {"crs": "EPSG:4326", "transform": from_origin(15, 47, 1e-4)},
             r"found degrees \(EPSG:4326\): x from 15.0+5.*geographic = \"local\"",
         ),
-        ({"crs": "EPSG:2263"}, "found the unit 'US survey foot' of EPSG:2263; .*gdalwarp"),
-        ({"crs": "EPSG:4978"}, "a projected or a geographic reference system, found EPSG:4978"),
         ({"crs": 'LOCAL_CS["site",UNIT["foot",0.3048]]'}, "metres, found the unit 'foot'"),
-        ({"crs": "EPSG:4807"}, "in degrees, found the unit 'grad' of EPSG:4807"),
         (
             {"crs": "+proj=longlat +a=1737400 +b=1737400 +no_defs"},
             "degrees on the earth, found a body of radius 1737400 m .*gdalwarp",
         ),
         ({"transform": from_origin(1e9, 1e9, 0.5)}, "domain of its projection, found no scale"),
         ({"transform": Affine(0.2, 0.1, 5, 0.1, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
-        ({"transform": Affine(-0.2, 0, 5, 0, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
         ({"crs": None, "transform": from_origin(15, 47, 1e-4)}, "seems to be in degrees"),
     ],
 )
@@ -368,8 +317,7 @@ MOON, MARS = "+a=1737400 +b=1737400", "+a=3396190 +b=3376200"
         ),
         ("EPSG:5041", 2e6, 2e6, 1 / 0.994),  # UPS at the north pole
         ("EPSG:32660", 8.7e5, 0.0, None),  # nodes on both sides of the antimeridian
-        ("EPSG:32701", 1.3e5, 1e7, None),
-        ("EPSG:2193", 1.6e6, 5.4e6, 1 / 0.9996),  # northing is the first axis of the system
+        # northing is the first axis of the system
         ("EPSG:32633+6360", 5e5, 5e6, 1 / 0.9996),  # heights in feet
     ],
 )
@@ -389,10 +337,8 @@ def test_scale_from_chords(tmp_path, crs, x, y, scale):
     ("crs", "x", "y", "words"),
     [
         (f"+proj=sinu {MARS}", 2e6, 1e6, r"directions .*'(\+proj=stere .*)' in.tif"),  # sheared
-        (f"+proj=eqc {MARS}", 1e6, 1.5e6, r"directions .*'(\+proj=stere .*)' in.tif"),
         (f"+proj=longlat {MOON}", 30, -85, r"radius 1737400 m .*'(\+proj=stere .*)' in.tif"),
         ("EPSG:3031", 0, 0, r"1.028 m along x .*-t_srs (EPSG:5042) in.tif"),
-        ("EPSG:4087", 1e6, 5e6, r"0.7093 to 0.9983 m in all .*-t_srs (EPSG:32632) in.tif"),
         ("EPSG:4326", 179.9, -30, r"degrees .*-t_srs (EPSG:32760) in out"),
     ],
 )
@@ -404,12 +350,6 @@ def test_projections_refused_with_one_of_their_body(tmp_path, crs, x, y, words):
     new = re.search(words, str(error.value))[1]
     (place,) = zip(*transform(crs, new, [x], [y]), strict=True)
     read_map(geotiff(path, crs=new, transform=from_origin(*place, CELL)))
-
-
-def test_a_compound_system_is_named_by_its_horizontal_part(tmp_path):
-    assert read_map(geotiff(tmp_path / "map.tif", crs="EPSG:32633+5703")).crs == UTM
-    found = read_map(geotiff(tmp_path / "map.tif", crs="EPSG:32633+6360"))
-    assert_allclose(found.grid.z, 1200 / 3937 * ROWS[::-1].T, rtol=1e-15)
 
 
 def test_more_geotiffs_refused(tmp_path):
@@ -480,24 +420,6 @@ def test_a_picture_needs_cell_and_registration(tmp_path):
     assert found.grid.x[0] == 0.25
 
 
-@pytest.mark.parametrize(
-    ("mode", "words"),
-    [
-        ("RGB", "the colours of a picture; .*gdal_translate -b 1"),
-        ("LA", "one band of heights, found 2 bands"),
-        ("P", "colours of a palette"),
-    ],
-)
-def test_pictures_refused(tmp_path, mode, words):
-    picture = Image.new(mode, (6, 6))
-    if mode == "RGB":
-        picture.putpixel((2, 3), (9, 9, 8))
-    if mode == "P":
-        picture.putpalette([200, 100, 0] * 256)
-    picture.save(tmp_path / "map.png")
-    refuses(tmp_path / "map.png", f"map.png: expected .*{words}", cell=1.0, registration="area")
-
-
 LEVELS = np.arange(35).reshape(5, 7) * 7
 BYTES = LEVELS.astype(np.uint8)
 COLOURS = {"colours.png": np.stack([BYTES] * 3, -1)}
@@ -530,21 +452,13 @@ def test_gray_pictures_of_all_formats(tmp_path, name):
     ("name", "content", "words"),
     [
         ("map.pgm", b"P2\n7 5\n255\n1 2 3", "expected 35 levels from 0 to 255.*found 3 levels"),
-        (
-            "map.pgm",
-            b"P5\n7 5\n255\n" + bytes(34),
-            "expected 35 levels .*found 34 levels to 0; copy",
-        ),
         ("map.pgm", b"P5 6 6 255\n" + bytes([205, 0, 254] * 12), "an occupancy map of ROS; use"),
-        ("map.yaml", b"image: map.pgm\nresolution: 0.05\n", "settings of an occupancy map of ROS"),
-        ("map.tif", b"ply\nformat ascii 1.0\n", "found a mesh or a point cloud; write its points"),
         ("map.tif", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS; fetch it: git lfs"),
     ],
 )
 def test_other_contents_are_named(tmp_path, name, content, words):
     (tmp_path / name).write_bytes(content)
-    keys = {"cell": 1.0, "registration": "area"} if name != "map.yaml" else {}
-    refuses(tmp_path / name, words, **keys)
+    refuses(tmp_path / name, words, cell=1.0, registration="area")
 
 
 def test_damaged_pictures_refused(tmp_path):
@@ -575,21 +489,6 @@ def test_a_picture_larger_than_memory_is_refused_unread(tmp_path):
     )
 
 
-def test_a_file_that_gdal_cannot_read_is_closed(tmp_path, monkeypatch):
-    opened, of_path = [], Path.open
-
-    def watched(self, *args, **options):
-        opened.append(of_path(self, *args, **options))
-        return opened[-1]
-
-    path = tmp_path / r"m\1.tif"
-    path.write_bytes(b"II*\x00\x08\x00\x00\x00" + bytes(200))
-    monkeypatch.setattr(Path, "open", watched)
-    refuses(path, r"expected a readable GeoTIFF, found .*m\\1\.tif")
-    assert opened
-    assert all(file.closed for file in opened)
-
-
 @pytest.mark.parametrize(
     ("driver", "ending", "dtype", "options"),
     [
@@ -598,20 +497,13 @@ def test_a_file_that_gdal_cannot_read_is_closed(tmp_path, monkeypatch):
         ("GPKG", "gpkg", "float32", {"TILE_FORMAT": "TIFF"}),
         ("netCDF", "nc", "float32", {}),
         ("netCDF", "grd", "int16", {}),
-        ("GSAG", "grd", "int16", {}),
-        ("GSBG", "grd", "int16", {}),
         ("GS7BG", "grd", "int16", {}),
-        ("BT", "bt", "int16", {}),
         ("HFA", "img", "float64", {}),
-        ("HF2", "hf2", "float32", {}),
-        ("HF2", "hfz", "float32", {"COMPRESS": "YES"}),
         ("JP2OpenJPEG", "jp2", "int16", {"REVERSIBLE": "YES", "QUALITY": "100"}),
         ("NITF", "ntf", "int16", {}),
         ("PCIDSK", "pix", "int16", {}),
         ("PCRaster", "map", "float32", {"PCRASTER_VALUESCALE": "VS_SCALAR"}),
-        ("SIGDEM", "sigdem", "float64", {}),
         ("GRIB", "grb2", "float32", {}),
-        ("ZMap", "dat", "float32", {}),
         ("GTiff", "", "float64", {}),
     ],
 )
@@ -651,10 +543,8 @@ def test_formats_that_refer_to_other_files_are_not_opened(tmp_path):
     ("dtype", "options", "gray"),
     [
         ("uint8", {}, True),
-        ("uint8", {"crs": None, "transform": Affine.identity()}, True),
         ("uint16", {"crs": None, "transform": Affine.identity()}, True),
         ("uint16", {}, False),
-        ("int16", {"crs": None, "transform": Affine.identity()}, False),
         ("float32", {"crs": None, "transform": Affine.identity()}, False),
     ],
 )
@@ -670,27 +560,6 @@ def test_gray_levels_are_told_from_heights(tmp_path, dtype, options, gray):
         with rasterio.open(path, "r+") as file:
             file.scales = (0.1,)
     assert not read_map(path, **keys).gray
-
-
-def test_a_scale_of_zero_is_refused(tmp_path):
-    path = geotiff(tmp_path / "map.tif")
-    with rasterio.open(path, "r+") as file:
-        file.scales = (0.0,)
-    refuses(path, r"heights other than 0, .*scale 0 and the offset 0; ")
-
-
-def test_messages_of_gdal_that_cannot_be_decoded_are_not_printed(tmp_path, capfd):
-    """GDAL warns with bytes of the file, which rasterio decodes in a callback of its log."""
-    path = geotiff(tmp_path / "map.img", driver="HFA")
-    data = path.read_bytes()
-    path.write_bytes(data.replace(b"1:lversion", b"1:\xd1version", 1))  # of no known type
-    hooks = sys.excepthook, sys.unraisablehook
-    try:
-        read_map(path)
-    except DataError as error:
-        assert str(error).startswith(f"{path}: expected")  # noqa: PT017
-    assert (sys.excepthook, sys.unraisablehook) == hooks
-    assert capfd.readouterr().err == ""
 
 
 def test_heights_in_other_units_are_converted(tmp_path):

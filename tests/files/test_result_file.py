@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import struct
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 import xarray
 from scipy.io import netcdf_file
 
-from slipfree.core.errors import DataError, ModelError, SlipfreeError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Stop, Trajectory, thin
@@ -128,15 +127,6 @@ def test_pandas_frame_is_indexed_as_the_motion(motion):
     assert plain.to_xarray().sizes == {"time": N}
 
 
-def test_scipy_reads_it(motion, tmp_path):
-    netcdf.write(tmp_path / "a.nc", motion)
-    with netcdf_file(str(tmp_path / "a.nc"), mmap=False) as file:
-        assert file.version_byte == 2
-        assert file.title == motion.attributes["title"].encode()
-        assert file.variables["slip"].units == b"m s-1"
-        np.testing.assert_array_equal(file.variables["slip"][:], motion["slip"].T)
-
-
 def test_csv(motion, tmp_path):
     netcdf.write_csv(tmp_path / "a.csv", motion)
     with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
@@ -145,18 +135,6 @@ def test_csv(motion, tmp_path):
     table = np.array(rows, dtype=float)
     expected = np.column_stack([motion.t, motion["x"], motion["slip"], motion["pitch"]])
     np.testing.assert_array_equal(table, expected)
-
-
-@pytest.mark.parametrize("package", ["xarray", "pandas"])
-def test_frames_without_their_package(motion, monkeypatch, package):
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(SlipfreeError, match=rf"package '{package}', .*install '\.\[xarray\]'"):
-        getattr(motion, f"to_{package}")()
-
-
-def test_import_needs_no_xarray():
-    code = "import sys, slipfree.files.netcdf; assert not {'xarray', 'pandas'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_an_old_file_survives_a_failure(motion, tmp_path, monkeypatch):
@@ -186,11 +164,6 @@ def test_names_that_cannot_be_used(motion, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_no_folder(motion, tmp_path):
-    with pytest.raises(DataError, match=r"no[\\/]a\.nc: cannot be written"):
-        netcdf.write(tmp_path / "no" / "a.nc", motion)
-
-
 def test_every_truncation_is_found(motion, tmp_path):
     netcdf.write(tmp_path / "a.nc", motion)
     data, cut = (tmp_path / "a.nc").read_bytes(), tmp_path / "cut.nc"
@@ -200,13 +173,6 @@ def test_every_truncation_is_found(motion, tmp_path):
             DataError, match=r"cut\.nc: .* netCDF file that is truncated or damaged"
         ):
             netcdf.read(cut)
-
-
-def test_missing_file_and_folder(tmp_path):
-    with pytest.raises(DataError, match=r"no\.nc: expected a result file.*No such file"):
-        netcdf.read(tmp_path / "no.nc")
-    with pytest.raises(DataError, match=r"expected a result file.*found a folder"):
-        netcdf.read(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -296,12 +262,6 @@ def test_unknown_outcomes_are_refused(outcome_files: list[Path]) -> None:
     outcome_files[1].write_bytes(data.replace(b"limit\0\0\0", b"limbo\0\0\0"))
     with pytest.raises(DataError, match="the unknown outcome 'limbo'"):
         netcdf.read(outcome_files[1])
-
-
-def test_motions_without_a_stop_are_complete() -> None:
-    motion = Trajectory(np.zeros(1), {})
-    assert motion.outcome is Outcome.COMPLETE
-    assert motion.metadata["outcome"] == "complete"
 
 
 def test_quantities_read_one_by_one_are_the_same(tmp_path, motion):

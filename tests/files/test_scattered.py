@@ -44,13 +44,6 @@ def test_a_plane_is_exact(tmp_path, name, delimiter, header):
     assert told.endswith("for 441 nodes 0.5 m apart")
 
 
-def test_names_in_another_order(tmp_path):
-    path = written(tmp_path / "p.csv", scattered()[:, [2, 0, 1]], ",", "z,x,y")
-    assert_array_equal(
-        read_grid_spaced(path).z, read_grid_spaced(written(tmp_path / "q.csv", scattered(), ",")).z
-    )
-
-
 @pytest.mark.parametrize(
     "text", ["X,Y,Z,R,G,B\n{}", "//X Y Z Intensity\n{}", "{}", "400\n{}", "r;z;y [m];x;i\n{}"]
 )
@@ -89,16 +82,6 @@ def test_points_on_a_grid_keep_their_values(tmp_path):
     assert_allclose(part.grid.z, z[10:18, :6], atol=1e-12)
 
 
-def test_repeated_points_are_averaged_and_told(tmp_path):
-    points = np.vstack([scattered(), scattered()[:5] + np.array([0, 0, 0.04])])
-    found = read_map(written(tmp_path / "p.xyz", points), spacing=1.0)
-    assert "404, a median" in dict(found.facts)["ground points"]
-    assert (
-        "5 at repeated positions averaged, with height differences of at most 0.04 m"
-        in dict(found.facts)["ground points"]
-    )
-
-
 def test_nodes_outside_the_hull_are_holes(tmp_path):
     angle = np.random.default_rng(4).uniform(0, 2 * np.pi, 3000)
     radius = 5 * np.sqrt(np.random.default_rng(5).random(3000))
@@ -114,24 +97,13 @@ def test_nodes_outside_the_hull_are_holes(tmp_path):
     ("text", "words"),
     [
         ("", "at least 3 points .* found 0"),
-        ("# nothing\n\n", "at least 3 points .* found 0"),
-        ("x y z\n", "at least 3 points .* found 0"),
         ("0 0 1\n1 0 x\n0 1 1\n", "xyz:2: expected three numbers x,y,z, found '1 0 x'; "),
-        ("# x\n\n0 0 1\n1 0\n0 1 1\n", "xyz:4: expected three numbers x,y,z, found '1 0'; "),
         ("0 0\n1 0 1\n1 0 2\n", "xyz:1: expected 3 values as in the lines below, found '0 0'"),
         ("a b c d\n0 0 1 5\n1 0 1 5\n", "found no column 'x' among a, b, c, d; name the columns"),
-        ("x y z\n0 0 1\n1 0 nan\n", "xyz:3: expected three numbers x,y,z, found '1 0 nan'; "),
-        ("0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
         ("0 0 1\n0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
         ("1 0 0 1\n2 0 1 1\n3 1 0 1\n", "p.xyz:1: expected .* first column counts or names .* as"),
-        ("P1,0,0,1,GS\nP2,0,1,1,GS\n", "first column counts or names the rows, from 'P1'; name"),
-        (
-            "0,000,0,500,1,250\n",
-            "found '000' between commas, .* separate the columns by semicolons",
-        ),
-        ("x,y,z\n0,00,0,05,1,25\n0,00,0,10,1,25\n", "found '00' between commas, probably decimals"),
+        ("0,000,0,500,1,250\n", "found '000' between commas, .* separate the columns by semicolon"),
         ('"0,0","0,5","1,2"\n"0,0","1,5","1,2"\n', "xyz:2: expected two or more numbers, found"),
-        ("0.0D+0 0.0D+0 1.0D+0\n1.0D+0 0.0D+0 1.0D+0\n", "write numbers as in 1.5 or 1.5e-3"),
         ("lon lat alt\n0 0 1\n0 1e-5 1\n1e-5 0 1\n", "at spacing = 1 deg; .* such as 1e-05"),
         ("ncols 3\nnrows 2\ncellsize 1\n1 2 3\n4 5 6\n", "an ESRI ASCII grid; rename it to end in"),
         ("\n".join(f"{k} {k} 1" for k in range(9)), "found that they lie on a line"),
@@ -143,12 +115,6 @@ def test_files_refused(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises(DataError, match=rf"p.*{words}"):
         read_map(path, spacing=1.0)
-
-
-def test_binary_files_refused(tmp_path):
-    (tmp_path / "p.xyz").write_bytes(bytes(range(256)) * 4)
-    with pytest.raises(DataError, match=r"p\.xyz: expected points as text, found binary data"):
-        read_map(tmp_path / "p.xyz", spacing=1.0)
 
 
 def test_a_missing_spacing_is_suggested(tmp_path):

@@ -40,13 +40,6 @@ def test_asc_centre_registration_and_case(tmp_path):
     assert_allclose(grid.y, [200, 210, 220, 230])
 
 
-def test_asc_without_nodata(tmp_path):
-    header = HEADER.replace("NODATA_value -9999\n", "")
-    assert read_map(written(tmp_path, header + ROWS)).grid.z[3, 1] == 23
-    path = written(tmp_path, header + ROWS.replace("23", "-9999"))
-    refuses(path, "expected heights, found the value -9999 at 1 of 20 nodes")
-
-
 def test_asc_of_cells_that_are_not_square(tmp_path):
     header = HEADER.replace("cellsize 10", "dx 10\ndy 2.5")
     grid = read_map(written(tmp_path, header + ROWS)).grid
@@ -67,12 +60,6 @@ def test_asc_window_and_rows_that_run_over_lines(tmp_path):
     refuses(path, r"expected numbers in line 26, found '\?'")
 
 
-def test_asc_heights_keep_their_digits(tmp_path):
-    heights = np.random.default_rng(5).normal(scale=1e3, size=(4, 5))
-    text = "\n".join(" ".join(map(repr, row)) for row in heights.tolist())
-    assert_array_equal(read_map(written(tmp_path, HEADER + text)).grid.z, heights[::-1].T)
-
-
 def test_maps_too_large_without_a_window(tmp_path):
     text = HEADER.replace("ncols 5", "ncols 100000").replace("NROWS 4", "nrows 100000") + ROWS
     path = written(tmp_path, text)
@@ -82,10 +69,7 @@ def test_maps_too_large_without_a_window(tmp_path):
 @pytest.mark.parametrize(
     ("window", "words"),
     [
-        (
-            (0, 5, 5, 0),
-            r"x_min < x_max and y_min < y_max, found \[0, 5, 5, 0\]; correct it: the map extends",
-        ),
+        ((0, 5, 5, 0), r"x_min < x_max and y_min < y_max, found \[0, 5, 5, 0\]; correct it: the m"),
         ((500, 600, 0, 100), r"at least 4 nodes .* found 0 by 0 .* from 105 to 145 in x"),
         ((105, 125, 205, 235), "at least 4 nodes along x and along y, found 3 by 4"),
         ((106, 144, 0, 1e9), "found 3 by 4"),
@@ -122,36 +106,13 @@ def test_the_error_told_of_local_metres_is_that_of_the_ellipsoid(tmp_path):
     assert "up to 0.28 % everywhere" in dict(found.facts)["ground degrees"]
 
 
-def test_keys_that_a_file_has_no_use_for(tmp_path):
-    path = written(tmp_path, HEADER + ROWS)
-    for key, value in (("cell", 1.0), ("registration", "area")):
-        refuses(
-            path,
-            f"map.asc: expected no '{key}' for a raster that contains coordinates",
-            **{key: value},
-        )
-    refuses(path, r"map.asc: expected no 'spacing' for a \.asc file", spacing=1.0)
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("", "map.asc: expected a readable ESRI ASCII grid, found .*copy or download it again"),
-        (HEADER.replace("cellsize 10\n", "") + ROWS, "expected a readable ESRI ASCII grid"),
         (HEADER.replace("xllcorner", "x") + ROWS, "xllcorner and yllcorner, .*, found yllcorner"),
-        (HEADER.replace("xllcorner", "xllcenter") + ROWS, "found xllcenter, yllcorner; add or"),
-        (
-            "nodata_value 0\n" + HEADER + ROWS,
-            "begin the file with the lines ncols, nrows, xllcorner",
-        ),
-        (HEADER.replace("ncols 5", "ncols") + ROWS, "expected a readable ESRI ASCII grid"),
+        ("nodata_value 0\n" + HEADER + ROWS, "begin the file with the lines ncols, nrows, xllcorn"),
         (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "expected rows that run along x"),
-        (HEADER, "Couldn't find data values in ASCII Grid file; copy or download"),
-        (
-            HEADER + ROWS[:-15],
-            "expected 20 heights, ncols times nrows, found 15; correct the header",
-        ),
-        (HEADER + ROWS[:-3], "expected 20 heights, ncols times nrows, found 19"),
         (HEADER + ROWS + "\n1 2 3 4 5", "expected 20 heights, ncols times nrows, found 25"),
         (HEADER + ROWS.replace("12", "1,2"), "expected numbers in line 8, found '1,2'"),
         (HEADER + ROWS.replace("22", "inf"), r"map.asc: grid: .* z\[2, 1\] = inf"),
@@ -165,12 +126,6 @@ def test_asc_refuses(tmp_path, text, words):
 def test_heights_that_an_asc_lacks_stay_holes(tmp_path):
     text = HEADER + ROWS.replace("12", "-9999").replace("22", "nan")
     assert np.argwhere(read_map(written(tmp_path, text)).grid.holes).tolist() == [[2, 1], [2, 2]]
-
-
-def test_asc_that_is_binary(tmp_path):
-    path = tmp_path / "map.asc"
-    path.write_bytes(bytes(range(256)))
-    refuses(path, "expected a readable ESRI ASCII grid")
 
 
 def test_npz(tmp_path):
@@ -204,20 +159,13 @@ def test_npz_refuses(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        (
-            "map.sdat",
-            r"ending in .npz, .tif, .* found '.sdat', a part of a map; header and .*translate",
-        ),
+        ("map.sdat", r"ending in .npz, .tif, .* found '.sdat', a part of a map; header and .*tran"),
         ("map.tif", "map.tif: expected a map, found that it cannot be read"),
-        ("junk", "another single-file raster that GDAL reads, found no ending with unknown"),
         ("a.zip", "unpack it: unzip a.zip"),
         ("a.shp", "contours to a raster: gdal_grid .* a.shp out.tif"),
-        ("a.hdr", "give the name of the file with the heights"),
-        ("none.asc", "none.asc: expected a map, found that it cannot be read"),
     ],
 )
 def test_other_files(tmp_path, name, words):
-    (tmp_path / "junk").write_bytes(bytes(range(100)))
     refuses(tmp_path / name, words)
 
 
@@ -246,16 +194,6 @@ def test_jacksboro():
     with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as file:
         for i, j in np.random.default_rng(0).integers(0, 344, (50, 2)):
             assert grid.z[i, j] == file["elevation"][343 - j, i]
-
-
-def test_jacksboro_scaled_keeps_slopes():
-    whole, small = jacksboro(), jacksboro(0.01)
-    assert_allclose(small.spacing, np.multiply(whole.spacing, 0.01))
-    assert_allclose(
-        np.diff(small.z, axis=0) / small.spacing[0],
-        np.diff(whole.z, axis=0) / whole.spacing[0],
-        atol=1e-12,
-    )
 
 
 def test_damaged_archives_are_refused(tmp_path):

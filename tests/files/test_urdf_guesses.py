@@ -12,8 +12,7 @@ from helpers.urdf import FOUR, MASS, MESH, ROUND, TWO, joint, link, rocker_bogie
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.control.path_following import straight
-from slipfree.core.errors import DataError
-from slipfree.problem.build_vehicle import VehicleError, guessed_completion, read_vehicle
+from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.sections import Omni
 
 
@@ -36,13 +35,6 @@ def test_wheels_without_actuators_are_driven(tmp_path):
     assert note.startswith("guessed driven: no wheel has an actuator: front_left_joint, ")
     free = read_vehicle(written(tmp_path, FOUR, note.split("otherwise write ")[1]))
     assert [each.driven for each in free.wheels] == [False, True, True, True]
-
-
-def test_wheels_beside_actuated_wheels_are_free(tmp_path):
-    drive = '<transmission name="t"><joint name="rear_left_joint"/></transmission>'
-    vehicle = read_vehicle(written(tmp_path, FOUR + drive))
-    assert {each.name for each in vehicle.wheels if each.driven} == {"rear_left_joint"}
-    assert notes(vehicle)[0].startswith("guessed free: other wheels have an actuator")
 
 
 @pytest.mark.parametrize(
@@ -82,12 +74,6 @@ def test_mesh_wheels_have_the_least_height_above_the_footprint_as_radius(tmp_pat
     assert any("its name, without a round shape" in note for note in notes(vehicle))
 
 
-def test_a_declared_drive_keeps_the_guessed_radius(tmp_path):
-    declared = "wheels.wheel_0_joint.driven = true"
-    vehicle = read_vehicle(written(tmp_path, "".join(mesh_robot()), declared))
-    assert [each.radius for each in vehicle.wheels] == pytest.approx([0.1] * 3)
-
-
 def test_one_line_gives_the_radius_of_mesh_wheels(tmp_path):
     _, wheels = mesh_robot()
     with pytest.raises(VehicleError, match=r"write radius = \.\.\. for all wheels"):
@@ -123,18 +109,6 @@ def test_kinds_of_joints_follow_from_their_axes_and_wheels(tmp_path):
     assert [c.name for c in given.coordinates] == ["steer"]
 
 
-def test_more_level_axes_than_suspension_coordinates_are_fixed(tmp_path):
-    pivots = "".join(
-        link(f"p{k}")
-        + joint(f"pivot{k}", "revolute", "base", f"p{k}", f"0 {y} 0")
-        + wheel(f"w{k}", "0 0 0", parent=f"p{k}")
-        for k, y in enumerate((0.2, -0.2))
-    )
-    vehicle = read_vehicle(written(tmp_path, pivots + wheel("w2", "0.3 0 0")))
-    assert not vehicle.coordinates
-    assert "with so few wheels" in notes(vehicle)[0]
-
-
 @pytest.mark.parametrize("height", [0.0, 0.3])
 def test_a_gear_is_no_wheel(height, tmp_path):
     gear = wheel("gear", f"0 0 {height}", ROUND.format(0.02))
@@ -145,23 +119,6 @@ def test_a_gear_is_no_wheel(height, tmp_path):
     assert any("far above the lowest wheel: gear_joint" in note for note in notes(vehicle))
     given = read_vehicle(written(tmp_path, FOUR + gear, "wheels = { gear_joint = {} }"))
     assert len(given.wheels) == 5
-
-
-def test_forward_is_an_axis_of_the_root(tmp_path):
-    turned = "".join(
-        link(f"w{k}", ROUND.format(0.1).replace("1.5707963267948966 0 0", "0 1.5707963267948966 0"))
-        + joint(f"j{k}", "continuous", "base", f"w{k}", at, axis="1 0 0")
-        for k, at in enumerate(("0.2 0 0", "-0.2 0 0", "0 0.3 0"))
-    )
-    vehicle = read_vehicle(written(tmp_path, turned, 'forward = "y"'))
-    places = np.array([each.at for each in vehicle.wheels])
-    # right, forward, up: the x axis of the root points right
-    assert places == pytest.approx(np.array([[0.2, 0, 0], [-0.2, 0, 0], [0, 0.3, 0]]), abs=1e-12)
-    assert all(abs(each.axle[0]) == pytest.approx(1) for each in vehicle.wheels)
-    back = read_vehicle(written(tmp_path, turned, 'forward = "-y"'))
-    assert np.array([each.at for each in back.wheels]) == pytest.approx(
-        places * [-1, -1, 1], abs=1e-12
-    )
 
 
 def test_commas_and_xacro_outside_the_parts_are_accepted(tmp_path):
@@ -183,15 +140,7 @@ ON_FIXED = "".join(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "parts",
-    [
-        FOUR,
-        ROVER,
-        "".join(mesh_robot()),
-        *(TWO + each for each in CASTERS),
-        ON_FIXED,
-        rocker_bogie(),
-    ],
+    "parts", [FOUR, ROVER, "".join(mesh_robot()), TWO + CASTERS[0], ON_FIXED, rocker_bogie()]
 )
 def test_the_written_completion_has_all_guesses(parts, tmp_path):
     file = written(tmp_path, parts)
@@ -210,11 +159,6 @@ def test_the_written_completion_has_all_guesses(parts, tmp_path):
     refused = CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])
     assert refused.exit_code == 2
     assert "--force" in refused.stderr
-
-
-def test_only_guesses_about_urdfs_can_be_written(tmp_path):
-    with pytest.raises(DataError, match="expected a URDF"):
-        guessed_completion(tmp_path / "a.toml", tmp_path)
 
 
 def test_steering_hinges_with_turned_frames_steer(tmp_path):

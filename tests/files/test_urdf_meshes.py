@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
-from helpers.urdf import FOUR, WHEEL, joint, link, wheel, written
+from helpers.urdf import FOUR, WHEEL, wheel, written
 from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
@@ -36,10 +36,8 @@ def tricycle(shape, **more):
 @pytest.mark.parametrize(
     ("made", "name", "scale", "section"),
     [
-        (TYRE, "tyre.stl", "1 1 1", Torus(0.05, 0.25)),
         (TYRE, "tyre.obj", "0.5 0.5 0.5", Torus(0.025, 0.125)),
         (TYRE, "tyre.dae", "1 1 1", Torus(0.05, 0.25)),
-        (TYRE, "tyre.ply", "1 1 1", Torus(0.05, 0.25)),
         (TYRE, "tyre.glb", "1 1 1", Torus(0.05, 0.25)),
         (PLATE, "plate.stl", "1 1 2", Disc(0.1)),
         (trimesh.creation.icosphere(4, 0.2), "ball.stl", "1 1 1", Sphere(0.2)),
@@ -149,19 +147,6 @@ def test_wheels_that_do_not_suit_their_distances_are_refused(unit, scale, words,
     assert [each.radius for each in given.wheels] == [0.033] * 4
 
 
-def test_a_small_caster_beside_a_large_wheel_suits(tmp_path):
-    (tmp_path / "plate.stl").write_bytes(exported(PLATE, "plate.stl"))
-    sizes = {"large": "2 2 2", "small": "0.4 0.4 0.4"}
-    shapes = {name: mesh("plate.stl", scale=scale) for name, scale in sizes.items()}
-    parts = "".join(
-        wheel(f"{size}_{side}", f"{x} {y} {z}", shapes[size])
-        for size, x, z in (("large", 0, 0), ("small", 0.25, -0.16))
-        for side, y in (("left", 0.15), ("right", -0.15))
-    )
-    found = read_vehicle(written(tmp_path, parts))
-    assert [each.radius for each in found.wheels] == pytest.approx([0.2, 0.2, 0.04, 0.04])
-
-
 @pytest.mark.parametrize(
     ("name", "scale", "radius"),
     [
@@ -169,10 +154,7 @@ def test_a_small_caster_beside_a_large_wheel_suits(tmp_path):
         ("meshes\\Plate A.STL", "0.5", 0.05),
         ("file://meshes/Plate%20A.STL", "0.5, 0.5, 0.5", 0.05),
         ("{folder}/meshes/Plate A.STL", "1 1 1 1", 0.1),
-        ("file://{folder}/meshes/Plate A.STL", "1 -1 1", 0.1),
-        ("file://localhost{folder}/meshes/Plate A.STL", "1 1 1", 0.1),
         ("model://robot/meshes/Plate A.STL", "1 1 1", 0.1),
-        ("package://robot/meshes\\Plate A.STL", "1 1 1", 0.1),
     ],
 )
 def test_names_and_scales_of_meshes(name, scale, radius, tmp_path):
@@ -188,14 +170,9 @@ def test_names_and_scales_of_meshes(name, scale, radius, tmp_path):
     ("name", "scale", "words"),
     [
         ("http://a.org/plate.stl", "1 1 1", "a local file, found 'http://a.org/plate.stl'; downl"),
-        ("C:\\robot\\plate.stl", "1 1 1", "no such file; correct the name"),
         ("package://robot/plate.stl", "1 1 1", "no such file; put its package"),
-        ("", "1 1 1", "no such file; correct the name"),
         ("plate.stl", "0", "expected factors other than zero in 'scale', found '0'"),
-        ("plate.stl", "1 0 1", "expected factors other than zero in 'scale', found '1 0 1'"),
         ("plate.stl", "1 1", "expected three numbers in 'scale', found '1 1'"),
-        ("plate.stl", "mm", "expected three numbers in 'scale', found 'mm"),
-        ("plate.stl", "", "expected three numbers in 'scale', found ''"),
         ("plate.stl", "1 nan 1", "expected three numbers in 'scale', found '1 nan 1'"),
     ],
 )
@@ -205,16 +182,6 @@ def test_wrong_names_and_scales_of_meshes_are_refused(name, scale, words, tmp_pa
     with pytest.raises((VehicleError, DataError)) as found:
         read_vehicle(written(tmp_path, parts))
     assert words in str(found.value)
-
-
-def test_an_arm_with_a_mesh_is_no_wheel(tmp_path):
-    (tmp_path / "plate.stl").write_bytes(exported(PLATE, "plate.stl"))
-    bar = trimesh.creation.box((0.4, 0.05, 0.05))
-    (tmp_path / "bar.stl").write_bytes(exported(bar, "bar.stl"))
-    arm = link("arm", mesh("bar.stl")) + joint("shoulder", "continuous", "base", "arm")
-    vehicle = read_vehicle(written(tmp_path, tricycle(mesh("plate.stl")) + arm))
-    assert len(vehicle.wheels) == 3
-    assert not vehicle.coordinates
 
 
 @pytest.mark.bounded

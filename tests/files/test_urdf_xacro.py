@@ -204,11 +204,9 @@ def test_expansion_has_limits(line, words, robot, monkeypatch):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("find my_cart", "find my_robot", "expected the package 'my_robot' in a folder above"),
         ('x="-0.2"', 'x="$(arg length)"', "Undefined substitution argument length"),
         ('wheel n="c"', 'weel n="c"', "unknown macro name: xacro:weel"),
         ("-2 * 0.1", "2 *", "invalid syntax"),
-        ("</robot>", "", "expected XML, found no element found; the file may be truncated"),
         ('xacro:wheel n="a"', 'wheel n="a"', "found the call <wheel> of the macro 'wheel'"),
         ('link name="base"', 'link name="a"', "cart.urdf.xacro (expanded):"),
     ],
@@ -300,35 +298,23 @@ SDF_LINK = '<link name="base"><inertial><pose>0 0 0 0 0 0</pose><mass>5</mass></
     [
         ("m.sdf", f'<sdf version="1.9"><model name="m">{SDF_LINK}</model></sdf>', "SDF of Gazebo"),
         ("m.urdf", f'<robot name="m"><static>0</static>{SDF_LINK}</robot>', "SDF of Gazebo"),
-        ("m.urdf", f'<robot name="m">{SDF_LINK}</robot>', "SDF of Gazebo"),
-        ("m.world", '<sdf version="1.6"><world name="w"/></sdf>', "SDF of Gazebo"),
         ("m.xml", "<mujoco><worldbody/></mujoco>", "mjcf-urdf-simple-converter"),
-        ("m.urdf", "<mujoco><worldbody/></mujoco>", "MJCF of MuJoCo"),
         ("m.dae", '<COLLADA xmlns="x"/>', "a mesh, which has no joints"),
-        ("m.stl", "solid a\nendsolid", "a mesh, which has no joints"),
         ("m.usda", "#usda 1.0", "nvidia-srl-usd-to-urdf"),
         ("m.launch", "<launch/>", "a launch file of ROS"),
-        ("m.launch.py", "import os", "a launch file of ROS"),
         ("m.srdf", '<robot name="a"><group name="b"/></robot>', "the URDF to which it belongs"),
         ("m.urdf", "<html><body/></html>", "found a web page; download the file itself"),
-        ("m.urdf", "<!DOCTYPE html>\n<html/>", "found a web page"),
         ("m.urdf", "version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
-        ("m.urdf.gz", "\x1f\x8b\x08", "found a gzip file"),
-        ("m.urdf", "7z\xbc\xaf\x27\x1c", "found a 7z archive; unpack it: 7z x m.urdf"),
         ("m.urdf", "robot:\n  name: m\n", "found a file that does not begin with '<'"),
         ("m.urdf", '<Robot name="a"/>', "m.urdf:1: expected <robot>, found <Robot>"),
-        ("m.urdf", '<robot>\n<LINK name="a"/></robot>', "m.urdf:2: expected <link>, found <LINK>"),
         ("m.urdf", "", "found an empty file"),
-        ("m.urdf", " \n\n", "found an empty file"),
         ("m.urdf", '<!-- a -->\n<?xml version="1.0"?>\n<robot/>', "m.urdf:2: .* move <.xml"),
-        ("m.urdf", '\ufeff\n<?xml version="1.0"?>\n<robot/>', "m.urdf:2: .* move <.xml"),
         ("m.urdf", '<?xml version="1.0" encoding="utf-16"?><robot/>', 'write encoding="utf-8"'),
-        ("m.urdf", '<?xml version="1.0" encoding="big5"?><robot/>', "save the file as UTF-8"),
     ],
 )
 def test_other_formats_are_named_with_a_way(name, text, words, tmp_path):
     file = tmp_path / name
-    file.write_bytes(text.encode("latin-1" if text.startswith(("\x1f", "7z")) else "utf-8"))
+    file.write_text(text)
     assert is_vehicle_file(file)
     (tmp_path / "v.toml").write_text(f'urdf = "{name}"')
     for path in (file, tmp_path / "v.toml"):

@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import casadi as ca
@@ -13,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from helpers.cases import hills
-from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
+from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.files.toml.source import ProblemError
 from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of
@@ -22,10 +21,11 @@ from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.schema import CATALOG
 from slipfree.vehicle.drives import Motor, Torque
-from slipfree.vehicle.sections import SECTIONS, Disc, Omni, Sphere, Torus
-from slipfree.vehicle.tree import Coordinate, Joint
+from slipfree.vehicle.sections import Disc, Omni, Sphere, Torus
+from slipfree.vehicle.tree import Joint
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
+UNFIT = ("seven_wheels", "step_climber")  # neither stands on these hills with rigid wheels
 SCALARS = ("stiffness", "rest", "damping", "bump")
 
 
@@ -80,8 +80,8 @@ def driven(vehicle, **start):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "frame"),
-    [("rocky7", "paper"), *((n, "rep103") for n in CATALOG if n != "seven_wheels")],
-)  # the seven wheels stand on more than they can on these hills
+    [("rocky7", "paper"), *((n, "rep103") for n in CATALOG if n not in UNFIT)],
+)
 def test_twins_of_the_catalogue_move_alike(name, frame, tmp_path):
     """A positive rate of a wheel drives forward in both frames, of a joint as its axis says."""
     vehicle = CATALOG[name]()
@@ -182,42 +182,23 @@ def test_long_and_short_form_are_one_vehicle(tmp_path):
     assert {wheel.axle for wheel in vehicle.wheels} == {(1.0, 0.0, 0.0)}
 
 
-def test_joints_may_stand_in_any_order(tmp_path):
-    more = '[[joints]]\nname = "column"\nparent = "platform"\naxis = "z"\nvalue = "0"\n'
-    text = LONG.replace('name = "fork"\nparent = "platform"', 'name = "fork"\nparent = "column"')
-    vehicle = read(tmp_path, text + more)
-    assert [joint.name for joint in vehicle.joints] == ["column", "fork"]
-
-
 FAULTS = r"""
 frame = "rep103"\n|  |v.toml:1: frame: expected 'paper' (x right, y forward, z up) or 'rep103' (x
 axis = "z"|axis = [0, 0, 0]|v.toml:11: joints[0].axis (joint 'fork'): expected 'x', 'y', 'z' or a
-axis = "z"|axis = "up"|v.toml:11: joints[0].axis (joint 'fork'): expected 'x',
-parent = "fork"\n|  |v.toml:29: wheels[2].parent (wheel 'caster'): expected the name of the joint
 parent = "fork"|parent = "frok"|'platform': platform, fork, found 'frok'; did you mean 'fork'?
-"fork"\nparent = "platform"|"fork"\nparent = "fork"|v.toml:10: joints[0].parent (joint 'fork'):
 "fork"\nparent = "platform"|"fork"\nparent = "fork"|a loop: fork on fork; cut the loop at one joint
 name = "right"|name = "left"|v.toml:23: wheels[1].name (wheel 'left'): expected a unique name, found
 name = "right"|name = "swivel"|found 'swivel', also the name of coordinates[0]
-name = "fork"\n|name = "platform"\n|found 'platform', also the name of the platform; rename it
-kind = "passive"|kind = "suspension"|v.toml:4: coordinates: expected at most 0 suspension
 kind = "passive"|kind = "suspension"|(swivel); remove it, set its kind to 'passive' or 'commanded',
 value = "swivel"|value = "swivl"|found 'swivl'; did you mean 'swivel'? otherwise add { name =
 value = "swivel"|value = "2 swivel"|v.toml:13: joints[0].value (joint 'fork'): expected a formula of
 value = "swivel"|value = "0"|v.toml:4: coordinates[0] (coordinate 'swivel'): expected a joint whose
 name = "swivel"|name = "sin"|v.toml:5: coordinates[0].name (coordinate 'sin'): expected a name other
-name = "swivel"|name = "2a"|expected a name of letters, digits and _ that does not begin with a
-kind = "passive"|kind = "passive"\nupper = 45|v.toml:7: coordinates[0].upper (coordinate 'swivel'):
 kind = "passive"|kind = "passive"\nupper = 45|radians (did you mean 45 degrees? write "45 deg"),
 kind = "passive"|kind = "passive"\nlower = 1.0\nupper = 0.5|the lower stop must be below the upper
-value = "swivel"|value = "swivel"\nturned = [0, 90, 0]|(did you mean 90 degrees? write "90 deg"),
 at = [0, -0.25, 0]|at = [0, -250, 0]|at least -100 (did you mean millimetres? write -0.25), found
 at = [0, -0.25, 0]|at = [0, -0.25, 0]\nmass = 1e200|v.toml:26: wheels[1].mass (wheel 'right'):
-at = [0, -0.25, 0]|at = [0, -0.25]|v.toml:25: wheels[1].at[2] (wheel 'right'): expected a number,
-radius = 0.1\n|radius = 100.5\n|at most 100 (did you mean millimetres? write 0.1005), found 100.5
 radius = 0.1\n|radius = 0.1\ntube = 0.2|expected at most the radius, 0.1 m (a ball), found 0.2
-radius = 0.1\n|radius = 0.1\ntubes = 0.2|did you mean 'tube'? expected one of name, parent, section,
-name = "right"|name = "on the right"|expected a name of letters, digits, _ and -, found 'on the
 frame = "rep103"|frame = "rep103"\nweight = 3|v.toml:3: weight: expected one of name, frame, mass,
 """  # old and new text of the file, and words of the error
 SLIDES = """value = "swivel"
@@ -254,20 +235,6 @@ def test_a_syntax_error_has_its_line(tmp_path):
         read(tmp_path, LONG.replace("[[joints]]", "[[joints]"))
 
 
-def test_elements_of_inline_arrays_have_their_lines(tmp_path):
-    text = SHORT.replace("radius = 0.1 }", 'radius = 0.1, gripp = 2 }, # "{" ')
-    (found,), draft = faults(tmp_path, text)
-    assert found.startswith("v.toml:8: wheels[2].gripp (wheel 'caster'): did you mean 'grip'? exp")
-    assert draft is None
-
-
-def test_a_draft_tells_what_there_is(tmp_path):
-    text = LONG.replace('kind = "passive"', 'kind = "suspension"')
-    (_,), draft = faults(tmp_path, text.replace('name = "fork"', 'name = "hub"', 0))
-    assert draft.coordinates == (Coordinate("swivel", "suspension", "swivel"),)
-    assert [wheel.name for wheel in draft.wheels] == ["left", "right", "caster"]
-
-
 def test_a_wheels_axle_may_point_anywhere(tmp_path):
     text = LONG.replace("radius = 0.1\n", "radius = 0.1\naxle = [1, -1, 0]\nrollers = true\n")
     wheel = read(tmp_path, text).wheels[2]
@@ -290,19 +257,6 @@ def test_a_wheels_axle_may_point_anywhere(tmp_path):
 )
 def test_sections_by_name_or_by_radius_and_tube(tmp_path, keys, section):
     assert read(tmp_path, LONG.replace("radius = 0.1\n", f"{keys}\n")).wheels[2].section == section
-
-
-def test_what_a_section_refuses_has_its_line(tmp_path, monkeypatch):
-    @dataclass(frozen=True)
-    class Barrel(Disc):
-        def __post_init__(self):
-            raise ModelError("barrel: too thin")
-
-    monkeypatch.setitem(SECTIONS, "barrel", Barrel)
-    text = LONG.replace("radius = 0.1\n", 'radius = 0.1\nsection = "barrel"\n')
-    (found,), _ = faults(tmp_path, text)
-    assert found.startswith("v.toml:34: wheels[2].section (wheel 'caster'): expected valid dimens")
-    assert found.endswith("of a section, found barrel: too thin")
 
 
 def test_a_ball_with_rollers_is_a_frictionless_caster(tmp_path):
@@ -347,8 +301,6 @@ def test_coupled_joints_have_a_common_coordinate(tmp_path):
 @pytest.mark.parametrize(
     ("couple", "more", "value", "words"),
     [
-        ("{ left = 1 }", "", "b", "couple: expected two joints with coefficients other than zero"),
-        ("{ left = 1, up = 1 }", "", "b", "found the unknown key 'up'"),
         ("{ left = 1, right = 1 }", "", "b + a", "couple.left: expected a joint whose value is a"),
         ("{ left = 1, right = 1 }", ", lower = -1", "b", "found lower in 'b'; move them to 'a'"),
     ],
@@ -436,6 +388,8 @@ def test_a_problem_drives_a_vehicle_file():
         "check", "p.toml", "--set", 'vehicle.actuated=["swivel"]', "--set", "inputs.swivel_rate=0"
     )
     assert held.exit_code == 0, held.stderr
+    scaled = 'vehicle={catalog="differential_drive", caster_scale=0.5}'
+    assert "caster 0.075 m free" in command("check", "p.toml", "--set", scaled).stdout
     lost = command("run", "p.toml", "-o", "v.toml")
     assert "found the input v.toml" in lost.stderr
 
@@ -444,9 +398,7 @@ def test_a_problem_drives_a_vehicle_file():
     ("setting", "words"),
     [
         ("vehicle.catalog=rocky7", "expected exactly one of catalog, file, found catalog and file"),
-        ("vehicle.file=", "p.toml:3: vehicle: expected exactly one of catalog, file, found none"),
         ("vehicle.mass=3", "--set vehicle.mass: expected one of catalog, file, actuated, found th"),
-        ("vehicle.file=w.toml", "w.toml: expected a vehicle file, found that it cannot be read"),
         ("vehicle.file=v.txt", "expected a vehicle file that ends in .toml, .urdf or .xacro, foun"),
     ],
 )
@@ -460,14 +412,8 @@ def test_faults_of_the_table(setting, words):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        (
-            'catalog = "rocky7"\nsteerd = 1',
-            "did you mean 'steered'? expected one of catalog, steer",
-        ),
-        ('catalog = "rocky7"\nhalf_track = 1', "vehicle.half_track: expected one of catalog, stee"),
+        ('catalog = "rocky7"\nsteerd = 1', "did you mean 'steered'? expected one of catalog, stee"),
         ('catalog = "rocky7"\nsteered = "rear"', "p.toml:5: vehicle.steered: expected 'front' or "),
-        ('catalog = "ackermann"\nwheelbase = "long"', "vehicle.wheelbase: expected a number, fou"),
-        ('catalog = "ackermann"\nwheelbase = 0', "vehicle.wheelbase: expected a number greater th"),
         ('catalog = "rocky8"', "p.toml:4: vehicle.catalog: expected 'ackermann', 'articulated"),
     ],
 )
@@ -479,21 +425,6 @@ def test_keys_of_the_catalogue_are_those_of_its_function(keys, words, folder):
     result = command("check", "p.toml")
     assert result.exit_code == 2
     assert words in result.stderr
-
-
-@pytest.mark.slow
-def test_vehicles_of_files_are_compared(folder):
-    lines = PROBLEM.replace('"direct"', '"compare"').replace('vehicle.file = "v.toml"\n', "")
-    more = '[[vehicles]]\nname = "{}"\n{}\n'
-    lines = lines.replace("step = 0.5", "step = 0.25")
-    text = lines + "driver = { name = 'straight', speed = 0.1 }\n"
-    text += more.format("mine", 'file = "v.toml"') + more.format(
-        "theirs", 'catalog = "differential_drive"\ncaster_scale = 0.5'
-    )
-    (folder / "p.toml").write_text(text)
-    result = command("compare", "p.toml")
-    assert result.exit_code == 0, result.stderr
-    assert "mine" in result.stdout
 
 
 DRIVE = "{ kind = 'motor', stall = 2.0, no_load = 20, kp = 5.0 }"
@@ -531,10 +462,7 @@ WHEELS, SWIVEL = "radius = 0.1\n", 'kind = "passive"'
     [
         ('"rep103"', "inertia = [1, 2, -3, 0, 0, 0]", "principal moments of inertia must be"),
         (WHEELS, "drive = { kind = 'steam' }", "'kind' is one of 'rate', 'torque', 'm"),
-        (WHEELS, "drive = { kind = 'motor', stall = 2 }", "drive.no_load"),
-        (WHEELS, "drive = { kind = 'rate', kp = 2 }", "found the unknown key 'kp'"),
-        (WHEELS, "drive = { kind = 'motor', stall = '', no_load = 1, kp = 1 }", "number"),
-        (WHEELS, "inertia = [0.0, 1.0]", "greater than 0"),
+        (WHEELS, "drive = { kind = 'motor', stall = 2 }", "the key 'no_load' for kind"),
         (SWIVEL, "drive = { kind = 'steam' }", "v.toml:7: coordinates[0].drive (coordinate 'swi"),
         (SWIVEL, f"drive = {DRIVE}", "expected a drive only for kind = 'commanded', found Motor"),
     ],

@@ -3,27 +3,26 @@
 The energy balance errs by less than 100 x tolerance x energy. ``python benchmarks random_runs
 climbs`` runs 200: 93 climb, 36 pass, 25 stall, 21 move along the obstacle and 25 end at another
 limit. The balance holds in all but climb 131, at 1.18 of its bound, and at 0.093 of that of a
-tolerance of 1e-6. The test repeats one of each vehicle, over every kind of obstacle.
+tolerance of 1e-6. The test repeats one over every kind of obstacle.
 """
 
 from __future__ import annotations
 
 import pytest
 
-from helpers.random_climbs import GROUP, OBSTACLES, VEHICLES, draw, ending, ledger, run, world
+from helpers.random_climbs import GROUP, OBSTACLES, draw, ending, ledger, run, world
 
 pytestmark = pytest.mark.slow
 
-CLIMBS = range(0, 180, 20)
+CLIMBS = (0, 20, 40, 140)
 IMPACT = 131  # its largest error arises in one impact
 GRAZING = 114  # a wheel touches the side of a ramp for 0.4 s, between steady motions
 ENDINGS = ("climbs", "passes", "moves along", "stalls", "tips over", "limit", "refused")
 
 
-def test_every_vehicle_and_obstacle_is_drawn():
+def test_every_kind_of_obstacle_is_drawn():
     words = [world(index // GROUP).words for index in CLIMBS]
-    for name in (*VEHICLES, *OBSTACLES):
-        assert any(name in each for each in words), name
+    assert all(any(name in each for each in words) for name in OBSTACLES)
 
 
 @pytest.mark.parametrize("index", [*CLIMBS, GRAZING])

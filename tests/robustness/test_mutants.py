@@ -17,7 +17,7 @@ from helpers.fuzz_mutants import MUTANTS
 
 pytestmark = pytest.mark.slow
 
-COUNT = 60  # mutants that a process reads
+COUNT = 30  # mutants that a process reads
 TESTS = Path(__file__).parents[1]
 
 

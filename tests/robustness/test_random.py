@@ -9,11 +9,7 @@ from helpers.random_cases import FAULTS, SOUND, draw, outcome
 
 pytestmark = pytest.mark.slow
 
-SEEDS = {
-    "complete": (124, 158, 160, 168, 182, 187, 202, 229, 230, 249, 305, 308),
-    "stopped": (36, 83, 131, 200, 257, 260, 281),
-    "refused": (7, 30, 32, 52, 136, 147, 167, 208),
-}
+SEEDS = {"complete": (124, 160, 202, 308), "stopped": (36, 131, 257), "refused": (7, 52, 208)}
 PLANTED = {name: 1000 + index for index, name in enumerate(FAULTS)}
 
 
@@ -32,7 +28,3 @@ def test_a_planted_fault_is_refused_in_words(fault):
     found = outcome(draw(PLANTED[fault], fault=fault, **SOUND))
     assert found.kind == "refused"
     assert found.faults == []
-
-
-def test_a_case_is_that_of_its_seed():
-    assert draw(7) == draw(7) != draw(8)

@@ -37,31 +37,8 @@ def test_sources_have_no_import_cycles(structure):
     assert cycles(ROOT / "src") == []
 
 
-@pytest.mark.parametrize(
-    ("text", "place"),
-    [
-        ("import pack.one", TOP),
-        ("from pack import one", TOP),
-        ("try:\n    from pack.one import two\nexcept ImportError:\n    pass", TOP),
-        ("from . import one", TOP),
-        ("def late():\n    from .one import a", LATE),
-        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pack.one", TYPING),
-    ],
-)
-def test_cycles_are_found_by_the_place_of_their_imports(structure, text, place):
-    _, written = structure
-    modules = {"one": "from pack.two import a", "two": "import pack.three", "three": text}
-    found = written({TOP, place}, **modules)
-    assert found == [["pack.one", "pack.three", "pack.two"]]
-
-
 def test_imports_in_functions_and_for_type_checkers_are_told_apart(structure):
     _, written = structure
     late = "def late():\n    import pack.one"
     typed = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pack.one"
     assert written({TOP}, one="import pack.two, pack.three", two=late, three=typed) == []
-
-
-def test_modules_that_import_one_way_are_no_cycle(structure):
-    _, written = structure
-    assert written(PLACES, one="import pack.two, pack", two="import numpy") == []
