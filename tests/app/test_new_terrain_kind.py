@@ -1,7 +1,7 @@
 """Add a kind of terrain to problem files: one file and one line of registration.
 
 `dunes` is the file ``terrain/dunes.py`` (8 lines without docstrings and imports), and
-``"dunes": dunes`` the line of ``FEATURES`` in ``problem/schema_ground.py``: two files. Problem
+``"dunes": dunes`` the line of ``FEATURES`` in ``terrain/synthetic.py``: two files. Problem
 files, their errors, commands and the reference of keys take the table ``[terrain.synthetic.dunes]``
 without other changes. The record of the keys is made at import, so that this file registers its
 feature in a process of its own.
@@ -18,8 +18,8 @@ from annotated_types import doc
 from numpy.testing import assert_allclose
 
 from slipfree.core.schema import Length
-from slipfree.problem.schema_ground import FEATURES
 from slipfree.terrain.base import Grid
+from slipfree.terrain.synthetic import FEATURES
 
 
 def dunes(

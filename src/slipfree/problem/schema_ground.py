@@ -1,6 +1,7 @@
 """Schema of the ground of a problem: the table ``[terrain]`` and its subtables.
 
-A feature of synthetic grounds is a function with annotated parameters, and an entry of `FEATURES`.
+A feature of synthetic grounds is a function with annotated parameters, and an entry of
+`slipfree.terrain.synthetic.FEATURES`.
 """
 
 from __future__ import annotations
@@ -24,17 +25,11 @@ from slipfree.files.toml.types import (
     record_of,
 )
 from slipfree.geometry.regions import Region
-from slipfree.terrain import solids, synthetic
+from slipfree.terrain import solids
 from slipfree.terrain.base import Grid
 from slipfree.terrain.solids import Profile
+from slipfree.terrain.synthetic import FEATURES
 
-FEATURES: dict[str, Callable[..., Grid]] = {  # in the order in which they are added
-    "ramp": synthetic.ramp,
-    "ridge": synthetic.ridge,
-    "power_law": synthetic.power_law,
-    "craters": synthetic.craters,
-    "rocks": synthetic.rocks,
-}
 OBSTACLES: dict[str, tuple[Callable[..., Profile], str]] = {  # and their descriptions
     "ramp": (solids.ramp, "a ramp up to a plateau, which begins at x = 0"),
     "step": (solids.step, "a vertical step at x = 0 up to a plateau"),

@@ -409,3 +409,12 @@ def _stamp(
     ]
     s = np.hypot((grid.x[parts[0], None] - centre[0]), (grid.y[parts[1]] - centre[1])) / radius
     z[parts[0], parts[1]] = change(z[parts[0], parts[1]], s)
+
+
+FEATURES: dict[str, Callable[..., Grid]] = {  # of problem files, in the order of addition
+    "ramp": ramp,
+    "ridge": ridge,
+    "power_law": power_law,
+    "craters": craters,
+    "rocks": rocks,
+}
