@@ -58,7 +58,7 @@ from slipfree.laws.coulomb import Coulomb
 from slipfree.models.dynamics import LAG
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.synthetic import power_law
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Vehicle
 
 SPEEDS = (0.1, 0.3, 1.0, 3.0)  # [m/s]

@@ -66,7 +66,7 @@ from slipfree.sweep.table import choose_figures, grids
 from slipfree.sweep.task import Done, Task, own_settings
 from slipfree.sweep.worker import work
 from slipfree.system.threads import NAMES
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

@@ -14,9 +14,8 @@ from slipfree import Grid
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.vehicle.formula import evaluate
-from slipfree.vehicle.inertia import body_inertia, body_of, wheel_inertia
-from slipfree.vehicle.tree import Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Joint, Vehicle, body_inertia, body_of
+from slipfree.vehicle.wheel import Wheel, wheel_inertia
 
 OPTION = {
     "integrator": "implicitfast",

@@ -65,7 +65,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import Trajectory, joined, path_length
 from slipfree.laws.protocols import GroundLaw
-from slipfree.models.dynamic_guess import dynamic_guess
+from slipfree.models.rigid_dynamics import dynamic_guess
 from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.verification import simulate_plan

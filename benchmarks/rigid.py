@@ -27,7 +27,7 @@ from slipfree import (
 )
 from slipfree.core.errors import ModelError
 from slipfree.core.records import leaves
-from slipfree.models.pressed_model import SMOOTHING, pressed_dae
+from slipfree.models.kinematics import SMOOTHING, pressed_dae
 from slipfree.solve.options import SolverOptions
 
 ROBOTS = {

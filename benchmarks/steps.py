@@ -13,7 +13,7 @@ The quasi-static value is the largest along the climb of the least coefficient t
 distribution of the torques needs, without inertia and with rigid wheels. For a rigid vehicle with
 two driven axles it follows from three forces that meet in a point: gravity, and the forces of the
 ground on both axles. For the seven-wheel vehicle it is
-`slipfree.climb.friction_demand.least_friction`.
+`slipfree.climb.contact_path.least_friction`.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ import casadi as ca
 import numpy as np
 
 from slipfree import Analytic, ModelError, SolverError, SolverOptions, catalog, dynamics, settle
-from slipfree.climb.friction_demand import least_friction
+from slipfree.catalog.step_climber import climber_of
+from slipfree.climb.contact_path import least_friction
 from slipfree.core.dae import Dae
 from slipfree.core.trajectory import Trajectory
-from slipfree.models.obstacle_ending import is_on_top
+from slipfree.models.samples import is_on_top
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.solids import Solids, placed, step
-from slipfree.vehicle.climber import climber_of
 from slipfree.vehicle.tree import Vehicle
 
 RESOLUTION, LANES = 0.04, 32  # step of the coefficient of friction [1], and number of steps

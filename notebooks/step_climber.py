@@ -39,7 +39,8 @@ from scipy.optimize import brentq
 
 import slipfree
 from slipfree import SolverOptions, catalog, load_problem, run_problem, simulate
-from slipfree.climb.friction_demand import least_friction
+from slipfree.catalog.step_climber import AXLES, climber_of
+from slipfree.climb.contact_path import least_friction
 from slipfree.climb.metrics import (
     climb_metrics,
     climb_window,
@@ -52,7 +53,6 @@ from slipfree.show import style
 from slipfree.show.side_view import side_view
 from slipfree.terrain.solids import section_of
 from slipfree.terrain.solids import step as step_profile
-from slipfree.vehicle.climber import AXLES, climber_of
 
 above = [Path.cwd(), *Path.cwd().parents, *Path(slipfree.__file__).parents]
 problems = next(path / "problems" for path in above if (path / "problems").is_dir())

@@ -37,7 +37,7 @@ from slipfree.models.determinacy import conditions
 from slipfree.models.given_rates import PLANAR
 from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.models.montana import cross_check, montana_kinematics
-from slipfree.models.slip import measured_slip
+from slipfree.models.samples import measured_slip
 from slipfree.show import motion_figures
 from slipfree.show.plots import draw
 from slipfree.terrain.synthetic import blank, power_law

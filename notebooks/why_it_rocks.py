@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
-from slipfree.models.rocking import lightest_wheel, rocks
+from slipfree.models.samples import lightest_wheel, rocks
 from slipfree.show import style
 from slipfree.solve.settle import stable_poses
 

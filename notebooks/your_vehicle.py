@@ -29,7 +29,7 @@ from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.vehicle_report import describe
 from slipfree.show import motion_figures, style
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint
 from slipfree.vehicle.wheel import Wheel
 

@@ -21,7 +21,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
-from slipfree.models.slip import measured_slip
+from slipfree.models.samples import measured_slip
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.compare import compare
 

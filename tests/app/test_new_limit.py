@@ -17,7 +17,7 @@ from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.files.netcdf import read
 from slipfree.models import limits
-from slipfree.models.quantities import Quantities
+from slipfree.models.base import Quantities
 
 STEEPEST = 0.1
 

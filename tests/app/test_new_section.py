@@ -21,8 +21,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
 from slipfree.problem.result import shown
 from slipfree.show.drive_scene import Driven, drive_scene
-from slipfree.vehicle.sections.base import Section
-from slipfree.vehicle.sections.registry import SECTIONS
+from slipfree.vehicle.sections import SECTIONS, Section
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,7 @@ from slipfree.core.errors import DataError, ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import Stop, Trajectory
 from slipfree.files import netcdf
-from slipfree.models.poses import part_poses, wheel_poses
-from slipfree.models.slip import measured_slip
+from slipfree.models.samples import measured_slip, part_poses, wheel_poses
 from slipfree.plan.transcription import CollocationMesh, variable_layout
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.build_vehicle import read_vehicle
@@ -45,8 +44,7 @@ from slipfree.show.scene import ARROWS, BLOCKED, TYRE, framed, rgb, scale_words
 from slipfree.show.style import PALETTE
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Disc, Torus
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = """\

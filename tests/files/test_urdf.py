@@ -15,9 +15,7 @@ from slipfree.contact.closure import has_exact_closure
 from slipfree.geometry.frame import Pose
 from slipfree.problem.build_vehicle import VehicleError, is_vehicle_file, read_vehicle
 from slipfree.vehicle.drives import Torque
-from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.sections.sphere import Sphere
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Omni, Sphere, Torus
 from slipfree.vehicle.tree import Body
 
 RIGHT_FORWARD = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # from x forward, y left

@@ -14,7 +14,7 @@ from slipfree.cli import app
 from slipfree.control.path_following import straight
 from slipfree.core.errors import DataError
 from slipfree.problem.build_vehicle import VehicleError, guessed_completion, read_vehicle
-from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections import Omni
 
 
 def notes(vehicle):

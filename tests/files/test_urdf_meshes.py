@@ -13,9 +13,7 @@ from helpers.urdf import FOUR, WHEEL, joint, link, wheel, written
 from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.sphere import Sphere
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Disc, Sphere, Torus
 
 pytestmark = pytest.mark.usefixtures("direct_reads")
 TURN = 'rpy="1.5707963267948966 0 0"'  # from the z axis of a mesh to an axle to the left

@@ -24,7 +24,7 @@ from helpers.urdf import (
 )
 from slipfree import Analytic, direct_kinematics, settle
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
-from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections import Omni
 
 ENDS = {"front": 0.3, "rear": -0.3}
 CORNERS = [(e, x, s, y) for e, x in ENDS.items() for s, y in (("left", 0.2), ("right", -0.2))]

@@ -22,11 +22,7 @@ from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.catalog_table import CATALOG
 from slipfree.vehicle.drives import Motor, Torque
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.sections.registry import SECTIONS
-from slipfree.vehicle.sections.sphere import Sphere
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import SECTIONS, Disc, Omni, Sphere, Torus
 from slipfree.vehicle.tree import Coordinate, Joint
 
 PROBLEMS = Path(__file__).parents[2] / "problems"

@@ -10,16 +10,16 @@ import numpy as np
 
 from slipfree import Analytic, Solids, SolverOptions, dynamics, settle, simulate
 from slipfree.catalog import step_climber
+from slipfree.catalog.step_climber import Climber, climber_of
 from slipfree.climb.contact_path import legs
 from slipfree.climb.metrics import Metrics, climb_metrics
-from slipfree.climb.plan_tracking import TrackedPlan, Tracking, tracked_plan
+from slipfree.climb.time_scaling import TrackedPlan, Tracking, tracked_plan
 from slipfree.climb.time_scaling import climb as program
 from slipfree.control.step_climbing import StepClimbing, climbing
 from slipfree.core.trajectory import Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.terrain.solids import Profile, placed, ramp, step
-from slipfree.vehicle.climber import Climber, climber_of
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 
 AMPLE = 8.0  # torque of the lab's motors that "never" limits; on the step it does, 1 % of the time

@@ -11,16 +11,15 @@ import numpy as np
 from helpers.climb_cases import Grip, gripped
 from slipfree import SolverOptions
 from slipfree.catalog import step_climber
-from slipfree.control.reference_speeds import Law
-from slipfree.control.sensor_noise import Noise
+from slipfree.catalog.step_climber import climber_of
+from slipfree.control.reference_speeds import Law, Noise
 from slipfree.control.step_climbing import StepClimbing, held_torques, largest_period
 from slipfree.core.trajectory import Trajectory
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import Profile, kerb, ramp, stairs, step
-from slipfree.vehicle.climber import climber_of
-from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections import Disc
 from slipfree.vehicle.tree import Body, Vehicle
 
 AHEAD, EVERY, TOLERANCE = 0.02, 0.01, 1e-6

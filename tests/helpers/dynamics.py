@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from slipfree import Analytic, SolverOptions, settle, simulate
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import GRAVITY, Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

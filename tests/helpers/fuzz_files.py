@@ -29,7 +29,7 @@ from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable, wheel_table
 from slipfree.problem.build_vehicle import UrdfTable
 from slipfree.problem.schema import CommonKeys
 from slipfree.problem.verbs.registry import VERBS
-from slipfree.vehicle.sections.registry import SECTIONS
+from slipfree.vehicle.sections import SECTIONS
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"

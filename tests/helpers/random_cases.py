@@ -40,7 +40,7 @@ from slipfree.laws.registry import SLIP_LAWS
 from slipfree.models.montana import montana_kinematics
 from slipfree.terrain.rolled import rolled
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp, rocks
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

@@ -19,7 +19,7 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.trajectory import SolverError, Trajectory, joined
 from slipfree.models.dynamics import dynamics
-from slipfree.models.obstacle_ending import ObstacleEnding, obstacle_ending
+from slipfree.models.samples import ObstacleEnding, obstacle_ending
 from slipfree.terrain.solids import Profile, kerb, placed, ramp, stairs, step
 from slipfree.vehicle.tree import Vehicle
 

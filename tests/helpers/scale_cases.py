@@ -32,7 +32,7 @@ from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.montana import montana_kinematics
 from slipfree.problem.contact_start import settle_contact
 from slipfree.solve.collocation import drive
-from slipfree.vehicle.sections.base import Section
+from slipfree.vehicle.sections import Section
 
 TOLERANCE = 1e-8
 KINEMATIC = {"m", "m2", "m-1", "rad", "s-1", "1"}  # units without force

@@ -34,6 +34,7 @@ from helpers.climb_cases import (
 )
 from slipfree import SolverOptions
 from slipfree.catalog import step_climber
+from slipfree.catalog.step_climber import AXLES
 from slipfree.climb.metrics import climb_window
 from slipfree.control.reference_speeds import PerAxle, directions
 from slipfree.control.step_climbing import StepClimbing, check_period, held_torques
@@ -44,7 +45,6 @@ from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.terrain.solids import flat, kerb, stairs
-from slipfree.vehicle.climber import AXLES
 
 HELD = [f"{axle}_torque" for axle in AXLES]
 

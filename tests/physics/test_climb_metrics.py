@@ -5,12 +5,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from slipfree.catalog import step_climber
+from slipfree.catalog.step_climber import AXLES
 from slipfree.climb.metrics import climb_metrics, disturbance_ratio, slip_ratio
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.terrain.solids import step
-from slipfree.vehicle.climber import AXLES
 
 N, RADIUS = 101, 0.066  # a sample every 10 ms
 PER_AXLE = {

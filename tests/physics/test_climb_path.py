@@ -16,15 +16,14 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq, linprog
 
 from helpers.climb_cases import dimensions
-from slipfree.climb.contact_path import axle_arms, legs, sample
-from slipfree.climb.friction_demand import least_friction
+from slipfree.catalog.step_climber import AXLES
+from slipfree.climb.contact_path import axle_arms, least_friction, legs, sample
 from slipfree.climb.time_scaling import MIN_ACCELERATION, climb, history, in_sequence
 from slipfree.core.errors import ModelError
 from slipfree.core.nlp import Nlp
 from slipfree.core.trajectory import SolverError
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.terrain.solids import kerb, ramp, stairs, step
-from slipfree.vehicle.climber import AXLES
 
 SPEED, WEIGHT = 0.25, 9.81 * 21.6
 PROFILES = {"ramp": ramp(np.pi / 4, 0.09), **{f"{mm} mm": step(mm / 1000) for mm in (50, 90, 128)}}

@@ -15,12 +15,16 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 from helpers.climb_cases import dimensions
-from slipfree.climb.contact_path import LEVEL_SLOPE, axle_arms, legs, sample, tangents
-from slipfree.climb.friction_demand import (
+from slipfree.climb.contact_path import (
+    LEVEL_SLOPE,
     HoldingForces,
+    axle_arms,
     equilibrium,
     least_friction,
     least_friction_forces,
+    legs,
+    sample,
+    tangents,
 )
 from slipfree.core.errors import ModelError
 from slipfree.terrain.solids import Profile, Solid, flat, kerb, ramp, stairs, step

@@ -6,12 +6,12 @@ from numpy.testing import assert_allclose
 
 from helpers.climb_drawn import drawn, drive, finite
 from slipfree.catalog import step_climber
+from slipfree.catalog.step_climber import AXLES
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Stop, Trajectory
-from slipfree.models.obstacle_ending import obstacle_ending
+from slipfree.models.samples import obstacle_ending
 from slipfree.terrain.solids import placed, step
-from slipfree.vehicle.climber import AXLES
 
 N, RADIUS = 401, 0.066  # a sample every 10 ms
 T = np.arange(N) * 0.01

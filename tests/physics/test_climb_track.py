@@ -25,14 +25,12 @@ from helpers.climb_cases import (
 )
 from slipfree.climb.contact_path import legs
 from slipfree.climb.metrics import axle_speeds
-from slipfree.climb.plan_tracking import Tracking, tracked_plan
+from slipfree.climb.time_scaling import Tracking, history, in_sequence, tracked_plan
 from slipfree.climb.time_scaling import climb as program
-from slipfree.climb.time_scaling import history, in_sequence
-from slipfree.control.reference_speeds import PerAxle, Tilts
-from slipfree.control.sensor_noise import Noise, measured
+from slipfree.control.reference_speeds import Noise, PerAxle, Tilts, measured
 from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import SolverError
-from slipfree.models.obstacle_ending import obstacle_ending
+from slipfree.models.samples import obstacle_ending
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.terrain.solids import placed
 

@@ -38,11 +38,15 @@ from slipfree.cli import app
 from slipfree.control.path_tracking import GAIN, track_path
 from slipfree.core.records import leaves
 from slipfree.files import netcdf
-from slipfree.models.given_rates import COMMANDS
+from slipfree.models.determinacy import check_authority, wheel_rates
+from slipfree.models.given_rates import (
+    COMMANDS,
+    MAX_STEERING_RATE,
+    STOP_CLEARANCE,
+    steering_effects,
+)
+from slipfree.models.given_rates import GAIN as STEERING_GAIN
 from slipfree.models.inverse import inverse_kinematics
-from slipfree.models.steering_guide import GAIN as STEERING_GAIN
-from slipfree.models.steering_guide import MAX_STEERING_RATE, STOP_CLEARANCE, steering_effects
-from slipfree.models.wheel_authority import check_authority, wheel_rates
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import load_problem
 from slipfree.solve.replay import replay, round_trip

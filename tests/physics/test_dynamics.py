@@ -25,9 +25,7 @@ from slipfree.models.dynamics import dynamics
 from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
 from slipfree.vehicle.drives import Motor, Torque
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.sphere import Sphere
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Disc, Sphere, Torus
 from slipfree.vehicle.tree import GRAVITY, Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

@@ -12,7 +12,7 @@ from slipfree import Analytic, Bicubic, ModelError, Path, follow, settle, simula
 from slipfree.catalog import three_wheeler
 from slipfree.control import path_following as laws
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

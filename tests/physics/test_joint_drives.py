@@ -11,7 +11,7 @@ from slipfree import Analytic, ModelError, catalog, follow, quasi_statics, settl
 from slipfree.geometry.path import Path
 from slipfree.models.dynamics import dynamics
 from slipfree.vehicle.drives import RATE, Motor, Torque
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

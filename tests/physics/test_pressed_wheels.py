@@ -25,9 +25,9 @@ from slipfree import (
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.errors import ModelError
 from slipfree.models.friction_feasibility import best_utilisation
+from slipfree.models.kinematics import SMOOTHING, pressed_dae
 from slipfree.models.montana import montana_kinematics
-from slipfree.models.pressed_model import SMOOTHING, pressed_dae
-from slipfree.models.rocking import lightest_wheel, rocks
+from slipfree.models.samples import lightest_wheel, rocks
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import round_trip
 from slipfree.solve.settle import stable_poses

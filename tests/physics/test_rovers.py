@@ -32,11 +32,11 @@ from slipfree.catalog import (
 from slipfree.control.path_following import follow
 from slipfree.core.records import leaves
 from slipfree.geometry.path import Path
+from slipfree.models.determinacy import wheel_rates
 from slipfree.models.inverse import inverse_kinematics
-from slipfree.models.wheel_authority import wheel_rates
 from slipfree.plan.plan import plan
 from slipfree.terrain.rolled import rolled
-from slipfree.vehicle.inertia import body_inertia
+from slipfree.vehicle.tree import body_inertia
 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)

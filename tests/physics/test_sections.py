@@ -11,14 +11,17 @@ from scipy.spatial.transform import Rotation
 from helpers.cases import hills
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
-from slipfree.geometry.surface import patch
+from slipfree.contact.montana import patch
 from slipfree.models.montana import montana_kinematics
-from slipfree.vehicle.sections.base import Section, arc_lengths
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.sections.registry import section_of_radii
-from slipfree.vehicle.sections.sphere import Sphere
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import (
+    Disc,
+    Omni,
+    Section,
+    Sphere,
+    Torus,
+    arc_lengths,
+    section_of_radii,
+)
 
 
 @dataclass(frozen=True)

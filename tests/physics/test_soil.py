@@ -16,7 +16,7 @@ from slipfree.laws.soils import SOILS, known_soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.rigid_dynamics import rigid_dynamics
 from slipfree.models.single_wheel import single_wheel
-from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections import Disc
 from slipfree.vehicle.tree import GRAVITY
 
 SAND, SIZE, LOAD = Soil(), WheelSize(0.092, 0.107), 64.7

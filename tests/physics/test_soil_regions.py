@@ -23,8 +23,7 @@ from slipfree import (
 from slipfree.laws.soil import static_sinkage, wheel_size
 from slipfree.laws.soil_regions import SoilRegion, soil_at
 from slipfree.laws.soils import known_soil
-from slipfree.models.drawbar import SLIP_LIMIT, drawbar_reserve
-from slipfree.models.single_wheel import single_wheel
+from slipfree.models.single_wheel import SLIP_LIMIT, drawbar_reserve, single_wheel
 
 LOOSE = replace(Soil(), cohesion=300.0, frictional_modulus=4e5)
 PATCH = Region.polygon([(98.0, 199.0), (102.0, 199.0), (102.0, 203.0), (98.0, 203.0)])

@@ -21,16 +21,14 @@ from slipfree import (
     settle,
 )
 from slipfree.contact import touch
-from slipfree.contact.solid_touch import solid_touch
+from slipfree.contact.touch import solid_touch
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import Stop
 from slipfree.geometry.frame import Pose
-from slipfree.models.obstacle_ending import obstacle_ending
+from slipfree.models.samples import obstacle_ending
 from slipfree.terrain.solids import Prism, Solid, kerb, placed, ramp, stairs, step
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.sphere import Sphere
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Disc, Sphere, Torus
 from slipfree.vehicle.wheel import Wheel
 
 GRIPPY = replace(FLAT, mu=0.9)

@@ -8,11 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from helpers.cases import function_of, hills
 from slipfree import Analytic, Bicubic, Grid
-from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
+from slipfree.contact.montana import ContactCoordinates, Forms, contact_rates, pair, patch
 from slipfree.core.lookups import LookupTable, lookup_function
-from slipfree.geometry.surface import Forms, patch
-from slipfree.vehicle.sections.sphere import Sphere
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Sphere, Torus
 from slipfree.vehicle.wheel import Wheel
 
 ORIGIN = (0.0, 0.0, 0.0)

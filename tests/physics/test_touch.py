@@ -9,10 +9,7 @@ from slipfree import Bicubic, Grid, SolverOptions, settle, simulate
 from slipfree.contact import touch
 from slipfree.models.dynamics import dynamics
 from slipfree.terrain import bicubic
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.sections.sphere import Sphere
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Disc, Omni, Sphere, Torus
 
 RADIUS, COUNT = 0.15, 1500
 SECTIONS = [Torus(0.03, 0.12), Disc(0.15), Sphere(0.15), Omni(Torus(0.05, 0.1))]

@@ -23,9 +23,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.contact.closure import has_exact_closure
 from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
 from slipfree.models.montana import montana_kinematics
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Disc, Omni, Torus
 from slipfree.vehicle.tree import Body, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

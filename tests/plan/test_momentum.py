@@ -24,7 +24,7 @@ from slipfree import (
 )
 from slipfree.core.records import leaves
 from slipfree.files.toml.source import ProblemError
-from slipfree.models.dynamic_guess import dynamic_guess
+from slipfree.models.rigid_dynamics import dynamic_guess
 from slipfree.problem.load import load_problem
 
 RADIUS = 0.15

@@ -16,7 +16,7 @@ from slipfree.cli import app
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
 from slipfree.files.toml.source import ProblemError
-from slipfree.models.slip import measured_slip
+from slipfree.models.samples import measured_slip
 from slipfree.plan.plan import plan
 from slipfree.plan.verification import inputs_along
 from slipfree.problem.load import load_problem

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
-from slipfree.control.arc_driving import arc_inputs, turning_axis_offset
+from slipfree.control.path_following import arc_inputs, turning_axis_offset
 from slipfree.core.errors import ModelError
 from slipfree.problem.build_common import samples
 from slipfree.problem.schema import Time

@@ -21,7 +21,7 @@ from slipfree.routing.homotopy import homotopy_class, obstacle_points
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import MAX_SLOPE, blocking_reasons, traversability
 from slipfree.terrain.synthetic import blank, craters, ramp
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Torus
 
 ROVER = three_wheeler(axle="fixed")  # half width 1.05 m, half length 1.05 m, reach 1.42 m
 SMALL = three_wheeler(axle="fixed", half_track=0.3, wheelbase=0.5, r1=0.02, r2=0.08)

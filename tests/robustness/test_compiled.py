@@ -40,7 +40,7 @@ from slipfree.solve.starts import settle_nearest
 from slipfree.solve.system import with_inputs
 from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.system import codegen_cache
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Torus
 
 pytestmark = pytest.mark.slow
 

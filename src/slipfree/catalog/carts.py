@@ -10,8 +10,7 @@ from math import inf
 
 from slipfree.core.errors import ModelError
 from slipfree.geometry.frame import Vector
-from slipfree.vehicle.sections.base import Section
-from slipfree.vehicle.sections.registry import section_of_radii
+from slipfree.vehicle.sections import Section, section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 

@@ -1,17 +1,118 @@
-"""Seven-wheeled step climber of the catalogue."""
+"""Step climbers: two bodies on a joint with three axles, in the plane and in the catalogue.
+
+The rear body, the platform, carries the rear and the middle axle, the front body the front axle.
+x is forward, z up; tilts are nose-up from the horizontal. Positions on a body are distances ahead
+of the joint, along the body, and above the joint.
+"""
 
 from __future__ import annotations
 
 from math import inf
+from typing import NamedTuple
 
 from slipfree.catalog.carts import SIDES, _positive
 from slipfree.core.errors import ModelError
 from slipfree.geometry.frame import Axis, Vector
 from slipfree.vehicle.drives import Torque
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections import Disc, Omni
 from slipfree.vehicle.tree import GRAVITY, Body, Coordinate, Joint, Vehicle, planar
 from slipfree.vehicle.wheel import ORIGIN, Wheel
+
+AXLES = ("rear", "middle", "front")
+
+
+class Link(NamedTuple):
+    """A rigid body connected to the joint.
+
+    Its mass [kg] includes the wheels; the centre of mass is ``ahead`` of and ``above`` the joint
+    [m]; the moment of inertia about it leaves out the rotation of the wheels [kg m2].
+    """
+
+    mass: float
+    ahead: float
+    above: float
+    inertia: float
+
+
+class Axle(NamedTuple):
+    """Axle of wheels that rotate at the same rate, at the height of the joint.
+
+    It is ``ahead`` of the joint along the body that carries it [m]; the moment of inertia is that
+    of all its wheels and rotors about it [kg m2].
+    """
+
+    ahead: float
+    inertia: float
+
+
+class Climber(NamedTuple):
+    """Dimensions of an articulated step climber: radius of all wheels [m], bodies and axles."""
+
+    radius: float
+    rear_body: Link
+    front_body: Link
+    rear: Axle
+    middle: Axle
+    front: Axle
+
+    @property
+    def axles(self) -> tuple[Axle, Axle, Axle]:
+        """Rear, middle and front axle."""
+        return self.rear, self.middle, self.front
+
+    @property
+    def mass(self) -> float:
+        """Mass of the vehicle [kg]."""
+        return self.rear_body.mass + self.front_body.mass
+
+
+def climber_of(vehicle: Vehicle) -> Climber:
+    """Return the dimensions of a vehicle that is an articulated step climber.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle is not locked to a plane, or is not of two bodies on a joint with three axles
+        of equal driven discs, in the order rear, middle, front.
+    """
+    expected = _misfit(vehicle)
+    if expected:
+        raise ModelError(
+            f"{vehicle.name!r}: expected a step climber, with {expected}, found another vehicle; "
+            "use 'step_climber' of the catalogue, or a vehicle file like it"
+        )
+    rear, middle, front = (Axle(w.at[1], (w.inertia or ORIGIN)[0]) for w in vehicle.wheels)
+    rear_body, front_body = (
+        Link(body.mass, body.at[1], body.at[2], (body.inertia or ORIGIN)[0])
+        for body in (vehicle.body, vehicle.joints[0].body)
+    )
+    return Climber(vehicle.wheels[0].radius, rear_body, front_body, rear, middle, front)
+
+
+def _misfit(vehicle: Vehicle) -> str:
+    """Return the property of a step climber that a vehicle lacks; empty if it has all."""
+    wheels, joints, coordinates = vehicle.wheels, vehicle.joints, vehicle.coordinates
+    if not vehicle.planar:
+        return "a platform that is locked to a plane"
+    if [w.parent for w in wheels] != ["platform", "platform", *(joint.name for joint in joints)]:
+        return "two wheels on the platform and a third on the only joint"
+    joint = joints[0]
+    turns = (joint.axis, joint.at, joint.turned, joint.motion) == ("x", ORIGIN, ORIGIN, "turn")
+    if not turns or [(c.name, c.kind) for c in coordinates] != [(joint.value, "suspension")]:
+        return "a joint about x at the platform's origin, whose value is a suspension coordinate"
+    if not all(isinstance(w.section, Disc) and w.driven and w.drive.takes_effort for w in wheels):
+        return "discs as wheels, driven by torques"
+    if len({w.radius for w in wheels}) > 1 or any(w.at[2] for w in wheels):
+        return "wheels of equal radius at the height of the joint"
+    if not all(w.inertia and not w.mass for w in wheels):
+        return "wheels with inertia whose mass is a part of that of the bodies"
+    if not all(body.mass and body.inertia for body in (vehicle.body, joint.body)):
+        return "bodies with mass and inertia"
+    rear, middle, front = (w.at[1] for w in wheels)
+    if not rear < middle <= 0 < front:
+        return "the axles rear, middle and front in this order, the joint between the last two"
+    return ""
+
 
 FRONT_MASS, REAR_MASS = 7.8, 13.8  # of the bodies, wheels included [kg]
 

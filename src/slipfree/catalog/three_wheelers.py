@@ -8,7 +8,7 @@ from math import inf
 from typing import Literal, get_args
 
 from slipfree.core.errors import ModelError
-from slipfree.vehicle.sections.registry import section_of_radii
+from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 

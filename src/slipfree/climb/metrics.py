@@ -22,17 +22,10 @@ MIN_WHEEL_RATE = 0.4  # ratios with smaller wheel rates are ignored [rad/s]
 MIN_LOAD = 1.0  # contacts with a smaller normal force are ignored [N]
 
 
-class Window(NamedTuple):
-    """Time window of a climb.
+class ClimbWindow(NamedTuple):
+    """Samples of a climb, whether the rear axle reaches the top, and when it does.
 
-    Attributes
-    ----------
-    span : slice
-        Samples of the window.
-    climbed : bool
-        Whether the rear axle reaches the top; otherwise the window ends with the motion.
-    t : float
-        Time at which the rear axle reaches the top, or end of the motion. [s]
+    Otherwise the window ends with the motion, and ``t`` is its end [s].
     """
 
     span: slice
@@ -43,23 +36,14 @@ class Window(NamedTuple):
 class Metrics(NamedTuple):
     """Averages over the time window of a climb, for rear, middle and front axle, shape (3,).
 
-    Attributes
-    ----------
-    window : Window
-        Time window of the averages.
-    slip, disturbance : ndarray
-        Mean absolute values of `slip_ratio` and `disturbance_ratio`, at most one each; NaN if the
-        wheels are near rest all the time. [1]
-    true_slip : ndarray
-        Slip distance of the rim at the most loaded contact, divided by the distance the rim
-        travels. [1]
-    effort, bearing : ndarray
-        Share of the axle in the absolute torques, and in the normal forces. [1]
-    limited : float
-        Fraction of the time in which the motors' limit scales the torques. [1]
+    ``slip`` and ``disturbance`` are mean absolute values of `slip_ratio` and `disturbance_ratio`,
+    at most one each; NaN if the wheels are near rest all the time. ``true_slip`` is the slip
+    distance of the rim at the most loaded contact, divided by the distance the rim travels;
+    ``effort`` and ``bearing`` are the axle's shares in the absolute torques and in the normal
+    forces; ``limited`` is the fraction of the time in which the limit scales the torques. [1]
     """
 
-    window: Window
+    window: ClimbWindow
     slip: Array
     disturbance: Array
     true_slip: Array
@@ -71,19 +55,9 @@ class Metrics(NamedTuple):
 def climb_metrics(run: Trajectory, vehicle: Vehicle, section: Profile) -> Metrics:
     """Return the averages over a climb.
 
-    Parameters
-    ----------
-    run : Trajectory
-        A motion of `slipfree.control.step_climbing.climbing`.
-    vehicle : Vehicle
-        Its vehicle, see `slipfree.vehicle.climber.climber_of`.
-    section : Profile
-        Its ground, see `slipfree.terrain.solids.section_of`.
-
-    Raises
-    ------
-    ModelError
-        If the front wheel touches only the floor.
+    ``run`` is a motion of `slipfree.control.step_climbing.climbing`, ``section`` its ground
+    (`slipfree.terrain.solids.section_of`). ModelError is raised if the front wheel touches only the
+    floor.
     """
     window = climb_window(run, vehicle, section)
     span, rim = window.span, np.abs(vehicle.wheels[0].radius * run["spin"])
@@ -115,17 +89,12 @@ def _at_solids(run: Trajectory, section: Profile, name: str) -> Array:
     return np.stack([run[f"solid_{name}_{k}"] for k in range(len(section.solids))])
 
 
-def climb_window(run: Trajectory, vehicle: Vehicle, section: Profile) -> Window:
+def climb_window(run: Trajectory, vehicle: Vehicle, section: Profile) -> ClimbWindow:
     """Return the window of a climb.
 
     It begins 50 ms before the front wheel first touches an obstacle and ends 100 ms after the rear
     axle has reached the top: 20 mm behind the edge of the highest level, at most 3 mm below its
     height there, or behind all solids that stand on the floor.
-
-    Raises
-    ------
-    ModelError
-        If the front wheel touches only the floor.
     """
     obstacles = range(1, len(section.solids))  # the first solid is the floor
     touching = np.any([run[f"solid_gap_{k}"][:, -1] < 0 for k in obstacles], axis=0)
@@ -142,7 +111,7 @@ def climb_window(run: Trajectory, vehicle: Vehicle, section: Profile) -> Window:
     end = float(run.t[up.argmax()]) if climbed else float(run.t[-1])
     ends = run.t[touching.argmax()] - LEAD_TIME, end + TRAIL_TIME
     first, last = np.searchsorted(run.t, np.array(ends) - 1e-9).tolist()
-    return Window(slice(first, last), climbed, end)
+    return ClimbWindow(slice(first, last), climbed, end)
 
 
 def slip_ratio(run: Trajectory, vehicle: Vehicle) -> Array:

@@ -1,4 +1,4 @@
-"""Time scaling of planned climbs: speed along the contact path and contact forces without slip.
+"""Planned climbs: time scaling along the contact path without slip, and tracking of the plan.
 
 With s' the speed along a leg of the path, ``a = s''`` and ``b = s'^2``, accelerations are
 ``q' a + q'' b``, and the equations of motion are linear in a, b and the contact forces:
@@ -9,6 +9,16 @@ with the contact forces f, the equilibrium terms A and load, and the inertia G a
 wheels. On every interval a is constant and b linear in s; equations, Coulomb's law ``|T| <= mu N``
 and torque limits hold at its midpoint. Intervals are short where a leg begins at rest, since the
 friction demand is often largest there.
+
+A tracked plan is a function of the progress of the vehicle, not of time: a delayed vehicle receives
+the torques planned for its position. The progress is
+
+    p = mean over the axles of x + z.
+
+It increases along every path that does not descend steeply. The feedforward torques of the plan
+distribute the friction among the wheels better than control of the rates could. Feedback corrects
+the rate of each wheel; its reference is that of the plan, but at most slightly more than the speed
+of its axle, so that a wheel that slips regains its grip.
 """
 
 from __future__ import annotations
@@ -17,26 +27,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf
+from typing import Annotated, NamedTuple
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import scipy
+from annotated_types import Gt
 
-from slipfree.climb.contact_path import Leg, PathSamples, rotate_nose_up, sample
-from slipfree.climb.friction_demand import (
+from slipfree.catalog.step_climber import AXLES, Climber
+from slipfree.climb.contact_path import (
     MAX_FRICTION,
+    Leg,
+    PathSamples,
+    axle_arms,
     center,
     cross,
     equilibrium,
     least_friction_forces,
+    rotate_nose_up,
+    sample,
 )
+from slipfree.control.reference_speeds import PerAxle
+from slipfree.control.step_climbing import Commands, ControlState, Motors, Sensed, limited
+from slipfree.core.bounds import check_bounds
 from slipfree.core.errors import ModelError
 from slipfree.core.nlp import Nlp
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Column, Trajectory, joined
 from slipfree.terrain.solids import Profile
-from slipfree.vehicle.climber import AXLES, Climber
 from slipfree.vehicle.tree import GRAVITY
 
 COSTS = ("time", "friction", "slip")
@@ -47,6 +66,10 @@ MAX_LOWER_BOUND = 1e-4  # largest lower bound of b between points of rest [large
 LOAD_OFFSET = 1e-3  # added to N in the cost of slip, for finite derivatives without load [weight]
 GUESS_SQUARE = 0.01  # b of the initial guess [largest b]
 MAX_GUESS_LOAD = 3.0  # largest normal force of the initial guess [weight]
+
+MIN_SPEED = 0.01  # smallest reference speed, so that the vehicle leaves points of rest [m/s]
+ACCELERATION = 0.3  # deceleration before the plan's start, acceleration after its end [m/s2]
+LEG_DISTANCE = 1e-7  # distance between consecutive legs, whose torques differ where they meet [m]
 
 LABELS = (
     Label("s", "m", "path parameter on the leg"),
@@ -67,16 +90,9 @@ LABELS = (
 class Climb:
     """Nonlinear program of the time scaling along one leg, a smooth section of the contact path.
 
-    Attributes
-    ----------
-    climber : Climber
-        The vehicle.
-    nodes, middles : PathSamples
-        Configurations at the ends and at the midpoints of the intervals.
-    nlp : Nlp
-        The program for n intervals. Its unknowns are the squared path speed ``b`` (n + 1,)
-        [m2 s-2], the contact forces ``normal`` and ``tangential`` (n, 3) [N] and the coefficient
-        of friction ``mu`` (1,).
+    ``nodes`` and ``middles`` are the configurations at the ends and midpoints of its n intervals.
+    The unknowns are the squared path speed ``b`` (n + 1,) [m2 s-2], the contact forces ``normal``
+    and ``tangential`` (n, 3) [N] and the coefficient of friction ``mu`` (1,).
     """
 
     climber: Climber
@@ -86,14 +102,7 @@ class Climb:
 
 
 def inertia(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
-    """Return the inertia terms of the equations of `equilibrium`.
-
-    Returns
-    -------
-    G, H : ndarray, shape (n, 4)
-        Coefficients of the second time derivative of s, and of the square of the first. Rows are
-        those of `equilibrium`. [N s2/m, N s2]
-    """
+    """Return the coefficients (n, 4) of a [N s2/m] and b [N s2] in the rows of `equilibrium`."""
     linear, square = np.zeros((2, len(path.q), 4))
     bodies = (climber.rear_body, climber.front_body)
     for k, body in enumerate(bodies):
@@ -326,17 +335,8 @@ def _sparse(matrix: scipy.sparse.csr_matrix) -> ca.DM:
 def history(plan: Climb, unknowns: Array) -> Trajectory:
     """Return a planned climb as a function of time, at the midpoints of its intervals.
 
-    Parameters
-    ----------
-    plan : Climb
-        Result of `climb`.
-    unknowns : ndarray, shape (n_x,)
-        Solution of the nonlinear program.
-
-    Returns
-    -------
-    Trajectory
-        Columns of all `LABELS`. Statistics: ``mu`` [1] and ``duration`` [s].
+    ``unknowns`` is the solution of the program (n_x,). Columns are those of `LABELS`, statistics
+    ``mu`` [1] and ``duration`` [s].
     """
     where, middles, climber = plan.nlp.where, plan.middles, plan.climber
     b = np.maximum(unknowns[where["b"]], 0.0)
@@ -371,3 +371,164 @@ def in_sequence(parts: Sequence[Trajectory]) -> Trajectory:
     later = [replace(part, t=part.t + begin) for part, begin in zip(parts, begins, strict=True)]
     statistics = {"mu": max(part.statistics["mu"] for part in parts), "duration": sum(durations)}
     return replace(joined(*later), statistics=statistics)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedPlan:
+    """A planned climb as a function of the progress p, linear between n points.
+
+    Increasing progress (n,) [m], square of the path speed (n,) [m2/s2], speeds of the axles divided
+    by it (n, 3) [1], directions of their motion, upward from the horizontal (n, 3) [rad], and total
+    torques of their motors (n, 3) [N m].
+    """
+
+    p: Array
+    square: Array
+    speeds: Array
+    directions: Array
+    torques: Array
+
+
+class _PlanPoint(NamedTuple):
+    """Values of a `TrackedPlan` at a progress, and whether it is outside the plan (0 or 1)."""
+
+    square: ca.SX
+    speeds: PerAxle
+    directions: PerAxle
+    torques: PerAxle
+    before: ca.SX
+    behind: ca.SX
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """Controller that tracks a planned climb, for `slipfree.control.step_climbing.climbing`.
+
+    It uses true positions and speeds of the axles, which are known only in simulations.
+
+    Attributes
+    ----------
+    plan : TrackedPlan
+        Planned speeds, directions and torques as functions of the progress.
+    proportional : float
+        Proportional gain of the wheel-rate control. [N m s/rad]
+    spare : float
+        Largest excess of a wheel's reference rim speed over the speed of its axle. A good value is
+        the slip speed at which friction is largest. [m/s]
+    lead : float
+        Distance added to the progress when the plan is evaluated. It must exceed the depth of the
+        contacts; otherwise the plan stops a wheel before it touches the next solid. [m]
+    torque : float
+        Largest torque of a motor. [N m]
+    motors : tuple of 3 int
+        Numbers of motors of the axles.
+
+    Raises
+    ------
+    ModelError
+        If a number is not positive.
+    """
+
+    plan: TrackedPlan
+    proportional: Annotated[float, Gt(0)] = 20.0
+    spare: Annotated[float, Gt(0)] = 3e-3
+    lead: Annotated[float, Gt(0)] = 1e-3
+    torque: Annotated[float, Gt(0)] = inf
+    motors: Motors = (2, 1, 2)
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    def labels(self, wheels: Sequence[str]) -> ControlState:  # noqa: ARG002 - of the protocol
+        """Return empty labels: the controller has no states."""
+        return ControlState()
+
+    def commands(
+        self,
+        climber: Climber,
+        at: Sensed,
+        x: ControlState,  # noqa: ARG002 - of the protocol
+        speed: ca.SX,
+    ) -> Commands:
+        """Return reference rates of the wheels and motor torques.
+
+        The plan is evaluated at the progress p of the vehicle. Below the first and above the last p
+        of the plan, all wheels have the same reference speed, at most ``speed`` [m/s]. Below the
+        first p, it decreases to zero towards the plan's start, since plans begin at rest.
+        """
+        p = sum(place[0] + place[1] for place in at.axles) / 3 + self.lead
+        point = _plan_at(self.plan, p)
+        pace = _reference_speed(self.plan, p, point, speed)
+        references, wanted = [], []
+        columns = (*point[1:4], at.velocities, at.spins, self.motors)
+        for ratio, angle, torque, velocity, spin, count in zip(*columns, strict=True):
+            actual = velocity[0] * ca.cos(angle) + velocity[1] * ca.sin(angle)
+            references.append(ca.fmin(pace * ratio, actual + self.spare) / climber.radius)
+            wanted.append(torque / count + self.proportional * (references[-1] - spin))
+        return Commands(PerAxle(*references), limited(self.torque, PerAxle(*wanted)), ())
+
+
+def tracked_plan(plans: Sequence[tuple[Climb, Array]]) -> TrackedPlan:
+    """Return the plan of consecutive legs as a function of the progress.
+
+    ``plans`` are the program of each leg and its solution; all legs except the last must be planned
+    with ``halt=True``. ModelError is raised if a path leads down so steeply that the progress does
+    not increase.
+    """
+    p, *rest = (np.concatenate(each) for each in zip(*map(_leg, plans), strict=True))
+    joints = np.cumsum([2 * plan.nodes.s.size - 1 for plan, _ in plans])[:-1]
+    p[joints] = np.maximum(p[joints], p[joints - 1] + LEG_DISTANCE)
+    if not (np.diff(p) > 0).all():
+        k = int(np.argmin(np.diff(p)))
+        raise ModelError(
+            "plan: expected a path on which the mean of x + z over the axles increases, found a "
+            f"decrease at {p[k]:.3g} m; use a plan that does not lead steeply down"
+        )
+    return TrackedPlan(p, *rest)
+
+
+def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
+    """Return the fields of `TrackedPlan` for one leg, at its nodes and interval midpoints."""
+    plan, unknowns = plan_and_unknowns
+    nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns)["torque"]
+    square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
+    at_nodes = np.column_stack([np.interp(nodes.s, middles.s, each) for each in torque.T])
+    parts = []
+    for path, squares, torques in (
+        (nodes, square, at_nodes),
+        (middles, (square[1:] + square[:-1]) / 2, torque),
+    ):
+        axles = path.q[:, None, :2] + axle_arms(plan.climber, path.q)
+        directions = np.arctan2(-path.normals[..., 0], path.normals[..., 1])
+        progress = axles.sum(axis=2).mean(axis=1)
+        parts.append((progress, squares, path.speeds, directions, torques))
+    order = np.argsort(np.concatenate([nodes.s, middles.s]))
+    return tuple(np.concatenate(pair)[order] for pair in zip(*parts, strict=True))
+
+
+def _plan_at(plan: TrackedPlan, p: ca.SX) -> _PlanPoint:
+    columns = [plan.square, plan.speeds, plan.directions, plan.torques]
+    rows, inside = np.column_stack(columns), ca.fmin(ca.fmax(p, plan.p[0]), plan.p[-1])
+    table = ca.interpolant("table", "linear", [plan.p.tolist()], rows.ravel().tolist())
+    at = ca.MX.sym("p")
+    row = ca.vertsplit(ca.Function("plan", [at], [table(at)], {"never_inline": True})(inside))
+    before, behind = p < plan.p[0], p > plan.p[-1]
+    off = ca.logic_or(before, behind)
+    speeds, directions, torques = (
+        PerAxle(*(ca.if_else(off, value, each) for each in row[k : k + 3]))
+        for k, value in ((1, 1.0), (4, 0.0), (7, 0.0))
+    )
+    return _PlanPoint(row[0], speeds, directions, torques, before, behind)
+
+
+def _reference_speed(plan: TrackedPlan, p: ca.SX, at: _PlanPoint, speed: ca.SX) -> ca.SX:
+    """Return the reference speed along the path at progress ``p`` [m/s].
+
+    Outside the plan, the speed changes with constant acceleration and does not exceed ``speed``.
+    """
+    arriving = 2 * ACCELERATION * ca.fmax(plan.p[0] - p, 0)
+    leaving = at.square + 2 * ACCELERATION * ca.fmax(p - plan.p[-1], 0)
+    square = ca.if_else(at.before, arriving, ca.if_else(at.behind, leaving, at.square))
+    pace = ca.sqrt(square + MIN_SPEED**2)
+    found: ca.SX = ca.if_else(ca.logic_or(at.before, at.behind), ca.fmin(speed, pace), pace)
+    return found

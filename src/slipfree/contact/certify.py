@@ -24,7 +24,7 @@ import numpy as np
 from slipfree.core.evaluation import evaluate
 from slipfree.core.records import Array, Label, Mask
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.sections.base import arc_lengths
+from slipfree.vehicle.sections import arc_lengths
 from slipfree.vehicle.wheel import Wheel
 
 RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # about the axle, from the contact [rad]

@@ -14,17 +14,25 @@ and front axle, and the joint at distance d ahead of the middle axle,
 where L is the distance of the rear and middle axle and s a common factor. The paper has one angle
 for all axles: (6) assumes the middle axle on the slope, (8) on the floor. All functions take SX or
 numbers, and return SX or `casadi.DM`.
+
+Measurements of a controller may contain sensor noise: smooth, band-limited and reproducible by its
+seed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
 
 import casadi as ca
+import numpy as np
+from annotated_types import Ge, Gt, Lt, Unit, doc
 
+from slipfree.catalog.step_climber import Climber
+from slipfree.core.bounds import check_bounds
 from slipfree.terrain.solids import Profile
-from slipfree.vehicle.climber import Climber
 
 MIN_MIDDLE_SPEED = 1e-3  # lower bound of the middle axle's relative speed as a divisor
 GUIDE_GAP, GUIDE_WIDTH = 1.5e-3, 6e-4  # gap below which a solid guides a wheel, and transition [m]
@@ -53,21 +61,10 @@ class Tilts(NamedTuple):
 
 
 def ratios(climber: Climber, tilts: Tilts, directions: PerAxle) -> PerAxle:
-    """Return the speed ratios of the axles without slip, computed without divisions.
+    """Return the speed ratios of the axles without slip [1].
 
-    Parameters
-    ----------
-    climber : Climber
-        The vehicle.
-    tilts : Tilts
-        Tilts of its bodies. [rad]
-    directions : PerAxle
-        Directions of motion of its axles. [rad]
-
-    Returns
-    -------
-    PerAxle
-        Speeds of the axles up to a common factor; all zero if the axles cannot move without slip.
+    ``directions`` are the directions of the axles' motion [rad]. The common factor is chosen so
+    that nothing is divided: all ratios are zero if the axles cannot move without slip.
     """
     to_joint = -climber.middle.ahead
     link = climber.middle.ahead - climber.rear.ahead
@@ -75,6 +72,7 @@ def ratios(climber: Climber, tilts: Tilts, directions: PerAxle) -> PerAxle:
     middle = ca.cos(directions.middle - tilts.rear)
     front = ca.cos(directions.front - tilts.front)
     turning = ca.sin(directions.middle - directions.rear) * ca.sin(tilts.front - tilts.rear)
+    # right side of the front link for s = 1; its left factor multiplies the other two speeds
     ahead = rear * ca.cos(directions.middle - tilts.front) + to_joint / link * turning
     return PerAxle(middle * front, rear * front, ahead)
 
@@ -94,77 +92,38 @@ def capped(speeds: PerAxle, cap: float) -> PerAxle:
 def reference(
     climber: Climber, tilts: Tilts, directions: PerAxle, law: Law = "projective", cap: float = 1.5
 ) -> PerAxle:
-    """Return the reference speeds of the axles, relative to the vehicle's speed.
+    """Return the reference speeds of the axles, relative to the vehicle's speed [1].
 
-    Parameters
-    ----------
-    climber : Climber
-        The vehicle.
-    tilts : Tilts
-        Tilts of its bodies. [rad]
-    directions : PerAxle
-        Directions of motion of its axles. [rad]
-    law : {"projective", "fixed", "printed_6_8", "printed_14", "printed_16"}
-        ``"projective"``: no slip in every phase; ``"fixed"``: speed one for all axles. The other
-        laws are equations of the paper as printed, for comparison: (6) with (8), the pseudo-inverse
-        (15) of (14), and (16). Their single angle alpha is the largest direction.
-    cap : float
-        Largest relative speed, at least 1; not used by ``"printed_14"``.
+    The law ``"projective"`` has no slip in every phase, ``"fixed"`` has speed one for all axles.
+    The other laws are equations of the paper as printed, for comparison: (6) with (8), the
+    pseudo-inverse (15) of (14), and (16). Their single angle alpha is the largest of the axles'
+    directions of motion [rad]. ``cap``, at least 1, is the largest relative speed; ``"printed_14"``
+    does not use it.
     """
     if law == "fixed":
         return PerAxle(ca.SX(1), ca.SX(1), ca.SX(1))
     if law == "projective":
         return capped(ratios(climber, tilts, directions), cap)
-    return _PRINTED[law](tilts, ca.mmax(ca.vertcat(*directions)), cap)
-
-
-def _cosines(tilts: Tilts, alpha: Any) -> tuple[Any, Any, Any, Any]:
-    """Return numerator and denominator of (6), then of (8), with tilts th_b and th_a + th_b."""
-    rear = ca.cos(alpha - tilts.rear), ca.cos(tilts.rear)
-    return *rear, ca.cos(tilts.front), ca.cos(alpha - tilts.front)
-
-
-def _printed_6_8(tilts: Tilts, alpha: Any, cap: float) -> PerAxle:
-    a, b, c, d = _cosines(tilts, alpha)
-    return capped(PerAxle(a / b * d, d, c), cap)
-
-
-def _printed_14(tilts: Tilts, alpha: Any, _cap: float) -> PerAxle:
-    """Return the speed ratios of the axles by equation (15), from (14) as printed."""
-    a, b, c, d = _cosines(tilts, alpha)
-    first, square = a / b, d**2
-    size = 5 / (2 * first**2 * square + square + 2 * c**2)
-    return PerAxle(first * square * size, square * size, c * d * size)
-
-
-def _printed_16(tilts: Tilts, alpha: Any, cap: float) -> PerAxle:
-    a, b, c, d = _cosines(tilts, alpha)
-    return capped(PerAxle(b / a * c, c, d), cap)
-
-
-_PRINTED: dict[str, Callable[[Tilts, Any, float], PerAxle]] = {
-    "printed_6_8": _printed_6_8,
-    "printed_14": _printed_14,
-    "printed_16": _printed_16,
-}
+    alpha = ca.mmax(ca.vertcat(*directions))
+    # numerator and denominator of (6), then of (8), with the tilts th_b and th_a + th_b
+    rear_over, rear_under = ca.cos(alpha - tilts.rear), ca.cos(tilts.rear)
+    front_over, front_under = ca.cos(tilts.front), ca.cos(alpha - tilts.front)
+    if law == "printed_14":  # the speed ratios are (15)
+        first, square = rear_over / rear_under, front_under**2
+        size = 5 / (2 * first**2 * square + square + 2 * front_over**2)
+        return PerAxle(first * square * size, square * size, front_over * front_under * size)
+    if law == "printed_6_8":
+        return capped(PerAxle(rear_over / rear_under * front_under, front_under, front_over), cap)
+    return capped(PerAxle(rear_under / rear_over * front_over, front_over, front_under), cap)
 
 
 def estimated_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: PerAxle) -> PerAxle:
-    """Return estimates of the axles' directions from tilt sensors and encoders.
+    """Return estimates of the axles' directions from tilt sensors and encoders [rad].
 
     The tilt rate of a link gives the vertical speed of its axle; divided by the rim speed it is the
     sine of the direction. The sign of the rear body's tilt rate decides which of its two axles
     climbs. The estimates do not require the slope or height of the obstacle. The controller smooths
     them.
-
-    Parameters
-    ----------
-    climber : Climber
-        The vehicle.
-    tilts, rates : Tilts
-        Tilts of its bodies and their rates. [rad, rad/s]
-    spins : PerAxle
-        Rates of its wheels. [rad/s]
     """
     link = climber.middle.ahead - climber.rear.ahead
     turn = ca.cos(tilts.rear) * rates.rear
@@ -181,18 +140,9 @@ def estimated_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: Pe
 def directions(profile: Profile, radius: float, axles: PerAxle) -> PerAxle:
     """Return the angles above the horizontal in which the axles can move forward [rad].
 
-    The direction of an axle is the steepest upward tangent of the solids near its wheels: wheels
-    that touch floor and wall move up the wall. They move downhill, as over an edge, only if no
-    other solid supports them.
-
-    Parameters
-    ----------
-    profile : Profile
-        The ground.
-    radius : float
-        Radius of the wheels. [m]
-    axles : PerAxle of SX, shape (2, 1)
-        Positions of the axles. [m]
+    The direction of an axle at the position (2, 1) [m] is the steepest upward tangent of the solids
+    near its wheels of a radius [m]: wheels that touch floor and wall move up the wall. They
+    move downhill, as over an edge, only if no other solid supports them.
     """
     return PerAxle(*(_direction(profile, radius, axle) for axle in axles))
 
@@ -200,6 +150,7 @@ def directions(profile: Profile, radius: float, axles: PerAxle) -> PerAxle:
 def _direction(profile: Profile, radius: float, axle: ca.SX) -> ca.SX:
     up, down, free = ca.SX(0), ca.SX(0), ca.SX(1)
     for solid in profile.solids:
+        # a smooth weight instead of a contact test: integrators need derivatives at first contact
         distance, normal = solid.gap(axle[0], axle[1])
         near = (1 - ca.tanh((distance - radius - GUIDE_GAP) / GUIDE_WIDTH)) / 2
         slope = ca.atan2(-normal[0], normal[1])
@@ -207,3 +158,55 @@ def _direction(profile: Profile, radius: float, axle: ca.SX) -> ca.SX:
         down = ca.fmin(down, near * slope)
         free *= ca.if_else(slope >= 0, 1 - near, 1)
     return up + down * free
+
+
+TONES = 24  # number of tones in the noise of a sensor
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Root mean squares, frequency band and seed of the sensor noise.
+
+    The noise of a sensor is a sum of tones of equal amplitude with random phases and frequencies
+    distributed over the band, from a hundredth of its largest frequency; it is a smooth function of
+    time, which integrators can follow. Tilt rates are measured separately from tilts.
+    """
+
+    tilt: Annotated[
+        float, Ge(0), Lt(math.inf), Unit("rad"), doc("root mean square for the bodies' tilts")
+    ] = 0.0
+    tilt_rate: Annotated[
+        float, Ge(0), Lt(math.inf), Unit("rad/s"), doc("root mean square for the tilt rates")
+    ] = 0.0
+    wheel_rate: Annotated[
+        float, Ge(0), Lt(math.inf), Unit("rad/s"), doc("root mean square for the wheel rates")
+    ] = 0.0
+    band: Annotated[float, Gt(0), Lt(math.inf), Unit("Hz"), doc("largest frequency")] = 50.0
+    seed: Annotated[int, Ge(0), doc("seed of the random numbers")] = 0
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+def measured(
+    noise: Noise, t: Any, tilts: Tilts, rates: Tilts, spins: PerAxle
+) -> tuple[Tilts, Tilts, PerAxle]:
+    """Return tilts, tilt rates and wheel rates with sensor noise, at a time ``t`` [s]."""
+    rng = np.random.default_rng(noise.seed)
+
+    def noisy(size: float, values: Iterable[Any]) -> list[Any]:
+        return [value + size * _unit(rng, noise.band, t) for value in values]
+
+    return (
+        Tilts(*noisy(noise.tilt, tilts)),
+        Tilts(*noisy(noise.tilt_rate, rates)),
+        PerAxle(*noisy(noise.wheel_rate, spins)),
+    )
+
+
+def _unit(rng: np.random.Generator, band: float, t: Any) -> Any:
+    """Return the value at time ``t`` of noise with unit rms and largest frequency ``band``."""
+    edges = np.linspace(0.01 * band, band, TONES + 1)
+    turning = 2 * np.pi * rng.uniform(edges[:-1], edges[1:])
+    phases = rng.uniform(0, 2 * np.pi, TONES)
+    return math.sqrt(2 / TONES) * ca.sum1(ca.sin(ca.DM(turning) * t + ca.DM(phases)))

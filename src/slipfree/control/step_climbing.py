@@ -14,23 +14,24 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, get_args
 import casadi as ca
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
+from slipfree.catalog.step_climber import Climber, climber_of
 from slipfree.control.controlled import Controller, controlled
 from slipfree.control.reference_speeds import (
     Law,
+    Noise,
     PerAxle,
     Tilts,
     directions,
     estimated_directions,
+    measured,
     reference,
 )
-from slipfree.control.sensor_noise import Noise, measured
 from slipfree.core.bounds import check_bounds
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label, leaves, symbols
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
-from slipfree.vehicle.climber import Climber, climber_of
 from slipfree.vehicle.tree import Vehicle
 
 MAX_TILT = 1.4  # a body with a larger tilt has overturned [rad]
@@ -41,19 +42,9 @@ Motors = tuple[int, int, int]
 class Sensed(NamedTuple):
     """Quantities of a model that a controller may use.
 
-    Attributes
-    ----------
-    t : SX
-        Time. [s]
-    tilts, rates : Tilts
-        Tilts of the bodies, nose up, and their rates. [rad, rad/s]
-    spins : PerAxle
-        Rates of the wheels, forward positive. [rad/s]
-    axles, velocities : PerAxle of SX, shape (2, 1)
-        Positions and velocities of the axles. [m, m/s]
-    directions : callable
-        Function without arguments that returns the true directions in which the axles can move,
-        upward from the horizontal. [rad]
+    Tilts are nose-up [rad, rad/s], ``spins`` the rates of the wheels [rad/s], ``axles`` and
+    ``velocities`` columns (2, 1) [m, m/s]. ``directions()`` are the true directions in which the
+    axles can move, upward from the horizontal [rad].
     """
 
     t: ca.SX
@@ -66,16 +57,10 @@ class Sensed(NamedTuple):
 
 
 class ControlState(NamedTuple):
-    """States of the controller.
+    """States of the controller, each per axle or empty.
 
-    Attributes
-    ----------
-    integrals : PerAxle or ()
-        Integrals of the errors of the wheel rates. [rad]
-    directions : PerAxle or ()
-        Smoothed estimates of the axles' directions. [rad]
-    lagging : PerAxle or ()
-        Filtered errors of the wheel rates, for the derivative gain. [rad/s]
+    Integrals of the errors of the wheel rates [rad], smoothed estimates of the axles' directions
+    [rad], and filtered errors of the wheel rates, for the derivative gain [rad/s].
     """
 
     integrals: Any = ()
@@ -100,7 +85,23 @@ class ControlOutputs(NamedTuple):
 INPUTS = ControlInputs(Label("reference_speed", "m s-1", "reference speed of the vehicle"))
 
 
-class Driver(Protocol):
+class Torques(NamedTuple):
+    """Torques of the motors before (17) and after limiting (19) [N m], and the factor (18) [1]."""
+
+    wanted: PerAxle
+    out: PerAxle
+    scale: ca.SX
+
+
+class Commands(NamedTuple):
+    """Output of a controller: references [rad/s], torques, and the rates of its states."""
+
+    references: PerAxle
+    torques: Torques
+    rates: tuple[ca.SX, ...]
+
+
+class WheelControl(Protocol):
     """Protocol of the controllers of a step climber."""
 
     @property
@@ -118,38 +119,9 @@ class Driver(Protocol):
 class StepClimbing:
     """PID controller of the wheel rates, whose references follow from axle speeds without slip.
 
-    Attributes
-    ----------
-    law : {"projective", "fixed", "printed_6_8", "printed_14", "printed_16"}
-        Law of the reference speeds, see `slipfree.control.reference_speeds.reference`.
-    directions : {"sensors", "contact"}
-        Source of the directions of the axles: estimates from tilt sensors, potentiometer and
-        encoders, or the true directions of the contacts, known only in simulations.
-    smoothing : float
-        Time constant of the low-pass filter of the estimated directions. [s]
-    share : float
-        Factor by which the true directions are multiplied if ``directions="contact"``; a value
-        below one simulates directions that are estimated too small. [1]
-    cap : float
-        Largest reference speed of an axle, relative to the speed of the vehicle; at least 1. [1]
-    proportional, integral, derivative : float
-        PID gains of each wheel rate, (17). [N m s/rad, N m/rad, N m s2/rad]
-    lag : float
-        Time constant of the filter of the derivative. [s]
-    unwinding : float
-        Anti-windup gain: decay rate of the part of the integral term that exceeds the torque limit;
-        zero, as in the paper, for no anti-windup. [1/s]
-    torque : float
-        Largest torque of a motor. [N m]
-    motors : tuple of 3 int
-        Numbers of wheels on the rear, middle and front axle, with one motor each.
-    noise : Noise or None
-        Noise of the measured tilts, tilt rates and wheel rates; None for exact measurements.
-
-    Raises
-    ------
-    ModelError
-        If a name is unknown or a number is out of range.
+    The laws are those of `slipfree.control.reference_speeds.reference`, the gains those of (17).
+    True directions of the contacts are known only in simulations; a ``share`` below one simulates
+    directions that are estimated too small. The paper has no anti-windup: ``unwinding`` is zero.
     """
 
     law: Annotated[Law, doc("law of the axles' reference speeds")] = "projective"
@@ -208,7 +180,11 @@ class StepClimbing:
                     f"found {getattr(self, name)!r}; choose one of these names"
                 )
         check_bounds(self)
-        check_motors(self.motors)
+        if min(self.motors) < 1:
+            raise ModelError(
+                "step-climbing: expected one motor or more per axle as 'motors', found "
+                f"{self.motors}; change the numbers"
+            )
 
     @property
     def senses(self) -> bool:
@@ -217,16 +193,12 @@ class StepClimbing:
 
     def labels(self, wheels: Sequence[str]) -> ControlState:
         """Return the labels of the states for the names of the wheels."""
-
-        def each(name: str, unit: str, words: str) -> PerAxle:
-            return PerAxle(*(Label(name, unit, words, wheel) for wheel in wheels))
-
-        words = "smoothed estimate of the axle's direction from sensors"
+        estimate = "smoothed estimate of the axle's direction from sensors"
         filtered = "filtered wheel-rate error, for the derivative gain"
         return ControlState(
-            each("error_sum", "rad", "integral of the wheel-rate error"),
-            each("direction_seen", "rad", words) if self.senses else (),
-            each("error_lag", "rad s-1", filtered) if self.derivative else (),
+            _labels(wheels, "error_sum", "rad", "integral of the wheel-rate error"),
+            _labels(wheels, "direction_seen", "rad", estimate) if self.senses else (),
+            _labels(wheels, "error_lag", "rad s-1", filtered) if self.derivative else (),
         )
 
     def commands(self, climber: Climber, at: Sensed, x: ControlState, speed: ca.SX) -> Commands:
@@ -234,12 +206,14 @@ class StepClimbing:
         tilts, rates, spins = at.tilts, at.rates, at.spins
         if self.noise is not None:
             tilts, rates, spins = measured(self.noise, at.t, tilts, rates, spins)
-        used = x.directions if self.senses else [self.share * each for each in at.directions()]
+        used = x.directions if self.senses else [self.share * phi for phi in at.directions()]
         relative = reference(climber, tilts, PerAxle(*used), self.law, self.cap)
-        wanted = PerAxle(*(speed / climber.radius * each for each in relative))
+        wanted = PerAxle(*(speed / climber.radius * ratio for ratio in relative))
         errors = PerAxle(*(aim - spin for aim, spin in zip(wanted, spins, strict=True)))
         rises = [(now - late) / self.lag for now, late in zip(errors, x.lagging, strict=False)]
         motors = torques(self, errors, x.integrals, rises)
+        # back-calculation: torque cut off by the limit drains the integral, so that a wheel held
+        # at an obstacle does not release stored torque when it breaks free
         unwinding = self.unwinding / self.integral
         changes = [
             error - unwinding * (torque - out)
@@ -253,59 +227,32 @@ class StepClimbing:
         return Commands(wanted, motors, (*changes, *rises))
 
 
-class Torques(NamedTuple):
-    """Motor torques of a controller, before and after limiting.
-
-    Attributes
-    ----------
-    wanted : PerAxle of SX
-        Torque of each wheel of an axle before limiting, (17). [N m]
-    out : PerAxle of SX
-        Scaled torques, (19). [N m]
-    scale : SX
-        Common scale factor, (18).
-    """
-
-    wanted: PerAxle
-    out: PerAxle
-    scale: ca.SX
-
-
-class Commands(NamedTuple):
-    """Output of a controller: references [rad/s], torques, and the rates of its states."""
-
-    references: PerAxle
-    torques: Torques
-    rates: tuple[ca.SX, ...]
+def _labels(wheels: Sequence[str], name: str, unit: str, text: str) -> PerAxle:
+    return PerAxle(*(Label(name, unit, text, wheel) for wheel in wheels))
 
 
 def torques(control: StepClimbing, errors: PerAxle, sums: PerAxle, rises: Any) -> Torques:
     """Return the motor torques of equation (17), scaled to the torque limit by (18) and (19).
 
-    (18) as printed does not limit negative torques; here the absolute value is limited.
-
-    Parameters
-    ----------
-    control : StepClimbing
-        The gains and the limit.
-    errors, sums : PerAxle
-        Errors of the wheels' rates, and their integrals. [rad/s, rad]
-    rises : PerAxle or ()
-        Rates of the errors; empty without derivative gain. [rad/s2]
+    ``errors`` and ``sums`` are the errors of the wheels' rates and their integrals [rad/s, rad],
+    ``rises`` the rates of the errors, empty without derivative gain [rad/s2].
     """
-    found = [
+    wanted = [
         control.proportional * error + control.integral * total
         for error, total in zip(errors, sums, strict=True)
     ]
     if control.derivative:
-        found = [
-            torque + control.derivative * rise for torque, rise in zip(found, rises, strict=True)
+        wanted = [
+            torque + control.derivative * rise for torque, rise in zip(wanted, rises, strict=True)
         ]
-    return limited(control.torque, PerAxle(*found))
+    return limited(control.torque, PerAxle(*wanted))
 
 
 def limited(limit: float, wanted: PerAxle) -> Torques:
-    """Return motor torques scaled to the torque limit by equations (18) and (19) [N m]."""
+    """Return motor torques scaled to the torque limit by equations (18) and (19) [N m].
+
+    (18) as printed does not limit negative torques; here the absolute value is limited.
+    """
     if math.isinf(limit):
         return Torques(wanted, wanted, ca.SX(1))
     scale = limit / ca.fmax(limit, ca.mmax(ca.fabs(ca.vertcat(*wanted))))
@@ -339,19 +286,10 @@ def check_period(period: float, control: StepClimbing, climber: Climber) -> None
         )
 
 
-def check_motors(motors: Motors) -> None:
-    """Raise ModelError for a number of motors below one."""
-    if min(motors) < 1:
-        raise ModelError(
-            f"step-climbing: expected one motor or more per axle as 'motors', found {motors}; "
-            "change the numbers"
-        )
-
-
 def climbing(
     model: Dae,
     vehicle: Vehicle,
-    control: Driver,
+    control: WheelControl,
     section: Profile | None = None,
     *,
     sampled: bool = False,
@@ -363,9 +301,9 @@ def climbing(
     model : Dae
         Result of `slipfree.dynamics` for the vehicle.
     vehicle : Vehicle
-        The vehicle, see `slipfree.vehicle.climber.climber_of`.
-    control : Driver
-        The controller: `StepClimbing`, or `slipfree.climb.plan_tracking.Tracking`.
+        The vehicle, see `slipfree.catalog.step_climber.climber_of`.
+    control : WheelControl
+        The controller: `StepClimbing`, or `slipfree.climb.time_scaling.Tracking`.
     section : Profile, optional
         Section of the ground (`slipfree.terrain.solids.section_of`), which controllers with
         ``directions="contact"`` require.
@@ -389,33 +327,29 @@ def climbing(
     labels = control.labels(wheels)
     x, u = symbols(labels), symbols(INPUTS)
     at = _sensed(climber, model, section)
-    found = control.commands(climber, at, x, u.speed)
+    command = control.commands(climber, at, x, u.speed)
     tilt = Label(f"front_{UPRIGHT}", "rad", "the front body overturns (tilt)")
     limit = Limit(tilt, at.tilts.front, -MAX_TILT, MAX_TILT)
     model = replace(model, limits=(*model.limits, limit))
-    motors = found.torques
+    motors = command.torques
     controller = Controller(
         x=x,
         u=u,
-        rates=found.rates,
+        rates=command.rates,
         laws=tuple(n * tau for n, tau in zip(control.motors, motors.out, strict=True)),
-        y=ControlOutputs(found.references, motors.out, motors.scale),
+        y=ControlOutputs(command.references, motors.out, motors.scale),
         labels_x=labels,
         labels_u=INPUTS,
         labels_y=ControlOutputs(
-            PerAxle(
-                *(Label("reference", "rad s-1", "reference rate of the wheels", w) for w in wheels)
-            ),
-            PerAxle(
-                *(Label("motor_torque", "N m", "torque of a wheel's motor", w) for w in wheels)
-            ),
+            _labels(wheels, "reference", "rad s-1", "reference rate of the wheels"),
+            _labels(wheels, "motor_torque", "N m", "torque of a wheel's motor"),
             Label("torque_scale", "1", "factor by which the torque limit scales all torques"),
         ),
     )
     return controlled(model, controller, sampled=sampled)
 
 
-def held_torques(model: Dae, control: Driver) -> dict[str, ca.SX]:
+def held_torques(model: Dae, control: WheelControl) -> dict[str, ca.SX]:
     """Return the torques of the axles by name, for the model of a sampled controller [N m]."""
     torques, names = model.y.controller.torques, leaves(model.labels.u.model.wheels)
     return {

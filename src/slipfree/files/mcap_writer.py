@@ -21,7 +21,7 @@ from slipfree.files.urdf.links import (
     platform_poses,
     to_rep103,
 )
-from slipfree.models.poses import wheel_poses
+from slipfree.models.samples import wheel_poses
 from slipfree.system.atomic_files import replace_file
 from slipfree.vehicle.tree import Vehicle
 

@@ -21,8 +21,7 @@ from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import in_axes
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
-from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.sections.registry import SECTIONS
+from slipfree.vehicle.sections import SECTIONS, Omni
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 

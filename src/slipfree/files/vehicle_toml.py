@@ -64,9 +64,7 @@ from slipfree.files.vehicle_draft import (
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import names_in
-from slipfree.vehicle.sections.base import Section
-from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.sections.registry import SECTIONS, section_of_radii
+from slipfree.vehicle.sections import SECTIONS, Omni, Section, section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 

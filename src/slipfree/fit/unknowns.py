@@ -19,11 +19,7 @@ from slipfree.core.dae import Dae, Parameter
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label
 from slipfree.geometry.frame import Pose, Vector
-from slipfree.vehicle.sections.base import Section
-from slipfree.vehicle.sections.disc import Disc
-from slipfree.vehicle.sections.omni import Omni
-from slipfree.vehicle.sections.sphere import Sphere
-from slipfree.vehicle.sections.torus import Torus
+from slipfree.vehicle.sections import Disc, Omni, Section, Sphere, Torus
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 

@@ -54,7 +54,7 @@ class Motion(NamedTuple):
     constraints : Equations
         Constraints of all slip laws, linear in the rates. With exact contact: no wheel moves along
         the ground's normal. With pressed wheels: height, inclination and suspension relax
-        (`slipfree.models.pressed_model`).
+        (`slipfree.models.kinematics`).
     weights : tuple of SX or float
         Weight of each wheel's slip: about one on the ground, about zero in the air. [1]
     """

@@ -20,6 +20,7 @@ from slipfree.core.records import symbols
 from slipfree.geometry.frame import Pose
 from slipfree.laws.protocols import Equations
 from slipfree.models.base import (
+    Quantities,
     at_rest,
     carriers,
     extent,
@@ -31,12 +32,14 @@ from slipfree.models.base import (
     spins,
     touch_function,
 )
-from slipfree.models.limits import limits_of
-from slipfree.models.quantities import Quantities
+from slipfree.models.friction_feasibility import (
+    force_outputs,
+    mechanics,
+    with_tangential,
+)
+from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.records import Algebraic
-from slipfree.models.slip import slip_velocities
-from slipfree.models.statics import force_outputs, mechanics, with_tangential
-from slipfree.models.tip_over import tip_over_margin
+from slipfree.models.samples import slip_velocities
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

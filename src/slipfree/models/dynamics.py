@@ -22,8 +22,7 @@ import numpy as np
 
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import has_exact_closure, support_fault
-from slipfree.contact.solid_touch import solid_touch
-from slipfree.contact.touch import Touch, plane_of, search_function, touch
+from slipfree.contact.touch import Touch, plane_of, search_function, solid_touch, touch
 from slipfree.core.dae import Dae, HeldTerms, Labels, Standing
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
@@ -34,16 +33,18 @@ from slipfree.laws.protocols import ContactLaw, WheelContact, check_law
 from slipfree.models.base import extent, raised_poses, sizes, touch_function
 from slipfree.models.dynamic_outputs import (
     Contact,
+    DynamicDae,
+    DynamicState,
     Effort,
     deepest,
     depth_limits,
     dynamic_forces,
+    dynamic_labels,
     dynamic_outputs,
     limit_quantities,
     quantities,
     solid_limits,
 )
-from slipfree.models.dynamic_records import DynamicDae, DynamicState, dynamic_labels
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import (
     Load,

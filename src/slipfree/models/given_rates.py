@@ -1,19 +1,30 @@
-"""Given rates of the platform in inverse models, and the equations that impose them."""
+"""Given rates of the platform in inverse models: their equations, and steering towards them.
+
+The guiding motion is the motion of the platform with the given rates, among those that the ground
+permits, in which the wheels that are not steered slip least sideways. Each steered wheel is
+turned until its contact point has no velocity across the wheel; on level ground this is the rule of
+the instantaneous centre of rotation. Steering rates follow the target angles with a lag
+(`GAIN`, `MAX_STEERING_RATE`): the exact rates of the targets would need third derivatives of the
+ground. Targets and rates respect the joints' stops and `max_rate`. Where all three rates are given
+and some wheels are not steered, other angles may have less slip.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import Variable, new_variable, variables
 from slipfree.core.records import Label, leaves, pack
+from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import slip_unit
-from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.tree import Coordinate, Kind, Vehicle
 
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 EULER = ("heading_rate", "roll_rate", "pitch_rate")
@@ -220,3 +231,158 @@ def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = Tr
             f"'{'right' if 'right' in given else given[-1]}', or set exact = false for the nearest "
             "motion"
         )
+
+
+GAIN = 5.0  # decay rate of the error of a steering angle [1/s]
+MAX_STEERING_RATE = 1.0  # largest rate of a steered joint without max_rate [rad/s, m/s]
+STOP_CLEARANCE = 1e-4  # distance between a stop and the target of a steered coordinate [rad, m]
+MIN_WHEEL_SPEED = 1e-4  # speed of a wheel below which it is not steered [size/s]
+FREE_RATE_WEIGHTS = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # of rates not given [1]
+BRANCH_SHIFT = 0.2  # steering errors lie between -pi/2 - shift and pi/2 - shift [rad]
+MIN_EFFECT = 1e-9  # a joint with a smaller effect on a wheel's direction does not steer [1, 1/m]
+
+
+class Guide(NamedTuple):
+    """Guiding motion: its conditions, and the unknown rates of pose and suspension.
+
+    Passive joints are fixed; wheels that swivel on passive joints are ignored.
+    """
+
+    conditions: Minimum
+    motion: tuple[Variable, ...]
+
+
+def steering_effects(
+    vehicle: Vehicle, direct: Dae, kind: Kind = "commanded"
+) -> dict[str, dict[int, ca.SX]]:
+    """Return the effects of coordinates of a kind on the directions of wheels.
+
+    The result maps names of coordinates to effects by wheel number, the derivatives of the wheel's
+    direction: its angle about the platform's up axis, positive to the left. Coordinates without
+    effect are omitted. [rad/rad, rad/m]
+    """
+    values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
+    poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)
+    angles = ca.vertcat(*(ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0]) for pose in poses))
+    column, found = ca.vertcat(*values.values()), dict[str, dict[int, ca.SX]]()
+    for c in vehicle.of(kind):
+        effect = ca.jacobian(angles, values[c.name])
+        level = ca.evalf(ca.substitute(effect, column, ca.SX.zeros(column.shape)))
+        turned = np.flatnonzero(np.abs(np.array(level)) > MIN_EFFECT)
+        if turned.size:
+            found[c.name] = {k: effect[k] for k in map(int, turned)}
+    return found
+
+
+def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> Guide:
+    """Return the guiding motion: least sideways slip of unsteered wheels under given rates.
+
+    ``inputs`` are the given rates.
+    """
+    kinds: tuple[Kind, ...] = ("commanded", "passive")
+    turned = {
+        k
+        for kind in kinds
+        for each in steering_effects(vehicle, direct, kind).values()
+        for k in each
+    }
+    names, plane = direct.labels.z.rates, derived_rates(direct)
+    given = [each.label.name for each in inputs]
+    motion = tuple(
+        new_variable(direct, replace(label, name=f"guide_{label.name}"))
+        for label in _pose_rates(names)
+    )
+    multipliers = [replace(label, name=f"guide_{label.name}") for label in names.law.multipliers]
+    multipliers += [
+        Label(f"guide_multiplier_{name}", slip_unit(COMMANDS[name].unit), COMMANDS[name].words)
+        for name in given
+    ]
+    across = [slip for k, slip in enumerate(direct.y.slip_across) if k not in turned]
+    sizes = {"yaw_rate": direct.size}
+    loose = [
+        FREE_RATE_WEIGHTS[name] * (sizes.get(name, 1.0) * plane[name].expression) ** 2
+        for name in COMMANDS
+    ]
+    goal = 0.5 * ca.sum1(ca.vertcat(*loose, *(slip**2 for slip in across)))
+    touching = direct.alg[1][-len(names.law.multipliers) :]
+    missed = [
+        plane[name].expression - each.symbol for name, each in zip(given, inputs, strict=True)
+    ]
+    goal, *rows = guided(direct, motion, [goal, touching, *missed])
+    label = Label("guide", "", "least sideways slip of wheels that are not steered")
+    conditions = minimum(direct, goal, ca.vertcat(*rows), motion, multipliers, label)
+    return Guide(conditions, motion)
+
+
+def _pose_rates(rates: Any) -> tuple[Any, ...]:
+    """Return the fields of pose and suspension from `Rates` or its labels."""
+    return (*rates[:6], *rates.suspension)
+
+
+def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]) -> list[ca.SX]:
+    """Return expressions with the rates of the guiding motion; wheels and joints are at rest."""
+    rates = direct.z.rates
+    still = pack((direct.u, rates.free, rates.passive))
+    found = ca.substitute([*expressions], [still], [ca.SX.zeros(still.shape)])
+    symbols = ca.vertcat(*(each.symbol for each in motion))
+    return list(ca.substitute(found, [ca.vertcat(*_pose_rates(rates))], [symbols]))
+
+
+def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -> dict[str, ca.SX]:
+    """Return the errors of steered coordinates, target minus actual value, by name [rad, m].
+
+    Small errors are Gauss-Newton steps that minimise the velocity ``across`` the wheels. The
+    formula uses doubled angles, since a wheel may roll forward or backward. Errors lie in an
+    interval of half a turn, shifted by `BRANCH_SHIFT` from zero: all wheels then turn in the same
+    direction if the required motion is perpendicular to them.
+    """
+    errors = {}
+    values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
+    coordinates = {c.name: c for c in vehicle.coordinates}
+    for name, effects in steering_effects(vehicle, direct).items():
+        wheels = [(direct.y.slip_along[k], direct.y.slip_across[k]) for k in effects]
+        moving = iter(guided(direct, motion, [part for wheel in wheels for part in wheel]))
+        sine, cosine = ca.SX(0), ca.SX((MIN_WHEEL_SPEED * direct.size) ** 2)
+        for effect, along, across in zip(effects.values(), moving, moving, strict=True):
+            sine -= 2 * effect * along * across
+            cosine += effect**2 * (along**2 - across**2)
+        c, s = np.cos(2 * BRANCH_SHIFT), np.sin(2 * BRANCH_SHIFT)
+        error = ca.atan2(c * sine + s * cosine, c * cosine - s * sine) / 2 - BRANCH_SHIFT
+        errors[name] = _within_stops(coordinates[name], values[name], error)
+    return errors
+
+
+def _within_stops(c: Coordinate, value: ca.SX, error: ca.SX) -> ca.SX:
+    """Return the error of a steered coordinate, with its target moved between the stops.
+
+    If the target is beyond a stop, the wheel turns to the opposite direction, half a turn away. If
+    that is beyond a stop too, the target is the nearer stop.
+    """
+    if not (np.isfinite(c.lower) or np.isfinite(c.upper)):
+        return error
+    clearance = min(STOP_CLEARANCE, (c.upper - c.lower) / 4)
+    low, high = c.lower + clearance - value, c.upper - clearance - value
+    reverse = error - ca.pi * ca.sign(error)
+    is_reversed = ca.logic_and(
+        _outside(error, low, high), ca.logic_not(_outside(reverse, low, high))
+    )
+    return ca.fmin(ca.fmax(ca.if_else(is_reversed, reverse, error), low), high)
+
+
+def _outside(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    return ca.logic_or(value < low, value > high)
+
+
+def steering_laws(vehicle: Vehicle, errors: Mapping[str, ca.SX]) -> tuple[ca.SX, ...]:
+    """Return the rates of all commanded coordinates [rad/s, m/s].
+
+    Coordinates with an error in ``errors`` are steered towards their targets; the rates of the
+    others are zero.
+    """
+    fastest = {
+        c.name: c.max_rate if np.isfinite(c.max_rate) else MAX_STEERING_RATE
+        for c in vehicle.of("commanded")
+    }
+    return tuple(
+        rate * ca.tanh(GAIN / rate * errors.get(name, ca.SX(0))) for name, rate in fastest.items()
+    )

@@ -13,7 +13,7 @@ the steering angle is the unknown instead, it is well determined as long as the 
 **All other vehicles** cannot roll without slip, or have more inputs than the platform has degrees
 of freedom. They take commands: some of the platform's rates in its heading frame. Commands are met
 exactly or, on request, with the least error where the steering angles do not allow them. The
-steering follows a guiding motion (`slipfree.models.steering_guide`).
+steering follows a guiding motion (`slipfree.models.given_rates`).
 
 Exact commands: the rates of the driven wheels are those of least slip among all rates with which
 the direct model has the given motion. The equations of the direct model (least slip under its
@@ -71,16 +71,14 @@ from slipfree.models.given_rates import (
     check_commands,
     check_rates,
     derived_rates,
-    impose,
-    minimum,
-)
-from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.steering_guide import (
     guided,
     guiding_motion,
+    impose,
+    minimum,
     steering_errors,
     steering_laws,
 )
+from slipfree.models.kinematics import direct_kinematics
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

@@ -1,24 +1,408 @@
-"""Direct kinematics: motion of a vehicle over the ground for given wheel and joint rates."""
+"""Direct kinematics: motion of a vehicle over the ground for given wheel and joint rates.
+
+A rigid vehicle stands on three wheels; a fourth one over-determines its pose. In the pressed-wheel
+model, each wheel presses on the ground with a load that grows with its depth below the ground, and
+the height and inclination of the platform and the suspension are states that relax to the
+equilibrium of these loads. As the depths tend to zero, the motion tends to that of
+`slipfree.models.closure_model` if the wheels of the vehicle can all touch a rigid ground.
+
+With the depth ``delta_i`` of a wheel, its static depth ``d0``, the weight ``W`` and ``n`` wheels:
+
+- Load: ``N_i = W / (2 n d0) (delta_i + sqrt(delta_i^2 + w^2))``, with a small width ``w``.
+- Friction is proportional to the loads: ``f_t = -N_i s_t``, with the tangential slip velocity
+  ``s_t`` for virtual rates of position, heading, passive joints and free wheels. The virtual rates
+  follow from the equilibrium of these coordinates.
+- The unbalanced force ``F`` on height, inclination and suspension moves them against viscous
+  contacts: ``J' diag(c) s_n = F``, with the normal velocities ``s_n = J r`` of the wheels for
+  relaxing rates ``r``, and the viscosities ``c``; springs of the suspension have viscosities with
+  the same time constant. Under an unbalanced force ``W / n``, a wheel on the ground moves at
+  `CONTACT_SPEED` and a wheel in the air at `AIR_SPEED`.
+
+A vehicle rocks where the wheel with the least load changes. There the equilibrium has folds, and
+the relaxation from one equilibrium to the next takes a finite time.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any, NamedTuple
+
 import casadi as ca
 
-from slipfree.contact.closure import has_exact_closure
-from slipfree.core.dae import Labels
+from slipfree.contact.closure import (
+    ContactFrame,
+    closure,
+    contact_frame,
+    has_exact_closure,
+    support_fault,
+)
+from slipfree.core.dae import Dae, Labels
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Label, leaves, pack
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Label, leaves, pack, symbols
+from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import Equations, Motion, SlipLaw, check_law, wheel_labels
-from slipfree.models.closure_model import closure_dae, closure_quantities
-from slipfree.models.labels import labels_of
-from slipfree.models.pressed_model import SMOOTHING, pressed_dae
-from slipfree.models.quantities import Quantities
-from slipfree.models.records import KinematicDae
-from slipfree.models.statics import following_forces
+from slipfree.models.base import (
+    Mechanics,
+    Quantities,
+    carriers,
+    extent,
+    joint_rates,
+    level_heights,
+    outputs,
+    raised_poses,
+    sizes,
+    spins,
+)
+from slipfree.models.closure_model import closure_dae, closure_quantities, single_contacts
+from slipfree.models.friction_feasibility import (
+    following_forces,
+    force_outputs,
+    mechanics,
+)
+from slipfree.models.limits import limits_of, tip_over_margin
+from slipfree.models.records import (
+    Algebraic,
+    Configuration,
+    Dependent,
+    Forces,
+    Inputs,
+    KinematicDae,
+    PressedContacts,
+    Rates,
+    RelaxedState,
+    labels_of,
+    pressed_labels,
+)
+from slipfree.models.samples import slip_velocities
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.tree import GRAVITY, Body, Vehicle
+
+CONTACT_SPEED = 1.0  # speed of a wheel on the ground under an unbalanced force W / n [m/s]
+AIR_SPEED = 3.0  # speed of a wheel in the air under an unbalanced force W / n [m/s]
+SMOOTHING = 0.1  # width of the load law [static depths]
+AIR_WEIGHT = 1e-6  # weight of the slip of a wheel in the air, so that its rate is determined [1]
+
+
+class Press(NamedTuple):
+    """Wheels pressed against the ground, as columns of shape (n_wheels, 1).
+
+    Attributes
+    ----------
+    depth : SX
+        Depth below the ground, along its normal; negative in the air. [m]
+    load : SX
+        Normal force divided by the weight of the vehicle. [1]
+    touch : SX
+        Degree of contact: derivative of the load with respect to the depth, divided by its value
+        at large depths; one under load, zero in the air. [1]
+    viscosity : SX
+        Viscosity of the contact in the relaxation: normal force per unit of normal velocity,
+        divided by the weight. [s/m]
+    """
+
+    depth: ca.SX
+    load: ca.SX
+    touch: ca.SX
+    viscosity: ca.SX
+
+
+class Balance(NamedTuple):
+    """Friction forces under given loads and the remaining unbalanced force, per unit weight.
+
+    Attributes
+    ----------
+    imbalance : SX, shape (3 + n_suspension, 1)
+        Unbalanced generalised forces on height [1], inclination [m] and suspension [1 or m].
+    along, across : SX, shape (n_wheels, 1)
+        Tangential forces. [1]
+    """
+
+    imbalance: ca.SX
+    along: ca.SX
+    across: ca.SX
+
+
+def press(vehicle: Vehicle, depth: ca.SX, smoothing: float) -> Press:
+    """Return loads and viscosities of wheels at given depths.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    depth : SX, shape (n_wheels, 1)
+        Depths of the wheels. [m]
+    smoothing : float
+        Width of the transition of the load law at depth zero, positive. [static depths]
+    """
+    count, static = len(vehicle.wheels), ca.DM([wheel.depth for wheel in vehicle.numeric.wheels])
+    root = ca.sqrt(depth**2 + (smoothing * static) ** 2)
+    touch = (1 + depth / root) / 2
+    viscosity = (touch / CONTACT_SPEED + (1 - touch) / AIR_SPEED) / count
+    return Press(depth, (depth + root) / (2 * count * static), touch, viscosity)
+
+
+def balance(parts: Mechanics, press: Press, groups: tuple[list[int], list[int]]) -> Balance:
+    """Return the friction forces under given loads and the remaining unbalanced force.
+
+    Parameters
+    ----------
+    parts : Mechanics
+        Terms of the equilibrium at rest.
+    press : Press
+        Loads of the wheels.
+    groups : tuple of two lists of int
+        Indices of the rates that friction balances, and of the rates that relax.
+    """
+    sliding, relaxing = groups
+    along, across, normal = (parts.free[k::3, :] for k in range(3))
+    slips = [rows[:, sliding] for rows in (along, across)]
+    weighted = [press.load * rows for rows in slips]
+    total = normal.T @ press.load + parts.load / parts.weight
+    matrix = sum((a.T @ b for a, b in zip(slips, weighted, strict=True)), ca.SX(0))
+    virtual = ca.ldl_solve(total[sliding], *ca.ldl(matrix))
+    forces = [-rows @ virtual for rows in weighted]
+    total += along.T @ forces[0] + across.T @ forces[1]
+    return Balance(total[relaxing], *forces)
+
+
+def relaxation(
+    vehicle: Vehicle,
+    parts: Mechanics,
+    press: Press,
+    imbalance: ca.SX,
+    rates: ca.SX,
+    inputs: ca.SX,
+    relaxing: list[int],
+) -> ca.SX:
+    """Return the residual of the relaxation equations, one row per relaxing rate [1, m].
+
+    The viscous normal forces of the contacts, projected on the relaxing rates, balance the
+    unbalanced force ``imbalance``.
+    """
+    normal, driven = parts.free[2::3, :], parts.driven[2::3, :]
+    velocity = normal @ rates + driven @ inputs
+    time = max(wheel.depth for wheel in vehicle.numeric.wheels) / CONTACT_SPEED
+    stiff = [time * c.stiffness / parts.weight for c in vehicle.of("suspension")]
+    springs = ca.DM([0, 0, 0, *stiff]) * rates[relaxing]
+    return normal[:, relaxing].T @ (press.viscosity * velocity) + springs - imbalance
+
+
+def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: float) -> Dae:
+    """Return the kinematic model of a vehicle with pressed wheels.
+
+    Parameters
+    ----------
+    vehicle, terrain, slip, smoothing
+        As in `slipfree.models.kinematics.direct_kinematics`.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle has fewer than three wheels, or contacts and springs do not determine its
+        pose.
+    """
+    fault = support_fault(vehicle)
+    if fault:
+        raise ModelError(f"{vehicle.name!r}: expected {fault}")
+    labels = _labels(vehicle, slip)
+    x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
+    place, lookups = _place(x, z.position.contacts), LookupTable()
+    poses = carriers(vehicle, *place)
+    contacts = tuple(
+        contact_frame(terrain, at.x, at.y, pose.rotation[:, 0], lookups)
+        for at, pose in zip(z.position.contacts, poses, strict=True)
+    )
+    misses = [closure(*each) for each in zip(vehicle.wheels, poses, contacts, strict=True)]
+    surface = tuple(_at_surface(*each) for each in zip(contacts, misses, strict=True))
+    parts = _at_rest(loaded(vehicle), terrain, place, surface, z.rates, u, lookups)
+    depths = [ca.dot(contact.normal, miss) for contact, miss in zip(contacts, misses, strict=True)]
+    pressed = press(vehicle, ca.vertcat(*depths), smoothing)
+    groups = _groups(labels)
+    balanced = balance(parts, pressed, groups)
+    forces = (balanced.along, balanced.across, pressed.load)
+    q = Quantities(
+        vehicle,
+        terrain,
+        *place,
+        z.rates,
+        Forces(*(tuple(ca.vertsplit(vehicle.weight * each)) for each in forces)),
+        u,
+        poses,
+        contacts,
+        slip_velocities(vehicle, *place, surface, z.rates, u),
+        spins(vehicle, z.rates, u),
+        parts,
+        tip_over_margin(vehicle, *place, contacts),
+        lookups,
+    )
+    rest = relaxation(
+        vehicle, parts, pressed, balanced.imbalance, pack(z.rates.motion), pack(u), groups[1]
+    )
+    law = _slip_equations(slip, labels, q, pressed, rest)
+    return _dae(labels, x, z, q, pressed, (_alignment(contacts, misses), law))
+
+
+def loaded(vehicle: Vehicle) -> Vehicle:
+    """Return a vehicle with mass; if it has none, with unit weight at the wheels' centroid."""
+    if vehicle.mass:
+        return vehicle
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
+    x, y, z = (float(each) for each in ca.vertsplit(sum(pose.origin for pose in poses)))
+    count = len(poses)
+    return replace(vehicle, body=Body(1 / GRAVITY, (x / count, y / count, z / count)))
+
+
+def _place(x: RelaxedState, contacts: tuple[Any, ...]) -> tuple[Configuration, Dependent]:
+    """Return states and contact points as `Configuration` and `Dependent`."""
+    position = Dependent(x.z, x.roll, x.pitch, x.suspension, contacts)
+    return Configuration(x.x, x.y, x.heading, x.joints), position
+
+
+def _at_surface(contact: ContactFrame, miss: ca.SX) -> ContactFrame:
+    """Return a contact frame with its point moved by ``-miss``, from the ground to the wheel."""
+    return contact._replace(point=contact.point - miss)
+
+
+def _at_rest(
+    vehicle: Vehicle,
+    terrain: Terrain,
+    place: tuple[Configuration, Dependent],
+    contacts: tuple[ContactFrame, ...],
+    rates: Rates,
+    u: Inputs,
+    lookups: LookupTable,
+) -> Mechanics:
+    """Return the terms of the equilibrium at rest, that is, without dampers."""
+    parts = mechanics(vehicle, terrain, *place, contacts, rates, u, lookups)
+    moving = ca.vertcat(pack(rates.motion), pack(u))
+    still = ca.substitute([parts.load, parts.held], [moving], [ca.SX.zeros(moving.shape)])
+    return parts._replace(load=still[0], held=still[1])
+
+
+def _groups(labels: Labels) -> tuple[list[int], list[int]]:
+    """Return the indices of the rates that friction balances, and of the rates that relax."""
+    rates = labels.z.rates
+    relaxing = {rates.z, rates.roll, rates.pitch, *rates.suspension}
+    sliding, rest = list[int](), list[int]()
+    for k, label in enumerate(leaves(rates.motion)):
+        (rest if label in relaxing else sliding).append(k)
+    return sliding, rest
+
+
+def _alignment(contacts: tuple[ContactFrame, ...], misses: list[ca.SX]) -> ca.SX:
+    """Return the tangential offsets between ground points and wheel points, zero at contacts [m].
+
+    The shape is (2 n_wheels, 1): along and across, wheel by wheel.
+    """
+    pairs = zip(contacts, misses, strict=True)
+    return ca.vertcat(*(ca.dot(axis, miss) for c, miss in pairs for axis in (c.along, c.across)))
+
+
+def _slip_equations(
+    slip: SlipLaw, labels: Labels, q: Quantities, pressed: Press, rest: ca.SX
+) -> Equations:
+    """Return the equations of the rates: the slip law, with the relaxation as constraint."""
+    tangential = tuple(
+        velocity - contact.normal * ca.dot(contact.normal, velocity)
+        for contact, velocity in zip(q.contacts, q.slips, strict=True)
+    )
+    motion = Motion(
+        q.vehicle,
+        q.contacts,
+        tangential,
+        pack(q.rates.motion),
+        tuple(leaves(labels.z.rates.motion)),
+        Equations(_relaxation_labels(q.vehicle), rest),
+        tuple(ca.vertsplit(pressed.touch + AIR_WEIGHT)),
+    )
+    return slip.equations(motion, q.rates.law)
+
+
+def _dae(
+    labels: Labels,
+    x: RelaxedState,
+    z: Algebraic,
+    q: Quantities,
+    pressed: Press,
+    equations: tuple[ca.SX, Equations],
+) -> Dae:
+    """Return the DAE of the pressed model with the given labels, symbols and equations."""
+    vehicle, terrain, rates = q.vehicle, q.terrain, q.rates
+    alignment, law = equations
+    (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
+    sampled = force_outputs(q, labels.y.forces)
+    depths = ca.vertsplit(pressed.depth)
+    touching = raised_poses(q.poses, q.contacts, depths)
+    level = [*rates[:2], rates.heading, *joint_rates(vehicle, rates, q.u)]
+    return Dae(
+        ca.SX.sym("t"),
+        x,
+        z,
+        symbols(labels.q),
+        q.u,
+        ode=ca.vertcat(*level, rates.z, rates.roll, rates.pitch, *rates.suspension),
+        alg=(alignment, law.rows, ca.SX(0, 1)),
+        quad=ca.vertcat(*q.spins, *((sampled.power,) if sampled else ())),
+        y=outputs(q, sampled)._replace(
+            depth=tuple(depths),
+            load_share=tuple(ca.vertsplit(len(depths) * pressed.load)),
+            force_normal=q.forces.normal if vehicle.mass else (),
+        ),
+        labels=labels._replace(alg=(labels.alg[0], law.labels, ())),
+        limits=limits_of(q),
+        checks=single_contacts(q, x, z, touching, size),
+        guess=_guess(q, labels),
+        scale=scale,
+        shift=shift,
+        size=size,
+        suppress_algebraic=True,  # contacts and rates follow from the states
+        rest=_first_pose(q),
+        lookups=q.lookups.lookups,
+    )
+
+
+def _first_pose(q: Quantities) -> ca.SX:
+    """Return height, attitude and suspension of a level pose with all wheels in the ground."""
+    heights, _ = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
+    lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.numeric.wheels)
+    return ca.vertcat(lowest, ca.SX.zeros(2 + len(q.position.suspension)))
+
+
+def _guess(q: Quantities, labels: Labels) -> ca.SX:
+    """Return the initial guess of the unknowns: contacts below the wheels' centres, no motion."""
+    below = [pose.origin[:2] for pose in q.poses]
+    rest = len(list(leaves(labels.z))) - 2 * len(below)
+    return ca.densify(ca.vertcat(*below, ca.SX.zeros(rest)))
+
+
+def _labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
+    """Return the labels of the model, except those of the law's equations."""
+    law = slip.unknowns(vehicle, _relaxation_labels(vehicle))
+    labels = labels_of(vehicle, law, follow=False)
+    position, rates = labels.z.position, labels.z.rates
+    x = RelaxedState(*labels.x, *position[:4])
+    y = labels.y._replace(**pressed_labels(vehicle))
+    words = "offset of ground point and wheel point {} the wheel"
+    offsets = tuple(
+        Label("closure", "m", words.format(axis), wheel.name)
+        for wheel in vehicle.wheels
+        for axis in ("along", "across")
+    )
+    z = Algebraic(PressedContacts(position.contacts), rates, Forces())
+    return Labels(x, z, labels.q, labels.u, y, (offsets, (), ()))
+
+
+def _relaxation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
+    """Return the labels of the relaxation equations of height, inclination and suspension."""
+    names = [("z", "1"), ("roll", "m"), ("pitch", "m")]
+    names += [
+        (c.name, "m" if vehicle.unit(c.name) == "rad" else "1") for c in vehicle.of("suspension")
+    ]
+    return tuple(Label(f"relaxation_{name}", unit, f"relaxation of {name}") for name, unit in names)
 
 
 @computing
@@ -33,7 +417,7 @@ def direct_kinematics(
 
     Positions follow from closure: every wheel touches the ground, which gives three equations in
     its two contact coordinates and the pose. If not all wheels can touch a rigid ground, they are
-    pressed into it (`slipfree.models.pressed_model`). Rates follow from the slip law.
+    pressed into it (`slipfree.models.kinematics`). Rates follow from the slip law.
 
     Parameters
     ----------
@@ -67,7 +451,7 @@ def direct_kinematics(
     -----
     For a vehicle with mass, the forces that the motion needs are outputs. Where equilibrium does
     not determine them, they are the load-weighted forces of
-    `slipfree.models.statics.following_forces`.
+    `slipfree.models.friction_feasibility.following_forces`.
 
     Examples
     --------

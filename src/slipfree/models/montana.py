@@ -33,6 +33,7 @@ from slipfree.geometry.frame import Pose, Twist
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import SlipLaw, wheel_labels
 from slipfree.models.base import (
+    Quantities,
     at_rest,
     carriers,
     extent,
@@ -42,10 +43,14 @@ from slipfree.models.base import (
     spins,
     touch_function,
 )
+from slipfree.models.friction_feasibility import (
+    following_forces,
+    force_outputs,
+    mechanics,
+    with_tangential,
+)
 from slipfree.models.kinematics import check_slip_law, contact_labels, slip_equations
-from slipfree.models.labels import labels_of
-from slipfree.models.limits import limits_of
-from slipfree.models.quantities import Quantities
+from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.records import (
     Configuration,
     Dependent,
@@ -53,9 +58,8 @@ from slipfree.models.records import (
     Forces,
     Inputs,
     Rates,
+    labels_of,
 )
-from slipfree.models.statics import following_forces, force_outputs, mechanics, with_tangential
-from slipfree.models.tip_over import tip_over_margin
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel

@@ -19,9 +19,8 @@ import casadi as ca
 
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.vehicle.formula import evaluate
-from slipfree.vehicle.inertia import body_inertia, body_of, wheel_inertia
-from slipfree.vehicle.tree import GRAVITY, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import GRAVITY, Vehicle, body_inertia, body_of
+from slipfree.vehicle.wheel import Wheel, wheel_inertia
 
 UP = ca.SX(ca.DM([0, 0, 1]))
 

@@ -13,13 +13,18 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import pack
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, check_law
+from slipfree.models.base import Mechanics, Quantities
 from slipfree.models.closure_model import closure_dae, closure_quantities
-from slipfree.models.friction_feasibility import diagnosis
-from slipfree.models.labels import equilibrium_labels, labels_of, slip_ratio_labels
-from slipfree.models.quantities import Mechanics, Quantities
-from slipfree.models.records import Algebraic, Forces, KinematicDae
-from slipfree.models.slip import absolute_spins
-from slipfree.models.statics import equilibrium
+from slipfree.models.friction_feasibility import diagnosis, equilibrium
+from slipfree.models.records import (
+    Algebraic,
+    Forces,
+    KinematicDae,
+    equilibrium_labels,
+    labels_of,
+    slip_ratio_labels,
+)
+from slipfree.models.samples import absolute_spins
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle

@@ -10,18 +10,16 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
-from slipfree.contact.solid_touch import solid_touch
+from slipfree.contact.touch import solid_touch
 from slipfree.core.dae import Dae, Labels, Limit, Standing
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Label, leaves
 from slipfree.geometry.frame import Pose, platform, quaternion, turn
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.models.base import extent, level_heights, sizes
-from slipfree.models.dynamic_outputs import Contact
-from slipfree.models.dynamic_records import DynamicState
-from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.dynamic_outputs import Contact, DynamicState
+from slipfree.models.kinematics import direct_kinematics, pressed_dae
 from slipfree.models.multibody import Load, Multibody, bias_forces, generalised_forces
-from slipfree.models.pressed_model import pressed_dae
 from slipfree.models.records import Configuration
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism

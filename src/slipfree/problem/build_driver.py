@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from slipfree.catalog.step_climber import climber_of
 from slipfree.control.path_following import follow, straight
-from slipfree.control.sensor_noise import Noise
+from slipfree.control.reference_speeds import Noise
 from slipfree.control.step_climbing import StepClimbing, check_period, climbing, held_torques
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
@@ -20,7 +21,6 @@ from slipfree.problem.build_world import World
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import Driver
 from slipfree.terrain.solids import Profile, section_of
-from slipfree.vehicle.climber import climber_of
 from slipfree.vehicle.tree import Vehicle
 
 

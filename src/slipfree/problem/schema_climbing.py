@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from slipfree.control import sensor_noise, step_climbing
+from slipfree.control import reference_speeds, step_climbing
 from slipfree.files.toml.source import Fault
 from slipfree.files.toml.types import Record
 from slipfree.problem.law_record import law_record
@@ -18,7 +18,7 @@ STEP_CLIMBING = "step-climbing"
 if TYPE_CHECKING:
     Noise = Record
 else:
-    Noise = law_record(sensor_noise.Noise)
+    Noise = law_record(reference_speeds.Noise)
 
 
 class NoisyControl(Record):

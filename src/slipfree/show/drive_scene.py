@@ -15,7 +15,7 @@ from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.files.urdf.tree import UrdfJoint
 from slipfree.geometry.mesh import Mesh
 from slipfree.geometry.regions import Region
-from slipfree.models.poses import FramePoses, part_poses, wheel_poses
+from slipfree.models.samples import FramePoses, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window

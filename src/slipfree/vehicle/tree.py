@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import field_overview, overview
+from slipfree.core.records import Array, field_overview, overview
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
 from slipfree.geometry.tensor import Elements, tensor
 from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
@@ -36,7 +36,7 @@ class Body:
     inertia : tuple of 6 floats or None
         ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz``: elements of the inertia tensor about the centre of mass,
         in the part's axes; None for those of a homogeneous box
-        (`slipfree.vehicle.inertia.body_inertia`). [kg m^2]
+        (`body_inertia`). [kg m^2]
 
     Raises
     ------
@@ -476,3 +476,28 @@ def _check_known(kind: str, name: str, role: str, wanted: str, known: set[str]) 
             f"{wanted!r}; correct the name, or "
             + ("define the parent before the joint" if is_parent else f"add a {thing} of this name")
         )
+
+
+def body_inertia(vehicle: Vehicle, part: str) -> Array:
+    """Return the inertia tensor of a part about its centre of mass, shape (3, 3) [kg m^2].
+
+    The tensor is in the part's axes, without the wheels; ``part`` is the name of a joint, or
+    ``"platform"``. If the part has no given inertia, it is that of a homogeneous box with the
+    extent of the part: its origin, its centre of mass, the joints and the wheels that it carries.
+    No side is shorter than the smallest wheel radius.
+    """
+    body = body_of(vehicle, part)
+    if body.inertia is not None:
+        return tensor(body.inertia)
+    places = [(0.0, 0.0, 0.0), body.at]
+    places += [joint.at for joint in vehicle.joints if joint.parent == part]
+    places += [wheel.at for wheel in vehicle.wheels if wheel.parent == part]
+    sides = np.maximum(np.ptp(places, axis=0), min(wheel.radius for wheel in vehicle.wheels))
+    return np.asarray(body.mass / 12 * np.diag((sides**2).sum() - sides**2))
+
+
+def body_of(vehicle: Vehicle, part: str) -> Body:
+    """Return the body of a joint, or of the platform."""
+    if part == "platform":
+        return vehicle.body
+    return next(joint.body for joint in vehicle.joints if joint.name == part)

@@ -15,7 +15,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import field_overview
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
 from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
-from slipfree.vehicle.sections.base import Section
+from slipfree.vehicle.sections import Section
 
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -150,3 +150,14 @@ class Wheel:
     def rollers(self) -> bool:
         """Whether free rollers let the wheel move along its axle."""
         return self.section.rollers
+
+
+def wheel_inertia(wheel: Wheel) -> tuple[float, float]:
+    """Return the moments of inertia of a wheel about its axle and across it [kg m^2].
+
+    Without given numbers they are those of a homogeneous cylinder of the wheel's radius and width.
+    """
+    if wheel.inertia is not None:
+        return wheel.inertia
+    axial = wheel.mass * wheel.radius**2 / 2
+    return axial, axial / 2 + wheel.mass * wheel.half_width**2 / 3

@@ -15,7 +15,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.files.urdf.tree import FORWARD_YAW, Tree, UrdfJoint, facing_forward
 from slipfree.files.vehicle_draft import rotation_of, turned_right, vector_of
 from slipfree.geometry.frame import unit_vector
-from slipfree.models.poses import FramePoses, part_poses
+from slipfree.models.samples import FramePoses, part_poses
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Vehicle
 

@@ -48,7 +48,7 @@ from slipfree.files.vehicle_draft import (
 )
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.geometry.tensor import tensor
-from slipfree.vehicle.sections.registry import section_of_radii
+from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 PASSIVE = re.compile("passive|idle|free.?wheel|undriven|odom|encoder", re.IGNORECASE)

@@ -13,7 +13,7 @@ from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.files.toml.types import Quantity
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.slip import measured_slip
+from slipfree.models.samples import measured_slip
 from slipfree.problem.build_common import (
     build_start,
     build_terrain,

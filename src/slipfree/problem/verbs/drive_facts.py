@@ -10,8 +10,8 @@ import numpy as np
 from slipfree.core.facts import Fact, Facts
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, path_length
-from slipfree.models.drawbar import RESERVE
-from slipfree.models.rocking import has_pressed_wheels, lightest_wheel, rocks
+from slipfree.models.samples import has_pressed_wheels, lightest_wheel, rocks
+from slipfree.models.single_wheel import RESERVE
 from slipfree.problem.summary import duration_fact
 from slipfree.problem.verbs.base import FAILED_DIAGNOSTICS, Extremes
 

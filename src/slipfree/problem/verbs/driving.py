@@ -20,12 +20,10 @@ from slipfree.files.cf import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.files.urdf.meshes import FORMATS, MeshFiles, find_mesh
 from slipfree.geometry.mesh import Mesh
 from slipfree.laws.soil import Soil
-from slipfree.models.drawbar import RESERVE, drawbar_reserve
 from slipfree.models.friction_feasibility import BEST, best_utilisation
-from slipfree.models.obstacle_ending import obstacle_ending
-from slipfree.models.poses import wheel_poses
 from slipfree.models.records import is_determinate
-from slipfree.models.rocking import has_pressed_wheels
+from slipfree.models.samples import has_pressed_wheels, obstacle_ending, wheel_poses
+from slipfree.models.single_wheel import RESERVE, drawbar_reserve
 from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
 from slipfree.problem.build_ground import Ground, at, build_ground
 from slipfree.problem.build_model import law_name, model_law

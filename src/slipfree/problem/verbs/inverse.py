@@ -21,7 +21,16 @@ from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.source import Fault, name_errors, problem_error
 from slipfree.files.toml.types import unit_faults
-from slipfree.models.given_rates import COMMANDS, EULER, OMEGA, PLANAR, VELOCITY
+from slipfree.models.determinacy import check_authority
+from slipfree.models.given_rates import (
+    COMMANDS,
+    EULER,
+    OMEGA,
+    PLANAR,
+    STOP_CLEARANCE,
+    VELOCITY,
+    steering_effects,
+)
 from slipfree.models.inverse import (
     LEAST_MARGIN,
     check_inverse,
@@ -32,8 +41,6 @@ from slipfree.models.inverse import (
     steering_slip,
 )
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.steering_guide import STOP_CLEARANCE, steering_effects
-from slipfree.models.wheel_authority import check_authority
 from slipfree.problem.build_common import (
     Setup,
     build_start,

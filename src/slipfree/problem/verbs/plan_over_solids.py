@@ -8,9 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slipfree.catalog.step_climber import Climber, climber_of
 from slipfree.climb.contact_path import Leg, legs
-from slipfree.climb.plan_tracking import Tracking, tracked_plan
-from slipfree.climb.time_scaling import COSTS, Climb, climb, history, in_sequence
+from slipfree.climb.time_scaling import (
+    COSTS,
+    Climb,
+    Tracking,
+    climb,
+    history,
+    in_sequence,
+    tracked_plan,
+)
 from slipfree.control.step_climbing import climbing
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact
@@ -31,7 +39,6 @@ from slipfree.problem.schema_climbing import STEP_CLIMBING
 from slipfree.problem.verbs.base import Watch, integrate
 from slipfree.problem.verbs.plan_schema import Guide, Plan
 from slipfree.terrain.solids import Profile
-from slipfree.vehicle.climber import Climber, climber_of
 
 KEYS = {
     "": {"goal", "costs", "limits", "plan", "driver"},

@@ -15,8 +15,8 @@ from slipfree.core.dae import Dae
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory
-from slipfree.models.dynamic_guess import dynamic_guess
 from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.rigid_dynamics import dynamic_guess
 from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import Plan as FoundPlan
 from slipfree.plan.plan import plan

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.control.arc_driving import arc_inputs, turning_axis_offset
-from slipfree.control.path_following import follow
+from slipfree.control.path_following import arc_inputs, follow, turning_axis_offset
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label, leaves

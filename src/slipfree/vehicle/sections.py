@@ -1,4 +1,4 @@
-"""Cross-section of a wheel: a convex curve that generates a surface of revolution about the axle.
+"""Cross-sections of wheels: convex curves that generate surfaces of revolution about the axle.
 
 The outward unit normal of a wheel has an axial and a radial component. The section maps them to the
 point of the wheel with that normal. Contact, Montana's equations, the certificate of a single
@@ -208,3 +208,160 @@ def _curve(section: Section, count: int) -> ca.Function:
     u = ca.SX.sym("u")
     point = (ca.densify(ca.SX(each)) for each in section.profile(ca.cos(u), ca.sin(u)))
     return ca.Function("profile", [u], [*point]).map(count)
+
+
+@dataclass(frozen=True)
+class Disc(Section):
+    """A thin disc.
+
+    Attributes
+    ----------
+    radius : float
+        Radius of the edge. [m]
+    """
+
+    radius: float
+
+    @property
+    def torus_radii(self) -> tuple[float, float]:
+        """Radii of the disc as a torus [m]."""
+        return 0.0, self.radius
+
+    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002 - an edge
+        """Return axial and radial coordinates of the edge, the same for every normal [m]."""
+        return 0 * axial, self.radius + 0 * axial  # SX or MX, as the normal
+
+
+@dataclass(frozen=True)
+class Sphere(Section):
+    """Spherical wheel that rotates about an axle through its centre.
+
+    Attributes
+    ----------
+    radius : float
+        Radius of the ball. [m]
+    """
+
+    radius: float
+
+    @property
+    def torus_radii(self) -> tuple[float, float]:
+        """Radii of the sphere as a torus [m]."""
+        return self.radius, 0.0
+
+    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return axial and radial coordinates of the point with a given outward normal [m]."""
+        return self.radius * axial, self.radius * radial
+
+    def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:  # noqa: ARG002
+        """Return the point of the surface with a given outward normal, shape (3, 1) [m]."""
+        return self.radius * normal
+
+    def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
+        """Return the radius of the sphere, the same for every normal [m]."""
+        return self.radius + 0 * axial  # SX or MX, as the normal
+
+
+@dataclass(frozen=True)
+class Torus(Section):
+    """Torus: a wheel with a circular tread section.
+
+    Attributes
+    ----------
+    r1 : float
+        Radius of the tube. [m]
+    r2 : float
+        Radius of the circle of tube centres; the rolling radius is ``r1 + r2``. [m]
+    """
+
+    r1: float
+    r2: float
+
+    @property
+    def torus_radii(self) -> tuple[float, float]:
+        """Radii of the tube and of the circle of tube centres [m]."""
+        return self.r1, self.r2
+
+    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return axial and radial coordinates of the point with a given outward normal [m]."""
+        return self.r1 * axial, self.r2 + self.r1 * radial
+
+    def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
+        """Return the point of the surface with a given outward normal, shape (3, 1) [m].
+
+        It is ``r1 n + r2 e`` with the normal ``n`` and the unit vector ``e`` along the component of
+        ``n`` perpendicular to the axle.
+        """
+        return self.r1 * normal + self.r2 * components(normal, axle)[2]
+
+    def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
+        """Return the radius of the tube, the same for every normal [m]."""
+        return self.r1 + 0 * axial  # SX or MX, as the normal
+
+
+@dataclass(frozen=True)
+class Omni(Section):
+    """Omni wheel: free rollers whose common envelope has the shape of a wheel.
+
+    Attributes
+    ----------
+    rim : Section
+        Cross-section of the envelope of all rollers.
+    """
+
+    rollers: ClassVar[bool] = True
+    rim: Section
+
+    def __str__(self) -> str:
+        """Return the kind and dimensions of the rim, followed by "on rollers"."""
+        return f"{self.rim} on rollers"
+
+    @property
+    def torus_radii(self) -> tuple[float, float] | None:
+        """Radii of the rim as a torus; None if it is not one [m]."""
+        return self.rim.torus_radii
+
+    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return axial and radial coordinates of the rim's point with an outward normal [m]."""
+        return self.rim.profile(axial, radial)
+
+    def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
+        """Return the point of the rim's surface with an outward normal, shape (3, 1) [m]."""
+        return self.rim.support(normal, axle)
+
+    def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:
+        """Return the radius of curvature of the rim's section for an outward normal [m]."""
+        return self.rim.tread_radius(axial, radial)
+
+
+SECTIONS: dict[str, type[Section]] = {
+    "torus": Torus,
+    "disc": Disc,
+    "sphere": Sphere,
+}
+
+
+def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
+    """Return the torus of two radii; a disc for ``r1 = 0``, a sphere for ``r2 = 0``.
+
+    Parameters
+    ----------
+    r1, r2 : float
+        Radius of the tube, and radius of the circle of tube centres. [m]
+    rollers : bool
+        Whether the wheel has free rollers.
+
+    Raises
+    ------
+    ModelError
+        If a radius is negative or not finite, or both are zero.
+    """
+    for key, radius in (("r1", r1), ("r2", r2)):
+        if not 0 <= radius < inf:
+            raise ModelError(
+                f"{key}: expected a finite radius of zero or more, found {radius} m; change it"
+            )
+    if r1 + r2 <= 0:
+        raise ModelError("r1, r2: expected a positive radius, found two zeros; increase r1 or r2")
+    section = Disc(r2) if r1 == 0 else Sphere(r1) if r2 == 0 else Torus(r1, r2)
+    return Omni(section) if rollers else section

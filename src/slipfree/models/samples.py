@@ -1,0 +1,467 @@
+"""Quantities at the samples of a motion: poses, slip, rocking, and the ending over obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.closure import ContactFrame
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Mask, pack
+from slipfree.core.trajectory import Trajectory
+from slipfree.geometry.frame import Pose, platform
+from slipfree.models.base import carriers, joint_rates, spins
+from slipfree.models.limits import UPRIGHT
+from slipfree.models.records import Configuration, Dependent, Inputs, Rates
+from slipfree.terrain.solids import HEIGHT_TOLERANCE, Prism
+from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+POSITION = ("x", "y", "z", "heading", "roll", "pitch")
+
+
+class FramePoses(NamedTuple):
+    """Poses of frames over time, in map coordinates.
+
+    Attributes
+    ----------
+    origins : ndarray, shape (n, k, 3)
+        Origins of k frames at n samples. [m]
+    rotations : ndarray, shape (n, k, 3, 3)
+        Columns are the frames' axes. [1]
+    """
+
+    origins: Array
+    rotations: Array
+
+
+def part_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
+    """Return the poses of the platform and of the parts of all joints, in this order.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    run : Trajectory
+        Its motion, with the pose of the platform and the value of every coordinate.
+
+    Raises
+    ------
+    ModelError
+        If the motion lacks the platform's pose or a coordinate.
+    """
+
+    def parts(place: Pose, values: Mapping[str, ca.SX]) -> Sequence[Pose]:
+        return tuple(vehicle.parts(place, values).values())
+
+    return _frame_poses(vehicle, run, parts)
+
+
+def wheel_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
+    """Return the poses of the wheels, rotated about their axles (x axes).
+
+    Parameters and errors are those of `part_poses`; the motion must also have the wheel angles.
+    """
+    found = _frame_poses(vehicle, run, vehicle.carriers)
+    return found._replace(rotations=spun(found.rotations, run["wheel_angle"]))
+
+
+def spun(rotations: Array, angles: Array) -> Array:
+    """Return rotations, shape (..., 3, 3), rotated forward about their x axes by angles [rad]."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    turned = np.zeros(rotations.shape)  # about the axle, which points right, by minus the angle
+    turned[..., 0, 0] = 1
+    turned[..., 1, 1] = turned[..., 2, 2] = cosine
+    turned[..., 1, 2], turned[..., 2, 1] = sine, -sine
+    return np.asarray(rotations @ turned)
+
+
+def _frame_poses(
+    vehicle: Vehicle,
+    run: Trajectory,
+    frames: Callable[[Pose, Mapping[str, ca.SX]], Sequence[Pose]],
+) -> FramePoses:
+    """Return the poses of frames over a motion.
+
+    ``frames`` returns their poses from the platform's pose and the values of coordinates by name.
+    """
+    names = (*POSITION, *(c.name for c in vehicle.coordinates))
+    q = ca.SX.sym("q", len(names))
+    place, values = ca.vertsplit(q)[:6], dict(zip(names[6:], ca.vertsplit(q)[6:], strict=True))
+    found = frames(platform(*place), values)
+    run = run.in_frame("paper")
+    columns = np.column_stack([run[name] for name in names]).T
+    out = [
+        ca.horzcat(*(pose.origin for pose in found)),
+        ca.horzcat(*(ca.vec(pose.rotation) for pose in found)),
+    ]
+    function = ca.Function("poses", [q], [ca.vec(each) for each in out])
+    origins, rotations = (np.array(each).T for each in function.map(run.t.size)(columns))
+    shape = run.t.size, len(found)
+    by_column = rotations.reshape(*shape, 3, 3)
+    return FramePoses(origins.reshape(*shape, 3), by_column.transpose(0, 1, 3, 2))
+
+
+def slip_velocity(
+    wheel: Wheel, carrier: Pose, contact: ContactFrame, q: ca.SX, q_dot: ca.SX, wheel_rate: ca.SX
+) -> ca.SX:
+    """Return the velocity over the ground of a wheel's material point at its contact.
+
+    Parameters
+    ----------
+    wheel : Wheel
+        The wheel. If it has rollers, its contact point has no velocity across the wheel.
+    carrier : Pose
+        Pose of the part that carries the wheel, at the wheel's centre, as a function of ``q``.
+    contact : ContactFrame
+        Contact frame of the wheel.
+    q, q_dot : SX, shape (n, 1)
+        Coordinates of the vehicle, and their rates. [m, rad, m/s, rad/s]
+    wheel_rate : SX, shape (1, 1)
+        Rate of the wheel about its axle, positive for forward motion. [rad/s]
+
+    Returns
+    -------
+    SX, shape (3, 1)
+        Slip velocity in fixed axes; its normal component vanishes if the wheel keeps contact. [m/s]
+    """
+    twist = carrier.twist(q, q_dot)
+    omega = twist.omega - wheel_rate * carrier.rotation[:, 0]  # wheel frame R Rx(-theta)
+    slip = twist.v + ca.cross(omega, contact.point - carrier.origin)
+    return slip - contact.across * ca.dot(contact.across, slip) if wheel.rollers else slip
+
+
+def slip_velocities(
+    vehicle: Vehicle,
+    x: Configuration,
+    position: Dependent,
+    contacts: Sequence[ContactFrame],
+    rates: Rates,
+    u: Inputs,
+) -> tuple[ca.SX, ...]:
+    """Return the slip velocities of all wheels of a vehicle [m/s].
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    x, position : Configuration and Dependent
+        Coordinates of platform and joints. [m, rad]
+    contacts : sequence of ContactFrame
+        Contact frames of the wheels.
+    rates, u : Rates and Inputs
+        Rates of these coordinates and of the wheels. [m/s, rad/s]
+
+    Returns
+    -------
+    tuple of SX, shape (3, 1)
+        Slip velocities in fixed axes, one for each wheel. [m/s]
+    """
+    q, q_dot = _coordinates(vehicle, x, position, rates, u)
+    poses, turning = carriers(vehicle, x, position), spins(vehicle, rates, u)
+    return tuple(
+        slip_velocity(wheel, pose, contact, q, q_dot, spin)
+        for wheel, pose, contact, spin in zip(vehicle.wheels, poses, contacts, turning, strict=True)
+    )
+
+
+def absolute_spins(
+    vehicle: Vehicle, x: Configuration, position: Dependent, rates: Rates, u: Inputs
+) -> tuple[ca.SX, ...]:
+    """Return the angular velocities of the wheels about their axles, relative to fixed axes.
+
+    They are positive for forward motion. Parameters are those of `slip_velocities`. [rad/s]
+    """
+    q, q_dot = _coordinates(vehicle, x, position, rates, u)
+    poses, turning = carriers(vehicle, x, position), spins(vehicle, rates, u)
+    return tuple(
+        rate - ca.dot(pose.rotation[:, 0], pose.twist(q, q_dot).omega)
+        for pose, rate in zip(poses, turning, strict=True)
+    )
+
+
+def _coordinates(
+    vehicle: Vehicle, x: Configuration, position: Dependent, rates: Rates, u: Inputs
+) -> tuple[ca.SX, ca.SX]:
+    """Return the coordinates of a vehicle and their rates, as columns of equal order."""
+    joints = joint_rates(vehicle, rates, u)
+    inclination = rates.z, rates.roll, rates.pitch
+    q_dot = pack((rates.x, rates.y, rates.heading, joints, *inclination, rates.suspension))
+    return pack((*x, *position[:4])), q_dot
+
+
+def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
+    """Return the slip velocities of a motion, from finite differences of its poses.
+
+    The material point that touches the ground at a sample moves with the wheel through the
+    neighbouring samples; its velocity is a difference quotient over five samples. The result is
+    independent of the model's rates. It includes the motion that rollers permit.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    run : Trajectory
+        Motion of the vehicle with at least five equally spaced samples.
+
+    Returns
+    -------
+    ndarray, shape (n - 4, n_wheels, 3)
+        Slip velocities in fixed axes, without the first two and the last two samples. [m/s]
+
+    Raises
+    ------
+    ModelError
+        If there are fewer than five samples, if they are not equally spaced, or if the motion lacks
+        the poses or contact points of the wheels.
+    """
+    steps = np.diff(run.t)
+    if steps.size < 4:
+        raise ModelError(
+            f"measured_slip: expected at least five samples, found {run.t.size}; sample the motion "
+            "at more times"
+        )
+    if not np.allclose(steps, steps[0], rtol=1e-6, atol=0):
+        raise ModelError(
+            f"measured_slip: expected equally spaced samples, found steps of {steps.min():.4g} to "
+            f"{steps.max():.4g} s; sample the motion at constant steps"
+        )
+    centers, rotations = wheel_poses(vehicle, run)
+    contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], -1)
+    places = np.einsum("nwji,nwj->nwi", rotations, contacts - centers)[2:-2]
+    n = run.t.size
+
+    def carried(k: int) -> Array:
+        span = slice(2 + k, n - 2 + k)
+        return np.asarray(centers[span] + np.einsum("nwij,nwj->nwi", rotations[span], places))
+
+    differences = carried(-2) - 8 * carried(-1) + 8 * carried(1) - carried(2)
+    return np.asarray(differences / (12 * steps[0]))
+
+
+class Rock(NamedTuple):
+    """A change of the wheel that carries the least load.
+
+    Attributes
+    ----------
+    t : float
+        Time, interpolated between samples. [s]
+    before, after : str
+        Name of the wheel with the least load before the change, and after it.
+    """
+
+    t: float
+    before: str
+    after: str
+
+
+def has_pressed_wheels(run: Trajectory) -> bool:
+    """Return whether a motion was computed with pressed wheels."""
+    return "depth" in run.columns
+
+
+def rocks(run: Trajectory) -> list[Rock]:
+    """Return the changes of the wheel with the least load in a motion with pressed wheels.
+
+    At each change the vehicle rocks from one set of supporting wheels to another, which may take
+    only a few hundredths of a second.
+
+    Parameters
+    ----------
+    run : Trajectory
+        A motion with pressed wheels; see `has_pressed_wheels`.
+    """
+    loads, found = run["load_share"], list[Rock]()
+    lightest = loads.argmin(axis=1)
+    for k in np.flatnonzero(np.diff(lightest)).tolist():
+        before, after = lightest[k : k + 2]
+        more, less = loads[k : k + 2, before] - loads[k : k + 2, after]
+        t = (
+            run.t[k] + more / (more - less) * (run.t[k + 1] - run.t[k])
+            if more != less
+            else run.t[k]
+        )
+        found.append(Rock(float(t), run.wheels[before], run.wheels[after]))
+    return found
+
+
+def lightest_wheel(run: Trajectory, sample: int) -> tuple[str, float, float]:
+    """Return the name, load share and depth of the wheel with the least load at a sample.
+
+    The load share is the load times the number of wheels, divided by the weight [1]. The depth is
+    negative in the air [m].
+    """
+    loads = run["load_share"][sample]
+    k = int(loads.argmin())
+    return run.wheels[k], float(loads[k]), float(run["depth"][sample, k])
+
+
+Ending = Literal["climbs", "passes", "moves along", "stalls", "tips over", "unfinished"]
+TOP_SHARE = 0.8  # height of a wheel's centre above the top of a solid that it has climbed [radii]
+STALL_TIME = 1.0  # final interval in which a stalled vehicle does not advance [s]
+STALL_DISTANCE = 5e-3  # largest displacement of a stalled vehicle in this interval [m]
+STALL_SHARE = 0.05  # or, if larger, this share of the distance that the rims travel [1]
+
+
+class ObstacleEnding(NamedTuple):
+    """Ending of a motion over solids.
+
+    Attributes
+    ----------
+    name : {"climbs", "passes", "moves along", "stalls", "tips over", "unfinished"}
+        ``"unfinished"`` if the vehicle is before the obstacles or on them, and still advances.
+    t : float
+        Time at which the last wheel reaches the top or passes its front, or the motion ends. [s]
+    words : str
+        Explanation of the ending.
+    """
+
+    name: Ending
+    t: float
+    words: str
+
+    def __str__(self) -> str:
+        """Return the name and the reason."""
+        return f"{self.name}: {self.words}"
+
+
+def obstacle_ending(
+    run: Trajectory, vehicle: Vehicle, prisms: Sequence[Prism]
+) -> ObstacleEnding | None:
+    """Return the ending of a motion over solids; None without solids.
+
+    Obstacles are the solids on which the vehicle does not stand at the start. The vehicle
+
+    - *tips over* if the motion ends at the limit of a body's inclination,
+    - *climbs* if, after the first contact with an obstacle, each wheel reaches the highest top of
+      the obstacles that a wheel touches; later it may leave it,
+    - *passes* if each wheel crosses the vertical plane of this top's front edge, some beside the
+      obstacle, or of the highest obstacle's if none is touched,
+    - *stalls* if the platform is displaced by less than 5 mm in the last second, or by less than
+      5 % of the distance that the rims travel,
+    - *moves along* an obstacle that it touches in the last second if only the displacement parallel
+      to the obstacle's front is not as small.
+
+    Parameters
+    ----------
+    run : Trajectory
+        A motion of `slipfree.dynamics` on `slipfree.Solids`.
+    vehicle : Vehicle
+        Vehicle of the motion.
+    prisms : sequence of Prism
+        Solids of the ground.
+
+    Examples
+    --------
+    A four-wheeler drives over a block of 40 mm.
+
+    >>> import numpy as np
+    >>> from slipfree import Analytic, Solids, catalog, dynamics, settle, simulate
+    >>> from slipfree.terrain.solids import kerb, placed
+    >>> vehicle, prisms = catalog.rigid_skid_steer(), placed(kerb(0.04, 0.3), y=0.5)
+    >>> model = dynamics(vehicle, Solids(Analytic(lambda x, y: 0 * x, mu=0.8), prisms))
+    >>> inputs = {label.full: 3.0 for label in model.labels.u.wheels}
+    >>> run = simulate(model, settle(model), model.inputs(**inputs), np.linspace(0, 3, 61))
+    >>> print(obstacle_ending(run, vehicle, prisms).name)
+    climbs
+    """
+    if not prisms:
+        return None
+    end = float(run.t[-1])
+    if run.stop is not None and run.stop.name.endswith(UPRIGHT):
+        return ObstacleEnding("tips over", end, f"at t = {end:.3g} s {run.stop.words}")
+    loads = (run[f"solid_load_{k}"] > 0 for k in range(1, len(prisms) + 1))
+    obstacles = [  # all wheels stand on a floor at the start
+        (prism, np.asarray(load.any(axis=1)))
+        for prism, load in zip(prisms, loads, strict=True)
+        if not load[0].all()
+    ]
+    touched = [(prism, met) for prism, met in obstacles if met.any()]
+    highest = max((prism for prism, _ in touched or obstacles), key=_top, default=None)
+    if highest is None:
+        return ObstacleEnding("unfinished", end, f"there is no obstacle{_stop_words(run)}")
+    met = np.cumsum(np.any([met for _, met in obstacles], axis=0)) > 0
+    up = is_on_top(run, vehicle, _top(highest)) & met[:, None]
+    if up.any(axis=0).all():
+        t = _last_time(run, up)
+        words = f"by t = {t:.3g} s every wheel had reached the top, z = {_top(highest):.3g} m"
+        return ObstacleEnding("climbs", t, words)
+    count = f"{up.any(axis=0).sum()} of {len(vehicle.wheels)} wheels had reached the top"
+    count = f"{count}, z = {_top(highest):.3g} m" if touched else "no wheel touched an obstacle"
+    past = _is_past_front(run, highest)
+    if past.any(axis=0).all() and not past[0].all():
+        t = _last_time(run, past)
+        words = f"by t = {t:.3g} s every wheel had crossed the line of the front edge; {count}"
+        return ObstacleEnding("passes", t, words)
+    if not touched:
+        return ObstacleEnding("unfinished", end, f"{count}{_stop_words(run)}")
+    is_final = run.t > end - STALL_TIME
+    name = _final_motion(run, vehicle, [each for each, met in touched if met[is_final].any()])
+    return ObstacleEnding(name, end, f"by t = {end:.3g} s {count}{_stop_words(run)}")
+
+
+def _top(prism: Prism) -> float:
+    """Return the height of the top of a prism [m]."""
+    return prism.z + max(z for _, z in prism.section.points)
+
+
+def is_on_top(run: Trajectory, vehicle: Vehicle, top: float) -> Mask:
+    """Return whether each wheel is as high as on a level top.
+
+    Its centre may be 0.2 radii lower, but not lower than half-way from its height at the start.
+
+    Parameters
+    ----------
+    run : Trajectory
+        A motion with the heights of the wheels' centres.
+    vehicle : Vehicle
+        Vehicle of the motion.
+    top : float
+        Height of the top. [m]
+
+    Returns
+    -------
+    ndarray of bool, shape (n, n_wheels)
+        Whether a wheel is on top, at each sample.
+    """
+    radii = np.array([wheel.radius for wheel in vehicle.wheels])
+    rise = top + radii - run["center_z"][0]
+    below = np.minimum((1 - TOP_SHARE) * radii, np.where(rise > 0, rise / 2, np.inf))
+    return np.asarray(run["center_z"] > top + radii - below)
+
+
+def _is_past_front(run: Trajectory, prism: Prism) -> Mask:
+    """Return whether each wheel's centre is past the front edge of a top, shape (n, n_wheels)."""
+    top = _top(prism) - prism.z - HEIGHT_TOLERANCE
+    front = min(x for x, z in prism.section.points if z > top)
+    forward, _, _ = prism.axes.T
+    x, y = run["center_x"] - prism.x, run["center_y"] - prism.y
+    return np.asarray(forward[0] * x + forward[1] * y > front)
+
+
+def _last_time(run: Trajectory, reached: Mask) -> float:
+    """Return the time at which the last wheel first reaches something, from (n, n_wheels) [s]."""
+    return float(run.t[reached.argmax(axis=0).max()])
+
+
+def _final_motion(run: Trajectory, vehicle: Vehicle, touched: Sequence[Prism]) -> Ending:
+    """Return the ending by the motion in the last second, in which obstacles are touched."""
+    since = run.t[-1] - STALL_TIME
+    if since < run.t[0]:
+        return "unfinished"
+    away = np.array([run[axis][-1] - np.interp(since, run.t, run[axis]) for axis in "xyz"])
+    rims = np.abs(run["wheel_rate"]) @ [w.radius for w in vehicle.wheels] / len(vehicle.wheels)
+    times = np.append(since, run.t[run.t > since])
+    travel = np.trapezoid(np.interp(times, run.t, rims), times)
+    small = max(STALL_DISTANCE, STALL_SHARE * travel)
+    if np.linalg.norm(away) < small:
+        return "stalls"
+    advances = [np.linalg.norm((away @ prism.axes)[[0, 2]]) for prism in touched]
+    return "moves along" if min(advances, default=np.inf) < small else "unfinished"
+
+
+def _stop_words(run: Trajectory) -> str:
+    return f"; {run.stop.words}" if run.stop is not None else ""
