@@ -140,33 +140,16 @@ def climb(
 ) -> Climb:
     """Return the nonlinear program of the climb of a leg.
 
-    Parameters
-    ----------
-    climber : Climber
-        The vehicle.
-    profile, leg : Profile, Leg
-        The ground and the leg; see `slipfree.climb.contact_path.legs`.
-    cost : {"time", "friction", "slip"}
-        Objective: the duration; the required coefficient of friction; or the work of creep if
-        wheels slip in proportion to T / N.
-    mu : float, optional
-        Coefficient of friction; an unknown for the cost "friction", required for the others. [1]
-    speed : float
-        Largest speed of an axle. [m/s]
-    torques : sequence of 3 floats
-        Largest total torques of the motors of the axles. [N m]
-    s : int or array_like, shape (n + 1,)
-        Nodes on the leg, the ends of the intervals [m], or the number of nodes. With a number, the
-        last node is ``leg.top`` or, with ``halt``, the end of the leg. The vehicle is at rest at
-        the first node.
-    halt : bool
-        Whether the vehicle is at rest at the last node, as required before another leg.
+    The cost is the duration, the required coefficient of friction, or the work of creep if wheels
+    slip in proportion to T / N. The coefficient ``mu`` is an unknown for the cost "friction" and
+    required for the others. ``speed`` is the largest speed of an axle [m/s], ``torques`` the
+    largest total torques of the axles' motors [N m]. ``s`` are the nodes on the leg (n + 1,) [m],
+    or their number; then the last one is ``leg.top`` or, with ``halt``, the end of the leg. The
+    vehicle is at rest at the first node, and with ``halt``, as required before another leg, at the
+    last one.
 
-    Raises
-    ------
-    ModelError
-        If cost and coefficient do not fit each other, a number is not positive, or there are fewer
-        than three nodes or they do not increase.
+    ModelError is raised if cost and coefficient do not fit each other, a number is not positive, or
+    there are fewer than three nodes or they do not increase.
     """
     if cost not in COSTS or (mu is None) != (cost == "friction"):
         raise ModelError(
@@ -404,29 +387,11 @@ class _PlanPoint(NamedTuple):
 class Tracking:
     """Controller that tracks a planned climb, for `slipfree.control.step_climbing.climbing`.
 
-    It uses true positions and speeds of the axles, which are known only in simulations.
-
-    Attributes
-    ----------
-    plan : TrackedPlan
-        Planned speeds, directions and torques as functions of the progress.
-    proportional : float
-        Proportional gain of the wheel-rate control. [N m s/rad]
-    spare : float
-        Largest excess of a wheel's reference rim speed over the speed of its axle. A good value is
-        the slip speed at which friction is largest. [m/s]
-    lead : float
-        Distance added to the progress when the plan is evaluated. It must exceed the depth of the
-        contacts; otherwise the plan stops a wheel before it touches the next solid. [m]
-    torque : float
-        Largest torque of a motor. [N m]
-    motors : tuple of 3 int
-        Numbers of motors of the axles.
-
-    Raises
-    ------
-    ModelError
-        If a number is not positive.
+    It uses true positions and speeds of the axles, which are known only in simulations. ``spare``
+    is the largest excess of a wheel's reference rim speed over the speed of its axle; a good value
+    is the slip speed at which friction is largest [m/s]. ``lead`` is added to the progress when the
+    plan is evaluated; it must exceed the depth of the contacts, otherwise the plan stops a wheel
+    before it touches the next solid [m]. Gain, torque and motors are those of `StepClimbing`.
     """
 
     plan: TrackedPlan

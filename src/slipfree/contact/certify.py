@@ -40,18 +40,9 @@ class SecondContact:
     The clearance is the smallest vertical gap over a grid of points on the tread, whose spacing is
     a twentieth of the rolling radius; a parabola refines each local minimum. Narrower obstacles may
     be missed. The clearance is a numeric check, not an expression, since the nearest point jumps.
-
-    Attributes
-    ----------
-    terrain : Terrain
-        The ground.
-    wheel : Wheel
-        The wheel.
-    pose : casadi Function
-        Centre of the wheel in local coordinates, rotation matrix (by columns) and ground normal at
-        its contact as functions of ``x`` and ``z``.
-    size : float
-        Typical length of the vehicle, the unit of `TOLERANCE`. [m]
+    ``pose`` maps ``x`` and ``z`` to the centre of the wheel in local coordinates, its rotation
+    matrix (by columns) and the ground normal at its contact; ``size`` is the typical length of the
+    vehicle, the unit of `TOLERANCE` [m].
     """
 
     terrain: Terrain

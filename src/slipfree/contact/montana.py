@@ -32,14 +32,9 @@ from slipfree.vehicle.wheel import Wheel
 class Forms(NamedTuple):
     """Metric, curvature and torsion forms of a surface at a point.
 
-    Attributes
-    ----------
-    metric : SX, shape (2, 2)
-        Upper triangular ``M`` in ``[c_u c_v] = [x y] M``. [m per unit of u, v]
-    curvature : SX, shape (2, 2)
-        ``K = [x y]' [n_u n_v] M^-1``, positive where the surface bends away from ``n``. [1/m]
-    torsion : SX, shape (1, 2)
-        ``T = y' [x_u x_v] M^-1``. [1/m]
+    Upper triangular ``M`` in ``[c_u c_v] = [x y] M`` [m per unit of u, v], ``K = [x y]' [n_u n_v]
+    M^-1``, positive where the surface bends away from ``n`` [1/m], and ``T = y' [x_u x_v] M^-1``
+    [1/m].
     """
 
     metric: ca.SX
@@ -48,16 +43,9 @@ class Forms(NamedTuple):
 
 
 class Patch(NamedTuple):
-    """Point, Gauss frame and forms of a surface.
+    """Point of a surface, its Gauss frame ``[x y n]`` and its forms in that frame.
 
-    Attributes
-    ----------
-    point : SX, shape (3, 1)
-        The point ``c``. [m]
-    frame : SX, shape (3, 3)
-        Gauss frame ``[x y n]``: ``x`` along ``c_u``, ``n`` along ``c_u x c_v``. [1]
-    forms : Forms
-        The three forms in that frame.
+    ``x`` is along ``c_u``, ``n`` along ``c_u x c_v``.
     """
 
     point: ca.SX
@@ -66,15 +54,7 @@ class Patch(NamedTuple):
 
 
 def patch(c: ca.SX, uv: ca.SX) -> Patch:
-    """Return the Gauss frame and the forms of a surface at its point ``c(uv)``.
-
-    Parameters
-    ----------
-    c : SX, shape (3, 1)
-        The surface, twice continuously differentiable and regular. [m]
-    uv : SX, shape (2, 1)
-        Symbols of its parameters.
-    """
+    """Return the Gauss frame and the forms of a regular surface at its point ``c(uv)``."""
     c_u, c_v = ca.horzsplit(ca.densify(ca.jacobian(c, uv)))
     c_uu, c_uv = ca.horzsplit(ca.densify(ca.jacobian(c_u, uv)))
     c_vv = ca.densify(ca.jacobian(c_v, uv[1]))
@@ -84,20 +64,10 @@ def patch(c: ca.SX, uv: ca.SX) -> Patch:
 def patch_of(c: ca.SX, tangents: tuple[ca.SX, ca.SX], seconds: tuple[ca.SX, ca.SX, ca.SX]) -> Patch:
     """Return the Gauss frame and the forms of a surface from its derivatives at a point.
 
-    Parameters
-    ----------
-    c : SX, shape (3, 1)
-        The point. [m]
-    tangents : tuple of 2 SX, shape (3, 1)
-        ``c_u, c_v``.
-    seconds : tuple of 3 SX, shape (3, 1)
-        ``c_uu, c_uv, c_vv``.
-
-    Notes
-    -----
-    The frame is not differentiated, since ``n`` is normal to ``c_u`` and ``c_v``, and ``y`` to
-    ``c_u``: ``K = -M^-T II M^-1`` with the second fundamental form
-    ``II = n . [c_uu c_uv; c_uv c_vv]``, and ``y . x_u = y . c_uu / |c_u|``.
+    ``tangents`` are ``c_u, c_v``, ``seconds`` are ``c_uu, c_uv, c_vv``. The frame is not
+    differentiated, since ``n`` is normal to ``c_u`` and ``c_v``, and ``y`` to ``c_u``: ``K = -M^-T
+    II M^-1`` with the second fundamental form ``II = n . [c_uu c_uv; c_uv c_vv]``, and ``y . x_u =
+    y . c_uu / |c_u|``.
     """
     (c_u, c_v), (c_uu, c_uv, c_vv) = tangents, seconds
     area = ca.cross(c_u, c_v)
@@ -121,14 +91,9 @@ def inverse(matrix: ca.SX) -> ca.SX:
 class ContactCoordinates(NamedTuple):
     """Coordinates of a contact on both surfaces, and the angle between their Gauss frames.
 
-    Attributes
-    ----------
-    x, y : SX
-        Coordinates ``u_g, v_g`` of the contact on the ground. [m]
-    u, v : SX
-        Coordinates ``u_w, v_w`` of the contact on the wheel, see ``Section.point``. [rad]
-    psi : SX
-        Angle from the wheel's Gauss x axis to the ground's, about the ground's normal. [rad]
+    ``x, y`` are ``u_g, v_g`` on the ground [m], ``u, v`` are ``u_w, v_w`` on the wheel, see
+    ``Section.point`` [rad], ``psi`` is the angle from the wheel's Gauss x axis to the ground's,
+    about the ground's normal [rad].
     """
 
     x: Any
@@ -139,15 +104,7 @@ class ContactCoordinates(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Surfaces of a wheel and of the ground at their contact point.
-
-    Attributes
-    ----------
-    wheel, ground : Patch
-        The wheel's surface in the axes of the wheel, and the ground in fixed axes.
-    psi : SX, shape (1, 1)
-        Angle from the wheel's Gauss x axis to the ground's. [rad]
-    """
+    """Surfaces of a wheel, in its axes, and of the ground at their contact, and the angle psi."""
 
     wheel: Patch
     ground: Patch
@@ -189,15 +146,7 @@ def alignment(psi: ca.SX) -> ca.SX:
 
 
 class ContactRates(NamedTuple):
-    """Time derivatives of the contact coordinates.
-
-    Attributes
-    ----------
-    wheel, ground : SX, shape (2, 1)
-        Rates of the parameters of the two surfaces. [1/s times their unit]
-    psi : SX, shape (1, 1)
-        Rate of the angle between the Gauss frames. [rad/s]
-    """
+    """Time derivatives of the parameters of the two surfaces (2, 1), and of psi [rad/s]."""
 
     wheel: ca.SX
     ground: ca.SX
@@ -208,18 +157,10 @@ def contact_rates(wheel: Forms, ground: Forms, psi: ca.SX, v: ca.SX, omega: ca.S
     """Return the rates of the contact coordinates by eq. 2 of Chakraborty and Ghosal.
 
     The forms differ from those in the paper: its ``K`` and ``T`` lack the factors ``1/|c_u|`` and
-    ``1/|c_v|``, and its diagonal ``M`` is wrong on a height map
-    (``test_surface.py``: ``test_printed_forms_fail``).
-
-    Parameters
-    ----------
-    wheel, ground : Forms
-        Forms of the two surfaces at the contact point.
-    psi : SX, shape (1, 1)
-        Angle from the wheel's Gauss x axis to the ground's. [rad]
-    v, omega : SX, shape (3, 1)
-        Velocity of the wheel's material point at the contact, and angular velocity of the wheel,
-        relative to the ground and in the wheel's Gauss frame; ``v[2]`` is zero. [m/s, rad/s]
+    ``1/|c_v|``, and its diagonal ``M`` is wrong on a height map (``test_surface.py``:
+    ``test_printed_forms_fail``). ``v`` and ``omega`` are the velocity of the wheel's material point
+    at the contact and the angular velocity of the wheel, relative to the ground and in the wheel's
+    Gauss frame; ``v[2]`` is zero [m/s, rad/s].
     """
     turn = alignment(psi)[:2, :2]
     from_ground = turn @ ground.curvature @ turn

@@ -46,6 +46,13 @@ TOLERANCE = 1e-9  # residual of a converged search [m]
 CLEARLY_ABOVE = 0.1  # vertical gap above which a search need not converge [rolling radii]
 LARGE = 1e9  # larger than every squared residual [m^2]
 DIRECTIONS = np.deg2rad([0, -20, 20, -40, 40, -60, 60])  # tread normals, from the vertical [rad]
+ROUNDS = 6  # number of Newton steps for the nearest point
+MULTIPLIER_STEPS = 4  # number of Newton steps for the multiplier of the radius, in each round
+MIN_MULTIPLIER = 1e-9  # smallest multiplier [1]
+DISTANCE_TOLERANCE = 1e-12  # a step may increase the distance by this, due to rounding [m]
+MAX_DISTANCE = 1e9  # larger than every distance [m]
+EDGE_RADIUS = 0.1  # radius of the edge of discs [radii]
+ROOT_OFFSET = 1e-18  # keeps the derivatives of square roots finite [m2 or 1]
 
 
 class Plane(NamedTuple):
@@ -58,14 +65,8 @@ class Plane(NamedTuple):
 class Touch(NamedTuple):
     """Contact of a wheel with the ground; positions are local.
 
-    Attributes
-    ----------
-    gap : SX, shape (1, 1)
-        Distance between wheel and ground; negative if the wheel presses into it. [m]
-    frame : ContactFrame
-        Contact frame; its point is that of the wheel's surface.
-    friction : SX, shape (1, 1)
-        Coefficient of friction. [1]
+    The gap is negative if the wheel presses into the ground [m]; the point of the frame is that of
+    the wheel's surface.
     """
 
     gap: ca.SX
@@ -82,18 +83,7 @@ def touch(
 ) -> Touch:
     """Return the contact of a wheel with a ground.
 
-    Parameters
-    ----------
-    terrain : Terrain
-        The ground.
-    wheel : Wheel
-        The wheel.
-    carrier : Pose
-        Pose of the wheel's carrier, at the wheel's centre.
-    search : casadi Function or Plane
-        Result of `search_function` for this ground and the wheel's section.
-    lookups : LookupTable
-        Lookups of the model.
+    ``search`` is the result of `search_function` for this ground and the wheel's section.
     """
     center, axle = carrier.origin, carrier.rotation[:, 0]
     if isinstance(search, Plane):
@@ -151,22 +141,10 @@ def _split(found: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
 def search_function(terrain: Terrain, section: Section, radius: float) -> ca.Function | Plane:
     """Return a function that finds the ground point nearest to a wheel, or a plane ground.
 
-    Parameters
-    ----------
-    terrain : Terrain
-        The ground.
-    section : Section
-        Cross-section of the wheel.
-    radius : float
-        Rolling radius. [m]
-
-    Returns
-    -------
-    casadi Function or Plane
-        From centre and axle, shape (6, 1), to the nearest point, the inverse Jacobian of the
-        residual, height, gradient and Hessian there, shape (13, 1). If Newton's method does not
-        converge, the result is NaN, or, for a wheel clearly above the ground, the ground point
-        below it with a zero inverse Jacobian.
+    The function maps centre and axle (6, 1) to the nearest point, the inverse Jacobian of the
+    residual, height, gradient and Hessian there (13, 1). If Newton's method does not converge, the
+    result is NaN, or, for a wheel clearly above the ground, the ground point below it with a zero
+    inverse Jacobian.
     """
     radii, plane = section.torus_radii, plane_of(terrain)
     if plane is not None:
@@ -308,15 +286,6 @@ def _newton_function(section: Section) -> ca.Function:
     return ca.Function("newton", [spot, asked, jet], [ca.densify(results), at.point], {"cse": True})
 
 
-ROUNDS = 6  # number of Newton steps for the nearest point
-MULTIPLIER_STEPS = 4  # number of Newton steps for the multiplier of the radius, in each round
-MIN_MULTIPLIER = 1e-9  # smallest multiplier [1]
-DISTANCE_TOLERANCE = 1e-12  # a step may increase the distance by this, due to rounding [m]
-MAX_DISTANCE = 1e9  # larger than every distance [m]
-EDGE_RADIUS = 0.1  # radius of the edge of discs [radii]
-ROOT_OFFSET = 1e-18  # keeps the derivatives of square roots finite [m2 or 1]
-
-
 def tube_radii(wheel: Wheel) -> tuple[float, float]:
     """Return the radii of the tube and of the circle of tube centres of a wheel on solids [m].
 
@@ -338,25 +307,9 @@ def tube_radii(wheel: Wheel) -> tuple[float, float]:
 def solid_touch(
     prism: Prism, terrain: Terrain, wheel: Wheel, carrier: Pose, lookups: LookupTable
 ) -> Touch:
-    """Return the contact of a wheel with a solid.
+    """Return the contact of a wheel with a solid; ModelError as `tube_radii`.
 
-    Parameters
-    ----------
-    prism : Prism
-        The solid.
-    terrain : Terrain
-        The ground under it, which determines the local origin and the friction.
-    wheel : Wheel
-        The wheel.
-    carrier : Pose
-        Pose of the wheel's carrier, at the wheel's centre, in local coordinates.
-    lookups : LookupTable
-        Lookups of the model.
-
-    Raises
-    ------
-    ModelError
-        If the wheel is not a torus, a disc or a sphere.
+    ``terrain`` is the ground under the solid, which determines the local origin and the friction.
     """
     tube, circle = tube_radii(wheel)
     center, axle, origin = carrier.origin, carrier.rotation[:, 0], ca.DM(terrain.origin)
@@ -380,8 +333,6 @@ def solid_touch(
 def _nearest_on_disc(prism: Prism, origin: ca.DM, carrier: Pose, circle: float) -> ca.SX:
     """Return the point of a disc about the axle that is nearest to a solid, shape (3, 1) [m].
 
-    Notes
-    -----
     A step that increases the distance is rejected. The next trial is the minimum of the quadratic
     piece at the rejected point, then half the step.
     """

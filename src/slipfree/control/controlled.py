@@ -18,18 +18,8 @@ from slipfree.core.records import leaves, pack, unpack
 class Controller:
     """Controller of a model, as expressions of symbols of the model and of the controller.
 
-    Attributes
-    ----------
-    x, u : record of SX
-        Symbols of the controller's states and inputs.
-    rates : tuple of SX
-        Rates of the states.
-    laws : tuple of SX
-        Values of the model's inputs, in their order.
-    y : record of SX
-        Outputs.
-    labels_x, labels_u, labels_y : record of Label
-        Labels of states, inputs and outputs.
+    States, inputs, outputs and their labels are records; ``rates`` are those of the states,
+    ``laws`` the values of the model's inputs in their order.
     """
 
     x: Any
@@ -50,27 +40,11 @@ class WithController(NamedTuple):
 
 
 def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> Dae:
-    """Return a model with a controller.
+    """Return a model with a controller: states, inputs and outputs of the model, then its own.
 
-    Parameters
-    ----------
-    model : Dae
-        The model, without numeric checks at the samples.
-    controller : Controller
-        The controller.
-    sampled : bool
-        Whether the inputs of the model remain inputs, which
-        `slipfree.solve.zero_order_hold.simulate_sampled` sets to the values of the laws.
-
-    Returns
-    -------
-    Dae
-        Its states, inputs and outputs are those of the model and then those of the controller.
-
-    Raises
-    ------
-    ModelError
-        If the number of laws is not the number of inputs, or the model has numeric checks.
+    With ``sampled`` the inputs of the model remain inputs, which
+    `slipfree.solve.zero_order_hold.simulate_sampled` sets to the values of the laws. ModelError is
+    raised if the number of laws is not the number of inputs, or the model has numeric checks.
     """
     inputs = pack(model.u)
     if len(controller.laws) != inputs.numel():

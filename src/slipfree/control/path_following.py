@@ -22,24 +22,17 @@ STEER_GAIN = 4.0  # decay of the steering error per base length driven
 ZERO_TOLERANCE = 1e-9  # smaller lengths and derivatives count as zero [m, 1]
 LOW_SPEED_RATIO = 0.1  # fraction of the speed below which the steering angle is blended to zero
 TILT_GAIN = 2.0  # decay of the mean tilt per base length driven
+STEERING_STEPS = 20  # number of steps of the fixed-point iteration for the steering
+SAME_ANGLE = 1e-9  # smaller changes of commanded coordinates are omitted [rad, m]
+Piecewise = tuple[tuple[float, float], ...]
 
 
 class _PlanarWheel(NamedTuple):
     """A wheel in the plan view of the vehicle, as expressions of the commanded coordinates.
 
-    Attributes
-    ----------
-    wheel : Wheel
-        The wheel.
-    right, forward : SX
-        Position of the wheel relative to the middle of the turning axis. [m]
-    angle : SX
-        Heading of the wheel in the platform's plan, left positive. [rad]
-    effects : mapping of str to SX
-        Derivatives of the angle with respect to commanded coordinates, by name. [rad/rad, rad/m]
-    leans : str or None
-        Name of the passive coordinate that tilts the wheel sideways; None if there is no such
-        coordinate or the wheel is not driven.
+    Position relative to the middle of the turning axis [m]; heading in the platform's plan, left
+    positive [rad], and its derivatives with respect to commanded coordinates by name; ``leans`` is
+    the passive coordinate that tilts a driven wheel sideways, None without one.
     """
 
     wheel: Wheel
@@ -53,18 +46,11 @@ class _PlanarWheel(NamedTuple):
 class _PlanarGeometry(NamedTuple):
     """Plan view of a vehicle.
 
-    Attributes
-    ----------
-    wheels, steered : tuple of _PlanarWheel
-        All wheels, and those whose steering turns the vehicle.
-    base : float
-        Base length: distance of the farthest steered wheel from the turning axis, or, without
-        steering, the largest distance of a wheel from the centre line. [m]
-    ahead : float
-        Distance of the platform's centre ahead of the turning axis. [m]
-    gain : float
-        Difference of the wheel speeds, relative to that of a vehicle that turns without slip; above
-        one if unsteered wheels must slip sideways. [1]
+    ``steered`` are the wheels whose steering turns the vehicle. ``base`` is the distance of the
+    farthest of them from the turning axis, or, without steering, the largest distance of a wheel
+    from the centre line [m]; ``ahead`` that of the platform's centre ahead of the turning axis [m].
+    ``gain`` is the difference of the wheel speeds relative to that of a vehicle that turns without
+    slip; above one if unsteered wheels must slip sideways.
     """
 
     wheels: tuple[_PlanarWheel, ...]
@@ -225,20 +211,10 @@ def wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX,
 def planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeometry:
     """Return the plan view of a vehicle in its zero configuration.
 
-    The vehicle turns about an axis through the wheels that are neither steered nor casters nor
-    have rollers; without such wheels, about an axis through its centre.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    states : dict of str to SX
-        Symbols of its commanded coordinates, by name.
-
-    Raises
-    ------
-    ModelError
-        If the vehicle has neither steered wheels nor driven wheels on both sides.
+    The vehicle turns about an axis through the wheels that are neither steered nor casters nor have
+    rollers; without such wheels, about an axis through its centre. ``states`` are the symbols of
+    its commanded coordinates by name. ModelError is raised if the vehicle has neither steered
+    wheels nor driven wheels on both sides.
     """
     planar, fixed = [], []
     for wheel, (pose, effects, leans, swivels) in zip(
@@ -309,19 +285,8 @@ def _wheel_mobility(
         yield upright, effects, leans, bool((np.abs(turns[len(states) :]) > ZERO_TOLERANCE).any())
 
 
-STEERING_STEPS = 20  # number of steps of the fixed-point iteration for the steering
-SAME_ANGLE = 1e-9  # smaller changes of commanded coordinates are omitted [rad, m]
-Piecewise = tuple[tuple[float, float], ...]
-
-
 def turning_axis_offset(vehicle: Vehicle) -> float:
-    """Return the distance of the platform's centre ahead of the vehicle's turning axis [m].
-
-    Raises
-    ------
-    ModelError
-        If the vehicle has neither steered wheels nor driven wheels on both sides.
-    """
+    """Return the distance of the platform's centre ahead of the vehicle's turning axis [m]."""
     return planar_geometry(vehicle, _symbols(vehicle)).ahead
 
 
@@ -335,34 +300,11 @@ def arc_inputs(
 ) -> tuple[dict[str, Piecewise], float]:
     """Return inputs that drive along consecutive arcs, and the duration [s].
 
-    The vehicle stops before every arc until its wheels are steered for it. On even ground the
-    middle of the turning axis then follows the arc without slip.
-
-    Parameters
-    ----------
-    dae : Dae
-        The vehicle's direct kinematics.
-    vehicle : Vehicle
-        Vehicle with steered wheels, or with driven wheels on both sides.
-    arcs : sequence of (float, float)
-        Length of each arc, negative to drive backwards [m], and its curvature, positive to the
-        left [1/m].
-    coordinates : mapping of str to float
-        Commanded coordinates at the beginning. [rad, m]
-    speed : float
-        Speed, positive. [m/s]
-
-    Returns
-    -------
-    inputs : dict of str to tuple of (float, float)
-        For each input, pairs of a time [s] and the rate from this time on. [rad/s, m/s]
-    duration : float
-        Time at the end of the last arc. [s]
-
-    Raises
-    ------
-    ModelError
-        If the vehicle has neither steered wheels nor driven wheels on both sides.
+    The vehicle, with steered wheels or with driven wheels on both sides, stops before every arc
+    until its wheels are steered for it. On even ground the middle of the turning axis then follows
+    the arc without slip. An arc is a length, negative to drive backwards [m], and a curvature,
+    positive to the left [1/m]; ``coordinates`` are the commanded ones at the beginning [rad, m].
+    The result for each input is pairs of a time [s] and the rate from this time on [rad/s, m/s].
     """
     states = _symbols(vehicle)
     plan, column = planar_geometry(vehicle, states), ca.vertcat(ca.SX(0, 1), *states.values())

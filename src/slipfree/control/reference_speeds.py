@@ -39,6 +39,7 @@ GUIDE_GAP, GUIDE_WIDTH = 1.5e-3, 6e-4  # gap below which a solid guides a wheel,
 MIN_RIM_SPEED = 0.05  # lower bound of the rim speed in the estimates of directions [m/s]
 MAX_SINE = 0.985  # largest sine of an estimated direction
 Law = Literal["projective", "fixed", "printed_6_8", "printed_14", "printed_16"]
+TONES = 24  # number of tones in the noise of a sensor
 
 
 class PerAxle(NamedTuple):
@@ -158,9 +159,6 @@ def _direction(profile: Profile, radius: float, axle: ca.SX) -> ca.SX:
         down = ca.fmin(down, near * slope)
         free *= ca.if_else(slope >= 0, 1 - near, 1)
     return up + down * free
-
-
-TONES = 24  # number of tones in the noise of a sensor
 
 
 @dataclass(frozen=True)

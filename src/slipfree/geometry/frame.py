@@ -44,15 +44,7 @@ def check_vector(name: str, vector: Sequence[float]) -> None:
 
 
 class Twist(NamedTuple):
-    """Velocity of a frame's origin and angular velocity of the frame, both in fixed axes.
-
-    Attributes
-    ----------
-    v : SX, shape (3, 1)
-        Velocity of the origin. [m/s]
-    omega : SX, shape (3, 1)
-        Angular velocity. [rad/s]
-    """
+    """Velocity of a frame's origin and angular velocity of the frame, in fixed axes."""
 
     v: ca.SX
     omega: ca.SX
@@ -88,15 +80,7 @@ def translation(x: ca.SX | float, y: ca.SX | float, z: ca.SX | float) -> Pose:
 
 
 def turn(axis: Axis, angle: ca.SX | float) -> Pose:
-    """Return the pose of a frame rotated about a fixed axis.
-
-    Parameters
-    ----------
-    axis : {"x", "y", "z"} or tuple of 3 floats
-        The axis, by name or as a vector.
-    angle : SX or float
-        Right-handed angle. [rad]
-    """
+    """Return the pose of a frame rotated about a fixed axis by a right-handed angle [rad]."""
     k = ca.skew(ca.SX(ca.DM(unit_vector(axis))))
     rotation = ca.sparsify(ca.SX.eye(3) + ca.sin(angle) * k + (1 - ca.cos(angle)) * (k @ k))
     return Pose(ca.densify(rotation), ca.SX.zeros(3))

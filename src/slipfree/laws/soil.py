@@ -121,16 +121,9 @@ class WheelSize(NamedTuple):
 class SoilForces(NamedTuple):
     """Forces of the soil on a wheel, of the same type as the arguments of the computation.
 
-    Attributes
-    ----------
-    normal : SX or float
-        Force along the normal of the ground. [N]
-    pull : SX or float
-        Drawbar pull: force along the wheel, positive forward. [N]
-    side : SX or float
-        Force across the wheel, positive to the right; it opposes the sideways motion. [N]
-    torque : SX or float
-        Resistance torque about the axle: the drive torque that keeps the rate constant. [N m]
+    Force along the normal of the ground [N], drawbar pull, positive forward [N], force across the
+    wheel, positive to the right, against the sideways motion [N], and resistance torque about the
+    axle: the drive torque that keeps the rate constant [N m].
     """
 
     normal: Any
@@ -371,19 +364,9 @@ def wheel_size(wheel: Wheel) -> WheelSize:
 def forces_at_slip(soil: Soil, size: WheelSize, depth: Any, slip: Any, angle: Any) -> SoilForces:
     """Return the forces on a wheel in steady motion for a depth, slip ratio and slip angle.
 
-    Parameters
-    ----------
-    soil : Soil
-        The soil.
-    size : WheelSize
-        Radius and width of the wheel.
-    depth : SX or float
-        Depth of the lowest point. [m]
-    slip : SX or float
-        Slip ratio, -1 to 1: rim speed ``u`` minus forward speed ``v_x``, divided by the larger of
-        the two. [1]
-    angle : SX or float
-        Slip angle, less than pi/2: the wheel also moves to the right with ``v_x tan(angle)``. [rad]
+    The depth [m] is that of the lowest point. The slip ratio, -1 to 1, is the rim speed ``u`` minus
+    the forward speed ``v_x``, divided by the larger of the two. With the slip angle, less than
+    pi/2, the wheel also moves to the right with ``v_x tan(angle)``.
     """
     forward, rim = 1 - ca.fmax(slip, 0), 1 + ca.fmin(slip, 0)
     return forces_at_speeds(soil, size, depth, rim, forward, forward * ca.tan(angle), STEADY_CREEP)
@@ -394,21 +377,10 @@ def forces_at_speeds(
 ) -> SoilForces:
     """Return the forces on a wheel for a depth and speeds (8).
 
-    Parameters
-    ----------
-    soil : Soil
-        The soil.
-    size : WheelSize
-        Radius and width of the wheel.
-    depth : SX or float
-        Depth of the lowest point; a depth beyond the radius counts as the radius. [m]
-    rim : SX or float
-        Speed of the rim at the shear radius, relative to the wheel's centre; positive forward.
-        [m/s]
-    forward, sideways : SX or float
-        Speed of the wheel's centre along the wheel, and across it to the right. [m/s]
-    creep : SX or float
-        Rim speed below which the shear displacement is reduced, positive. [m/s]
+    A depth of the lowest point beyond the radius counts as the radius [m]. ``rim`` is the speed of
+    the rim at the shear radius relative to the wheel's centre, positive forward; ``forward`` and
+    ``sideways`` are the speeds of the centre along the wheel, and across it to the right; below the
+    rim speed ``creep`` the shear displacement is reduced [m/s].
     """
     contact = _contact(soil, size, depth, rim, forward, creep)
     motion = _shear_motion(soil, rim, forward, sideways, creep)
@@ -426,21 +398,9 @@ def forces_at_speeds(
 
 @lru_cache(maxsize=64)
 def static_sinkage(soil: Soil, size: WheelSize, load: float) -> float:
-    """Return the depth at which the soil bears a wheel at rest [m].
+    """Return the depth at which the soil bears a wheel at rest under a normal force [m].
 
-    Parameters
-    ----------
-    soil : Soil
-        The soil.
-    size : WheelSize
-        Radius and width of the wheel.
-    load : float
-        Normal force. [N]
-
-    Raises
-    ------
-    ModelError
-        If the wheel sinks to its axle.
+    ModelError is raised if the wheel sinks to its axle.
     """
     depth = ca.SX.sym("depth")
     found = forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP).normal
@@ -461,16 +421,9 @@ def static_sinkage(soil: Soil, size: WheelSize, load: float) -> float:
 class _ContactArc(NamedTuple):
     """Arc of a wheel in the soil.
 
-    Attributes
-    ----------
-    entry : SX or float
-        Entry angle ``theta_f``, positive. [rad]
-    front, rear, peak : SX or float
-        Angles of the edges, and of the largest stress, from the lowest point forward. [rad]
-    share : SX or float
-        Ratio of the angle of largest stress to the entry angle. [1]
-    ahead, behind : SX or float
-        Weights with which the front and the rear edge act as entry; their sum is one. [1]
+    Entry angle ``theta_f``, positive; angles of the edges and of the largest stress, from the
+    lowest point forward [rad]; ratio of the angle of largest stress to the entry angle; weights
+    with which the front and the rear edge act as entry, whose sum is one.
     """
 
     entry: Any
@@ -485,14 +438,8 @@ class _ContactArc(NamedTuple):
 class _ShearMotion(NamedTuple):
     """Motion of a rim relative to the soil.
 
-    Attributes
-    ----------
-    rolling, forward, sideways : SX or float
-        Rim speed, and speeds of the wheel's centre, divided by the magnitude of the rim speed. [1]
-    along, across : SX or float
-        Shear deformation moduli. [m]
-    side : SX or float
-        Direction of the sideways motion, -1 to 1. [1]
+    Rim speed and speeds of the wheel's centre, divided by the magnitude of the rim speed; shear
+    deformation moduli [m]; direction of the sideways motion, -1 to 1.
     """
 
     rolling: Any

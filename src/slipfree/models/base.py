@@ -26,27 +26,18 @@ from slipfree.models.records import (
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
+LEAST_SPEED = 1e-6  # of a wheel or its rim, below which a slip ratio is reduced [m/s]
+
 
 class Mechanics(NamedTuple):
     """Terms of the quasi-static equilibrium of a vehicle, in the symbols of a model.
 
-    Rates are in the order of ``Rates.motion``, inputs in the order of ``Inputs``.
-
-    Attributes
-    ----------
-    free, driven : SX, shapes (3 n_wheels, n_rates) and (3 n_wheels, n_inputs)
-        Derivatives of the slip velocities along, across and normal to every wheel with respect to
-        rates and inputs: ``A`` and ``B``. [1, m]
-    load : SX, shape (n_rates, 1)
-        Generalised force of gravity, springs and dampers for each rate. [N, N m]
-    held : SX, shape (n_inputs, 1)
-        Generalised force of gravity, springs and dampers for each input. [N, N m]
-    friction : tuple of SX
-        Coefficient of friction at every wheel. [1]
-    weight : float
-        Weight of the whole vehicle. [N]
-    potential, damped : SX, shape (1, 1)
-        Potential energy [J] and power of the dampers [W].
+    Rates are in the order of ``Rates.motion``, inputs in the order of ``Inputs``. ``free`` and
+    ``driven`` are the derivatives ``A`` and ``B`` of the slip velocities along, across and normal
+    to every wheel with respect to them, with 3 n_wheels rows [1, m]; ``load`` and ``held`` the
+    generalised forces of gravity, springs and dampers on them [N, N m]. ``friction`` are the
+    coefficients at the wheels; ``weight`` [N], ``potential`` energy [J] and power of the dampers
+    ``damped`` [W] are those of the vehicle.
     """
 
     free: ca.SX
@@ -62,36 +53,10 @@ class Mechanics(NamedTuple):
 class Quantities(NamedTuple):
     """Expressions of a model, from which its limits are computed.
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    terrain : Terrain
-        The ground.
-    x : Configuration
-        Position, heading and joints. [m, rad]
-    position : Dependent
-        Height, inclination and suspension. [m, rad]
-    rates : Rates
-        Rates that are not commanded. [m/s, rad/s]
-    forces : Forces
-        Forces of the ground on the wheels; empty if the vehicle has no mass. [N]
-    u : Inputs
-        Commanded rates. [rad/s, m/s]
-    poses : tuple of Pose
-        Poses of the wheels' carriers, at the wheels' centres.
-    contacts : tuple of ContactFrame
-        Contact frames of the wheels.
-    slips : tuple of SX, shape (3, 1)
-        Slip velocities of the wheels in fixed axes. [m/s]
-    spins : tuple of SX
-        Rates of all wheels. [rad/s]
-    mechanics : Mechanics
-        Terms of the equilibrium.
-    tip_over_margin : SX, shape (1, 1)
-        Tip-over margin (`slipfree.models.limits`); infinite if the vehicle has no mass. [rad]
-    lookups : LookupTable
-        Lookups of the ground in these expressions.
+    ``forces`` are those of the ground on the wheels, empty if the vehicle has no mass; the tip-over
+    margin is then infinite. ``poses`` are those of the wheels' carriers at the wheels' centres,
+    ``slips`` (3, 1) are in fixed axes, ``spins`` the rates of all wheels. Units are those of the
+    labels.
     """
 
     vehicle: Vehicle
@@ -108,9 +73,6 @@ class Quantities(NamedTuple):
     mechanics: Mechanics
     tip_over_margin: ca.SX
     lookups: LookupTable
-
-
-LEAST_SPEED = 1e-6  # of a wheel or its rim, below which a slip ratio is reduced [m/s]
 
 
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
@@ -133,12 +95,8 @@ def level_heights(
 ) -> tuple[ca.SX, list[ca.SX]]:
     """Return, for each wheel, the height of a level platform at which it touches the ground.
 
-    Returns
-    -------
-    heights : SX, shape (n_wheels, 1)
-        Height of the platform's centre for each wheel, with all suspension coordinates zero. [m]
-    centers : list of SX, shape (3, 1)
-        Centres of the wheels in local coordinates, for a platform at height zero. [m]
+    Heights of the platform's centre (n_wheels, 1) [m], with all suspension coordinates zero, and
+    the centres of the wheels in local coordinates for a platform at height zero [m].
     """
     level = Dependent(0, 0, 0, tuple(0 for _ in vehicle.of("suspension")), ())
     centers = [carrier.origin for carrier in carriers(vehicle, x, level)]

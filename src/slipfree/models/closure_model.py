@@ -86,18 +86,8 @@ def closure_dae(
 ) -> Dae:
     """Return the DAE of a closure model from its quantities and the equations of its rates.
 
-    Parameters
-    ----------
-    labels : Labels
-        Labels of the model, except those of the law's equations.
-    z, q : Algebraic and Quantities
-        Results of `closure_quantities`, with the forces on the wheels.
-    law, forces : Equations and SX
-        Equations of the rates, and of the forces that follow from them.
-    limits : tuple of Limit
-        Limits of the law.
-    suppress_algebraic, continuation
-        As in `Dae`.
+    ``labels`` lack those of the law's equations; ``law`` and ``forces`` are the equations of the
+    rates, and of the forces that follow from them. Other arguments are those of `Dae`.
     """
     vehicle, terrain = q.vehicle, q.terrain
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)

@@ -46,6 +46,8 @@ MOVES = {
     "yaw_rate": "turn the platform",
 }
 MIN_RELATIVE_SINGULAR_VALUE = 1e-14  # relative singular value that counts as zero
+MIN_RELATIVE_AUTHORITY = 1e-9  # smaller values: the wheels do not affect the given rate
+MAX_MISSED_SHARE = 1e-9  # tolerance of the given rates [largest given rate]
 
 
 def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
@@ -64,15 +66,10 @@ def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]
 
 @dataclass(frozen=True, eq=False)
 class SlipColumns:
-    """Scaled derivatives of the slip of a rolling vehicle, in the symbols of its model.
+    """Scaled derivatives of the slip of a rolling vehicle, columns (3 n_wheels, 1) by name.
 
-    Attributes
-    ----------
-    rates : dict of str to SX, shape (3 n_wheels, 1)
-        Derivatives of the slip with respect to velocities, ``omega_x`` to ``omega_z``, Euler rates
-        and all other rates, by name.
-    angles : dict of str to SX, shape (3 n_wheels, 1)
-        Derivatives with respect to the commanded coordinates, by name.
+    ``rates`` are the derivatives with respect to velocities, ``omega_x`` to ``omega_z``, Euler
+    rates and all other rates, ``angles`` those with respect to the commanded coordinates.
     """
 
     rates: dict[str, ca.SX]
@@ -122,22 +119,11 @@ def slip_columns(vehicle: Vehicle, direct: Dae) -> SlipColumns:
 class Determinacy:
     """Check that given rates of the platform determine the unknowns of an inverse model.
 
-    The equations are ``matrix @ unknowns + columns @ given = 0``, scaled to velocities; the check
-    is on the smallest singular value of the matrix.
-
-    Attributes
-    ----------
-    least : float
-        Smallest allowed singular value; the margin is the excess over it.
-    given, unknown : tuple of str
-        Names of the given rates, and of the columns of the matrix.
-    reasons : mapping of str to str
-        Reasons why a given rate cannot be imposed, or an unknown is not determined, by name.
-    remedy : str
-        Advice for messages; ``{}`` stands for the given rate.
-    matrices : casadi Function
-        Function from states and unknowns ``(x, z)`` to ``(matrix, columns)``, the coefficients of
-        the unknown and of the given rates.
+    The equations are ``matrix @ unknowns + columns @ given = 0``, scaled to velocities;
+    ``matrices`` returns both from states and unknowns ``(x, z)``. The margin is the excess of the
+    smallest singular value of the matrix over ``least``. ``reasons`` say why a given rate cannot be
+    imposed, or an unknown is not determined, by name; ``{}`` in ``remedy`` stands for the given
+    rate.
     """
 
     least: float
@@ -205,14 +191,8 @@ def rolling_determinacy(
 ) -> Determinacy:
     """Return the determinacy check of an inverse model of rolling without slip.
 
-    Parameters
-    ----------
-    vehicle, direct : Vehicle, Dae
-        The vehicle, and its direct model of rolling without slip.
-    model : Dae
-        The inverse model, in symbols of the direct model.
-    given, solve_for, least
-        As in `inverse_kinematics`.
+    ``direct`` is the direct model of rolling without slip, ``model`` the inverse one in its
+    symbols; ``given``, ``solve_for`` and ``least`` are those of `inverse_kinematics`.
     """
     slip = slip_columns(vehicle, direct)
     matrix, unknown = slip.matrix(given, solve_for)
@@ -256,20 +236,9 @@ def _reasons(vehicle: Vehicle) -> dict[str, str]:
 def input_effects(direct: Dae, model: Dae, given: Sequence[str]) -> ca.Function:
     """Return the effects of a direct model's inputs on given rates and on slip.
 
-    Parameters
-    ----------
-    direct : Dae
-        The direct model; it is linear in its inputs.
-    model : Dae
-        A model with the symbols of the direct model.
-    given : sequence of str
-        Names of the given rates.
-
-    Returns
-    -------
-    casadi Function
-        From ``x`` and ``z`` of the model to the derivatives of the given rates and of the slip of
-        all wheels with respect to the inputs of the direct model.
+    The function maps ``x`` and ``z`` of a model in the symbols of the direct one to the derivatives
+    of the given rates and of the slip of all wheels with respect to the inputs, in which the direct
+    model is linear.
     """
     law, rates, u = direct.alg[1], pack(direct.z.rates), pack(direct.u)
     slip, derived = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across), derived_rates(direct)
@@ -294,16 +263,8 @@ def command_determinacy(
     """Return the check that the driven wheels can impose given commands.
 
     The matrix of the check is the derivative of the given rates with respect to the rates of the
-    driven wheels in the direct model of least slip, both scaled to velocities.
-
-    Parameters
-    ----------
-    vehicle, direct : Vehicle, Dae
-        The vehicle, and its direct model of least slip.
-    model : Dae
-        The model to check, in the symbols of the direct model.
-    given : sequence of str
-        Names of the given rates.
+    driven wheels in the direct model of least slip, both scaled to velocities; ``model``, in the
+    symbols of that model, is the one to check.
     """
     effects, wheels = input_effects(direct, model, given), direct.labels.u.wheels
     radii = [wheel.radius for wheel in vehicle.wheels if wheel.driven]
@@ -326,21 +287,9 @@ def conditions(
 ) -> dict[tuple[str, ...], Array]:
     """Return condition numbers of the inverse problem for each choice of three platform rates.
 
-    Parameters
-    ----------
-    vehicle, terrain : Vehicle, Terrain
-        A vehicle that rolls without slip, and its ground.
-    run : Trajectory
-        A motion of the vehicle on this ground, by a direct or inverse model. With
-        ``solve_for="angles"`` its speed must not be zero.
-    solve_for : {"rates", "angles"}
-        See `inverse_kinematics`.
-
-    Returns
-    -------
-    dict
-        Condition numbers, shape (n,), one for each sample, by the names of the three given rates
-        (``velocity_x`` to ``omega_z``); infinite where the choice is singular.
+    ``run`` is a motion of a vehicle that rolls without slip; with ``solve_for="angles"`` its speed
+    must not be zero. The condition numbers at its samples (n,), infinite where the choice is
+    singular, have the names of the three given rates as key (``velocity_x`` to ``omega_z``).
     """
     direct = direct_kinematics(vehicle, terrain, slip=Rolling())
     slip, count = slip_columns(vehicle, direct), run.t.size
@@ -359,20 +308,8 @@ def conditions(
     return found
 
 
-MIN_RELATIVE_AUTHORITY = 1e-9  # smaller values: the wheels do not affect the given rate
-MAX_MISSED_SHARE = 1e-9  # tolerance of the given rates [largest given rate]
-
-
 def check_authority(vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:
-    """Raise ModelError if the wheels cannot impose the given rates at the last sample of a motion.
-
-    Parameters
-    ----------
-    vehicle, direct, stand
-        As in `wheel_rates`.
-    given : sequence of str
-        Names of the given rates.
-    """
+    """Raise ModelError if the wheels cannot impose rates at the last sample of a motion."""
     check = command_determinacy(vehicle, direct, direct, given)
     x, z = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
     if check.margin(x[:, None], z[:, None])[0] < 0:
@@ -387,34 +324,16 @@ def wheel_rates(
     joints: Mapping[str, float] | None = None,
     **given: float,
 ) -> dict[str, float]:
-    """Return the inputs of least slip with which the platform has given rates.
+    """Return the inputs of least slip with which the platform has given rates, by name.
 
-    The configuration is the last sample of ``stand``. If several inputs have the same slip, the
-    result has the least norm.
+    The configuration is the last sample of ``stand``, a motion of ``direct``, the direct model of
+    least slip. ``joints`` are rates of commanded coordinates by the names of the inputs, such as
+    ``steer_rate``; others are zero [rad/s, m/s]. ``given`` are some of ``forward``, ``right`` and
+    ``yaw_rate`` [m/s, rad/s]. If several inputs have the same slip, the result has the least norm.
 
-    Parameters
-    ----------
-    vehicle, direct : Vehicle, Dae
-        The vehicle, and its direct model of least slip.
-    stand : Trajectory
-        Motion whose last sample is the configuration.
-    joints : mapping of str to float, optional
-        Rates of commanded coordinates, by the names of the inputs, such as ``steer_rate``; others
-        are zero. [rad/s, m/s]
-    **given : float
-        Given rates: some of ``forward``, ``right`` and ``yaw_rate``. [m/s, rad/s]
-
-    Returns
-    -------
-    dict of str to float
-        Inputs by name, as arguments of ``direct.inputs``. [rad/s, m/s]
-
-    Raises
-    ------
-    ModelError
-        If no rate is given, if a rate or a joint is unknown, if a rate cannot be imposed, if there
-        are more rates than driven wheels, or if ``right`` is missing though all driven wheels have
-        rollers.
+    ModelError is raised if no rate is given, if a rate or a joint is unknown, if a rate cannot be
+    imposed, if there are more rates than driven wheels, or if ``right`` is missing though all
+    driven wheels have rollers.
     """
     check_commands(vehicle, tuple(given))
     at = direct.rows("x", stand, -1), direct.rows("z", stand, -1)

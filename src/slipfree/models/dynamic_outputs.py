@@ -227,16 +227,8 @@ def _vector(name: str, unit: str, words: str) -> tuple[Label, ...]:
 class Contact(NamedTuple):
     """Contact of a wheel, and the force of the ground on it.
 
-    Attributes
-    ----------
-    touch : Touch
-        Contact with the ground.
-    slip : SX, shape (3, 1)
-        Velocity of the wheel's material point at the contact. [m/s]
-    spin : SX, shape (1, 1)
-        Angular velocity about the axle relative to fixed axes, positive forward. [rad/s]
-    force : GroundForce
-        Force and moment of the ground on the wheel.
+    ``slip`` is the velocity of the wheel's material point at the contact [m/s], ``spin`` the
+    angular velocity about the axle relative to fixed axes, positive forward [rad/s].
     """
 
     touch: Touch

@@ -307,18 +307,9 @@ def slip_velocity(wheel: WheelMotion, at: Touch) -> ca.SX:
 class _Wheel(NamedTuple):
     """Moments on a wheel, and its contributions to the equations of motion.
 
-    Attributes
-    ----------
-    resisting : SX, shape (1, 1)
-        Moment of the ground about the axle. [N m]
-    torque : SX, shape (1, 1)
-        Torque of the drive; zero if the rate is prescribed. [N m]
-    acceleration : SX, shape (1, 1)
-        Time derivative of the rate if it is prescribed; otherwise zero. [rad/s^2]
-    integral_rate : tuple of SX
-        Rate of the integral of the drive's controller; empty without one. [N m/s]
-    load : Load
-        Force and moment on the wheel's carrier.
+    Moment of the ground about the axle, torque of the drive, zero if the rate is prescribed [N m],
+    time derivative of a prescribed rate [rad/s^2], rate of the integral of the drive's controller,
+    empty without one [N m/s], and the load on the wheel's carrier.
     """
 
     resisting: ca.SX

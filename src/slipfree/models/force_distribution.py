@@ -29,15 +29,11 @@ RETREAT = 0.9  # used fraction of the farthest feasible advance
 class Best(NamedTuple):
     """Distributions of the contact forces with the least utilisation, for n samples.
 
-    Attributes
-    ----------
-    utilisation : ndarray, shape (n,)
-        Least possible value of the largest ratio of tangential force to friction limit among the
-        wheels; ``inf`` where no distribution exists, NaN where the optimisation does not converge.
-        [1]
-    force : ndarray, shape (n, 3 m)
-        Contact forces with this utilisation (along, across, normal for each of m wheels), not
-        always unique; NaN where the utilisation is ``inf`` or NaN. [weight]
+    ``utilisation`` (n,) is the least possible value of the largest ratio of tangential force to
+    friction limit among the wheels; ``inf`` where no distribution exists, NaN where the
+    optimisation does not converge [1]. ``force`` (n, 3 m) are contact forces with this utilisation
+    (along, across, normal for each of m wheels), not always unique; NaN without a finite
+    utilisation [weight].
     """
 
     utilisation: Array
@@ -45,16 +41,11 @@ class Best(NamedTuple):
 
 
 class _Contacts(NamedTuple):
-    """Contact forces of n samples as affine functions of the k unknown internal forces ``y``.
+    """Contact forces of n samples on m wheels as affine functions of k internal forces ``y``.
 
-    Attributes
-    ----------
-    along, across, normal : ndarray, shape (n, m)
-        Forces on m wheels at ``y = 0``. The normal forces are multiplied by the coefficients of
-        friction, so that ``hypot(along, across) <= s normal`` is Coulomb's law at utilisation
-        ``s``. [weight]
-    along_slope, across_slope, normal_slope : ndarray, shape (n, m, k)
-        Derivatives of these forces with respect to ``y``. [1]
+    Forces at ``y = 0`` (n, m) [weight] and their derivatives (n, m, k) [1]. The normal forces are
+    multiplied by the coefficients of friction, so that ``hypot(along, across) <= s normal`` is
+    Coulomb's law at utilisation ``s``.
     """
 
     along: Array
@@ -72,16 +63,8 @@ class _Contacts(NamedTuple):
 class _Goal(NamedTuple):
     """Objective of an optimisation: the least level p at which the contact forces meet a condition.
 
-    The condition is ``hypot(along, across) <= (fixed + factor p) normal + shift p``.
-
-    Attributes
-    ----------
-    fixed, factor, shift : float
-        Coefficients of the condition.
-    absolute, relative : float
-        Tolerances of the least level.
-    enough : float
-        Level below which the optimisation stops early.
+    The condition is ``hypot(along, across) <= (fixed + factor p) normal + shift p``. The tolerances
+    are those of the least level; below ``enough`` the optimisation stops early.
     """
 
     fixed: float
@@ -93,18 +76,10 @@ class _Goal(NamedTuple):
 
 
 class _Newton(NamedTuple):
-    """Newton step at a fixed level for n samples.
+    """Newton step of the unknowns at a fixed level, for n samples.
 
-    Attributes
-    ----------
-    step : ndarray, shape (n, k)
-        Newton step of the k unknowns.
-    tangent : ndarray, shape (n, k)
-        Derivative of the central path with respect to the level.
-    decrement : ndarray, shape (n,)
-        Newton decrement.
-    gap : ndarray, shape (n,)
-        Estimated excess of the level over the least level.
+    ``tangent`` (n, k) is the derivative of the central path with respect to the level, ``gap`` (n,)
+    the estimated excess of the level over the least level.
     """
 
     step: Array
@@ -160,7 +135,12 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
     poor = np.flatnonzero(solvable & (_normal(contacts, y).min(1) < PHASE_ONE_FORCE))
     y[poor] = _feasible_unknowns(contacts.pick(poor), y[poor])
     held = np.flatnonzero(solvable & (_normal(contacts, y).min(1) > 0))
-    y[held] = _optimal_unknowns(contacts.pick(held), y[held])
+    y[held] = _follow_center(
+        contacts.pick(held),
+        y[held],
+        2.0 * _utilisation(contacts.pick(held), y[held]) + 0.001,
+        UTILISATION_GOAL,
+    )
     utilisation = np.full(len(y), np.inf)
     utilisation[held] = _utilisation(contacts.pick(held), y[held])
     utilisation[utilisation > MAX_UTILISATION] = np.inf
@@ -253,11 +233,6 @@ def _feasible_unknowns(contacts: _Contacts, y: Array) -> Array:
     return _follow_center(upright, y, 1.0 - _normal(contacts, y).min(1), PHASE_ONE_GOAL)
 
 
-def _optimal_unknowns(contacts: _Contacts, y: Array) -> Array:
-    """Return the unknowns of least utilisation, starting from positive normal forces."""
-    return _follow_center(contacts, y, 2.0 * _utilisation(contacts, y) + 1e-3, UTILISATION_GOAL)
-
-
 def _follow_center(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
     """Return the unknowns at the least level, starting from feasible unknowns at ``level``.
 
@@ -318,17 +293,9 @@ def _hessian_rows(
 ) -> tuple[Array, Array, Array, Array]:
     """Return a factor of the Hessian, derivatives with respect to the level, and 1 / a and 1 / b.
 
-    ``a`` and ``b`` are those of `_newton`.
-
-    Returns
-    -------
-    rows : ndarray, shape (n, 3 m, k)
-        Factor R of the Hessian ``R' R``.
-    radius, slope : ndarray, shape (n, m) and (n, m, k)
-        Derivatives with respect to the level of the friction discs' radii, and of the slopes of
-        these radii.
-    inverse : ndarray, shape (n, 2 m)
-        Reciprocals of a, then of b.
+    The Hessian is ``R' R`` with the rows R (n, 3 m, k). The derivatives are those of the friction
+    discs' radii (n, m) and of their slopes (n, m, k). ``a`` and ``b`` are those of `_newton`; their
+    reciprocals have the shape (n, 2 m).
     """
     along = contacts.along + _apply(contacts.along_slope, y)
     across = contacts.across + _apply(contacts.across_slope, y)

@@ -38,6 +38,12 @@ from slipfree.models.samples import slip_velocities
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 
+MAX_LEVEL_SLOPE = 0.005  # smaller slopes count as level ground [rad]
+MAX_HELD_UTILISATION = 0.99  # below it, friction is not the reason for a failure
+MAX_EXHAUSTED_UTILISATION = 1.001  # below it, friction is just exhausted
+MAX_UPRIGHT_LEAN = 0.02  # a wheel with a smaller lean counts as upright [rad]
+BEST = Label("utilisation_best", "1", "smallest possible utilisation of the most used wheel")
+
 
 def mechanics(
     vehicle: Vehicle,
@@ -185,13 +191,6 @@ def _used(along: ca.SX, across: ca.SX, offered: ca.SX) -> ca.SX:
     at zero force.
     """
     return ca.sqrt(ca.if_else(offered > 0, (along**2 + across**2) / offered**2, ca.SX.inf()))
-
-
-MAX_LEVEL_SLOPE = 0.005  # smaller slopes count as level ground [rad]
-MAX_HELD_UTILISATION = 0.99  # below it, friction is not the reason for a failure
-MAX_EXHAUSTED_UTILISATION = 1.001  # below it, friction is just exhausted
-MAX_UPRIGHT_LEAN = 0.02  # a wheel with a smaller lean counts as upright [rad]
-BEST = Label("utilisation_best", "1", "smallest possible utilisation of the most used wheel")
 
 
 def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Trajectory:

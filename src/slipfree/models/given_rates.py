@@ -35,6 +35,13 @@ COMMANDS = {
     "right": Label("right", "m s-1", "velocity of the platform's centre across its heading"),
     "yaw_rate": Label("yaw_rate", "rad s-1", "rate of the heading, counter-clockwise"),
 }
+GAIN = 5.0  # decay rate of the error of a steering angle [1/s]
+MAX_STEERING_RATE = 1.0  # largest rate of a steered joint without max_rate [rad/s, m/s]
+STOP_CLEARANCE = 1e-4  # distance between a stop and the target of a steered coordinate [rad, m]
+MIN_WHEEL_SPEED = 1e-4  # speed of a wheel below which it is not steered [size/s]
+FREE_RATE_WEIGHTS = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # of rates not given [1]
+BRANCH_SHIFT = 0.2  # steering errors lie between -pi/2 - shift and pi/2 - shift [rad]
+MIN_EFFECT = 1e-9  # a joint with a smaller effect on a wheel's direction does not steer [1, 1/m]
 
 
 class Derived(NamedTuple):
@@ -47,16 +54,8 @@ class Derived(NamedTuple):
 class Imposed(NamedTuple):
     """Equations of a direct model in which given rates of the platform are inputs.
 
-    Attributes
-    ----------
-    inputs : tuple of Variable
-        The given rates.
-    rates : tuple of Variable
-        Unknown rates of the direct model that are not given.
-    rows : SX, shape (n, 1)
-        Equations of the direct model, and one for each given rate that is not among its unknowns.
-    labels : tuple of Label
-        Labels of the equations.
+    ``rates`` are the unknown rates that are not given; ``rows`` the equations of the direct model,
+    and one for each given rate that is not among its unknowns.
     """
 
     inputs: tuple[Variable, ...]
@@ -110,17 +109,7 @@ def omega(heading: ca.SX, roll: ca.SX) -> ca.SX:
 
 
 class Minimum(NamedTuple):
-    """Conditions for a minimum under constraints.
-
-    Attributes
-    ----------
-    unknowns : tuple of Variable
-        Optimisation variables and multipliers of the constraints.
-    rows : SX, shape (n, 1)
-        The conditions, one for each unknown.
-    labels : tuple of Label
-        Labels of the conditions.
-    """
+    """Conditions for a minimum under constraints, one for each variable and each multiplier."""
 
     unknowns: tuple[Variable, ...]
     rows: ca.SX
@@ -137,20 +126,8 @@ def minimum(
 ) -> Minimum:
     """Return the conditions for the minimum of an objective under equality constraints.
 
-    Parameters
-    ----------
-    direct : Dae
-        Model that contains the symbols.
-    goal : SX, shape (1, 1)
-        The objective, such as the squared slip. [m2/s2]
-    constraints : SX, shape (n, 1)
-        Expressions that vanish at the minimum.
-    unknowns : sequence of Variable
-        Optimisation variables.
-    multipliers : sequence of n Label
-        Labels of the multipliers of the constraints.
-    label : Label
-        Name of the conditions, and the beginning of their descriptions.
+    ``constraints`` are expressions that vanish at the minimum, ``multipliers`` the labels of their
+    multipliers; ``label`` is the name of the conditions, and the beginning of their descriptions.
     """
     new = tuple(new_variable(direct, each) for each in multipliers)
     found = (*unknowns, *new)
@@ -233,16 +210,7 @@ def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = Tr
         )
 
 
-GAIN = 5.0  # decay rate of the error of a steering angle [1/s]
-MAX_STEERING_RATE = 1.0  # largest rate of a steered joint without max_rate [rad/s, m/s]
-STOP_CLEARANCE = 1e-4  # distance between a stop and the target of a steered coordinate [rad, m]
-MIN_WHEEL_SPEED = 1e-4  # speed of a wheel below which it is not steered [size/s]
-FREE_RATE_WEIGHTS = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # of rates not given [1]
-BRANCH_SHIFT = 0.2  # steering errors lie between -pi/2 - shift and pi/2 - shift [rad]
-MIN_EFFECT = 1e-9  # a joint with a smaller effect on a wheel's direction does not steer [1, 1/m]
-
-
-class Guide(NamedTuple):
+class GuidingMotion(NamedTuple):
     """Guiding motion: its conditions, and the unknown rates of pose and suspension.
 
     Passive joints are fixed; wheels that swivel on passive joints are ignored.
@@ -274,7 +242,7 @@ def steering_effects(
     return found
 
 
-def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> Guide:
+def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> GuidingMotion:
     """Return the guiding motion: least sideways slip of unsteered wheels under given rates.
 
     ``inputs`` are the given rates.
@@ -311,7 +279,7 @@ def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) ->
     goal, *rows = guided(direct, motion, [goal, touching, *missed])
     label = Label("guide", "", "least sideways slip of wheels that are not steered")
     conditions = minimum(direct, goal, ca.vertcat(*rows), motion, multipliers, label)
-    return Guide(conditions, motion)
+    return GuidingMotion(conditions, motion)
 
 
 def _pose_rates(rates: Any) -> tuple[Any, ...]:

@@ -182,13 +182,7 @@ def _are_commands(given: Sequence[str]) -> bool:
 def check_inverse(
     vehicle: Vehicle, given: Sequence[str], solve_for: str, *, exact: bool = True
 ) -> None:
-    """Raise ModelError if inverse kinematics is impossible with these arguments.
-
-    Parameters
-    ----------
-    vehicle, given, solve_for, exact
-        As in `inverse_kinematics`.
-    """
+    """Raise ModelError if inverse kinematics is impossible with these arguments."""
     if solve_for not in ("rates", "angles"):
         raise ModelError(
             f"solve_for: expected 'rates' or 'angles', found {solve_for!r}; choose one of them"
@@ -243,21 +237,9 @@ def invert(
     exact: bool = True,
     least_margin: float = LEAST_MARGIN,
 ) -> Dae:
-    """Return the inverse of a direct model, with its symbols.
+    """Return the inverse of a direct model with the `slip_law` of the given rates, in its symbols.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle; see `check_inverse`.
-    direct : Dae
-        Direct model of the vehicle with the `slip_law` of the given rates.
-    given, solve_for, exact, least_margin
-        As in `inverse_kinematics`.
-
-    Raises
-    ------
-    ModelError
-        If ``least_margin`` is negative or NaN.
+    Arguments are those of `inverse_kinematics`, after `check_inverse`.
     """
     if not least_margin >= 0:
         raise ModelError(
@@ -328,7 +310,10 @@ def _commanded(vehicle: Vehicle, direct: Dae, given: tuple[str, ...], *, exact: 
     errors = steering_errors(vehicle, direct, guide.motion)
     off = [each.symbol - plane[each.label.name].expression for each in inputs]
     met = given if exact else _always_met(vehicle, given, errors)
-    goal, rows = _least_slip(direct), [direct.alg[1]]
+    goal, rows = (
+        ca.SX(0.5 * ca.sumsqr(ca.vertcat(*direct.y.slip_along, *direct.y.slip_across))),
+        [direct.alg[1]],
+    )
     rows += [-error for name, error in zip(given, off, strict=True) if name in met]
     if not met:
         goal = _least_departure(direct, guide.motion, off, command_sizes(vehicle, given))
@@ -366,11 +351,6 @@ def _always_met(
     met = tuple(name for name in given if name != "right")
     turns = errors or any(wheel.rollers for wheel in wheels) or len(met) > len(wheels)
     return () if turns else met
-
-
-def _least_slip(direct: Dae) -> ca.SX:
-    """Return half the squared slip of all wheels [m2/s2]."""
-    return ca.SX(0.5 * ca.sumsqr(ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)))
 
 
 def _least_departure(
@@ -428,10 +408,7 @@ def _command_outputs(
 def steering_note(run: Trajectory) -> str:
     """Return a warning if the steering of an inverse motion is unstable, otherwise an empty text.
 
-    Parameters
-    ----------
-    run : Trajectory
-        Complete or partial motion of the inverse model with ``solve_for="rates"``.
+    The motion, complete or partial, is one of the inverse model with ``solve_for="rates"``.
     """
     growth = run["steering_growth"]
     bad = growth > 0
@@ -448,19 +425,9 @@ def steering_note(run: Trajectory) -> str:
 def steering_slip(vehicle: Vehicle, run: Trajectory) -> Trajectory:
     """Return an inverse motion with the steering rates and the slip that they cause.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    run : Trajectory
-        Motion of the inverse model with ``solve_for="angles"``. The rates are derivatives of cubic
-        splines through the samples.
-
-    Returns
-    -------
-    Trajectory
-        The motion with the rates, such as ``steer_rate``, and ``steering_slip``, the lever times
-        the root sum of squares of the rates. [rad/s or m/s, m/s]
+    The motion is one of the inverse model with ``solve_for="angles"``; the rates, such as
+    ``steer_rate``, are derivatives of cubic splines through its samples. ``steering_slip`` is the
+    lever times the root sum of squares of the rates [m/s].
     """
     from scipy.interpolate import CubicSpline  # imported here: the import takes 0.2 s
 

@@ -89,18 +89,11 @@ AIR_WEIGHT = 1e-6  # weight of the slip of a wheel in the air, so that its rate 
 class Press(NamedTuple):
     """Wheels pressed against the ground, as columns of shape (n_wheels, 1).
 
-    Attributes
-    ----------
-    depth : SX
-        Depth below the ground, along its normal; negative in the air. [m]
-    load : SX
-        Normal force divided by the weight of the vehicle. [1]
-    touch : SX
-        Degree of contact: derivative of the load with respect to the depth, divided by its value
-        at large depths; one under load, zero in the air. [1]
-    viscosity : SX
-        Viscosity of the contact in the relaxation: normal force per unit of normal velocity,
-        divided by the weight. [s/m]
+    Depth below the ground along its normal, negative in the air [m]; normal force divided by the
+    weight of the vehicle [1]; degree of contact ``touch``, the derivative of the load with respect
+    to the depth divided by its value at large depths: one under load, zero in the air [1]; and
+    viscosity in the relaxation: normal force per unit of normal velocity, divided by the weight
+    [s/m].
     """
 
     depth: ca.SX
@@ -112,12 +105,7 @@ class Press(NamedTuple):
 class Balance(NamedTuple):
     """Friction forces under given loads and the remaining unbalanced force, per unit weight.
 
-    Attributes
-    ----------
-    imbalance : SX, shape (3 + n_suspension, 1)
-        Unbalanced generalised forces on height [1], inclination [m] and suspension [1 or m].
-    along, across : SX, shape (n_wheels, 1)
-        Tangential forces. [1]
+    ``imbalance`` is the generalised force on height [1], inclination [m] and suspension [1 or m].
     """
 
     imbalance: ca.SX
@@ -126,16 +114,9 @@ class Balance(NamedTuple):
 
 
 def press(vehicle: Vehicle, depth: ca.SX, smoothing: float) -> Press:
-    """Return loads and viscosities of wheels at given depths.
+    """Return loads and viscosities of wheels at given depths (n_wheels, 1) [m].
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    depth : SX, shape (n_wheels, 1)
-        Depths of the wheels. [m]
-    smoothing : float
-        Width of the transition of the load law at depth zero, positive. [static depths]
+    ``smoothing`` is the width of the transition of the load law at depth zero [static depths].
     """
     count, static = len(vehicle.wheels), ca.DM([wheel.depth for wheel in vehicle.numeric.wheels])
     root = ca.sqrt(depth**2 + (smoothing * static) ** 2)
@@ -147,14 +128,7 @@ def press(vehicle: Vehicle, depth: ca.SX, smoothing: float) -> Press:
 def balance(parts: Mechanics, press: Press, groups: tuple[list[int], list[int]]) -> Balance:
     """Return the friction forces under given loads and the remaining unbalanced force.
 
-    Parameters
-    ----------
-    parts : Mechanics
-        Terms of the equilibrium at rest.
-    press : Press
-        Loads of the wheels.
-    groups : tuple of two lists of int
-        Indices of the rates that friction balances, and of the rates that relax.
+    ``groups`` are the indices of the rates that friction balances, and of the rates that relax.
     """
     sliding, relaxing = groups
     along, across, normal = (parts.free[k::3, :] for k in range(3))
@@ -191,19 +165,7 @@ def relaxation(
 
 
 def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: float) -> Dae:
-    """Return the kinematic model of a vehicle with pressed wheels.
-
-    Parameters
-    ----------
-    vehicle, terrain, slip, smoothing
-        As in `slipfree.models.kinematics.direct_kinematics`.
-
-    Raises
-    ------
-    ModelError
-        If the vehicle has fewer than three wheels, or contacts and springs do not determine its
-        pose.
-    """
+    """Return the kinematic model of a vehicle with pressed wheels; see `direct_kinematics`."""
     fault = support_fault(vehicle)
     if fault:
         raise ModelError(f"{vehicle.name!r}: expected {fault}")

@@ -23,6 +23,11 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
 DISTANCE_ROUNDING = 1e-9  # smaller distances count as zero [distance of two wheels]
+Domain = tuple[float, float, float, float]
+MIN_AXLE_SINE = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
+MIN_INCLINATION_COSINE = 0.1  # a platform with its up axis 6 degrees from horizontal has overturned
+UPRIGHT = "upright"  # name of the limit of the platform's inclination
+MIN_FRICTION = 1e-6  # smaller values of a friction formula count as zero
 
 
 def tip_over_margin(
@@ -92,13 +97,6 @@ def _next_corner(count: int) -> ca.Function:
         chosen = (point, there), (arrow, edge), (reach, length)
         there, edge, length = (ca.if_else(is_chosen, new, old) for new, old in chosen)
     return ca.Function("next_corner", [here, points], [there, turns])
-
-
-Domain = tuple[float, float, float, float]
-MIN_AXLE_SINE = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
-MIN_INCLINATION_COSINE = 0.1  # a platform with its up axis 6 degrees from horizontal has overturned
-UPRIGHT = "upright"  # name of the limit of the platform's inclination
-MIN_FRICTION = 1e-6  # smaller values of a friction formula count as zero
 
 
 def joint_stops(q: Quantities) -> Iterator[Limit]:

@@ -70,16 +70,8 @@ MAX_DRIFT = 1e-3  # largest drift of an assembled vehicle [wheel radii, rad]
 class Assembly(NamedTuple):
     """Differential states: platform, joints, and contact coordinates of every wheel.
 
-    Attributes
-    ----------
-    x, y, z, heading, roll, pitch : scalar
-        Position and attitude of the platform. [m, rad]
-    joints : tuple of scalar
-        Commanded and passive coordinates, in the vehicle's order. [rad or m]
-    suspension : tuple of scalar
-        Suspension coordinates, in the vehicle's order. [rad or m]
-    contacts : tuple of ContactCoordinates
-        Contact coordinates of the wheels.
+    ``joints`` are the commanded and passive coordinates, ``suspension`` the others, in the
+    vehicle's order [rad or m].
     """
 
     x: Any
@@ -125,20 +117,10 @@ class AssemblyOutputs(NamedTuple):
 class RollingWheel(NamedTuple):
     """Contact, pose, rates and drift of a rolling wheel.
 
-    Attributes
-    ----------
-    contact : ContactFrame
-        Contact frame of the wheel.
-    pose : Pose
-        Pose of the wheel's hub from the contact coordinates.
-    slip : SX, shape (3, 1)
-        Velocity of the wheel's material contact point. [m/s]
-    rates : ContactCoordinates
-        Time derivatives of the contact coordinates.
-    displacement, rotation : SX, shape (3, 1)
-        Drift: the wheel's centre from the contact coordinates minus its centre from the chain of
-        joints [m], and the rotation vector from the first orientation to the second, to first
-        order [rad].
+    ``pose`` is that of the wheel's hub from the contact coordinates, ``slip`` the velocity of the
+    wheel's material contact point [m/s]. The drift is the wheel's centre from the contact
+    coordinates minus its centre from the chain of joints [m], and the rotation vector from the
+    first orientation to the second, to first order [rad].
     """
 
     contact: ContactFrame
@@ -379,16 +361,10 @@ def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:
 
 
 class Difference(NamedTuple):
-    """Largest difference between two motions in one quantity.
+    """Largest difference between two motions in one quantity, and its time [s].
 
-    Attributes
-    ----------
-    label : Label
-        The quantity, with the wheel of the largest difference if there is a value per wheel.
-    size : float
-        Absolute value of the difference, for angles modulo 2 pi. [the label's unit]
-    t : float
-        Time of the largest difference. [s]
+    The label contains the wheel of the largest difference if there is a value per wheel; angles
+    differ modulo 2 pi.
     """
 
     label: Label

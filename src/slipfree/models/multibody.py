@@ -28,14 +28,8 @@ UP = ca.SX(ca.DM([0, 0, 1]))
 class Speeds(NamedTuple):
     """Generalised speeds of the parts of a vehicle, as columns.
 
-    Attributes
-    ----------
-    velocity, omega : SX, shape (3, 1)
-        Velocity of the platform's origin [m/s] and angular velocity of the platform [rad/s].
-    rates : SX, shape (n_coordinates, 1)
-        Rates of the coordinates. [rad/s, m/s]
-    wheels : tuple of SX
-        Speeds of the wheels (``WheelMotion.speed``). [rad/s]
+    Velocity of the platform's origin [m/s] and angular velocity of the platform [rad/s], rates of
+    the coordinates [rad/s, m/s], and speeds of the wheels (``WheelMotion.speed``) [rad/s].
     """
 
     velocity: ca.SX
@@ -45,17 +39,7 @@ class Speeds(NamedTuple):
 
 
 class PartMotion(NamedTuple):
-    """Motion of a part; accelerations are those for constant generalised speeds.
-
-    Attributes
-    ----------
-    pose : Pose
-        Pose of the part.
-    velocity, omega : SX, shape (3, 1)
-        Velocity of the part's origin [m/s] and angular velocity [rad/s].
-    acceleration, alpha : SX, shape (3, 1)
-        Acceleration of the origin [m/s^2] and angular acceleration [rad/s^2].
-    """
+    """Pose, velocities and accelerations of a part; these are for constant generalised speeds."""
 
     pose: Pose
     velocity: ca.SX
@@ -88,22 +72,10 @@ class RigidBody(NamedTuple):
 class WheelMotion(NamedTuple):
     """Motion of the carrier of a wheel, at the wheel's centre, and the inertia of the wheel.
 
-    Attributes
-    ----------
-    wheel : Wheel
-        The wheel.
-    motion : PartMotion
-        Motion of the carrier; its x axis is the axle.
-    axial : float
-        Moment of inertia about the axle. [kg m^2]
-    rotor : float
-        Moment of inertia of the drive about the axle, added to `axial` in the equation of the
-        wheel's spin. [kg m^2]
-    speed : SX, shape (1, 1)
-        Generalised speed of the wheel, positive forward: its rate relative to the carrier if that
-        is prescribed, otherwise its spin relative to fixed axes. [rad/s]
-    prescribed : bool
-        Whether the rate is prescribed; the axial inertia then belongs to the carrier.
+    The carrier's x axis is the axle. ``axial`` is the moment of inertia about it; ``rotor`` that of
+    the drive, added in the equation of the wheel's spin [kg m^2]. ``speed`` is positive forward:
+    the rate relative to the carrier if that is prescribed, otherwise the spin relative to fixed
+    axes [rad/s]. If the rate is ``prescribed``, the axial inertia belongs to the carrier.
     """
 
     wheel: Wheel
@@ -145,25 +117,12 @@ class Load(NamedTuple):
 class Multibody(NamedTuple):
     """A vehicle as a system of rigid bodies, in the symbols of a model.
 
-    Attributes
-    ----------
-    parts : dict of str to PartMotion
-        Motions of the platform and of the parts of all joints.
-    parents : dict of str to str
-        Parent of each joint, in the order of the joints.
-    screws : dict of str to tuple of 2 SX, shape (3, 1)
-        Angular velocity of each joint's part, and velocity of its point at the platform's origin,
-        for unit rate of the joint.
-    gears : SX, shape (n_joints, n_coordinates)
-        Derivatives of the joint values with respect to the coordinates.
-    rates : SX, shape (n_coordinates, 1)
-        Rates of the coordinates. [rad/s, m/s]
-    rotors : DM, shape (n_coordinates, 1)
-        Inertias of the drives of the coordinates. [kg m^2, kg]
-    bodies : tuple of RigidBody
-        Parts with mass, and wheels.
-    wheels : tuple of WheelMotion
-        Wheels in the vehicle's order.
+    ``parts`` are the motions of the platform and of the parts of all joints, ``parents`` of joints
+    are in their order. ``screws`` are the angular velocity of each joint's part and the velocity of
+    its point at the platform's origin, for unit rate of the joint. ``gears`` (n_joints,
+    n_coordinates) are the derivatives of the joint values with respect to the coordinates,
+    ``rotors`` the inertias of their drives [kg m^2, kg]. ``bodies`` are parts with mass, and
+    wheels.
     """
 
     parts: dict[str, PartMotion]
@@ -187,18 +146,10 @@ def multibody(
     coordinates: Mapping[str, ca.SX],
     speeds: Speeds,
 ) -> Multibody:
-    """Return a vehicle as a system of rigid bodies.
+    """Return a vehicle with mass as a system of rigid bodies.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle, with mass.
-    platform : Pose
-        Pose of the platform.
-    coordinates : mapping of str to SX
-        Symbols of all coordinates, by name. [rad, m]
-    speeds : Speeds
-        Generalised speeds.
+    ``platform`` is the pose of the platform, ``coordinates`` are symbols of all coordinates by
+    name.
     """
     still = ca.SX.zeros(3)
     parts = {"platform": PartMotion(platform, speeds.velocity, speeds.omega, still, still)}

@@ -12,6 +12,10 @@ from slipfree.laws.protocols import ACROSS, ALONG, NORMAL, component_labels, whe
 from slipfree.laws.rolling import rolling_counts
 from slipfree.vehicle.tree import Coordinate, Vehicle
 
+HEADING = Label("heading", "rad", "counter-clockwise angle of the right axis from the x axis")
+ROLL = Label("roll", "rad", "angle about the forward axis, positive with the right side down")
+PITCH = Label("pitch", "rad", "angle about the right axis, positive with the nose up")
+
 
 class Configuration(NamedTuple, Generic[T]):
     """Differential states in exact contact: position, heading, and joints except suspension.
@@ -202,11 +206,6 @@ def is_determinate(vehicle: Vehicle) -> bool:
         return False
     found, needed = rolling_counts(vehicle)
     return found == needed
-
-
-HEADING = Label("heading", "rad", "counter-clockwise angle of the right axis from the x axis")
-ROLL = Label("roll", "rad", "angle about the forward axis, positive with the right side down")
-PITCH = Label("pitch", "rad", "angle about the right axis, positive with the nose up")
 
 
 def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels:

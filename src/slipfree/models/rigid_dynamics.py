@@ -75,6 +75,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Vehicle
 
 RELAXATION_RATE = 10.0  # rate at which depths follow the loads [1/s]
+EASE_IN = 1.3  # exponent of the time in the progress of a motion that begins at rest
 
 
 class RigidUnknowns(NamedTuple):
@@ -336,9 +337,6 @@ def _guess(vehicle: Vehicle, body: Multibody, labels: Labels) -> ca.SX:
     """Return the initial guess: contacts below the wheels' centres, equal normal forces."""
     places = [each.motion.pose.origin[:2] for each in body.wheels]
     return ca.densify(ca.vertcat(*places, at_rest(vehicle, labels.z.law)))
-
-
-EASE_IN = 1.3  # exponent of the time in the progress of a motion that begins at rest
 
 
 def dynamic_guess(model: Dae, vehicle: Vehicle, start: Trajectory, run: Trajectory) -> Trajectory:

@@ -21,17 +21,17 @@ from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 POSITION = ("x", "y", "z", "heading", "roll", "pitch")
+Ending = Literal["climbs", "passes", "moves along", "stalls", "tips over", "unfinished"]
+TOP_SHARE = 0.8  # height of a wheel's centre above the top of a solid that it has climbed [radii]
+STALL_TIME = 1.0  # final interval in which a stalled vehicle does not advance [s]
+STALL_DISTANCE = 5e-3  # largest displacement of a stalled vehicle in this interval [m]
+STALL_SHARE = 0.05  # or, if larger, this share of the distance that the rims travel [1]
 
 
 class FramePoses(NamedTuple):
-    """Poses of frames over time, in map coordinates.
+    """Poses of k frames at n samples, in map coordinates.
 
-    Attributes
-    ----------
-    origins : ndarray, shape (n, k, 3)
-        Origins of k frames at n samples. [m]
-    rotations : ndarray, shape (n, k, 3, 3)
-        Columns are the frames' axes. [1]
+    Origins (n, k, 3) [m], and rotations (n, k, 3, 3) whose columns are the frames' axes.
     """
 
     origins: Array
@@ -108,25 +108,12 @@ def _frame_poses(
 def slip_velocity(
     wheel: Wheel, carrier: Pose, contact: ContactFrame, q: ca.SX, q_dot: ca.SX, wheel_rate: ca.SX
 ) -> ca.SX:
-    """Return the velocity over the ground of a wheel's material point at its contact.
+    """Return the velocity (3, 1) over the ground of a wheel's material point at its contact [m/s].
 
-    Parameters
-    ----------
-    wheel : Wheel
-        The wheel. If it has rollers, its contact point has no velocity across the wheel.
-    carrier : Pose
-        Pose of the part that carries the wheel, at the wheel's centre, as a function of ``q``.
-    contact : ContactFrame
-        Contact frame of the wheel.
-    q, q_dot : SX, shape (n, 1)
-        Coordinates of the vehicle, and their rates. [m, rad, m/s, rad/s]
-    wheel_rate : SX, shape (1, 1)
-        Rate of the wheel about its axle, positive for forward motion. [rad/s]
-
-    Returns
-    -------
-    SX, shape (3, 1)
-        Slip velocity in fixed axes; its normal component vanishes if the wheel keeps contact. [m/s]
+    ``carrier`` is the pose of the part that carries the wheel, at the wheel's centre, as a function
+    of the vehicle's coordinates ``q`` with the rates ``q_dot``; ``wheel_rate`` is positive for
+    forward motion. The normal component vanishes if the wheel keeps contact; a wheel with rollers
+    has no velocity across.
     """
     twist = carrier.twist(q, q_dot)
     omega = twist.omega - wheel_rate * carrier.rotation[:, 0]  # wheel frame R Rx(-theta)
@@ -142,24 +129,7 @@ def slip_velocities(
     rates: Rates,
     u: Inputs,
 ) -> tuple[ca.SX, ...]:
-    """Return the slip velocities of all wheels of a vehicle [m/s].
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    x, position : Configuration and Dependent
-        Coordinates of platform and joints. [m, rad]
-    contacts : sequence of ContactFrame
-        Contact frames of the wheels.
-    rates, u : Rates and Inputs
-        Rates of these coordinates and of the wheels. [m/s, rad/s]
-
-    Returns
-    -------
-    tuple of SX, shape (3, 1)
-        Slip velocities in fixed axes, one for each wheel. [m/s]
-    """
+    """Return the slip velocities (3, 1) of all wheels of a vehicle, in fixed axes [m/s]."""
     q, q_dot = _coordinates(vehicle, x, position, rates, u)
     poses, turning = carriers(vehicle, x, position), spins(vehicle, rates, u)
     return tuple(
@@ -242,16 +212,8 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
     return np.asarray(differences / (12 * steps[0]))
 
 
-class Rock(NamedTuple):
-    """A change of the wheel that carries the least load.
-
-    Attributes
-    ----------
-    t : float
-        Time, interpolated between samples. [s]
-    before, after : str
-        Name of the wheel with the least load before the change, and after it.
-    """
+class LoadChange(NamedTuple):
+    """Change of the wheel that carries the least load, at a time between two samples [s]."""
 
     t: float
     before: str
@@ -263,7 +225,7 @@ def has_pressed_wheels(run: Trajectory) -> bool:
     return "depth" in run.columns
 
 
-def rocks(run: Trajectory) -> list[Rock]:
+def rocks(run: Trajectory) -> list[LoadChange]:
     """Return the changes of the wheel with the least load in a motion with pressed wheels.
 
     At each change the vehicle rocks from one set of supporting wheels to another, which may take
@@ -274,7 +236,7 @@ def rocks(run: Trajectory) -> list[Rock]:
     run : Trajectory
         A motion with pressed wheels; see `has_pressed_wheels`.
     """
-    loads, found = run["load_share"], list[Rock]()
+    loads, found = run["load_share"], list[LoadChange]()
     lightest = loads.argmin(axis=1)
     for k in np.flatnonzero(np.diff(lightest)).tolist():
         before, after = lightest[k : k + 2]
@@ -284,7 +246,7 @@ def rocks(run: Trajectory) -> list[Rock]:
             if more != less
             else run.t[k]
         )
-        found.append(Rock(float(t), run.wheels[before], run.wheels[after]))
+        found.append(LoadChange(float(t), run.wheels[before], run.wheels[after]))
     return found
 
 
@@ -299,24 +261,12 @@ def lightest_wheel(run: Trajectory, sample: int) -> tuple[str, float, float]:
     return run.wheels[k], float(loads[k]), float(run["depth"][sample, k])
 
 
-Ending = Literal["climbs", "passes", "moves along", "stalls", "tips over", "unfinished"]
-TOP_SHARE = 0.8  # height of a wheel's centre above the top of a solid that it has climbed [radii]
-STALL_TIME = 1.0  # final interval in which a stalled vehicle does not advance [s]
-STALL_DISTANCE = 5e-3  # largest displacement of a stalled vehicle in this interval [m]
-STALL_SHARE = 0.05  # or, if larger, this share of the distance that the rims travel [1]
-
-
 class ObstacleEnding(NamedTuple):
-    """Ending of a motion over solids.
+    """Ending of a motion over solids, and its explanation.
 
-    Attributes
-    ----------
-    name : {"climbs", "passes", "moves along", "stalls", "tips over", "unfinished"}
-        ``"unfinished"`` if the vehicle is before the obstacles or on them, and still advances.
-    t : float
-        Time at which the last wheel reaches the top or passes its front, or the motion ends. [s]
-    words : str
-        Explanation of the ending.
+    It is ``"unfinished"`` if the vehicle is before the obstacles or on them, and still advances;
+    ``t`` is the time at which the last wheel reaches the top or passes its front, or the motion
+    ends [s].
     """
 
     name: Ending
@@ -409,23 +359,9 @@ def _top(prism: Prism) -> float:
 
 
 def is_on_top(run: Trajectory, vehicle: Vehicle, top: float) -> Mask:
-    """Return whether each wheel is as high as on a level top.
+    """Return whether each wheel is as high as on a level top [m], at each sample, (n, n_wheels).
 
     Its centre may be 0.2 radii lower, but not lower than half-way from its height at the start.
-
-    Parameters
-    ----------
-    run : Trajectory
-        A motion with the heights of the wheels' centres.
-    vehicle : Vehicle
-        Vehicle of the motion.
-    top : float
-        Height of the top. [m]
-
-    Returns
-    -------
-    ndarray of bool, shape (n, n_wheels)
-        Whether a wheel is on top, at each sample.
     """
     radii = np.array([wheel.radius for wheel in vehicle.wheels])
     rise = top + radii - run["center_z"][0]

@@ -17,27 +17,20 @@ from slipfree.laws.soil_regions import soil_at
 from slipfree.vehicle.tree import Vehicle
 
 STEPS = 60  # number of bisection steps for the sinkage
+SLIP_LIMIT = 0.3  # slip ratio at which the largest pull counts [1]
+RESERVE = Label(
+    "drawbar_reserve",
+    "N",
+    f"drawbar pull at a slip ratio of {SLIP_LIMIT:g} minus the pull used; zero for free wheels",
+)
+MAX_ANGLE = 1.5  # largest slip angle; the wheel then moves sideways [rad]
 
 
 class WheelCurves(NamedTuple):
-    """Steady forces on a wheel at n_angles slip angles and n_slips slip ratios.
+    """Steady forces on a wheel at slip angles (n_angles,) [rad] and slip ratios (n_slips,) [1].
 
-    Arrays have the shape (n_angles, n_slips), unless stated otherwise.
-
-    Attributes
-    ----------
-    angle : ndarray, shape (n_angles,)
-        Slip angles. [rad]
-    slip : ndarray, shape (n_slips,)
-        Slip ratios. [1]
-    sinkage : ndarray
-        Depth of the lowest point. [m]
-    pull : ndarray
-        Drawbar pull. [N]
-    side : ndarray
-        Side force, positive against the sideways motion. [N]
-    torque : ndarray
-        Resistance torque. [N m]
+    Depth of the lowest point [m], drawbar pull [N], side force, positive against the sideways
+    motion [N], and resistance torque [N m] have the shape (n_angles, n_slips).
     """
 
     angle: Array
@@ -104,22 +97,7 @@ def single_wheel(
 def steady_forces(
     soil: Soil, size: WheelSize, load: Array, slip: Array, angle: Array
 ) -> SteadyForces:
-    """Return sinkage and forces of a wheel at n points of steady motion.
-
-    Parameters
-    ----------
-    soil : Soil
-        The soil.
-    size : WheelSize
-        Radius and width of the wheel.
-    load, slip, angle : ndarray, shape (n,)
-        Vertical loads [N], slip ratios [1] and slip angles [rad]; bounds as in `single_wheel`.
-
-    Raises
-    ------
-    ModelError
-        If a value is outside its bounds, or the wheel sinks to its axle.
-    """
+    """Return sinkage and forces of a wheel in n steady motions; errors as `single_wheel`."""
     _check(load, slip, angle)
     s, beta = slip[None], angle[None]
     forces = _forces(soil, size)
@@ -140,17 +118,7 @@ def steady_forces(
 
 
 def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Array) -> Array:
-    """Return the depths at which soil bears loads [N], by bisection; at most the radius [m].
-
-    Parameters
-    ----------
-    normal : callable
-        Normal forces at given depths of the same shape as ``load``. [N]
-    radius : float
-        Radius of the wheel. [m]
-    load : ndarray
-        Loads. [N]
-    """
+    """Return the depths at which soil bears loads [N], by bisection; at most the radius [m]."""
     low, high = np.zeros_like(load), np.full_like(load, radius)
     for _ in range(STEPS):
         middle = (low + high) / 2
@@ -180,15 +148,6 @@ def _forces(soil: Soil, size: WheelSize) -> ca.Function:
     """Return the forces on a wheel as a function of depth, slip ratio and slip angle."""
     arguments = [ca.SX.sym(name) for name in ("depth", "slip", "angle")]
     return ca.Function("forces", arguments, [*forces_at_slip(soil, size, *arguments)])
-
-
-SLIP_LIMIT = 0.3  # slip ratio at which the largest pull counts [1]
-RESERVE = Label(
-    "drawbar_reserve",
-    "N",
-    f"drawbar pull at a slip ratio of {SLIP_LIMIT:g} minus the pull used; zero for free wheels",
-)
-MAX_ANGLE = 1.5  # largest slip angle; the wheel then moves sideways [rad]
 
 
 def drawbar_reserve(vehicle: Vehicle, soil: Soil, run: Trajectory) -> Trajectory:

@@ -26,17 +26,7 @@ Formula = Callable[[ca.SX, ca.SX], ca.SX | float]  # of two scalars
 
 
 class Jet(NamedTuple):
-    """Height and derivatives of a ground at a local point.
-
-    Attributes
-    ----------
-    height : SX, shape (1, 1)
-        Local height. [m]
-    gradient : SX, shape (2, 1)
-        First derivatives ``h_x, h_y``. [1]
-    hessian : SX, shape (2, 2)
-        Second derivatives. [1/m]
-    """
+    """Height [m], gradient (2, 1) [1] and Hessian (2, 2) [1/m] of a ground at a local point."""
 
     height: ca.SX
     gradient: ca.SX
@@ -53,14 +43,8 @@ def jet_of(height: ca.SX, x: ca.SX, y: ca.SX) -> Jet:
 def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y: ca.SX) -> Jet:
     """Return height, gradient and Hessian at a point, from the derivatives of a polynomial.
 
-    Parameters
-    ----------
-    found : SX, shape (2 + n, 1)
-        Coordinates of the centre of the polynomial [m], then its n derivatives at the centre.
-    orders : sequence of pairs of int
-        Orders of these derivatives with respect to x and y.
-    x, y : SX, shape (1, 1)
-        Local point. [m]
+    ``found`` are the coordinates of the centre of the polynomial [m], then its derivatives at the
+    centre, of the ``orders`` with respect to x and y.
     """
     values = dict(zip(orders, ca.vertsplit(found[2:]), strict=True))
     most = max(n for _, n in orders)
@@ -92,17 +76,8 @@ TAYLOR = tuple((m, n) for n in range(5) for m in range(5 - n))  # orders of deri
 def taylor_function(formula: Formula) -> ca.Function | None:
     """Return the lookup function of a formula; None for a formula without function calls.
 
-    CasADi cannot differentiate function calls in SX graphs as often as plans require.
-
-    Parameters
-    ----------
-    formula : callable
-        Function of two SX scalars x and y.
-
-    Returns
-    -------
-    casadi Function or None
-        From a point to the point and the derivatives `TAYLOR` there, shape (17, 1).
+    It maps a point to the point and the derivatives `TAYLOR` there (17, 1): CasADi cannot
+    differentiate function calls in SX graphs as often as plans require.
     """
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     height = ca.Function("height", [x, y], [ca.densify(ca.SX(formula(x, y)))])

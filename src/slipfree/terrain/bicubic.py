@@ -355,15 +355,8 @@ def _basis(u: Any) -> tuple[Any, Any, Any, Any]:
 def _solve_not_a_knot(values: Array) -> Array:
     """Return the uniform B-spline coefficients of interpolating cubics along the first axis.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n, m)
-        Values at n >= 4 nodes, of m splines.
-
-    Returns
-    -------
-    ndarray, shape (n + 2, m)
-        Coefficients; third derivatives are continuous at the second and the last but one node.
+    For n >= 4 values there are n + 2 coefficients; third derivatives are continuous at the second
+    and the last but one node.
     """
     from scipy.linalg import solve_banded  # imported here: the import takes 0.2 s
 
@@ -402,16 +395,7 @@ def _middle_basis() -> Array:
 def _gather_function(table: Array) -> ca.Function:
     """Return the lookup function of the 16 table entries of a cell.
 
-    Parameters
-    ----------
-    table : ndarray, shape (n_x + 2, n_y + 2)
-        Coefficients of the spline. [m]
-
-    Returns
-    -------
-    Function
-        Maps integers ``[i, j]`` to ``table[i : i + 4, j : j + 4]`` as a column of shape (16, 1); i
-        changes fastest.
+    It maps integers ``[i, j]`` to ``table[i : i + 4, j : j + 4]`` as a column; i changes fastest.
     """
     columns = np.ascontiguousarray(table.T)
     run = (

@@ -71,18 +71,8 @@ def coefficient(
 ) -> ca.SX:
     """Return the coefficient of friction at a local point [1].
 
-    Parameters
-    ----------
-    mu : float, callable, Grid or None
-        Coefficient of friction, valid by `check_friction`; None for the coefficient 1. [1]
-    surface : Terrain or None
-        Surface of a friction map, in the same local coordinates; None without a map.
-    origin : tuple of 3 floats
-        Map coordinates of the local origin. [m]
-    x, y : SX, shape (1, 1)
-        Local coordinates. [m]
-    lookups : LookupTable
-        Lookups of the model.
+    ``surface`` is the surface of a friction map in the same local coordinates, ``origin`` the map
+    coordinates of the local origin [m].
     """
     if isinstance(mu, float | int):
         return ca.SX(mu)

@@ -26,7 +26,7 @@ NEIGHBOURHOOD = np.ones((3, 3), dtype=bool)  # a node and its eight neighbours
 Window = tuple[float, float, float, float]
 
 
-class Axis(NamedTuple):
+class UniformAxis(NamedTuple):
     """Uniform axis along x or y.
 
     Attributes
@@ -113,7 +113,7 @@ class Smoothed(NamedTuple):
     largest: float
 
 
-def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
+def parts(x: UniformAxis, y: UniformAxis, window: Window | None) -> tuple[slice, slice]:
     """Return the slices of nodes along x and y that lie in a window, borders included.
 
     Without a window, all nodes are returned.
@@ -151,7 +151,7 @@ def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
     return found
 
 
-def _check_axes(x: Axis, y: Axis) -> None:
+def _check_axes(x: UniformAxis, y: UniformAxis) -> None:
     """Raise DataError for axes with too few nodes, large coordinates or steps lost by rounding."""
     if min(x.size, y.size) < 4:
         raise DataError(
@@ -170,13 +170,13 @@ def _check_axes(x: Axis, y: Axis) -> None:
             )
 
 
-def _part(axis: Axis, low: float, high: float) -> slice:
+def _part(axis: UniformAxis, low: float, high: float) -> slice:
     ends = [np.clip((end - axis.first) / axis.step, -1, axis.size) for end in (low, high)]
     first, last = math.ceil(ends[0] - WINDOW_TOLERANCE), math.floor(ends[1] + WINDOW_TOLERANCE)
     return slice(max(first, 0), min(last + 1, axis.size))
 
 
-def _extent(axis: Axis) -> str:
+def _extent(axis: UniformAxis) -> str:
     return f"{axis.first:.9g} to {axis.first + axis.step * (axis.size - 1):.9g}"
 
 
@@ -184,10 +184,11 @@ def _window_text(window: Window) -> str:
     return f"[{', '.join(f'{each:.9g}' for each in window)}]"
 
 
-def axes_of(x: Array, y: Array) -> tuple[Axis, Axis]:
+def axes_of(x: Array, y: Array) -> tuple[UniformAxis, UniformAxis]:
     """Return the first node, step and size of two uniform axes."""
     first, second = (
-        Axis(float(axis[0]), float(np.ptp(axis)) / (axis.size - 1), axis.size) for axis in (x, y)
+        UniformAxis(float(axis[0]), float(np.ptp(axis)) / (axis.size - 1), axis.size)
+        for axis in (x, y)
     )
     return first, second
 
@@ -271,26 +272,10 @@ def _any_of_four(mask: Mask) -> Mask:
 def continue_over_holes(z: Array) -> Array:
     """Return heights continued smoothly into holes, as placeholders for the spline.
 
-    Parameters
-    ----------
-    z : ndarray, shape (n_x, n_y)
-        Heights, NaN in holes. [m]
-
-    Returns
-    -------
-    ndarray, shape (n_x, n_y)
-        Heights, in holes those of the point reflection about the nearest node with a height, or
-        the height of that node if the reflected node has none. [m]
-
-    Raises
-    ------
-    DataError
-        If no node has a height.
-
-    Notes
-    -----
-    The reflection preserves slopes, so that the spline beside a hole is nearly that of the whole
-    map. The influence of a node on the spline falls to a quarter per cell.
+    Heights in holes (NaN) become those of the point reflection about the nearest node with a
+    height, or the height of that node if the reflected node has none. The reflection preserves
+    slopes, so that the spline beside a hole is nearly that of the whole map; the influence of a
+    node on the spline falls to a quarter per cell. DataError is raised if no node has a height.
     """
     holes = np.isnan(z)
     if holes.all():
@@ -345,17 +330,7 @@ def smoothed(grid: Grid, deviation: float) -> Smoothed:
 
 
 def averaged(z: Array, steps: tuple[float, float], deviation: float) -> Array:
-    """Return heights averaged with Gaussian weights; see `smoothed` for the borders.
-
-    Parameters
-    ----------
-    z : ndarray, shape (n_x, n_y)
-        Heights. [m]
-    steps : tuple of 2 floats
-        Node spacings along x and y. [m]
-    deviation : float
-        Standard deviation of the weights. [m]
-    """
+    """Return heights averaged with Gaussian weights of a standard deviation [m]; see `smoothed`."""
     sigma = [deviation / step for step in steps]
     pad = [math.ceil(GAUSSIAN_CUTOFF * each) + 1 for each in sigma]
     wide = np.pad(z, [(n, n) for n in pad], mode="reflect", reflect_type="odd")

@@ -27,16 +27,8 @@ LAYOUT = 3  # version of the arguments of `kernel.c`; libraries of other version
 class Layout(NamedTuple):
     """Positions of the cells that belong to a table of spline coefficients.
 
-    Attributes
-    ----------
-    place : tuple of 2 floats
-        Local coordinates of the node nearest to the local origin. [m]
-    spacing : tuple of 2 floats
-        Distances between nodes. [m]
-    node : tuple of 2 int
-        Indices of that node along x and y.
-    last : tuple of 2 int
-        Indices of the last cell along x and y.
+    Local coordinates of the node nearest to the local origin and distances between nodes [m],
+    indices of that node and of the last cell, along x and y.
     """
 
     place: tuple[float, float]
@@ -48,21 +40,12 @@ class Layout(NamedTuple):
 class Opened(NamedTuple):
     """A ground registered with the compiled evaluator.
 
-    Attributes
-    ----------
-    slot : int
-        Number of the ground in the library.
-    key : float
-        Key that distinguishes grounds with the same slot.
-    function : casadi Function
-        ``[x, y, key] -> [x_0, y_0, h, h_x, h_xx, h_xxx, h_y, h_xy, ...]``: the centre of the cell
-        and the 16 derivatives there, in local coordinates. The slot is not reused while
-        the function, or any function that contains it, exists.
-    nearest : casadi Function
-        ``[C, a, r1, r2, r, key]`` to the results of `slipfree.contact.touch.search_function`, for
-        the centre, the axle, the radii of the torus and the rolling radius of a wheel.
-    library : ctypes.CDLL
-        The compiled evaluator.
+    ``key`` distinguishes grounds with the same slot of the library. ``function`` maps ``[x, y,
+    key]`` to ``[x_0, y_0, h, h_x, h_xx, h_xxx, h_y, h_xy, ...]``: the centre of the cell and the 16
+    derivatives there, in local coordinates. The slot is not reused while the function, or any
+    function that contains it, exists. ``nearest`` maps ``[C, a, r1, r2, r, key]`` to the results of
+    `slipfree.contact.touch.search_function`, for the centre, the axle, the radii of the torus and
+    the rolling radius of a wheel.
     """
 
     slot: int
@@ -83,12 +66,7 @@ class Opened(NamedTuple):
 def register_ground(table: Array, layout: Layout) -> Opened | None:
     """Register a ground with the compiled evaluator; return None without evaluator or free slot.
 
-    Parameters
-    ----------
-    table : ndarray, shape (n_x + 2, n_y + 2)
-        Coefficients of the spline; kept while the ground is in use. [m]
-    layout : Layout
-        Positions of the cells.
+    ``table`` (n_x + 2, n_y + 2) are the coefficients of the spline, kept while it is in use [m].
     """
     compiled = library()
     if compiled is None:

@@ -25,7 +25,14 @@ from slipfree.files.maps.reference_systems import (
 )
 from slipfree.files.tables import ALIASES, read_columns, read_names
 from slipfree.system.processes import bounded_read
-from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
+from slipfree.terrain.grid_ops import (
+    MAX_COORDINATE,
+    WINDOW_TOLERANCE,
+    Heights,
+    UniformAxis,
+    Window,
+    parts,
+)
 
 NAMES = ("x", "y", "z")
 BLOCK = 2**20  # number of nodes interpolated at once; limits the memory
@@ -84,7 +91,7 @@ def read_points(path: Path, ask: Reading) -> Heights:
         )
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
-    x, y = (Axis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
+    x, y = (UniformAxis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
     if counts.min() < 4:
         size = f"{counts[0]} by {counts[1]} at spacing = {spacing:g} {unit}"
         remedy = f"set a smaller spacing, such as {distance:.2g}"
@@ -213,7 +220,7 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         np.rint(ends / cell).astype(np.int64).tolist()
         for ends in (points[:, :2].min(axis=0), points[:, :2].max(axis=0))
     )
-    x, y = (Axis(a * cell, cell, b - a + 1) for a, b in zip(first, last, strict=True))
+    x, y = (UniformAxis(a * cell, cell, b - a + 1) for a, b in zip(first, last, strict=True))
     i, j = parts(x, y, window)
     z, occupied = _gridded(points, x, y, (i, j))
     chosen = ""
@@ -343,7 +350,9 @@ def _density(points: Array) -> float:
     return float(len(points) / (covered * extent.prod()))
 
 
-def _gridded(points: Array, x: Axis, y: Axis, part: tuple[slice, slice]) -> tuple[Array, int]:
+def _gridded(
+    points: Array, x: UniformAxis, y: UniformAxis, part: tuple[slice, slice]
+) -> tuple[Array, int]:
     """Return heights at nodes, NaN in cells without points, and the number of cells with points."""
     first = np.array([x.first, y.first])
     i, j = np.rint((points[:, :2] - first) / x.step).astype(np.int64).T

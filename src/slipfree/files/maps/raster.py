@@ -21,7 +21,7 @@ import scipy  # scipy.io is imported when it is used, since this takes 0.2 s
 from slipfree.core.errors import DataError
 from slipfree.files.maps.missing_values import Marker, check_values
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
-from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
+from slipfree.terrain.grid_ops import Heights, UniformAxis, Window, parts
 
 CLASSIC = (b"CDF\1", b"CDF\2")
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
@@ -138,8 +138,8 @@ class Reading(NamedTuple):
 class _Place(NamedTuple):
     """Georeferencing of a raster: positions of its nodes."""
 
-    x: Axis  # uniform coordinates of the nodes [m or deg]
-    y: Axis
+    x: UniformAxis  # uniform coordinates of the nodes [m or deg]
+    y: UniformAxis
     upward: bool  # whether the first row of the raster is the southernmost
     registration: str  # as in `Reading`
     crs: str  # name of the coordinate reference system; empty if unknown
@@ -480,11 +480,11 @@ def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
             "gdal_translate in.tif out.tif",
         )
     first = ask.cell / 2 if ask.registration == "area" else 0.0
-    x, y = Axis(first, ask.cell, width), Axis(first, ask.cell, height)
+    x, y = UniformAxis(first, ask.cell, width), UniformAxis(first, ask.cell, height)
     return _Place(x, y, False, ask.registration, "", False, placed=False)
 
 
-def _axes(file: Any) -> tuple[Axis, Axis, bool]:
+def _axes(file: Any) -> tuple[UniformAxis, UniformAxis, bool]:
     """Return the axes along x and y, and whether the first row is the southernmost.
 
     GDAL's transform maps corners of pixels to coordinates for both registrations:
@@ -499,4 +499,4 @@ def _axes(file: Any) -> tuple[Axis, Axis, bool]:
             "resample it along x and y: gdalwarp in.tif out.tif",
         )
     south = f + (e / 2 if e > 0 else e * (file.height - 0.5))
-    return Axis(c + a / 2, a, file.width), Axis(south, abs(e), file.height), e > 0
+    return UniformAxis(c + a / 2, a, file.width), UniformAxis(south, abs(e), file.height), e > 0
