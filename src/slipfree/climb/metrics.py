@@ -80,8 +80,8 @@ def most_loaded(run: Trajectory, section: Profile, name: str) -> Array:
     ``name`` is "load", "friction" or "slip"; wheels with a normal force below 1 N have NaN.
     """
     loads, values = (_at_solids(run, section, each) for each in ("load", name))
-    found = np.take_along_axis(values, loads.argmax(axis=0)[None], axis=0)[0]
-    return np.where(loads.max(axis=0) > MIN_LOAD, found, np.nan)
+    chosen = np.take_along_axis(values, loads.argmax(axis=0)[None], axis=0)[0]
+    return np.where(loads.max(axis=0) > MIN_LOAD, chosen, np.nan)
 
 
 def _at_solids(run: Trajectory, section: Profile, name: str) -> Array:

@@ -495,5 +495,5 @@ def _reference_speed(plan: TrackedPlan, p: ca.SX, at: _PlanPoint, speed: ca.SX) 
     leaving = at.square + 2 * ACCELERATION * ca.fmax(p - plan.p[-1], 0)
     square = ca.if_else(at.before, arriving, ca.if_else(at.behind, leaving, at.square))
     pace = ca.sqrt(square + MIN_SPEED**2)
-    found: ca.SX = ca.if_else(ca.logic_or(at.before, at.behind), ca.fmin(speed, pace), pace)
-    return found
+    limited_pace: ca.SX = ca.if_else(ca.logic_or(at.before, at.behind), ca.fmin(speed, pace), pace)
+    return limited_pace

@@ -97,8 +97,8 @@ def touch(
             ca.SX(search.gradient),
         )
     else:
-        found = lookups.find(search, ca.vertcat(center, axle), order=1)
-        spot, inverse, height, gradient, hessian = _split(found)
+        nearest = lookups.find(search, ca.vertcat(center, axle), order=1)
+        spot, inverse, height, gradient, hessian = _split(nearest)
         off = _miss(wheel.section, spot, center, axle, height, gradient)
         step = -inverse @ off.residual  # zero, with the derivatives of the ground point
         slope = gradient + hessian @ step
@@ -132,9 +132,9 @@ def _miss(
     return _Miss(away[:2] + away[2] * gradient, normal, point, ca.dot(away, normal))
 
 
-def _split(found: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+def _split(column: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
     """Return ground point, inverse Jacobian, height, gradient and Hessian of a search."""
-    spot, inverse, height, gradient, hessian = ca.vertsplit(found, [0, 2, 6, 7, 9, 13])
+    spot, inverse, height, gradient, hessian = ca.vertsplit(column, [0, 2, 6, 7, 9, 13])
     return spot, ca.reshape(inverse, 2, 2), height, gradient, ca.reshape(hessian, 2, 2)
 
 
@@ -238,8 +238,8 @@ def _result(jet: ca.Function, newton: ca.Function, spot: Any, asked: Any) -> Any
     return ca.vertcat(spot, found[2:6], end, found[6:])
 
 
-def _converged(found: Any) -> Any:
-    x, y = ca.vertsplit(ca.fabs(found[13:]))
+def _converged(result: Any) -> Any:
+    x, y = ca.vertsplit(ca.fabs(result[13:]))
     return ca.logic_and(x < TOLERANCE, y < TOLERANCE)  # the maximum would ignore NaN
 
 

@@ -403,8 +403,8 @@ def static_sinkage(soil: Soil, size: WheelSize, load: float) -> float:
     ModelError is raised if the wheel sinks to its axle.
     """
     depth = ca.SX.sym("depth")
-    found = forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP).normal
-    normal = ca.Function("normal", [depth], [found])
+    forces = forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP).normal
+    normal = ca.Function("normal", [depth], [forces])
     low, high = 0.0, size.radius
     if float(normal(high)) < load:
         raise ModelError(

@@ -149,14 +149,14 @@ def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
 
 def slip_ratios(q: Quantities) -> tuple[ca.SX, ...]:
     """Return the slip ratios of the wheels, positive if the rim is faster than the wheel [1]."""
-    found = list[ca.SX]()
+    ratios = list[ca.SX]()
     for wheel, contact, slip, rate in zip(
         q.vehicle.wheels, q.contacts, q.slips, q.spins, strict=True
     ):
         along, rim = ca.dot(contact.along, slip), rate * wheel.radius
         fastest = ca.fmax(ca.fabs(rim), ca.fabs(rim + along))
-        found.append(-along / ca.fmax(fastest, LEAST_SPEED))
-    return tuple(found)
+        ratios.append(-along / ca.fmax(fastest, LEAST_SPEED))
+    return tuple(ratios)
 
 
 def touch_function(
@@ -171,10 +171,10 @@ def touch_function(
     Results are the centre (3, 1) [m], the rotation matrix by columns (9, 1), and the unit normal of
     the ground (3, 1), in local coordinates.
     """
-    inputs, found = [pack(x), pack(z)], lookups.lookups
+    inputs, table = [pack(x), pack(z)], lookups.lookups
     return [
         lookup_function(
-            found,
+            table,
             "wheel",
             inputs,
             [ca.densify(e) for e in (carrier.origin, ca.vec(carrier.rotation), contact.normal)],

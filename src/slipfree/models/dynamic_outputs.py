@@ -261,12 +261,12 @@ class Contact(NamedTuple):
 
 def deepest(contacts: Sequence[Contact]) -> Contact:
     """Return the contact of a wheel that has the smallest gap."""
-    found, *others = contacts
+    nearest, *others = contacts
     for other in others:
-        pairs = zip(leaves(found), leaves(other), strict=True)
-        nearer = other.touch.gap < found.touch.gap
-        found = unpack(found, [ca.if_else(nearer, new, old) for old, new in pairs])
-    return found
+        pairs = zip(leaves(nearest), leaves(other), strict=True)
+        nearer = other.touch.gap < nearest.touch.gap
+        nearest = unpack(nearest, [ca.if_else(nearer, new, old) for old, new in pairs])
+    return nearest
 
 
 class Effort(NamedTuple):

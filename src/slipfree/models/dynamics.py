@@ -436,8 +436,8 @@ def _attitude_rate(x: DynamicState) -> ca.SX:
     attitude, omega = ca.vertcat(*x.attitude), ca.vertcat(*x.omega)
     scalar, vector = attitude[0], attitude[1:]
     turning = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2
-    found: ca.SX = turning + NORMALISATION * (1 - ca.sumsqr(attitude)) * attitude
-    return found
+    rate: ca.SX = turning + NORMALISATION * (1 - ca.sumsqr(attitude)) * attitude
+    return rate
 
 
 def _start(

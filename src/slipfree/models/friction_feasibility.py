@@ -246,8 +246,8 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     matrix = columns.reshape(len(columns), run.t.size, -1).transpose(1, 0, 2)
     known = np.isfinite(matrix).all(axis=(1, 2)) & (friction > 0).all(axis=0)
     best = np.full(run.t.size, np.nan)
-    found = least_utilisation(matrix[known], loads.T[known], friction.T[known])
-    best[known] = found.utilisation
+    least = least_utilisation(matrix[known], loads.T[known], friction.T[known])
+    best[known] = least.utilisation
     return replace(run, columns={**run.columns, BEST.name: Column(BEST, best)})
 
 

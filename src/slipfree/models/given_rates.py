@@ -130,17 +130,17 @@ def minimum(
     multipliers; ``label`` is the name of the conditions, and the beginning of their descriptions.
     """
     new = tuple(new_variable(direct, each) for each in multipliers)
-    found = (*unknowns, *new)
-    prices, column = (pack(tuple(each.symbol for each in part)) for part in (new, found))
+    variables = (*unknowns, *new)
+    prices, column = (pack(tuple(each.symbol for each in part)) for part in (new, variables))
     labels = tuple(
         replace(
             label,
             unit=slip_unit(each.label.unit),
             words=f"{label.words} with respect to {each.label.full}",
         )
-        for each in found
+        for each in variables
     )
-    return Minimum(found, ca.gradient(goal + ca.dot(prices, constraints), column), labels)
+    return Minimum(variables, ca.gradient(goal + ca.dot(prices, constraints), column), labels)
 
 
 def check_rates(given: Sequence[str]) -> None:
@@ -232,14 +232,14 @@ def steering_effects(
     values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
     poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)
     angles = ca.vertcat(*(ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0]) for pose in poses))
-    column, found = ca.vertcat(*values.values()), dict[str, dict[int, ca.SX]]()
+    column, effects = ca.vertcat(*values.values()), dict[str, dict[int, ca.SX]]()
     for c in vehicle.of(kind):
         effect = ca.jacobian(angles, values[c.name])
         level = ca.evalf(ca.substitute(effect, column, ca.SX.zeros(column.shape)))
         turned = np.flatnonzero(np.abs(np.array(level)) > MIN_EFFECT)
         if turned.size:
-            found[c.name] = {k: effect[k] for k in map(int, turned)}
-    return found
+            effects[c.name] = {k: effect[k] for k in map(int, turned)}
+    return effects
 
 
 def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> GuidingMotion:
@@ -291,9 +291,9 @@ def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]
     """Return expressions with the rates of the guiding motion; wheels and joints are at rest."""
     rates = direct.z.rates
     still = pack((direct.u, rates.free, rates.passive))
-    found = ca.substitute([*expressions], [still], [ca.SX.zeros(still.shape)])
+    moving = ca.substitute([*expressions], [still], [ca.SX.zeros(still.shape)])
     symbols = ca.vertcat(*(each.symbol for each in motion))
-    return list(ca.substitute(found, [ca.vertcat(*_pose_rates(rates))], [symbols]))
+    return list(ca.substitute(moving, [ca.vertcat(*_pose_rates(rates))], [symbols]))
 
 
 def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -> dict[str, ca.SX]:

@@ -394,15 +394,15 @@ def _command_outputs(
     steering, and the errors of the commands.
     """
     plane, joints = derived_rates(direct), {each.name: each for each in direct.labels.x.joints}
-    found: list[tuple[Label, ca.SX]] = [plane[name] for name in COMMANDS if name not in given]
-    found += zip(direct.labels.u.joints, direct.u.joints, strict=True)
+    extra: list[tuple[Label, ca.SX]] = [plane[name] for name in COMMANDS if name not in given]
+    extra += zip(direct.labels.u.joints, direct.u.joints, strict=True)
     for name, error in errors.items():
         words = f"target minus actual {joints[name].words}"
-        found.append((Label(f"{name}_error", joints[name].unit, words), error))
+        extra.append((Label(f"{name}_error", joints[name].unit, words), error))
     for name, error in zip(given if off else (), off, strict=True):
         words = f"error of the given {name}"
-        found.append((replace(COMMANDS[name], name=f"{name}_error", words=words), error))
-    return found
+        extra.append((replace(COMMANDS[name], name=f"{name}_error", words=words), error))
+    return extra
 
 
 def steering_note(run: Trajectory) -> str:

@@ -204,8 +204,8 @@ def is_determinate(vehicle: Vehicle) -> bool:
     """
     if any(wheel.rollers for wheel in vehicle.wheels):
         return False
-    found, needed = rolling_counts(vehicle)
-    return found == needed
+    count, needed = rolling_counts(vehicle)
+    return count == needed
 
 
 def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels:

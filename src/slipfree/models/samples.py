@@ -65,8 +65,8 @@ def wheel_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
 
     Parameters and errors are those of `part_poses`; the motion must also have the wheel angles.
     """
-    found = _frame_poses(vehicle, run, vehicle.carriers)
-    return found._replace(rotations=spun(found.rotations, run["wheel_angle"]))
+    poses = _frame_poses(vehicle, run, vehicle.carriers)
+    return poses._replace(rotations=spun(poses.rotations, run["wheel_angle"]))
 
 
 def spun(rotations: Array, angles: Array) -> Array:
@@ -91,16 +91,16 @@ def _frame_poses(
     names = (*POSITION, *(c.name for c in vehicle.coordinates))
     q = ca.SX.sym("q", len(names))
     place, values = ca.vertsplit(q)[:6], dict(zip(names[6:], ca.vertsplit(q)[6:], strict=True))
-    found = frames(platform(*place), values)
+    poses = frames(platform(*place), values)
     run = run.in_frame("paper")
     columns = np.column_stack([run[name] for name in names]).T
     out = [
-        ca.horzcat(*(pose.origin for pose in found)),
-        ca.horzcat(*(ca.vec(pose.rotation) for pose in found)),
+        ca.horzcat(*(pose.origin for pose in poses)),
+        ca.horzcat(*(ca.vec(pose.rotation) for pose in poses)),
     ]
     function = ca.Function("poses", [q], [ca.vec(each) for each in out])
     origins, rotations = (np.array(each).T for each in function.map(run.t.size)(columns))
-    shape = run.t.size, len(found)
+    shape = run.t.size, len(poses)
     by_column = rotations.reshape(*shape, 3, 3)
     return FramePoses(origins.reshape(*shape, 3), by_column.transpose(0, 1, 3, 2))
 
@@ -236,7 +236,7 @@ def rocks(run: Trajectory) -> list[LoadChange]:
     run : Trajectory
         A motion with pressed wheels; see `has_pressed_wheels`.
     """
-    loads, found = run["load_share"], list[LoadChange]()
+    loads, changes = run["load_share"], list[LoadChange]()
     lightest = loads.argmin(axis=1)
     for k in np.flatnonzero(np.diff(lightest)).tolist():
         before, after = lightest[k : k + 2]
@@ -246,8 +246,8 @@ def rocks(run: Trajectory) -> list[LoadChange]:
             if more != less
             else run.t[k]
         )
-        found.append(LoadChange(float(t), run.wheels[before], run.wheels[after]))
-    return found
+        changes.append(LoadChange(float(t), run.wheels[before], run.wheels[after]))
+    return changes
 
 
 def lightest_wheel(run: Trajectory, sample: int) -> tuple[str, float, float]:

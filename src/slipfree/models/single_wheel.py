@@ -90,8 +90,8 @@ def single_wheel(
     """
     slip, angle = np.asarray(slips, dtype=float), np.asarray(angles, dtype=float)
     s, beta = (each.ravel() for each in np.meshgrid(slip, angle))
-    found = steady_forces(soil, size, np.full_like(s, load), s, beta)
-    return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in found))
+    steady = steady_forces(soil, size, np.full_like(s, load), s, beta)
+    return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in steady))
 
 
 def steady_forces(
@@ -166,7 +166,7 @@ def drawbar_reserve(vehicle: Vehicle, soil: Soil, run: Trajectory) -> Trajectory
     run : Trajectory
         The motion, of `quasi_statics` or `dynamics`.
     """
-    found = np.zeros(run["force_normal"].shape)
+    reserve = np.zeros(run["force_normal"].shape)
     for k, wheel in enumerate(vehicle.wheels):
         if wheel.driven:
             rim = wheel.radius * run["wheel_rate"][:, k]
@@ -177,8 +177,8 @@ def drawbar_reserve(vehicle: Vehicle, soil: Soil, run: Trajectory) -> Trajectory
             angle = np.minimum(np.arctan2(sideways, np.abs(forward)), MAX_ANGLE)
             at = run["contact_x"][:, k], run["contact_y"][:, k], angle
             largest = _pull_at_limit(soil, wheel_size(wheel), run["force_normal"][:, k], *at)
-            found[:, k] = largest - direction * run["force_along"][:, k]
-    columns = {**run.columns, RESERVE.name: Column(RESERVE, found)}
+            reserve[:, k] = largest - direction * run["force_along"][:, k]
+    columns = {**run.columns, RESERVE.name: Column(RESERVE, reserve)}
     return replace(run, columns=columns)
 
 

@@ -88,8 +88,8 @@ def taylor_function(formula: Formula) -> ca.Function | None:
     for m, n in TAYLOR[1:]:
         below, k = ((m - 1, n), 0) if m else ((m, n - 1), 1)
         values[m, n] = ca.jacobian(values[below], at)[k]
-    found = ca.vertcat(at, *(values[orders] for orders in TAYLOR))
-    return ca.Function("taylor", [at], [ca.densify(found)])
+    column = ca.vertcat(at, *(values[orders] for orders in TAYLOR))
+    return ca.Function("taylor", [at], [ca.densify(column)])
 
 
 class Terrain(Protocol):

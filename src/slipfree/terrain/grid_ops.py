@@ -206,7 +206,7 @@ def cut(grid: Grid, window: Window) -> Grid:
     return Grid(grid.x[i], grid.y[j], np.ascontiguousarray(grid.z[i, j]), *masks)
 
 
-def fill_holes(found: Heights) -> Filled:
+def fill_holes(heights: Heights) -> Filled:
     """Return heights with holes filled by linear interpolation between the surrounding nodes.
 
     Holes that reach the border of the map remain: their heights could only be extrapolated.
@@ -219,21 +219,21 @@ def fill_holes(found: Heights) -> Filled:
     """
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
 
-    numbers, _ = scipy.ndimage.label(np.isnan(found.z), NEIGHBOURHOOD)
+    numbers, _ = scipy.ndimage.label(np.isnan(heights.z), NEIGHBOURHOOD)
     borders = numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]
     numbers[np.isin(numbers, np.concatenate(borders))] = 0
     holes, count = numbers > 0, np.unique(numbers[numbers > 0]).size
     if not count:
-        return Filled(found.z, 0, 0, (0.0, 0.0))
+        return Filled(heights.z, 0, 0, (0.0, 0.0))
     rim = scipy.ndimage.binary_dilation(holes, NEIGHBOURHOOD) & ~holes
-    z = found.z.copy()
+    z = heights.z.copy()
     surface = LinearNDInterpolator(np.argwhere(rim).astype(np.float64), z[rim])
     z[holes] = surface(np.argwhere(holes).astype(np.float64))
     most = int(np.argmax(np.bincount(numbers.reshape(-1))[1:]))
     extent = scipy.ndimage.find_objects(numbers)[most]
     largest = [
         (part.stop - part.start) * axis.step
-        for part, axis in zip(extent, axes_of(found.x, found.y), strict=True)
+        for part, axis in zip(extent, axes_of(heights.x, heights.y), strict=True)
     ]
     return Filled(z, int(np.count_nonzero(holes)), int(count), (largest[0], largest[1]))
 
