@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -176,6 +176,7 @@ def climb(
 
 def _mesh(leg: Leg, count: int, *, halt: bool) -> Array:
     """Return nodes along a leg, closer near its start and, with ``halt``, its end at rest."""
+    # from rest b grows like s: nodes at equal steps of time are quadratic in s
     part = np.linspace(0, 1, count)
     return leg.length * np.sin(np.pi / 2 * part) ** 2 if halt else leg.top * part**2
 
@@ -196,6 +197,7 @@ def _program(
     ends = np.cumsum([0, count + 1, 3 * count, 3 * count, 1]).tolist()
     b_at, n_at, t_at, mu_at = (np.arange(i, j) for i, j in pairwise(ends))
     scale = np.repeat([fastest, weight / 3, weight / 3, 1.0], np.diff(ends))
+    # IPOPT sees unknowns of size one
     x = ca.MX.sym("x", ends[-1])
     b, normal, tangential, friction = ca.vertsplit(x * scale, ends)
     unknowns = b, normal, tangential, friction
@@ -276,7 +278,11 @@ def _constraint_rows(
         _sparse(_diagonal(matrix[:, :, :3]) / weight) @ normal
         + _sparse(_diagonal(matrix[:, :, 3:]) / weight) @ tangential
     )
-    torque = _torques(climber, middles, steps, b, tangential)
+    spin = spin_inertia(climber)
+    linear, square = (
+        _diagonal((each * spin)[:, :, None]) for each in (middles.speeds, middles.slopes)
+    )
+    torque = climber.radius * tangential + _sparse(linear @ to_a + square @ to_b) @ b
     most = np.tile(torques, count)
     cone, nothing, above = 3 / weight, np.zeros(3 * count), np.full(3 * count, np.inf)
     rows = [held - moving, *(cone * (mu * normal + sign * tangential) for sign in (1, -1))]
@@ -286,22 +292,10 @@ def _constraint_rows(
     return rows, low, high
 
 
-def _torques(
-    climber: Climber, middles: PathSamples, steps: Array, b: ca.MX, tangential: ca.MX
-) -> ca.MX:
-    """Return the total motor torques of the axles at the midpoints, shape (3 n, 1) [N m]."""
-    spin = spin_inertia(climber)
-    linear, square = (
-        _diagonal((each * spin)[:, :, None]) for each in (middles.speeds, middles.slopes)
-    )
-    to_a, to_b = _from_nodes(steps)
-    spinning = linear @ to_a + square @ to_b
-    return climber.radius * tangential + _sparse(spinning) @ b
-
-
 def _from_nodes(steps: Array) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
     """Return the matrices that map b at the n + 1 nodes to a and b on the n intervals."""
     shape, factors = (steps.size, steps.size + 1), 1 / (2 * steps)
+    # a = (db/ds) / 2, since b is the square of the speed; b at the midpoint is the mean
     pairs = (-factors, factors), (0.5, 0.5)
     to_a, to_b = (scipy.sparse.diags(each, [0, 1], shape).tocsr() for each in pairs)
     return to_a, to_b
@@ -325,6 +319,7 @@ def history(plan: Climb, unknowns: Array) -> Trajectory:
     b = np.maximum(unknowns[where["b"]], 0.0)
     steps, means = np.diff(plan.nodes.s), (b[:-1] + b[1:]) / 2
     speed, acceleration = np.sqrt(means), np.diff(b) / (2 * steps)
+    # exact for the constant acceleration of an interval, also from rest
     durations = 2 * steps / (np.sqrt(b[:-1]) + np.sqrt(b[1:]))
     t = np.cumsum(durations) - durations + steps / (np.sqrt(b[:-1]) + speed)
     friction = unknowns[where["tangential"]]
@@ -372,17 +367,6 @@ class TrackedPlan:
     torques: Array
 
 
-class _PlanPoint(NamedTuple):
-    """Values of a `TrackedPlan` at a progress, and whether it is outside the plan (0 or 1)."""
-
-    square: ca.SX
-    speeds: PerAxle
-    directions: PerAxle
-    torques: PerAxle
-    before: ca.SX
-    behind: ca.SX
-
-
 @dataclass(frozen=True, eq=False)
 class Tracking:
     """Controller that tracks a planned climb, for `slipfree.control.step_climbing.climbing`.
@@ -421,11 +405,22 @@ class Tracking:
         of the plan, all wheels have the same reference speed, at most ``speed`` [m/s]. Below the
         first p, it decreases to zero towards the plan's start, since plans begin at rest.
         """
-        p = sum(place[0] + place[1] for place in at.axles) / 3 + self.lead
-        point = _plan_at(self.plan, p)
-        pace = _reference_speed(self.plan, p, point, speed)
+        plan, p = self.plan, sum(place[0] + place[1] for place in at.axles) / 3 + self.lead
+        before, behind = p < plan.p[0], p > plan.p[-1]
+        off = ca.logic_or(before, behind)
+        square, *row = _plan_row(plan, p)
+        ratios, angles, torques = (
+            [ca.if_else(off, outside, value) for value in row[k : k + 3]]
+            for k, outside in ((0, 1.0), (3, 0.0), (6, 0.0))
+        )
+        # outside the plan the speed changes with constant acceleration
+        arriving = 2 * ACCELERATION * ca.fmax(plan.p[0] - p, 0)
+        leaving = square + 2 * ACCELERATION * ca.fmax(p - plan.p[-1], 0)
+        square = ca.if_else(before, arriving, ca.if_else(behind, leaving, square))
+        pace = ca.sqrt(square + MIN_SPEED**2)
+        pace = ca.if_else(off, ca.fmin(speed, pace), pace)
         references, wanted = [], []
-        columns = (*point[1:4], at.velocities, at.spins, self.motors)
+        columns = ratios, angles, torques, at.velocities, at.spins, self.motors
         for ratio, angle, torque, velocity, spin, count in zip(*columns, strict=True):
             actual = velocity[0] * ca.cos(angle) + velocity[1] * ca.sin(angle)
             references.append(ca.fmin(pace * ratio, actual + self.spare) / climber.radius)
@@ -471,29 +466,12 @@ def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
     return tuple(np.concatenate(pair)[order] for pair in zip(*parts, strict=True))
 
 
-def _plan_at(plan: TrackedPlan, p: ca.SX) -> _PlanPoint:
+def _plan_row(plan: TrackedPlan, p: ca.SX) -> list[ca.SX]:
+    """Return square, speeds, directions and torques of a plan at a progress, or at its ends."""
     columns = [plan.square, plan.speeds, plan.directions, plan.torques]
     rows, inside = np.column_stack(columns), ca.fmin(ca.fmax(p, plan.p[0]), plan.p[-1])
     table = ca.interpolant("table", "linear", [plan.p.tolist()], rows.ravel().tolist())
     at = ca.MX.sym("p")
-    row = ca.vertsplit(ca.Function("plan", [at], [table(at)], {"never_inline": True})(inside))
-    before, behind = p < plan.p[0], p > plan.p[-1]
-    off = ca.logic_or(before, behind)
-    speeds, directions, torques = (
-        PerAxle(*(ca.if_else(off, value, each) for each in row[k : k + 3]))
-        for k, value in ((1, 1.0), (4, 0.0), (7, 0.0))
-    )
-    return _PlanPoint(row[0], speeds, directions, torques, before, behind)
-
-
-def _reference_speed(plan: TrackedPlan, p: ca.SX, at: _PlanPoint, speed: ca.SX) -> ca.SX:
-    """Return the reference speed along the path at progress ``p`` [m/s].
-
-    Outside the plan, the speed changes with constant acceleration and does not exceed ``speed``.
-    """
-    arriving = 2 * ACCELERATION * ca.fmax(plan.p[0] - p, 0)
-    leaving = at.square + 2 * ACCELERATION * ca.fmax(p - plan.p[-1], 0)
-    square = ca.if_else(at.before, arriving, ca.if_else(at.behind, leaving, at.square))
-    pace = ca.sqrt(square + MIN_SPEED**2)
-    limited_pace: ca.SX = ca.if_else(ca.logic_or(at.before, at.behind), ca.fmin(speed, pace), pace)
-    return limited_pace
+    # a function call: an interpolant cannot be expanded into the SX graph of the model
+    lookup = ca.Function("plan", [at], [table(at)], {"never_inline": True})
+    return list(ca.vertsplit(lookup(inside)))

@@ -144,6 +144,7 @@ def _second_minima(gap: Array) -> Mask:
     for i in (0, 1, 2):
         for j in (0, 1, 2):
             low &= gap <= padded[:, i : i + rim, j : j + tube]
+    # the contact point lies in the middle of the grid, which starts from its normal
     low[:, rim // 2 - 1 : rim // 2 + 2, max(tube // 2 - 1, 0) : tube // 2 + 2] = False
     return low
 

@@ -111,6 +111,7 @@ def contact_frame(
     """Return the contact frame at a local ground point for a wheel with a given axle."""
     height, gradient, hessian = terrain.jet(x, y, lookups)
     normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
+    # the axle points to the right and the normal up, so that n x a points forward
     forward = ca.cross(normal, axle)
     uprightness = ca.norm_2(forward)
     along = forward / uprightness
@@ -138,11 +139,13 @@ def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.S
     """
     down = -carrier.rotation.T @ contact.normal
     u = ca.atan2(ca.norm_2(down[1:]), down[0])
+    # counted from the lowest point, at which the paper's v is 3 pi/2
     v = 1.5 * ca.pi + ca.atan2(down[1], -down[2])
     x_w = carrier.rotation @ ca.vertcat(-ca.sin(u), ca.cos(v) * ca.cos(u), ca.sin(v) * ca.cos(u))
     n = contact.normal
     x_g = ca.vertcat(n[2], 0, -n[0])  # along (1, 0, h_x); zero at a vertical face across y
     x_g /= ca.sqrt(ca.sumsqr(x_g) + ROOT_OFFSET)
+    # the sine is (x_w x x_g) . n: psi is positive counter-clockwise about the ground's normal
     return u, v, ca.atan2(-ca.dot(x_w, ca.cross(n, x_g)), ca.dot(x_w, x_g))
 
 
@@ -159,6 +162,7 @@ def relative_curvature(wheel: Wheel, contact: ContactFrame) -> ca.SX:
     first divided by the rolling radius.
     """
     second = contact.hessian * contact.normal[2]  # second fundamental form, in (x, y)
+    # horizontal components suffice: the form of a height map is in its parameters x and y
     t, s = contact.along[:2], contact.across[:2]
     k_tt, k_tl, k_ll = -t.T @ second @ t, -t.T @ second @ s, -s.T @ second @ s
     outward = -ca.dot(contact.normal, contact.axle), contact.uprightness

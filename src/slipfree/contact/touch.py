@@ -255,6 +255,7 @@ def _damped_steps(
         found = newton(spot, asked, jet(spot))[0]
         size, full = ca.sumsqr(found[6:]), found[:2]
         limited = full * ca.fmin(1, LONGEST_STEP * radius / (ca.norm_2(full) + TOLERANCE))
+        # false for NaN too: a step to where the residual is undefined is halved
         better = size < least
         best, least = ca.if_else(better, spot, best), ca.if_else(better, size, least)
         step = ca.if_else(better, limited, step / 2)
@@ -279,6 +280,8 @@ def _newton_function(section: Section) -> ca.Function:
     spot, asked, jet = ca.SX.sym("spot", 2), ca.SX.sym("asked", 6), ca.SX.sym("jet", 7)
     at = _miss(section, spot, asked[:3], asked[3:], jet[0], jet[1:3])
     hessian = ca.reshape(jet[3:], 2, 2)
+    # derivative of point, height and gradient with respect to the point: the jet contains it, so
+    # that no lookup of the ground is differentiated
     by_jet = ca.vertcat(ca.SX.eye(2), jet[1:3].T, hessian)
     jacobian = ca.jacobian(at.residual, ca.vertcat(spot, jet[:3])) @ by_jet
     inverse = ca.inv(jacobian)
@@ -365,10 +368,13 @@ def _minimum_in_disc(hessian: ca.SX, linear: ca.SX, radius: float) -> ca.SX:
     a, b, c = hessian[0, 0], hessian[0, 1], hessian[1, 1]
     spread = ca.sqrt((a - c) ** 2 + 4 * b**2 + ROOT_OFFSET)
     larger, smaller = (a + c + spread) / 2, ca.fmax(0, (a + c - spread) / 2)
+    # shares of the linear term along the principal axes; eigenvectors would have no derivative
+    # where the eigenvalues are equal
     total = ca.sumsqr(linear) / radius**2
     product = ca.dot(linear, hessian @ linear) / radius**2
     first = ca.fmax(0, ca.fmin(total, (product - smaller * total) / spread))
     last = total - first
+    # each share alone bounds the multiplier from below; Newton's method starts from the larger one
     bound = ca.fmax(MIN_MULTIPLIER, ca.sqrt(first + ROOT_OFFSET) - larger)
     multiplier = ca.fmax(bound, ca.sqrt(last + ROOT_OFFSET) - smaller)
     for _ in range(MULTIPLIER_STEPS):

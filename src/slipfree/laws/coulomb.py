@@ -104,6 +104,7 @@ class Coulomb:
         )
         continuation = creep_continuation(self.creep)
         sizes = [ca.sqrt(a**2 + c**2 + continuation.symbol**2) for a, c in zip(*slips, strict=True)]
+        # the used fraction p stays an unknown: eliminated, -s / size would be stiff in 1 / eps
         friction = [
             p * size + s
             for parts, slip in zip(used, slips, strict=True)

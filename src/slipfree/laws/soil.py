@@ -455,8 +455,10 @@ def _contact(
 ) -> _ContactArc:
     """Return the arc of a wheel in the soil (1, 2)."""
     relative = ca.fmin(ca.fmax(depth / size.radius, SMALLEST_DEPTH), 1)
+    # acos(1 - k depth / r), written without its loss of digits at small depths
     entry, leaving = (2 * ca.asin(ca.sqrt(k * relative / 2)) for k in (1, soil.exit_depth))
     both = rim + forward
+    # smooth sign: a wheel that reverses exchanges its entry and exit edges
     direction = both / ca.sqrt(both**2 + creep**2)
     ahead, behind = (1 + direction) / 2, (1 - direction) / 2
     fastest = ca.fmax(ca.fabs(rim), ca.fabs(forward))
@@ -478,6 +480,7 @@ def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: Any)
     speed = ca.sqrt(rim**2 + creep**2)
     angle = ca.atan(sideways / ca.sqrt(forward**2 + creep**2))
     side = ca.tanh(angle / ANGLE_SMOOTHING)
+    # smooth absolute value
     steep = angle * side
     return _ShearMotion(
         rim / speed,
@@ -492,6 +495,7 @@ def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: Any)
 def _normal_stress(soil: Soil, size: WheelSize, contact: _ContactArc, point: float) -> Any:
     """Return the normal stress at a point, from 0 at an edge to 1 at the peak (3) [Pa]."""
     drop = point * (1 - contact.share) * contact.entry  # entry angle minus theta_e
+    # r (cos theta_e - cos theta_f) as a product: no digits are lost near the edge
     height = 2 * size.radius * ca.sin(contact.entry - drop / 2) * ca.sin(drop / 2)
     return (soil.cohesive_modulus / size.width + soil.frictional_modulus) * height**soil.exponent
 
@@ -529,6 +533,7 @@ def _integrand(
 
 def _mobilised(path: Any) -> Any:
     """Return ``1 - exp(-path)``, odd and continuously differentiable in the path [1]."""
+    # one exponential for each sign of the path: neither overflows, and slope 1 at zero
     return ca.expm1(ca.fmin(path, 0)) - ca.expm1(-ca.fmax(path, 0))
 
 

@@ -61,6 +61,7 @@ def tip_over_margin(
         edge /= ca.norm_2(edge)
         arm = here - center
         arm -= ca.dot(arm, edge) * edge
+        # the corners run counter-clockwise: the angle is positive while gravity points inside
         lean = ca.atan2(ca.dot(edge, ca.cross(arm, down)), ca.dot(arm, down))
         least, here = ca.fmin(least, lean), there
     return ca.if_else(is_polygon, least, -ca.pi)
@@ -92,6 +93,7 @@ def _next_corner(count: int) -> ca.Function:
         aside = edge[0] * arrow[1] - edge[1] * arrow[0]
         zero = DISTANCE_ROUNDING * ca.fmax(length, reach)
         is_last = ca.logic_and(aside <= zero, reach > length)
+        # a point to the right of the edge so far, or the last one on it
         is_chosen = ca.logic_or(aside < -zero, is_last)
         turns = ca.logic_or(turns, ca.fabs(aside) > zero)
         chosen = (point, there), (arrow, edge), (reach, length)

@@ -116,6 +116,7 @@ def slip_velocity(
     has no velocity across.
     """
     twist = carrier.twist(q, q_dot)
+    # a positive rate drives forward, hence the minus: the axle points to the right
     omega = twist.omega - wheel_rate * carrier.rotation[:, 0]  # wheel frame R Rx(-theta)
     slip = twist.v + ca.cross(omega, contact.point - carrier.origin)
     return slip - contact.across * ca.dot(contact.across, slip) if wheel.rollers else slip
@@ -208,6 +209,7 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
         span = slice(2 + k, n - 2 + k)
         return np.asarray(centers[span] + np.einsum("nwij,nwj->nwi", rotations[span], places))
 
+    # central difference of fourth order: its error is far below the slip of a rolling wheel
     differences = carried(-2) - 8 * carried(-1) + 8 * carried(1) - carried(2)
     return np.asarray(differences / (12 * steps[0]))
 

@@ -243,6 +243,7 @@ class Bicubic:
     def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """Indices along x and y of the node nearest to the local origin, and of the last cell."""
         counts = []
+        # the last cell begins at the last but one node
         for axis, at, h in zip(
             (self.grid.x, self.grid.y), self.origin, self.grid.spacing, strict=False
         ):
@@ -265,6 +266,8 @@ class Bicubic:
         """Return the local heights at local points, shape (n,)."""
         a, b = self._in_cells(x, y)
         (i_0, i_last), (j_0, j_last) = self._cells
+        # a point within rounding before a knot belongs to the cell behind it; points outside the
+        # map belong to the border cells, whose polynomials continue
         # fmin and fmax assign NaN to a valid cell, whose polynomial then returns NaN
         i = np.fmin(np.fmax(np.floor(a + KNOT_TOLERANCE), -i_0), i_last - i_0)
         j = np.fmin(np.fmax(np.floor(b + KNOT_TOLERANCE), -j_0), j_last - j_0)
@@ -348,6 +351,7 @@ def _basis(u: Any) -> tuple[Any, Any, Any, Any]:
     """Return the four uniform cubic B-splines of a cell at ``u`` in [0, 1], times six."""
     v = 1 - u
     first, last = v * v * v, u * u * u
+    # the third function is six minus the others: their sum is exactly that of a constant surface
     second = 4 + 3 * (last - 2 * (u * u))
     return first, second, 6 - first - second - last, last
 
