@@ -29,7 +29,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.control.path_tracking import path_inputs
+from slipfree.control.path_following import path_inputs
 from slipfree.models.determinacy import conditions
 from slipfree.models.given_rates import EULER, PLANAR, VELOCITY
 from slipfree.models.inverse import inverse_kinematics, steering_note

@@ -24,7 +24,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import open_source_rover, three_wheeler
-from slipfree.control.path_tracking import path_inputs
+from slipfree.control.path_following import path_inputs
 from slipfree.core.dae import power_of_length
 from slipfree.laws.protocols import SlipLaw
 from slipfree.models.given_rates import PLANAR

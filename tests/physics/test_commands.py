@@ -35,7 +35,7 @@ from slipfree.catalog import (
     skid_steer,
 )
 from slipfree.cli import app
-from slipfree.control.path_tracking import GAIN, track_path
+from slipfree.control.path_following import GAIN, track_path
 from slipfree.core.records import leaves
 from slipfree.files import netcdf
 from slipfree.models.determinacy import check_authority, wheel_rates

@@ -22,7 +22,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.control.path_tracking import path_inputs
+from slipfree.control.path_following import path_inputs
 from slipfree.models.determinacy import conditions
 from slipfree.models.given_rates import EULER, OMEGA, PLANAR, VELOCITY, omega
 from slipfree.models.inverse import inverse_kinematics, steering_note, steering_slip

@@ -20,7 +20,7 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.control.controlled import Controller, controlled
+from slipfree.control.step_climbing import Controller, controlled
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label
 from slipfree.geometry.frame import Pose

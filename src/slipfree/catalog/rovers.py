@@ -12,8 +12,7 @@ from typing import Literal, NamedTuple
 
 from slipfree.catalog.carts import SIDES
 from slipfree.core.errors import ModelError
-from slipfree.geometry.frame import Vector
-from slipfree.geometry.tensor import Elements
+from slipfree.geometry.frame import Elements, Vector
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel

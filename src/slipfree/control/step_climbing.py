@@ -1,7 +1,8 @@
 """Driving law of a step climber: wheel rates that follow from the configuration of its bodies.
 
 PID control of every wheel's rate, and a common factor that limits the torques: equations (17) to
-(19) of Chugo et al. (2009). The references are those of `slipfree.control.reference_speeds`.
+(19) of Chugo et al. (2009). The references are those of `slipfree.control.reference_speeds`. In a
+model with a controller, laws replace inputs, and the controller's states become states.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, get_args
 
 import casadi as ca
+import numpy as np
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.catalog.step_climber import Climber, climber_of
-from slipfree.control.controlled import Controller, controlled
 from slipfree.control.reference_speeds import (
     Law,
     Noise,
@@ -27,12 +28,97 @@ from slipfree.control.reference_speeds import (
     reference,
 )
 from slipfree.core.bounds import check_bounds
-from slipfree.core.dae import Dae, Limit
+from slipfree.core.dae import Dae, Labels, Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Label, leaves, symbols
+from slipfree.core.records import Label, leaves, pack, symbols, unpack
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """Controller of a model, as expressions of symbols of the model and of the controller.
+
+    States, inputs, outputs and their labels are records; ``rates`` are those of the states,
+    ``laws`` the values of the model's inputs in their order.
+    """
+
+    x: Any
+    u: Any
+    rates: tuple[ca.SX, ...]
+    laws: tuple[ca.SX, ...]
+    y: Any
+    labels_x: Any
+    labels_u: Any
+    labels_y: Any
+
+
+class WithController(NamedTuple):
+    """Variables of a model, and those of its controller."""
+
+    model: Any
+    controller: Any
+
+
+def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> Dae:
+    """Return a model with a controller: states, inputs and outputs of the model, then its own.
+
+    With ``sampled`` the inputs of the model remain inputs, which
+    `slipfree.solve.zero_order_hold.simulate_sampled` sets to the values of the laws. ModelError is
+    raised if the number of laws is not the number of inputs, or the model has numeric checks.
+    """
+    inputs = pack(model.u)
+    if len(controller.laws) != inputs.numel():
+        raise ModelError(
+            f"controlled: expected {inputs.numel()} laws, one per input of the model, found "
+            f"{len(controller.laws)}; give one for each input"
+        )
+    if model.checks:
+        raise ModelError(
+            "controlled: expected a model without numeric checks at the samples, found "
+            f"{len(model.checks)}; use a plane ground"
+        )
+
+    def driven(expressions: Sequence[ca.SX]) -> list[ca.SX]:
+        if sampled:
+            return list(expressions)
+        laws = ca.vertcat(ca.SX(0, 1), *controller.laws)
+        return list(ca.substitute([ca.SX(each) for each in expressions], [inputs], [laws]))
+
+    y = unpack(model.y, driven([*leaves(model.y)]))
+    pairs = zip(model.limits, driven([each.expression for each in model.limits]), strict=True)
+    limits: tuple[Limit, ...] = tuple(limit._replace(expression=each) for limit, each in pairs)
+    rates = ca.vertcat(ca.SX(0, 1), *controller.rates)
+    labels, own, standing = model.labels, np.zeros(rates.numel()), model.standing
+    if standing is not None:  # the controller starts with states of zero
+        standing = standing._replace(x=ca.vertcat(standing.x, ca.SX.zeros(rates.shape)))
+    held = model.held
+    if held is not None:
+        held = held._replace(ode=ca.vertcat(*driven([held.ode]), rates))
+    return replace(
+        model,
+        x=WithController(model.x, controller.x),
+        u=WithController(model.u if sampled else (), controller.u),
+        ode=ca.vertcat(*driven([model.ode]), rates),
+        alg=tuple(driven(model.alg)),
+        quad=driven([model.quad])[0],
+        y=WithController(y, controller.y),
+        labels=Labels(
+            WithController(labels.x, controller.labels_x),
+            labels.z,
+            labels.q,
+            WithController(labels.u if sampled else (), controller.labels_u),
+            WithController(labels.y, controller.labels_y),
+            labels.alg,
+        ),
+        limits=limits,
+        pace=driven([model.pace])[0],
+        shift=(np.concatenate([model.shift[0], own]), model.shift[1]),
+        standing=standing,
+        held=held,
+    )
+
 
 MAX_TILT = 1.4  # a body with a larger tilt has overturned [rad]
 Directions = Literal["contact", "sensors"]
@@ -296,31 +382,13 @@ def climbing(
 ) -> Dae:
     """Return the dynamic model of a step climber with controlled wheels.
 
-    Parameters
-    ----------
-    model : Dae
-        Result of `slipfree.dynamics` for the vehicle.
-    vehicle : Vehicle
-        The vehicle, see `slipfree.catalog.step_climber.climber_of`.
-    control : WheelControl
-        The controller: `StepClimbing`, or `slipfree.climb.time_scaling.Tracking`.
-    section : Profile, optional
-        Section of the ground (`slipfree.terrain.solids.section_of`), which controllers with
-        ``directions="contact"`` require.
-    sampled : bool
-        Whether the torques of the axles remain inputs, for a sampled controller. `held_torques`
-        are their values.
-
-    Returns
-    -------
-    Dae
-        The model; its input is the ``reference_speed`` of the vehicle [m/s]. A motion ends where
-        the front body overturns.
-
-    Raises
-    ------
-    ModelError
-        If the vehicle is not a step climber, or the section is required and missing.
+    ``model`` is the result of `slipfree.dynamics` for the vehicle
+    (`slipfree.catalog.step_climber.climber_of`), ``control`` a `StepClimbing` or
+    `slipfree.climb.time_scaling.Tracking`. Controllers with ``directions="contact"`` require the
+    section of the ground (`slipfree.terrain.solids.section_of`). With ``sampled`` the torques of
+    the axles remain inputs, for a sampled controller; `held_torques` are their values. The other
+    input is the ``reference_speed`` of the vehicle [m/s]. A motion ends where the front body
+    overturns.
     """
     climber = climber_of(vehicle)
     wheels = tuple(wheel.name for wheel in vehicle.wheels)

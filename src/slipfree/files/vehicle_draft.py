@@ -17,8 +17,7 @@ import tomlkit
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array
 from slipfree.files.toml.types import FULL_TURN, WithUnit
-from slipfree.geometry.frame import Vector, unit_vector
-from slipfree.geometry.tensor import in_axes
+from slipfree.geometry.frame import Vector, in_axes, unit_vector
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
 from slipfree.vehicle.sections import SECTIONS, Omni

@@ -1,4 +1,4 @@
-"""Poses of frames, and their twists by differentiation."""
+"""Poses of frames, their twists by differentiation, and symmetric tensors."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from math import hypot, inf, isfinite
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 
 Vector = tuple[float, float, float]
 Axis = str | Vector
@@ -51,14 +53,9 @@ class Twist(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Orientation and position of a frame, in fixed axes.
+    """Orientation and position of a frame in fixed axes.
 
-    Attributes
-    ----------
-    rotation : SX, shape (3, 3)
-        Rotation matrix; its columns are the frame's axes. [1]
-    origin : SX, shape (3, 1)
-        Origin of the frame. [m]
+    The columns of the rotation matrix (3, 3) are the frame's axes; the origin (3, 1) is in m.
     """
 
     rotation: ca.SX
@@ -138,3 +135,31 @@ def quaternion(rotation: ca.SX) -> ca.SX:
         size = ca.fmax(size, rows[index][index])
     q = best / ca.norm_2(best)
     return q * ca.if_else(q[3] < 0, -1, 1)
+
+
+Elements = tuple[float, float, float, float, float, float]
+
+
+def tensor(elements: Elements) -> Array:
+    """Return the symmetric matrix, shape (3, 3), of the elements xx, yy, zz, xy, xz, yz."""
+    xx, yy, zz, xy, xz, yz = elements
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def elements(matrix: Array) -> Elements:
+    """Return the elements xx, yy, zz, xy, xz, yz of a symmetric matrix, shape (3, 3)."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()
+    return xx, yy, zz, xy, xz, yz
+
+
+def in_axes(rotation: Array, given: Elements) -> Elements:
+    """Return the elements of a tensor in other axes.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (3, 3)
+        Rotation matrix from the axes of ``given`` to the other axes.
+    given : tuple of 6 floats
+        Elements of the tensor in its axes.
+    """
+    return elements(rotation @ tensor(given) @ rotation.T)

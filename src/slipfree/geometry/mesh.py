@@ -13,14 +13,9 @@ Faces = npt.NDArray[np.uint32]
 
 
 class Mesh(NamedTuple):
-    """A triangle mesh.
+    """A triangle mesh: vertices (n, 3) [m], and faces (m, 3).
 
-    Attributes
-    ----------
-    vertices : ndarray, shape (n, 3)
-        Vertices. [m]
-    faces : ndarray, shape (m, 3)
-        Indices of the three vertices of each triangle, counter-clockwise seen from outside.
+    Faces are the indices of three vertices, counter-clockwise seen from outside.
     """
 
     vertices: Array
@@ -28,14 +23,9 @@ class Mesh(NamedTuple):
 
 
 def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
-    """Return the mesh through a grid of points.
+    """Return the mesh through a grid of points (n, m, 3) [m].
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, m, 3)
-        Points of the grid. [m]
-    closed : tuple of 2 bools
-        Whether the last line of points connects to the first, for each direction of the grid.
+    ``closed`` is whether the last line of points connects to the first, for each direction.
     """
     n, m, _ = points.shape
     i, j = (

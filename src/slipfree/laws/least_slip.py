@@ -46,14 +46,7 @@ class LeastSlip:
 def stationarity(cost: ca.SX, motion: Motion, unknowns: Multipliers) -> Equations:
     """Return the stationarity conditions of rates of least cost under the constraints.
 
-    Parameters
-    ----------
-    cost : SX, shape (1, 1)
-        Cost, a function of the slip velocities. [m^2/s^2]
-    motion : Motion
-        Rates, slip velocities and constraints.
-    unknowns : Multipliers
-        Multipliers of the constraints.
+    The cost is a function of the slip velocities [m^2/s^2]; ``unknowns`` are the multipliers.
     """
     names, rows = motion.constraints
     lagrangian = cost + sum(

@@ -73,14 +73,9 @@ class SoilRegion:
 
 
 def soil_at(soil: S, x: ca.SX, y: ca.SX) -> S:
-    """Return a soil with the constants at a point, as expressions where regions blend them.
+    """Return a soil with the constants at a map point, as expressions where regions blend them.
 
-    Parameters
-    ----------
-    soil : Soil
-        The soil; later regions cover earlier ones.
-    x, y : SX, shape (1, 1)
-        Map coordinates. [m]
+    Later regions cover earlier ones.
     """
     if not soil.regions:
         return soil

@@ -37,20 +37,10 @@ DING_2011 = (
 def isotropic(
     cohesion: float, degrees: float, moduli: tuple[float, float], exponent: float, shear: float
 ) -> Soil:
-    """Return a soil with one shear deformation modulus for all directions.
+    """Return a soil with one shear deformation modulus [m] for all directions.
 
-    Parameters
-    ----------
-    cohesion : float
-        Cohesion. [Pa]
-    degrees : float
-        Angle of internal friction. [deg]
-    moduli : tuple of 2 floats
-        Cohesive and frictional modulus of sinkage. [N/m^(n+1), N/m^(n+2)]
-    exponent : float
-        Sinkage exponent ``n``. [1]
-    shear : float
-        Shear deformation modulus. [m]
+    Cohesion [Pa], angle of internal friction [deg], cohesive and frictional modulus of sinkage
+    [N/m^(n+1), N/m^(n+2)] and the sinkage exponent ``n``.
     """
     return Soil(
         cohesion=cohesion,
@@ -76,13 +66,7 @@ SOILS: dict[str, KnownSoil] = {
 
 
 def known_soil(name: str) -> Soil:
-    """Return a soil of the catalogue by name.
-
-    Raises
-    ------
-    ModelError
-        If there is no soil of this name.
-    """
+    """Return a soil of the catalogue by name; ModelError if there is no soil of this name."""
     if name not in SOILS:
         raise ModelError(
             f"soil: expected one of {', '.join(SOILS)}, found {name!r}; choose one of them, or "

@@ -211,15 +211,9 @@ def is_determinate(vehicle: Vehicle) -> bool:
 def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels:
     """Return the labels of a closure model, except those of the equations of its rates.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    law : record of Label
-        Labels of the unknowns of the slip law or wheel-ground law.
-    follow : bool
-        Whether the contact forces of a vehicle with mass are unknowns of the model. Otherwise the
-        wheel-ground law gives them, and tangential forces are outputs.
+    ``law`` are the labels of the unknowns of the slip law or wheel-ground law. With ``follow`` the
+    contact forces of a vehicle with mass are unknowns of the model; otherwise the wheel-ground law
+    gives them, and tangential forces are outputs.
     """
     rates = _rate_labels(vehicle, law)
     x = Configuration(

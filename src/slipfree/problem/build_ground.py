@@ -17,8 +17,7 @@ from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S
 from slipfree.problem.sharing import shared
 from slipfree.problem.summary import Lines
-from slipfree.terrain.base import Grid
-from slipfree.terrain.friction import check_friction
+from slipfree.terrain.base import Grid, check_friction
 from slipfree.terrain.grid_ops import MAX_NODES, cut, disturbed, scaled, smoothed
 from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, place_rocks

@@ -16,14 +16,17 @@ from slipfree.core.records import Array, field_overview
 from slipfree.terrain.base import (
     TAYLOR,
     Formula,
+    Friction,
     Jet,
     check_formula,
+    check_friction,
+    coefficient,
     jet_of,
+    map_domain,
     polynomial_jet,
     taylor_function,
 )
 from slipfree.terrain.bicubic import Bicubic, friction_map
-from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain
 
 CHUNK = 4096  # points per call of a mapped function, which has a fixed number of points
 EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
@@ -45,7 +48,7 @@ class Analytic:
         by default. [m]
     mu : float, callable, Grid or None
         Coefficient of friction: a number, a function of two SX scalars, or a map, interpolated
-        as in `slipfree.terrain.friction`. None if the ground has no friction coefficient. [1]
+        as in `slipfree.terrain.base`. None if the ground has no friction coefficient. [1]
 
     Raises
     ------

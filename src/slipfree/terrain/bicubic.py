@@ -11,8 +11,16 @@ import numpy as np
 
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array
-from slipfree.terrain.base import Grid, Jet, polynomial_jet
-from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain, pad_border
+from slipfree.terrain.base import (
+    Friction,
+    Grid,
+    Jet,
+    check_friction,
+    coefficient,
+    map_domain,
+    pad_border,
+    polynomial_jet,
+)
 from slipfree.terrain.grid_ops import hole_distance
 from slipfree.terrain.kernel import Layout, Opened, register_ground
 
@@ -48,7 +56,7 @@ class Bicubic:
         an origin near the motion avoids loss of digits. [m]
     mu : float, callable, Grid or None
         Coefficient of friction: a number, a function of two SX scalars in map coordinates, or a
-        map, interpolated as in `slipfree.terrain.friction`; None for a ground without coefficient
+        map, interpolated as in `slipfree.terrain.base`; None for a ground without coefficient
         of friction. [1]
     through : bool
         Whether the surface interpolates the values of the nodes; otherwise it smooths them.

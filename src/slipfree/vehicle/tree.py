@@ -12,8 +12,17 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview, overview
-from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
-from slipfree.geometry.tensor import Elements, tensor
+from slipfree.geometry.frame import (
+    Axis,
+    Elements,
+    Pose,
+    Vector,
+    check_vector,
+    tensor,
+    translation,
+    turn,
+    unit_vector,
+)
 from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
 from slipfree.vehicle.formula import evaluate, names_in
 from slipfree.vehicle.wheel import ORIGIN, Wheel

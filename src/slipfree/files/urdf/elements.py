@@ -20,8 +20,7 @@ from slipfree.files.urdf.xacro import (
 )
 from slipfree.files.urdf.xml import Element, parse_robot
 from slipfree.files.vehicle_draft import MAX_LENGTH, degrees_words, in_order, rotation_of
-from slipfree.geometry.frame import Vector
-from slipfree.geometry.tensor import Elements, in_axes, tensor
+from slipfree.geometry.frame import Elements, Vector, in_axes, tensor
 from slipfree.vehicle.wheel import ORIGIN
 
 DRIVE = re.compile("drive|steer|ackerman|joint.?controller", re.IGNORECASE)  # plugins of Gazebo

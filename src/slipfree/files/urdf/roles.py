@@ -10,8 +10,7 @@ import numpy as np
 
 from slipfree.files.urdf.tree import Link, Mimic, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import vector_of
-from slipfree.geometry.frame import Vector
-from slipfree.geometry.tensor import Elements
+from slipfree.geometry.frame import Elements, Vector
 from slipfree.vehicle.drives import RATE, Drive
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN

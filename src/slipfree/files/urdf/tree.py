@@ -14,8 +14,7 @@ import numpy as np
 
 from slipfree.core.records import Array
 from slipfree.files.vehicle_draft import Guess, UnfitError, Value, rotation_of, vector_of
-from slipfree.geometry.frame import Vector, unit_vector
-from slipfree.geometry.tensor import Elements, in_axes
+from slipfree.geometry.frame import Elements, Vector, in_axes, unit_vector
 from slipfree.vehicle.wheel import ORIGIN
 
 WHEEL = re.compile("wheel|tire|tyre", re.IGNORECASE)

@@ -46,8 +46,7 @@ from slipfree.files.vehicle_draft import (
     toml_line,
     vector_of,
 )
-from slipfree.geometry.frame import Vector, unit_vector
-from slipfree.geometry.tensor import tensor
+from slipfree.geometry.frame import Vector, tensor, unit_vector
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipfree.control.path_tracking import path_inputs, track_path
+from slipfree.control.path_following import path_inputs, track_path
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.core.facts import Fact
