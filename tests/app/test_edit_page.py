@@ -86,8 +86,13 @@ class EditPage:
         """Start the server, on its former port if it had one, and open the address it prints."""
         command = [sys.executable, "-m", "slipfree", "edit", str(self.file), "--no-browser"]
         command += ["--port", str(self.port)] if self.port else []
-        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        line = self.process.stderr.readline() if self.process.stderr else ""
+        for _ in range(20):
+            self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+            line = self.process.stderr.readline() if self.process.stderr else ""
+            if line.startswith("http"):
+                break
+            self.process.wait()  # another program has the port for a moment
+            time.sleep(0.5)
         self.address = line.split()[0]
         self.port = int(self.address.split(":")[2].split("/")[0])
 

@@ -462,7 +462,7 @@ WHEELS, SWIVEL = "radius = 0.1\n", 'kind = "passive"'
     [
         ('"rep103"', "inertia = [1, 2, -3, 0, 0, 0]", "principal moments of inertia must be"),
         (WHEELS, "drive = { kind = 'steam' }", "'kind' is one of 'rate', 'torque', 'm"),
-        (WHEELS, "drive = { kind = 'motor', stall = 2 }", "the key 'no_load' for kind"),
+        (WHEELS, "drive = { kind = 'motor', stall = 2 }", "drive.no_load"),
         (SWIVEL, "drive = { kind = 'steam' }", "v.toml:7: coordinates[0].drive (coordinate 'swi"),
         (SWIVEL, f"drive = {DRIVE}", "expected a drive only for kind = 'commanded', found Motor"),
     ],
