@@ -60,8 +60,7 @@ from slipfree.plan.ipopt import Iterate
 from slipfree.show.sweep_figures import save_sweep_figures
 from slipfree.solve import integrator as module
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import RunRow
-from slipfree.sweep.pools import Done, RunTask, own_settings
+from slipfree.sweep.log import Done, RunRow, RunTask, own_settings
 from slipfree.sweep.run import choose_figures, grids, run_sweep
 from slipfree.sweep.worker import work
 from slipfree.system.threads import NAMES

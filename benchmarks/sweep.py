@@ -24,7 +24,7 @@ from pathlib import Path
 
 from common import HERE, PROBLEMS
 
-from slipfree.sweep.pools import RunTask
+from slipfree.sweep.log import RunTask
 from slipfree.sweep.worker import KEPT, work
 
 PROBLEM = PROBLEMS / "paper_direct.toml"

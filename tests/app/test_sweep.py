@@ -34,8 +34,8 @@ from slipfree.files import netcdf
 from slipfree.show import sweep_figures as show
 from slipfree.sweep import pools
 from slipfree.sweep.grid import axis_of, sweep_of
-from slipfree.sweep.log import RunLog, RunRow
-from slipfree.sweep.pools import ProcessPool, RunTask
+from slipfree.sweep.log import RunLog, RunRow, RunTask
+from slipfree.sweep.pools import ProcessPool
 from slipfree.sweep.run import drawn_grids, grids
 from slipfree.sweep.worker import work
 from slipfree.system import processes

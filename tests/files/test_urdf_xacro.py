@@ -25,7 +25,7 @@ from slipfree.problem.result import build, open_result
 from slipfree.problem.verbs.driving import vehicle_of
 from slipfree.problem.verbs.plan_setup import source_of
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.pools import RunTask
+from slipfree.sweep.log import RunTask
 from slipfree.sweep.run import _tasks as tasks_of
 from slipfree.sweep.worker import work
 

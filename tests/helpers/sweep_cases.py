@@ -13,7 +13,7 @@ import psutil
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.sweep.pools import RunTask
+from slipfree.sweep.log import RunTask
 
 PROBLEM = """\
 verb = "direct"

@@ -22,7 +22,7 @@ from slipfree.vehicle.wheel import ORIGIN, Wheel
 AXLES = ("rear", "middle", "front")
 
 
-class Link(NamedTuple):
+class ClimberLink(NamedTuple):
     """A rigid body connected to the joint.
 
     Its mass [kg] includes the wheels; the centre of mass is ``ahead`` of and ``above`` the joint
@@ -50,8 +50,8 @@ class Climber(NamedTuple):
     """Dimensions of an articulated step climber: radius of all wheels [m], bodies and axles."""
 
     radius: float
-    rear_body: Link
-    front_body: Link
+    rear_body: ClimberLink
+    front_body: ClimberLink
     rear: Axle
     middle: Axle
     front: Axle
@@ -84,7 +84,7 @@ def climber_of(vehicle: Vehicle) -> Climber:
         )
     rear, middle, front = (Axle(w.at[1], (w.inertia or ORIGIN)[0]) for w in vehicle.wheels)
     rear_body, front_body = (
-        Link(body.mass, body.at[1], body.at[2], (body.inertia or ORIGIN)[0])
+        ClimberLink(body.mass, body.at[1], body.at[2], (body.inertia or ORIGIN)[0])
         for body in (vehicle.body, vehicle.joints[0].body)
     )
     return Climber(vehicle.wheels[0].radius, rear_body, front_body, rear, middle, front)

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from slipfree.catalog.step_climber import AXLES, Climber, Link
+from slipfree.catalog.step_climber import AXLES, Climber, ClimberLink
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError
@@ -375,7 +375,7 @@ def equilibrium(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
     return matrix, GRAVITY * np.stack([0 * weight, weight, *levers], axis=1)
 
 
-def center(body: Link, tilt: Array) -> Array:
+def center(body: ClimberLink, tilt: Array) -> Array:
     """Return the centre of mass of a body relative to the joint, shape (n, 2) [m]."""
     forward, up = np.cos(tilt), np.sin(tilt)
     return np.stack(

@@ -1,4 +1,4 @@
-"""Log of a sweep: one line of JSON per finished run, synchronised to disk.
+"""Tasks of a sweep and their rows; log with one line of JSON per finished run, synchronised to disk.
 
 Complete lines are kept if the sweep is killed. An incomplete line is removed when the sweep
 continues, and its run is repeated.
@@ -17,12 +17,16 @@ from types import TracebackType
 from typing import IO, Any, NamedTuple
 
 from slipfree.core.errors import DataError
+from slipfree.core.records import Array
+from slipfree.core.trajectory import Trajectory
+from slipfree.files.netcdf import NOTHING
 
 try:
     import fcntl
 except ImportError:  # Windows has no such lock: the user must avoid two sweeps at a time
     fcntl = None  # type: ignore[assignment]
 
+COMPLETE = "complete"  # figure of every run: 1 if it reached its end
 NAME = "runs.jsonl"
 FAILED, LOST = "failed", "lost"
 WORDS = {
@@ -305,3 +309,67 @@ def _how(key: str, old: Any, new: Any) -> str:
 def _short(value: Any) -> str:
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+class RunTask(NamedTuple):
+    """Task for a process: one run, with the text of the problem but not its input files.
+
+    Attributes
+    ----------
+    run : int
+        Number of the run.
+    file : str
+        Path of the problem file; input files are read relative to its folder.
+    text : str
+        Text of the problem file.
+    settings : tuple of str
+        Settings as ``key=value``.
+    own : int
+        Number of settings that are specific to this run; they are the last ones.
+    keep : bool
+        Whether to return the motion.
+    files : str
+        Identifier of the content of the input files. Runs of one process share maps and models if
+        it is the same.
+    trusted : frozenset of str
+        Paths of xacro files that the command line trusts.
+    """
+
+    run: int
+    file: str
+    text: str
+    settings: tuple[str, ...]
+    own: int
+    keep: bool
+    files: str
+    trusted: frozenset[str] = frozenset()
+
+
+class Done(NamedTuple):
+    """The result of a task.
+
+    Attributes
+    ----------
+    row : RunRow
+        Row for log and table.
+    trajectory : Trajectory or None
+        The motion, if it is requested and exists.
+    arrays : mapping of str to ndarray
+        Arrays of a plan for a warm start; empty for other motions.
+    """
+
+    row: RunRow
+    trajectory: Trajectory | None = None
+    arrays: Mapping[str, Array] = NOTHING
+
+
+def without_motion(task: RunTask, outcome: str, words: str, seconds: float = 0.0) -> Done:
+    """Return the result of a failed or lost run, with the reason; it has no motion."""
+    return Done(
+        RunRow(task.run, own_settings(task), outcome, words, None, {COMPLETE: (0.0, "1")}, seconds)
+    )
+
+
+def own_settings(task: RunTask) -> tuple[str, ...]:
+    """Return the settings of a task that are specific to its run."""
+    return task.settings[len(task.settings) - task.own :]

@@ -18,8 +18,8 @@ from slipfree.files.tables import write_rows
 from slipfree.problem.load import verb_of
 from slipfree.problem.units import unit_of
 from slipfree.sweep.grid import Run, Sweep
-from slipfree.sweep.log import FAILED, LOST, NAME, Rows, RunLog, RunRow
-from slipfree.sweep.pools import COMPLETE, Pool, RunTask
+from slipfree.sweep.log import COMPLETE, FAILED, LOST, NAME, Rows, RunLog, RunRow, RunTask
+from slipfree.sweep.pools import Pool
 from slipfree.system.processes import Poll, finish_tasks
 from slipfree.system.regular_files import check_name
 

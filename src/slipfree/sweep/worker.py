@@ -15,8 +15,16 @@ from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.problem.load import load_again, verb_of
 from slipfree.problem.problem import Problem, Shared, sharing
 from slipfree.problem.result import run_problem
-from slipfree.sweep.log import FAILED, LOST, RunRow
-from slipfree.sweep.pools import COMPLETE, Done, RunTask, own_settings, without_motion
+from slipfree.sweep.log import (
+    COMPLETE,
+    FAILED,
+    LOST,
+    Done,
+    RunRow,
+    RunTask,
+    own_settings,
+    without_motion,
+)
 
 ALONE = threading.Lock()  # CasADi's objects are not thread-safe
 KEPT: Shared = {}  # map and model of the latest run

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from slipfree.files.urdf.joint_guesses import with_separate_balls
-from slipfree.files.urdf.tree import Box, Findings, Link, Mesh, Mimic, Shape, Tree, UrdfJoint
+from slipfree.files.urdf.tree import Box, Findings, Link, MeshFile, Mimic, Shape, Tree, UrdfJoint
 from slipfree.files.urdf.xacro import (
     check_macro_calls,
     link_at,
@@ -174,7 +174,7 @@ def _solid(element: Element, kind: str) -> Element | None:
     return None if geometry is None else geometry.first(kind)
 
 
-def _mesh(element: Element, findings: Findings, who: str) -> Mesh | None:
+def _mesh(element: Element, findings: Findings, who: str) -> MeshFile | None:
     mesh = _solid(element, "mesh")
     if mesh is None:
         return None
@@ -188,7 +188,7 @@ def _mesh(element: Element, findings: Findings, who: str) -> Mesh | None:
         text = mesh.attributes["scale"]
         message = f"expected factors other than zero in 'scale', found {text!r}; correct them"
         findings.add(mesh.line, f"{who}: mesh: {message}")
-    return Mesh(mesh.attributes.get("filename", ""), scale, at, turned)
+    return MeshFile(mesh.attributes.get("filename", ""), scale, at, turned)
 
 
 def _box(element: Element, findings: Findings, who: str) -> Box | None:

@@ -14,10 +14,10 @@ import numpy as np
 
 from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
-from slipfree.files.urdf.tree import Mesh, Shape
+from slipfree.files.urdf.tree import MeshFile, Shape
 from slipfree.files.urdf.xacro import package_folders
 from slipfree.files.vehicle_draft import MAX_LENGTH, rotation_of, vector_of
-from slipfree.geometry.mesh import Mesh as Triangles
+from slipfree.geometry.mesh import Mesh
 from slipfree.system.processes import ProcessDiedError, bounded_call, bounded_read
 from slipfree.system.regular_files import read_bytes
 
@@ -39,7 +39,7 @@ MAX_GAP = np.radians(50.0)  # largest angle about the axis between points on the
 FIT = 0.01  # largest error of a circle fitted to a rounded tread, in radii
 
 
-def mesh_shape(meshes: Sequence[Mesh], axis: Array, files: MeshFiles) -> Shape | None:
+def mesh_shape(meshes: Sequence[MeshFile], axis: Array, files: MeshFiles) -> Shape | None:
     """Return the body of revolution that encloses the meshes of a link, about an axis.
 
     The axis, a unit vector in the link's frame, goes through the link's origin. The radius is the
@@ -80,8 +80,8 @@ class MeshFiles:
     Their names are relative to the folder of the URDF.
     """
 
-    def __init__(self, meshes: Iterable[Mesh], folder: Path) -> None:
-        self._read: dict[str, Triangles | DataError] = {}
+    def __init__(self, meshes: Iterable[MeshFile], folder: Path) -> None:
+        self._read: dict[str, Mesh | DataError] = {}
         files: dict[str, Path] = {}
         for name in dict.fromkeys(mesh.name for mesh in meshes):
             try:
@@ -91,17 +91,17 @@ class MeshFiles:
         if files:
             self._read |= zip(files, _read_files([*files.values()]), strict=True)
 
-    def triangles(self, mesh: Mesh) -> Triangles:
+    def triangles(self, mesh: MeshFile) -> Mesh:
         """Return the triangles of a mesh in the frame of its link, or raise its DataError."""
         read = self._read[mesh.name]
         if isinstance(read, DataError):
             raise read
         vertices: Array = read.vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
         is_mirrored = np.prod(mesh.scale) < 0
-        return Triangles(vertices, read.faces[:, ::-1] if is_mirrored else read.faces)
+        return Mesh(vertices, read.faces[:, ::-1] if is_mirrored else read.faces)
 
 
-def unit_words(mesh: Mesh, factor: float) -> str:
+def unit_words(mesh: MeshFile, factor: float) -> str:
     """Return a question about the unit of a mesh and the attribute that scales it by a factor."""
     if factor not in UNITS:
         return "correct its scale"
@@ -130,7 +130,7 @@ def unit_factor(radii: Array, centers: Array, axle: Array, own: int) -> float | 
     return next((unit for unit in UNITS if low <= unit * radius / extent <= high), 1.0)
 
 
-def _read_files(paths: Sequence[Path]) -> list[Triangles | DataError]:
+def _read_files(paths: Sequence[Path]) -> list[Mesh | DataError]:
     if find_spec("trimesh") is None:
         return [DataError(missing_package("trimesh", "urdf")) for _ in paths]
     size = sum(path.stat().st_size for path in paths)
@@ -140,18 +140,18 @@ def _read_files(paths: Sequence[Path]) -> list[Triangles | DataError]:
         return [_attempt(bounded_read, _read_file, path) for path in paths]
 
 
-def _attempt(read: Callable[..., Triangles], *arguments: Any) -> Triangles | DataError:
+def _attempt(read: Callable[..., Mesh], *arguments: Any) -> Mesh | DataError:
     try:
         return read(*arguments)
     except DataError as error:
         return error
 
 
-def _read_each(paths: Sequence[Path]) -> list[Triangles | DataError]:
+def _read_each(paths: Sequence[Path]) -> list[Mesh | DataError]:
     return [_attempt(_read_file, path) for path in paths]
 
 
-def _read_file(path: Path) -> Triangles:
+def _read_file(path: Path) -> Mesh:
     """Return the triangles in a file in metres; raise DataError if it cannot be read."""
     import trimesh
 
@@ -176,7 +176,7 @@ def _read_file(path: Path) -> Triangles:
             f"expected a mesh of points with finite coordinates, found none in {path.name!r}; "
             "export it again"
         )
-    return Triangles(vertices, faces)
+    return Mesh(vertices, faces)
 
 
 def find_mesh(name: str, folder: Path) -> Path:

@@ -46,7 +46,7 @@ class Box(NamedTuple):
     turned: Vector
 
 
-class Mesh(NamedTuple):
+class MeshFile(NamedTuple):
     """A mesh in the frame of its link: name and scale as in the URDF, and the pose [m, rad]."""
 
     name: str
@@ -66,13 +66,13 @@ class Link(NamedTuple):
         Mass; None if the URDF does not contain it. [kg]
     center : tuple of 3 floats
         Centre of mass in the frame of the link. [m]
-    shapes, meshes, boxes : tuple of Shape, Mesh and Box
+    shapes, meshes, boxes : tuple of Shape, MeshFile and Box
         Cylinders and spheres, meshes, and boxes among the collision shapes; if there are none of
         the kind, among the visual shapes.
     inertia : tuple of 6 floats or None
         ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre of mass, in the axes of the link; None if
         they are missing, or impossible for a body. [kg m^2]
-    visuals : tuple of Mesh
+    visuals : tuple of MeshFile
         Meshes among the visual shapes.
     """
 
@@ -80,10 +80,10 @@ class Link(NamedTuple):
     mass: float | None = None
     center: Vector = ORIGIN
     shapes: tuple[Shape, ...] = ()
-    meshes: tuple[Mesh, ...] = ()
+    meshes: tuple[MeshFile, ...] = ()
     boxes: tuple[Box, ...] = ()
     inertia: Elements | None = None
-    visuals: tuple[Mesh, ...] = ()
+    visuals: tuple[MeshFile, ...] = ()
 
 
 class Mimic(NamedTuple):

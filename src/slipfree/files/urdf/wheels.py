@@ -23,7 +23,7 @@ from slipfree.files.urdf.tree import (
     STEEP,
     WHEEL,
     Findings,
-    Mesh,
+    MeshFile,
     Shape,
     Tree,
     UrdfJoint,
@@ -55,7 +55,7 @@ OMNI = re.compile("omni|mecanum|swedish", re.IGNORECASE)
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
 RIGHT = (0.0, -1.0, 0.0)
-T = TypeVar("T", Shape, Mesh)
+T = TypeVar("T", Shape, MeshFile)
 
 
 class Wheels:
@@ -488,7 +488,7 @@ def _with_fixed_shapes(tree: Tree) -> Tree:
             continue
         rotation, origin = tree.frames[joint.child]
         shapes: list[Shape] = []
-        meshes: list[Mesh] = []
+        meshes: list[MeshFile] = []
         for below in (part for part in tree.below(joint.child) if part.name in turning):
             turn, at = tree.frames[below.child]
             pose = rotation.T @ turn, rotation.T @ (at - origin)
