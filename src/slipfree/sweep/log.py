@@ -1,4 +1,4 @@
-"""Tasks of a sweep and their rows; log with one line of JSON per finished run, synchronised to disk.
+"""Tasks and rows of a sweep, and its log: a line of JSON per finished run, synchronised to disk.
 
 Complete lines are kept if the sweep is killed. An incomplete line is removed when the sweep
 continues, and its run is repeated.
