@@ -13,7 +13,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.plan.ipopt import NlpSolution, solve_program
-from slipfree.plan.optimality import check_optimality, limit_prices, prices_words
+from slipfree.plan.optimality import check_optimality, limit_prices, price_rows, prices_words
 from slipfree.plan.plan import plan
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, TimedCondition, transcribe
@@ -154,7 +154,7 @@ def test_prices_are_the_derivatives_of_the_least_cost(model):
         f"steer of the vehicle {side} rad: 0.001 rad {direction} saves {share:.2g} % of the cost"
     )
     assert price.words == words
-    assert words in prices_words(found.prices)
+    assert words in prices_words(price_rows(found.prices))
     assert prices_words(()) == "no limit increases the cost noticeably"
 
 
