@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from slipfree.cli import app
+from slipfree.core.facts import Fact
 from slipfree.files import netcdf
 from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
@@ -177,3 +178,12 @@ def test_a_weight_of_the_heading_is_one_of_that_of_the_problem(problem: Path) ->
         (cost,) = costs_of(dae, {"heading": 1.0})
         squared = ca.Function("cost", [dae.x.heading], [cost.expression])
         assert float(squared(0.3)) == pytest.approx((0.3 + offset) ** 2)
+
+
+def test_facts_of_other_types_are_refused_by_name(problem: Path) -> None:
+    _invoke("run", str(problem), "--no-draw")
+    run = netcdf.read("p.nc").with_facts({"slip_by_wheel": Fact([["front", 1.0]])})
+    netcdf.write("p.nc", run)
+    done = CliRunner().invoke(app, ["info", "p.nc"])
+    assert done.exit_code == 2
+    assert done.stderr.startswith("p.nc: expected facts as slipfree run writes them, found others")

@@ -33,7 +33,6 @@ from slipfree.fit.windows import Windows, end_poses
 from slipfree.system.interrupt import check_interrupt, interrupt_requested
 from slipfree.vehicle.tree import Vehicle
 
-LOSSES = ("soft_l1", "linear")
 Loss = Literal["soft_l1", "linear"]
 REWEIGHTINGS = 4  # estimates, each with the deviations of the residuals of the one before
 NORMAL_MEDIAN = 0.6745  # median of the absolute value of a standard normal variable

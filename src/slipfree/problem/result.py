@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -216,15 +216,33 @@ def open_result(
 
 
 def motion_facts(run: Trajectory) -> Lines:
-    """Return the summary of a motion, pairs of name and text."""
+    """Return the summary of a stored motion, pairs of name and text.
+
+    DataError is raised if facts of the result file have other types than those of its verb.
+    """
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
-    return plain_facts(run) if verb is None else verb.summary(run)
+    with _readable_facts():
+        return plain_facts(run) if verb is None else verb.summary(run)
 
 
 def facts_of(run: Trajectory) -> Mapping[str, Fact]:
-    """Return the facts of a motion, by name."""
+    """Return the facts of a stored motion, by name; errors are those of `motion_facts`."""
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
-    return run.facts if verb is None else verb.facts(run)
+    with _readable_facts():
+        return run.facts if verb is None else verb.facts(run)
+
+
+@contextmanager
+def _readable_facts() -> Iterator[None]:
+    try:
+        yield
+    except (AttributeError, TypeError, ValueError) as error:
+        if isinstance(error, SlipfreeError):
+            raise
+        raise DataError(
+            f"expected facts as slipfree run writes them, found others ({error}); run the problem "
+            "again"
+        ) from error
 
 
 def shown(file: Path, name: str, folder: Path | None = None) -> Any:
