@@ -304,6 +304,11 @@ class Dae(Generic[X, Z, U, Y]):
         Model whose simulation verifies plans on this model, if it is not this model.
     held : HeldTerms or None
         Terms of ``ode`` whose derivatives the Jacobian of a simulation neglects, if any.
+    linear : tuple of two SX, shapes (n, n) and (n, 1), or None
+        Matrix and right side of linear equations with the solution of the second block of
+        ``alg``, if there is a form that takes fewer operations than the Jacobian of the block.
+    leading_rates : SX, shape (k, 1)
+        Rates of the first k unknowns of ``z``, if other unknowns determine them; empty otherwise.
     p : tuple of Parameter
         Numbers that are symbols of the model. Solvers take models without parameters:
         `slipfree.core.rearrange.with_values` replaces the symbols by numbers.
@@ -360,6 +365,8 @@ class Dae(Generic[X, Z, U, Y]):
     lookups: tuple[Lookup, ...] = ()
     replay: Replay | None = None
     held: HeldTerms | None = None
+    linear: tuple[ca.SX, ca.SX] | None = None
+    leading_rates: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
     p: tuple[Parameter, ...] = ()
     reported: Mapping[str, float] = field(default_factory=dict)
 

@@ -16,6 +16,27 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
+
+
+class Cells(NamedTuple):
+    """Cells of a bicubic spline, from which compiled code looks up polynomials.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (n_x + 2, n_y + 2)
+        Coefficients of the uniform cubic B-splines, divided by 36. [m]
+    place, spacing : tuple of 2 floats
+        Local coordinates of the node nearest to the local origin, and distances between nodes. [m]
+    node, last : tuple of 2 ints
+        Indices of that node and of the last cell, along x and y.
+    """
+
+    coefficients: Array
+    place: tuple[float, float]
+    spacing: tuple[float, float]
+    node: tuple[int, int]
+    last: tuple[int, int]
 
 
 class Lookup(NamedTuple):
@@ -32,12 +53,15 @@ class Lookup(NamedTuple):
     order : float
         Highest order up to which derivatives of expressions of the result, with respect to the
         argument, are exact; infinite for a bicubic ground.
+    cells : Cells or None
+        Cells in which the function looks up the polynomial at the first two rows of its argument.
     """
 
     argument: ca.SX
     found: ca.SX
     function: ca.Function
     order: float
+    cells: Cells | None = None
 
 
 class LookupTable:
@@ -51,7 +75,14 @@ class LookupTable:
         """Lookups in the order of their creation, which is a valid order of evaluation."""
         return tuple(lookup for lookup, _ in self._known.values())
 
-    def find(self, function: ca.Function, argument: ca.SX, *, order: float = inf) -> ca.SX:
+    def find(
+        self,
+        function: ca.Function,
+        argument: ca.SX,
+        *,
+        order: float = inf,
+        cells: Cells | None = None,
+    ) -> ca.SX:
         """Return symbols that represent the result of a function of an argument.
 
         Calls with equal functions, arguments and orders share a lookup and its symbols.
@@ -64,6 +95,8 @@ class LookupTable:
             Argument of the function, in the symbols of the model and of earlier lookups.
         order : float
             Highest order of exact derivatives, as in `Lookup`.
+        cells : Cells, optional
+            Cells of the function, as in `Lookup`.
 
         Returns
         -------
@@ -74,7 +107,7 @@ class LookupTable:
         key = (hash(function), order, *entries)
         if key not in self._known:
             found = ca.SX.sym(f"found{len(self._known)}", function.numel_out(0))
-            lookup = Lookup(argument, found, constant_function(function), order)
+            lookup = Lookup(argument, found, constant_function(function), order, cells)
             # the function is kept alive: another one could get its hash
             self._known[key] = lookup, function
         return self._known[key][0].found

@@ -40,7 +40,8 @@ class LeastSlip:
     def equations(self, motion: Motion, unknowns: Multipliers) -> Equations:
         """Return the stationarity conditions with respect to rates and multipliers."""
         pairs = zip(motion.weights, motion.slips, strict=True)
-        return stationarity(ca.SX(sum(0.5 * w * ca.sumsqr(s) for w, s in pairs)), motion, unknowns)
+        cost = ca.SX(sum(0.5 * w * ca.sumsqr(s) for w, s in pairs))
+        return stationarity(cost, motion, unknowns)._replace(linear=_linear_form(motion))
 
 
 def stationarity(cost: ca.SX, motion: Motion, unknowns: Multipliers) -> Equations:
@@ -48,7 +49,7 @@ def stationarity(cost: ca.SX, motion: Motion, unknowns: Multipliers) -> Equation
 
     The cost is a function of the slip velocities [m^2/s^2]; ``unknowns`` are the multipliers.
     """
-    names, rows = motion.constraints
+    names, rows = motion.constraints[:2]
     lagrangian = cost + sum(
         multiplier * row
         for multiplier, row in zip(unknowns.multipliers, ca.vertsplit(rows), strict=True)
@@ -60,6 +61,28 @@ def stationarity(cost: ca.SX, motion: Motion, unknowns: Multipliers) -> Equation
             for unit, label in zip(units, (*motion.labels, *names), strict=True)
         ),
         ca.gradient(lagrangian, ca.vertcat(motion.rates, pack(unknowns))),
+    )
+
+
+def _linear_form(motion: Motion) -> tuple[ca.SX, ca.SX]:
+    """Return the stationarity conditions as linear equations of rates and multipliers.
+
+    With the slip components ``A w + b`` in the ground and the constraints ``C w + d = 0``, they are
+    ``A'W A w + C' lambda = -A'W b`` and ``C w = -d``: a third of the operations of the Hessian of
+    the Lagrangian.
+    """
+    matrix, offset = motion.components
+    tangential = [k for k in range(offset.numel()) if k % 3 != 2]
+    a, b, rows = matrix[tangential, :], offset[tangential], motion.constraints.rows
+    weighted = ca.SX(a)
+    for k, weight in enumerate(motion.weights):
+        weighted[2 * k : 2 * k + 2, :] *= weight
+    c, d = ca.jacobian(rows, motion.rates), ca.substitute(rows, motion.rates, motion.rates * 0)
+    n = rows.numel()
+    hessian = ca.tril2symm(ca.tril(weighted.T @ a))  # equal entries are one expression
+    return (
+        ca.blockcat([[hessian, c.T], [c, ca.SX(n, n)]]),
+        -ca.vertcat(weighted.T @ b, d),
     )
 
 

@@ -30,10 +30,14 @@ class Equations(NamedTuple):
         Name, unit and description of each residual.
     rows : SX, shape (n, 1)
         The residuals, in the labels' units.
+    linear : tuple of two SX, shapes (n, n) and (n, 1), or None
+        Matrix and right side of linear equations with the same solution, if the law has a form
+        that takes fewer operations than the Jacobian of the residuals.
     """
 
     labels: tuple[Label, ...]
     rows: ca.SX
+    linear: tuple[ca.SX, ca.SX] | None = None
 
 
 class Motion(NamedTuple):
@@ -57,6 +61,9 @@ class Motion(NamedTuple):
         (`slipfree.models.kinematics`).
     weights : tuple of SX or float
         Weight of each wheel's slip: about one on the ground, about zero in the air. [1]
+    components : tuple of two SX, shapes (3 n_wheels, n_rates) and (3 n_wheels, 1)
+        Derivatives of the slip components along, across and normal to every wheel with respect to
+        the rates, and the part that does not depend on the rates.
     """
 
     vehicle: Vehicle
@@ -66,6 +73,7 @@ class Motion(NamedTuple):
     labels: tuple[Label, ...]
     constraints: Equations
     weights: tuple[Any, ...]
+    components: tuple[ca.SX, ca.SX]
 
 
 @runtime_checkable

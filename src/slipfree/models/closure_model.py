@@ -113,6 +113,8 @@ def closure_dae(
         suppress_algebraic=suppress_algebraic,
         continuation=continuation,
         lookups=q.lookups.lookups,
+        linear=law.linear,
+        leading_rates=ca.vertcat(q.rates.z, q.rates.roll, q.rates.pitch, *q.rates.suspension),
     )
 
 

@@ -280,6 +280,7 @@ def _slip_equations(
         tuple(leaves(labels.z.rates.motion)),
         Equations(_relaxation_labels(q.vehicle), rest),
         tuple(ca.vertsplit(pressed.touch + AIR_WEIGHT)),
+        (q.mechanics.free, q.mechanics.driven @ pack(q.u)),
     )
     return slip.equations(motion, q.rates.law)
 
@@ -324,6 +325,7 @@ def _dae(
         suppress_algebraic=True,  # contacts and rates follow from the states
         rest=_first_pose(q),
         lookups=q.lookups.lookups,
+        linear=law.linear,
     )
 
 
@@ -470,6 +472,7 @@ def slip_equations(slip: SlipLaw, labels: Labels, q: Quantities) -> Equations:
         tuple(leaves(labels.z.rates.motion)),
         Equations(contact_labels(q.vehicle), ca.vertcat(*normal)),
         (1.0,) * len(q.slips),
+        (q.mechanics.free, q.mechanics.driven @ pack(q.u)),
     )
     return slip.equations(motion, q.rates.law)
 

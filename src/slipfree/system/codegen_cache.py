@@ -22,6 +22,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 import casadi as ca
 import platformdirs
@@ -38,6 +39,7 @@ NO_COMPILER = (
 CACHE_DISABLED = f"{FOLDER} is empty; unset it, or set it to a folder"
 COMPILER_TIMEOUT = 300.0  # [s]
 MIN_OPERATIONS = 300  # smaller functions are not compiled
+T = TypeVar("T")
 MAX_LIBRARIES = 64  # libraries in the cache, of about a megabyte each
 SCRATCH_PREFIX = "making-"  # prefix of the compiler's working folders
 DIGEST_LENGTH = 32  # number of characters of a digest
@@ -64,18 +66,48 @@ def library(
         The functions in the order of ``names``; None if they can be neither loaded from the
         cache nor compiled. A warning then gives the reason.
     """
-    key = _key(text)
+
+    def load(file: str) -> tuple[ca.Function, ...]:
+        return tuple(ca.external(name, file) for name in names)
+
+    return shared_library(text, lambda: source(make()), load)
+
+
+def shared_library(
+    text: str, make: Callable[[], str], load: Callable[[str], T], flags: Sequence[str] = FLAGS
+) -> T | None:
+    """Return what ``load`` finds in a compiled library, from the cache if it contains the library.
+
+    Parameters
+    ----------
+    text : str
+        Key of the cache: equal texts must mean equal libraries.
+    make : callable
+        ``make()`` returns the C source; it is called only for a compilation.
+    load : callable
+        ``load(path)`` opens the library; it raises OSError or RuntimeError if the library is
+        damaged.
+    flags : sequence of str
+        Flags of the compiler, part of the key.
+
+    Returns
+    -------
+    object or None
+        Result of ``load``; None if the library can be neither loaded from the cache nor compiled.
+        A warning then gives the reason.
+    """
+    key = _key(text, flags)
     try:
         if (cache := folder()) is None:
             raise _UnavailableError(CACHE_DISABLED)
         _prepare(cache)
-        if found := _load_cached(cache, key, names):
-            return found
+        if (loaded := _load_cached(cache, key, load)) is not None:
+            return loaded
         if (command := compiler()) is None:
             raise _UnavailableError(NO_COMPILER)
-        _compile(cache, key, make(), command)
-        if found := _load_cached(cache, key, names):
-            return found
+        _compile(cache, key, make(), [*command, *flags])
+        if (loaded := _load_cached(cache, key, load)) is not None:
+            return loaded
         raise _UnavailableError(
             f"the library compiled by {shlex.join(command)} cannot be loaded; set CC to another "
             "C compiler"
@@ -140,9 +172,9 @@ def source(functions: Sequence[ca.Function]) -> str:
     return str(generator.dump())
 
 
-def _key(text: str) -> str:
+def _key(text: str, flags: Sequence[str]) -> str:
     """Return the digest of a text, the platform, the compiler flags and CasADi's version."""
-    parts = (ca.CasadiMeta.version(), platform.system(), platform.machine(), *FLAGS, text)
+    parts = (ca.CasadiMeta.version(), platform.system(), platform.machine(), *flags, text)
     return digest("\n".join(parts).encode())
 
 
@@ -213,8 +245,8 @@ def compiler() -> list[str] | None:
     return None
 
 
-def _load_cached(cache: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...] | None:
-    """Return the functions cached under a key; remove damaged libraries of that key.
+def _load_cached(cache: Path, key: str, load: Callable[[str], T]) -> T | None:
+    """Return what is loaded from the library of a key; remove damaged libraries of that key.
 
     The result is None if there is no usable library.
     """
@@ -222,10 +254,10 @@ def _load_cached(cache: Path, key: str, names: Sequence[str]) -> tuple[ca.Functi
         try:
             same = file.suffixes[-2] == f".{digest(file.read_bytes())}"
             if same and _is_private(file.lstat()) and not file.is_symlink():
-                found = tuple(ca.external(name, str(file)) for name in names)
+                loaded = load(str(file))
                 with suppress(OSError):  # the folder may be read-only
                     os.utime(file)  # the least recently used library is removed first
-                return found
+                return loaded
         except (OSError, RuntimeError):  # removed by another process, or not loadable
             pass
         with suppress(OSError):  # the folder may be read-only
@@ -238,10 +270,10 @@ def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:DIGEST_LENGTH]
 
 
-def _compile(
-    cache: Path, key: str, functions: Sequence[ca.Function], command: Sequence[str]
-) -> None:
-    """Compile functions and store the library in the cache; its key and digest name the file.
+def _compile(cache: Path, key: str, code: str, command: Sequence[str]) -> None:
+    """Compile C code and store the library in the cache; its key and digest name the file.
+
+    ``command`` is the compiler with its flags.
 
     Raises _UnavailableError if the cache cannot be written, or the compiler cannot be started,
     fails, takes more than 300 s or writes no library.
@@ -249,9 +281,9 @@ def _compile(
     try:
         with tempfile.TemporaryDirectory(dir=cache, prefix=SCRATCH_PREFIX) as scratch:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"
-            text.write_text(source(functions), encoding="utf-8")
+            text.write_text(code, encoding="utf-8")
             try:
-                _run([*command, *FLAGS, "-o", str(file), str(text), "-lm"])
+                _run([*command, "-o", str(file), str(text), "-lm"])
             except OSError as error:
                 raise _UnavailableError(
                     f"{shlex.join(command)}: the C compiler cannot be started ({error.strerror}); "

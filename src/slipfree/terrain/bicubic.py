@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.core.lookups import LookupTable
+from slipfree.core.lookups import Cells, LookupTable
 from slipfree.core.records import Array
 from slipfree.terrain.base import (
     Friction,
@@ -22,7 +22,7 @@ from slipfree.terrain.base import (
     polynomial_jet,
 )
 from slipfree.terrain.grid_ops import hole_distance
-from slipfree.terrain.kernel import Layout, Opened, register_ground
+from slipfree.terrain.kernel import Opened, register_ground
 
 KNOT_TOLERANCE = 1e-10  # points closer to a knot count as on it, in cells
 HOLE_CLEARANCE = 1 / 3  # smoothing shifts the zero of the distance by less, in cells
@@ -147,7 +147,8 @@ class Bicubic:
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
         """Return height, gradient and Hessian at a local point."""
         cell, key = self._cell
-        return polynomial_jet(lookups.find(cell, ca.vertcat(x, y, key)), CUBIC, x, y)
+        found = lookups.find(cell, ca.vertcat(x, y, key), cells=self._spline)
+        return polynomial_jet(found, CUBIC, x, y)
 
     def nearest_point(self, r1: float, r2: float, radius: float) -> ca.Function | None:
         """Return the compiled search for the ground point nearest to a torus; None without kernel.
@@ -304,11 +305,15 @@ class Bicubic:
         return coefficients
 
     @cached_property
-    def _kernel(self) -> Opened | None:
+    def _spline(self) -> Cells:
         (x_0, y_0, _), (i, j) = self.origin, (cell[0] for cell in self._cells)
         place = float(self.grid.x[i] - x_0), float(self.grid.y[j] - y_0)
         last = self._cells[0][1], self._cells[1][1]
-        return register_ground(self._table, Layout(place, self.grid.spacing, (i, j), last))
+        return Cells(self._table, place, self.grid.spacing, (i, j), last)
+
+    @cached_property
+    def _kernel(self) -> Opened | None:
+        return register_ground(self._spline)
 
     @cached_property
     def _cell(self) -> tuple[ca.Function, float]:

@@ -18,23 +18,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.core.lookups import Cells
 from slipfree.core.records import Array
 
 KEY_BITS = 52  # bits of integers that a double represents exactly
 LAYOUT = 3  # version of the arguments of `kernel.c`; libraries of other versions are not used
-
-
-class Layout(NamedTuple):
-    """Positions of the cells that belong to a table of spline coefficients.
-
-    Local coordinates of the node nearest to the local origin and distances between nodes [m],
-    indices of that node and of the last cell, along x and y.
-    """
-
-    place: tuple[float, float]
-    spacing: tuple[float, float]
-    node: tuple[int, int]
-    last: tuple[int, int]
 
 
 class Opened(NamedTuple):
@@ -63,18 +51,16 @@ class Opened(NamedTuple):
         return heights
 
 
-def register_ground(table: Array, layout: Layout) -> Opened | None:
+def register_ground(cells: Cells) -> Opened | None:
     """Register a ground with the compiled evaluator; return None without evaluator or free slot.
 
-    ``table`` (n_x + 2, n_y + 2) are the coefficients of the spline, kept while it is in use [m].
+    The coefficients of the cells are kept while they are in use.
     """
     compiled = library()
     if compiled is None:
         return None
     key = float(secrets.randbits(KEY_BITS))
-    numbers = np.array(
-        [key, *layout.place, *layout.spacing, *layout.node, *layout.last], dtype=float
-    )
+    numbers, table = np.array([key, *(n for pair in cells[1:] for n in pair)]), cells.coefficients
     with _LOCK:
         free = [slot for slot in range(compiled.kernel_slots()) if not compiled.kernel_in_use(slot)]
         for slot in free:

@@ -1,0 +1,1 @@
+"""Very many poses and motions at once: fixed steps with exact contact, many lanes per register."""

@@ -1,0 +1,296 @@
+"""Evaluate graphs at many states: compiled for the vector registers of the machine, or interpreted.
+
+CasADi's list of instructions is written as C code in which every number is a vector, one lane for
+each state. Numeric constants are arguments of the code, so that a library serves all vehicles of
+the same structure on all maps.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from collections.abc import Callable, Sequence
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from slipfree.batch.graph import Graph, Graphs, graphs_of
+from slipfree.core.dae import Dae
+from slipfree.core.evaluation import evaluate
+from slipfree.core.lookups import Cells
+from slipfree.core.records import Array
+from slipfree.system.codegen_cache import compiler, shared_library
+
+FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
+LANES = (("__AVX512F__", 8), ("__AVX__", 4))  # doubles in a register, by macro of the compiler
+PORTABLE_LANES = 2  # on other machines
+PROBE_TIMEOUT = 20.0  # [s]
+BINARY = {
+    ca.OP_ADD: "+",
+    ca.OP_SUB: "-",
+    ca.OP_MUL: "*",
+    ca.OP_DIV: "/",
+}
+CALLS = {
+    ca.OP_LT: "lt",
+    ca.OP_LE: "le",
+    ca.OP_EQ: "eq",
+    ca.OP_NE: "ne",
+    ca.OP_AND: "and",
+    ca.OP_OR: "or",
+    ca.OP_NOT: "not",
+    ca.OP_IF_ELSE_ZERO: "if_else_zero",
+    ca.OP_FMIN: "vmin",
+    ca.OP_FMAX: "vmax",
+    ca.OP_FABS: "vabs",
+    ca.OP_SIGN: "vsign",
+    ca.OP_COPYSIGN: "vcopysign",
+    ca.OP_SQRT: "vsqrt",
+    ca.OP_SIN: "vsin",
+    ca.OP_COS: "vcos",
+    ca.OP_TAN: "vtan",
+    ca.OP_ASIN: "vasin",
+    ca.OP_ACOS: "vacos",
+    ca.OP_ATAN: "vatan",
+    ca.OP_ATAN2: "vatan2",
+    ca.OP_SINH: "vsinh",
+    ca.OP_COSH: "vcosh",
+    ca.OP_TANH: "vtanh",
+    ca.OP_EXP: "vexp",
+    ca.OP_LOG: "vlog",
+    ca.OP_EXPM1: "vexpm1",
+    ca.OP_LOG1P: "vlog1p",
+    ca.OP_POW: "vpow",
+    ca.OP_CONSTPOW: "vpow",
+    ca.OP_FMOD: "vfmod",
+    ca.OP_HYPOT: "vhypot",
+    ca.OP_FLOOR: "vfloor",
+    ca.OP_CEIL: "vceil",
+}
+
+
+class Evaluator(Protocol):
+    """Evaluation of the graphs of a model at the columns of an array of states."""
+
+    graphs: Graphs
+
+    def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
+        """Return the results of a graph, shape (n_results, n).
+
+        Parameters
+        ----------
+        graph : Graph
+            One of the graphs.
+        states : ndarray, shape (n_rows, n)
+            States, one in each column, with contiguous rows.
+        slope : float
+            Factor of all derivatives of the ground, for a start on a flattened ground. [1]
+        """
+
+
+@lru_cache(maxsize=8)
+def evaluator_of(dae: Dae, *, compiled: bool = True, lanes: int | None = None) -> Evaluator:
+    """Return the evaluator of a model: compiled, or interpreted if it cannot be compiled.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    compiled : bool
+        Whether to compile the graphs. Without a compiler they are interpreted, and a warning gives
+        the reason.
+    lanes : int, optional
+        Number of lanes of a vector; by default that of the registers of the machine.
+
+    Raises
+    ------
+    ModelError
+        If the model has no graphs; see `slipfree.batch.graph.graphs_of`.
+    """
+    graphs = graphs_of(dae)
+    every = (graphs.guess, graphs.place, graphs.motion, graphs.checked, graphs.outputs)
+    if compiled and all(each.cells for graph in every for each in graph.lookups):
+        source = _Source(every)
+        if source.unknown is None and (loaded := _compiled(source, lanes)) is not None:
+            return _Compiled(graphs, source, loaded)
+    return _Interpreted(graphs)
+
+
+class _Interpreted:
+    """Evaluation by CasADi."""
+
+    def __init__(self, graphs: Graphs) -> None:
+        self.graphs = graphs
+
+    def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
+        results = np.zeros((graph.function.size1_in(1), states.shape[1]))
+        row = 0
+        for lookup, argument in zip(graph.lookups, graph.arguments, strict=True):
+            (at,) = evaluate(argument, states, results)
+            (values,) = evaluate(lookup.function, at)
+            if slope != 1.0:
+                values[3:] *= slope
+            results[row : row + len(values)] = values
+            row += len(values)
+        return evaluate(graph.function, states, results)[0]
+
+
+class _Compiled:
+    """Evaluation by a compiled library."""
+
+    def __init__(self, graphs: Graphs, source: _Source, loaded: ctypes.CDLL) -> None:
+        self.graphs = graphs
+        self._functions = {name: getattr(loaded, name) for name in source.names}
+        self._constants = np.array([*source.constants, 0.0])
+        self._tables = [np.ascontiguousarray(each.coefficients) for each in source.cells]
+        self._cells = (_Cells * max(1, len(self._tables)))(
+            *(
+                _Cells(table.ctypes.data, table.shape[1], *(n for pair in each[1:] for n in pair))
+                for table, each in zip(self._tables, source.cells, strict=True)
+            )
+        )
+
+    def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
+        count, states = states.shape[1], np.ascontiguousarray(states)
+        results = np.empty((graph.parts[-1].stop, count))
+        self._functions[graph.name](
+            ctypes.c_long(count),
+            ctypes.c_void_p(states.ctypes.data),
+            ctypes.c_long(states.strides[0] // 8),
+            ctypes.c_void_p(results.ctypes.data),
+            ctypes.c_void_p(self._constants.ctypes.data),
+            self._cells,
+            ctypes.c_double(slope),
+        )
+        return results
+
+
+class _Cells(ctypes.Structure):
+    """The structure ``Cells`` of ``lanes.c``."""
+
+    _fields_ = (
+        ("table", ctypes.c_void_p),
+        ("width", ctypes.c_longlong),
+        *((name, ctypes.c_double) for name in ("x", "y", "h_x", "h_y")),
+        *((name, ctypes.c_double) for name in ("first_i", "first_j", "last_i", "last_j")),
+    )
+
+
+class _Source:
+    """C code of graphs, and the constants and cells that are its arguments."""
+
+    def __init__(self, graphs: Sequence[Graph]) -> None:
+        self.names = tuple(graph.name for graph in graphs)
+        self.unknown: int | None = None  # an operation without C code
+        self._constants: dict[float, int] = {}
+        self.cells: list[Cells] = []
+        self.code = "\n".join(self._graph(graph) for graph in graphs)
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """Numeric constants in the order of their indices."""
+        return tuple(self._constants)
+
+    def _graph(self, graph: Graph) -> str:
+        functions = [self._function(f"f_{graph.name}", graph.function)]
+        lines = list[str]()
+        row = 0
+        for k, (lookup, argument) in enumerate(zip(graph.lookups, graph.arguments, strict=True)):
+            functions.append(self._function(f"q_{graph.name}_{k}", argument))
+            index = next((i for i, c in enumerate(self.cells) if c is lookup.cells), None)
+            if index is None and lookup.cells is not None:
+                index = len(self.cells)
+                self.cells.append(lookup.cells)
+            lines.append(f"q_{graph.name}_{k}(a, found, q, K);")
+            lines.append(f"look(cells + {index}, q[0], q[1], found + {row});")
+            if_sloped = f"for (int k = 3; k < 18; k++) found[{row} + k] *= splat(slope);"
+            lines.append(f"if (slope != 1.0) {if_sloped}")
+            row += lookup.found.numel()
+        n_in, n_out = graph.function.numel_in(0), graph.parts[-1].stop
+        body = "\n    ".join(lines)
+        return "\n".join(functions) + (
+            f"\nvoid {graph.name}(long n, const double *in, long stride, double *out, "
+            "const double *K, const Cells *cells, double slope) {\n"
+            f"  vd a[{n_in}], found[{max(1, row)}], q[3], r[{n_out}];\n"
+            "  for (long g = 0; g < n; g += LANES) {\n"
+            f"    for (int k = 0; k < {n_in}; k++) a[k] = load(in + k * stride + g, n - g);\n"
+            f"    {body}\n"
+            f"    f_{graph.name}(a, found, r, K);\n"
+            f"    for (int k = 0; k < {n_out}; k++) store(out + k * n + g, r[k], n - g);\n"
+            "  }\n}\n"
+        )
+
+    def _function(self, name: str, function: ca.Function) -> str:
+        used, lines = set[int](), list[str]()
+        for k in range(function.n_instructions()):
+            operation = function.instruction_id(k)
+            given, found = function.instruction_input(k), function.instruction_output(k)
+            if operation == ca.OP_OUTPUT:
+                lines.append(f"r[{found[1]}]=w{given[0]};")
+                continue
+            used.add(found[0])
+            lines.append(f"w{found[0]}={self._value(function, k, operation, given)};")
+        declared = f"  vd {','.join(f'w{k}' for k in sorted(used))};\n" if used else ""
+        return (
+            f"static void {name}(const vd *a, const vd *found, vd *r, const double *K) {{\n"
+            f"{declared}" + "\n".join(lines) + "\n}\n"
+        )
+
+    def _value(self, function: ca.Function, k: int, operation: int, given: list[int]) -> str:
+        if operation == ca.OP_CONST:
+            value = function.instruction_constant(k)
+            return f"splat(K[{self._constants.setdefault(value, len(self._constants))}])"
+        if operation == ca.OP_INPUT:
+            return f"{('a', 'found')[given[0]]}[{given[1]}]"
+        w = [f"w{each}" for each in given]
+        if operation in BINARY:
+            return f"{w[0]}{BINARY[operation]}{w[1]}"
+        if operation in CALLS:
+            return f"{CALLS[operation]}({','.join(w)})"
+        if operation == ca.OP_SQ:
+            return f"{w[0]}*{w[0]}"
+        if operation == ca.OP_TWICE:
+            return f"{w[0]}+{w[0]}"
+        if operation == ca.OP_INV:
+            return f"SPLAT(1.0)/{w[0]}"
+        if operation == ca.OP_NEG:
+            return f"-{w[0]}"
+        if operation == ca.OP_ASSIGN:
+            return w[0]
+        self.unknown = operation
+        return w[0]
+
+
+def _compiled(source: _Source, lanes: int | None) -> ctypes.CDLL | None:
+    native, widest = _machine()
+    lanes = lanes or widest
+    header = Path(__file__).with_name("lanes.c").read_text(encoding="utf-8")
+    constant = ",".join(["a"] * lanes)
+    text = f"#define LANES {lanes}\n#define SPLAT(a) ((vd){{{constant}}})\n{header}\n{source.code}"
+    return shared_library(f"{native}\n{text}", lambda: text, ctypes.CDLL, (*FLAGS, *native[:1]))
+
+
+@cache
+def _machine() -> tuple[tuple[str, ...], int]:
+    """Return the flag of the machine's instructions with their macros, and doubles in a register.
+
+    The macros are part of the cache's key: machines of a network may share a home folder.
+    """
+    command = compiler()
+    if command is None:
+        return (), PORTABLE_LANES
+    flag, probe = "-march=native", ["-dM", "-E", "-x", "c", "/dev/null"]
+    try:
+        done = subprocess.run(
+            [*command, flag, *probe], capture_output=True, text=True, timeout=PROBE_TIMEOUT
+        )
+    except (OSError, subprocess.SubprocessError):
+        return (), PORTABLE_LANES
+    if done.returncode:
+        return (), PORTABLE_LANES
+    macros = sorted(word for word in done.stdout.split() if word.startswith("__") and "_" in word)
+    lanes = next((count for macro, count in LANES if macro in macros), PORTABLE_LANES)
+    return (flag, *macros), lanes

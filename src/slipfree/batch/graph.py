@@ -1,0 +1,326 @@
+"""Evaluation graphs of a model: Newton's step of its positions, its rates, limits and outputs.
+
+Each graph is an SX function without calls and branches. Linear systems are solved by elimination
+inside the graph. The order of the pivots is chosen once, for several random states together:
+Markowitz's count of new entries decides among the entries that are large enough in every state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import evaluate
+from slipfree.core.lookups import Lookup, found_column, needed_lookups
+from slipfree.core.records import Array, leaves, pack
+
+SAMPLES = 12  # random states at which pivots are chosen
+MIN_PIVOT = 0.02  # smallest pivot, relative to the largest entry of its row
+JOINT_SPREAD = 0.5  # standard deviation of the random joint angles [rad]
+Solve = Callable[[ca.SX, ca.SX], ca.SX]
+
+
+class Graph(NamedTuple):
+    """A function of the rows of a state.
+
+    Attributes
+    ----------
+    name : str
+        Name of the function.
+    function : casadi Function
+        SX function of two columns, the rows of a state and the results of the lookups, to a column.
+    lookups : tuple of Lookup
+        The lookups, in a valid order of evaluation.
+    arguments : tuple of casadi Function
+        Arguments of each lookup, as functions of the same two columns.
+    parts : tuple of slice
+        Rows of each result in the column.
+    """
+
+    name: str
+    function: ca.Function
+    lookups: tuple[Lookup, ...]
+    arguments: tuple[ca.Function, ...]
+    parts: tuple[slice, ...]
+
+
+class Rows(NamedTuple):
+    """Rows of a state: an array with a row for each variable and a column for each lane.
+
+    ``x``, ``p`` and ``q`` are integrated: the states, the positions (first block of the unknowns),
+    and the quadratures that do not depend on forces. ``w`` are the other unknowns of the motion,
+    ``f`` the unknowns that follow from it, ``u`` the inputs, ``c`` the parameters of the model, and
+    ``t`` is the time.
+    """
+
+    x: slice
+    p: slice
+    q: slice
+    w: slice
+    f: slice
+    u: slice
+    c: slice
+    t: slice
+
+
+class Graphs(NamedTuple):
+    """Graphs of a model.
+
+    Attributes
+    ----------
+    dae : Dae
+        The model.
+    rows : Rows
+        Rows of its states.
+    quadratures : tuple of int
+        Indices of the quadratures that are integrated.
+    guess : Graph
+        Initial guess of ``p``.
+    place : Graph
+        One Newton step of the positions: new ``p``, and the largest change in typical sizes.
+    motion : Graph
+        One Newton step of the positions, and the rates there: derivatives of the integrated rows,
+        new ``p``, new ``w``, the largest change of ``p`` in typical sizes, the largest residual of
+        the rates, and the speed over the ground [m/s].
+    checked : Graph
+        The results of ``motion``, then new ``f`` by one Newton step, its largest change in typical
+        sizes, and the distances to the bounds of the limits in sizes of the quantities.
+    bounds : tuple of int
+        Index of the limit to which each distance belongs.
+    outputs : Graph
+        Outputs of the model.
+    """
+
+    dae: Dae
+    rows: Rows
+    quadratures: tuple[int, ...]
+    guess: Graph
+    place: Graph
+    motion: Graph
+    checked: Graph
+    bounds: tuple[int, ...]
+    outputs: Graph
+
+
+@lru_cache(maxsize=8)
+def graphs_of(dae: Dae) -> Graphs:
+    """Return the graphs of a model; cached, since they serve all motions.
+
+    Raises
+    ------
+    ModelError
+        If states of the model relax or have inertia, or its rates are not the solution of linear
+        equations.
+    """
+    _, z, u = dae.columns()
+    ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
+    if dae.rest.numel() or dae.standing is not None or len(ends) < 4:
+        raise ModelError(
+            "batch: expected a kinematic model of a vehicle whose wheels can all touch a rigid "
+            "ground, found one with pressed wheels or inertia; use method='simulate'"
+        )
+    p, w, f = (z[a:b] for a, b in zip(ends[:3], ends[1:4], strict=True))
+    late = [ca.depends_on(rate, f) for rate in ca.vertsplit(dae.quad)] if dae.quad.numel() else []
+    kept = tuple(k for k, is_late in enumerate(late) if not is_late)
+    c = ca.vertcat(ca.SX(0, 1), *(each.symbol for each in dae.p))
+    columns = dae.columns()[0], p, ca.SX.sym("q", len(kept)), w, f, u, c, dae.t
+    edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
+    rows = Rows(*(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)))
+    state = ca.vertcat(*columns)
+    eliminate = _elimination(dae, state, rows)
+    quad = [dae.quad[k] for k in kept]
+    distances, bounds = _distances(dae)
+    scale = ca.DM(dae.scale)
+    new_p, moved = _moved(dae, (p, w), quad, eliminate)
+    change = ca.norm_inf((new_p - p) / scale[: ends[1]])
+    forces = f
+    if f.numel():
+        forces = f - eliminate(ca.jacobian(dae.residuals[2], f), dae.residuals[2])
+    shift = ca.norm_inf((forces - f) / scale[ends[2] :]) if f.numel() else ca.SX(0)
+    checks = ca.vertcat(forces, shift, *_with(distances, f, forces))
+    (checks,) = _with([checks], w, moved[1])
+    *moved, checks = _with([*moved, checks], p, new_p)
+    motion = (moved[0], new_p, moved[1], change, *moved[2:])
+    n_f = f.numel()
+
+    def graph(name: str, *results: ca.SX) -> Graph:
+        return _graph(dae, state, name, results)
+
+    return Graphs(
+        dae,
+        rows,
+        kept,
+        graph("guess", dae.guess[: ends[1]]),
+        graph("place", new_p, change),
+        graph("motion", *motion),
+        graph("checked", *motion, checks[:n_f], checks[n_f], checks[n_f + 1 :]),
+        bounds,
+        graph("outputs", pack(dae.y)),
+    )
+
+
+def _moved(
+    dae: Dae, unknowns: tuple[ca.SX, ca.SX], quad: list[ca.SX], eliminate: Solve
+) -> tuple[ca.SX, tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
+    """Return new positions; derivatives, rates, their residual and the speed at given positions.
+
+    The positions follow the states as ``J p' = -d(closure)/dx x'``; integrated with the states,
+    they are predicted so well that one Newton step corrects them at every stage.
+    """
+    p, w = unknowns
+    x, closure = dae.columns()[0], dae.residuals[0]
+    jacobian = ca.jacobian(closure, p)
+    if dae.linear is None:
+        law = dae.residuals[1]
+        matrix, right = ca.jacobian(law, w), -_with([law], w, ca.SX.zeros(w.shape))[0]
+    else:
+        matrix, right = dae.linear
+    if ca.depends_on(ca.veccat(matrix, right), w):
+        raise ModelError(
+            "batch: expected equations that are linear in the rates, found those of a law of "
+            "friction or soil; use method='simulate'"
+        )
+    rates = eliminate(matrix, right)
+    residual = ca.norm_inf(matrix @ rates - right)
+    ode, *quad = _with([dae.ode, *quad], w, rates)
+    (leading,) = _with([dae.leading_rates], w, rates)
+    k = leading.numel()
+    drift = ca.jtimes(closure, ca.vertcat(x, p[:k]), ca.vertcat(ode, leading))
+    follow = ca.vertcat(leading, -eliminate(jacobian[:, k:], drift))
+    names = [label.full for label in leaves(dae.labels.x)]
+    v_x, v_y, turn = (ode[names.index(name)] for name in ("x", "y", "heading"))
+    speed = ca.hypot(v_x, v_y) + dae.size * ca.fabs(turn)
+    return p - eliminate(jacobian, closure), (ca.vertcat(ode, follow, *quad), rates, residual, speed)
+
+
+def _distances(dae: Dae) -> tuple[list[ca.SX], tuple[int, ...]]:
+    """Return the distances to finite bounds of limits, and the index of the limit of each."""
+    distances, index = list[ca.SX](), list[int]()
+    for k, limit in enumerate(dae.limits):
+        size = dae.size_of(limit.label)
+        for bound, sign in ((limit.lower, 1.0), (limit.upper, -1.0)):
+            if np.isfinite(bound):
+                distances.append(sign * (limit.expression - bound) / size)
+                index.append(k)
+    return distances, tuple(index)
+
+
+def _with(expressions: list[ca.SX], symbols: ca.SX, values: ca.SX) -> list[ca.SX]:
+    return list(ca.substitute(expressions, [symbols], [values])) if symbols.numel() else expressions
+
+
+def _graph(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Graph:
+    column = ca.densify(ca.vertcat(*dae.without_continuation(list(results))))
+    lookups = needed_lookups(dae.lookups, [column])
+    inputs = [state, found_column(lookups)]
+    ends = np.cumsum([0, *(each.numel() for each in results)]).tolist()
+    return Graph(
+        name,
+        ca.Function(name, inputs, [column], {"cse": True}),
+        lookups,
+        tuple(
+            ca.Function(f"{name}_{k}", inputs, [ca.densify(each.argument)])
+            for k, each in enumerate(lookups)
+        ),
+        tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)),
+    )
+
+
+def _elimination(dae: Dae, state: ca.SX, rows: Rows) -> Solve:
+    """Return a function that solves linear systems of expressions by elimination."""
+    rng = np.random.default_rng(0)
+    samples = rng.normal(0.0, JOINT_SPREAD, (state.numel(), SAMPLES))
+    x, z, _ = dae.columns()
+    labels = list(leaves(dae.labels.x))
+    for k, label in enumerate(labels):
+        if label.name == "heading":
+            samples[k] = rng.uniform(-np.pi, np.pi, SAMPLES)
+    guess = dae.function("guess", [x, ca.vertcat(*(each.symbol for each in dae.p))], [ca.densify(dae.guess)])
+    for k, each in enumerate(dae.p):
+        samples[rows.c.start + k] = each.value
+    (first,) = evaluate(guess, samples[rows.x], samples[rows.c])
+    samples[rows.p] = first[: rows.p.stop - rows.p.start]
+    samples[rows.f] = first[z.numel() - (rows.f.stop - rows.f.start) :]
+
+    def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
+        (values,) = evaluate(
+            dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples
+        )
+        m, n = matrix.shape
+        return _eliminate(matrix, right, values.T.reshape(-1, n, m).transpose(0, 2, 1))
+
+    return solve
+
+
+def _eliminate(matrix: ca.SX, right: ca.SX, numbers: Array) -> ca.SX:
+    """Return the solution of a linear system of at least n equations for n unknowns.
+
+    ``numbers`` (n_samples, m, n) are samples of the matrix. Surplus equations are ignored.
+
+    A symmetric matrix is eliminated with pivots on its diagonal, which needs half the operations;
+    those of the least-slip condition can be chosen there, since rates precede multipliers.
+    """
+    (m, n), numbers = matrix.shape, numbers.copy()
+    a: list[list[ca.SX | None]] = [[None] * n for _ in range(m)]
+    for i, j in zip(*matrix.sparsity().get_triplet(), strict=True):
+        a[i][j] = matrix[i, j]
+    turned = numbers.transpose(0, 2, 1)
+    symmetric = m == n and bool(np.allclose(numbers, turned, rtol=1e-12, atol=0))
+    b = ca.vertsplit(ca.densify(right))
+    rows, columns, order = set(range(m)), set(range(n)), list[tuple[int, int]]()
+    for _ in range(n):
+        i, j = _pivot(a, numbers, rows, columns, symmetric=symmetric)
+        rows.remove(i)
+        columns.remove(j)
+        order.append((i, j))
+        inverse = 1 / a[i][j]
+        for k in rows:
+            if a[k][j] is None:
+                continue
+            factor = a[k][j] * inverse
+            numbers[:, k] -= (numbers[:, k, j] / numbers[:, i, j])[:, None] * numbers[:, i]
+            b[k] = b[k] - factor * b[i]
+            for c in columns:
+                if a[i][c] is None or (symmetric and c < k):
+                    continue
+                old = a[k][c]
+                a[k][c] = -factor * a[i][c] if old is None else old - factor * a[i][c]
+                if symmetric:
+                    a[c][k] = a[k][c]
+    solution: list[ca.SX | None] = [None] * n
+    for i, j in reversed(order):
+        total = b[i]
+        for c in range(n):
+            if a[i][c] is not None and solution[c] is not None:
+                total = total - a[i][c] * solution[c]
+        solution[j] = total / a[i][j]
+    return ca.vertcat(*solution)
+
+
+def _pivot(
+    a: list[list[ca.SX | None]],
+    numbers: Array,
+    rows: set[int],
+    columns: set[int],
+    *,
+    symmetric: bool,
+) -> tuple[int, int]:
+    """Return the entry with the fewest new entries among those that are large in every sample."""
+    r, c = sorted(rows), sorted(columns)
+    left = np.abs(numbers[:, r][:, :, c])
+    relative = (left / np.maximum(left.max(axis=2, keepdims=True), 1e-300)).min(axis=0)
+    filled = np.array([[a[i][j] is not None for j in c] for i in r])
+    relative = np.where(filled & np.isfinite(relative), relative, 0.0)
+    if symmetric:
+        relative *= np.eye(len(r))
+    cost = np.outer(filled.sum(axis=1) - 1, filled.sum(axis=0) - 1).astype(float)
+    allowed = relative >= min(MIN_PIVOT, relative.max())
+    cost = np.where(allowed, cost - 0.5 * relative, np.inf)  # of equal ones, the largest
+    i, j = np.unravel_index(int(cost.argmin()), cost.shape)
+    return r[int(i)], c[int(j)]

@@ -1,0 +1,157 @@
+/* Vectors of doubles, one lane per pose or motion, and the functions that CasADi's operations need.
+ *
+ * LANES is a number of doubles that fits a register of the machine. All operations are those of
+ * IEEE 754 in every lane, so that results do not depend on LANES: no fused products
+ * (-ffp-contract=off), no reciprocals by approximation, never -ffast-math, which removes the
+ * rounding by a large constant in `reduced`.
+ *
+ * Sines, cosines and arc tangents are polynomials of the Cephes library (S. Moshier), within 2e-16
+ * of the mathematical library: a loop over lanes that calls the library takes up to ten times as
+ * long, since the library's wrappers are slow after wide registers were used.
+ */
+#include <math.h>
+#include <string.h>
+
+typedef double vd __attribute__((vector_size(8 * LANES), aligned(8)));
+typedef long long vl __attribute__((vector_size(8 * LANES), aligned(8)));
+
+/* The compiler does not fold a loop over lanes into a constant: SPLAT is defined by the caller. */
+static inline vd splat(double a) { return (vd){0} + a; }
+
+static inline vd pick(vl mask, vd a, vd b) { return (vd)((mask & (vl)a) | (~mask & (vl)b)); }
+static inline vd truth(vl mask) { return (vd)(mask & (vl)SPLAT(1.0)); }
+static inline vd lt(vd a, vd b) { return truth(a < b); }
+static inline vd le(vd a, vd b) { return truth(a <= b); }
+static inline vd eq(vd a, vd b) { return truth(a == b); }
+static inline vd ne(vd a, vd b) { return truth(a != b); }
+static inline vd not(vd a) { return truth(a == SPLAT(0.0)); }
+static inline vd and(vd a, vd b) { return truth((a != SPLAT(0.0)) & (b != SPLAT(0.0))); }
+static inline vd or(vd a, vd b) { return truth((a != SPLAT(0.0)) | (b != SPLAT(0.0))); }
+/* Bits are selected, since a product with zero would keep an infinity of the other branch. */
+static inline vd if_else_zero(vd a, vd b) { return (vd)((a != SPLAT(0.0)) & (vl)b); }
+/* As in C, the other argument is the result if one is not a number. */
+static inline vd vmin(vd a, vd b) { return pick((a < b) | (b != b), a, b); }
+static inline vd vmax(vd a, vd b) { return pick((a > b) | (b != b), a, b); }
+static inline vd vabs(vd a) { return (vd)((vl)a & ~(vl)SPLAT(-0.0)); }
+static inline vd vcopysign(vd a, vd b) {
+  vl sign = (vl)SPLAT(-0.0);
+  return (vd)(((vl)a & ~sign) | ((vl)b & sign));
+}
+static inline vd vsign(vd a) { return pick(a == a, truth(a > SPLAT(0.0)) - truth(a < SPLAT(0.0)), a); }
+
+#define EACH(name) \
+  static inline vd v##name(vd a) { vd r; for (int i = 0; i < LANES; i++) r[i] = name(a[i]); return r; }
+#define EACH2(name) \
+  static inline vd v##name(vd a, vd b) { vd r; for (int i = 0; i < LANES; i++) r[i] = name(a[i], b[i]); return r; }
+EACH(exp) EACH(log) EACH(tan) EACH(asin) EACH(acos) EACH(sinh) EACH(cosh) EACH(tanh) EACH(floor) EACH(ceil)
+EACH(expm1) EACH(log1p) EACH2(pow) EACH2(fmod) EACH2(hypot)
+
+#if LANES == 8 && defined(__AVX512F__)
+#include <immintrin.h>
+static inline vd vsqrt(vd a) { return (vd)_mm512_sqrt_pd((__m512d)a); }
+#elif LANES == 4 && defined(__AVX__)
+#include <immintrin.h>
+static inline vd vsqrt(vd a) { return (vd)_mm256_sqrt_pd((__m256d)a); }
+#else
+EACH(sqrt)
+#endif
+
+/* Sine of a + quarter pi/2, for |a| < 1e6: pi/2 in three parts is subtracted, the quadrant decides. */
+static inline vd turned_sine(vd a, long long quarter) {
+  const vd large = SPLAT(6755399441055744.0); /* 1.5 * 2^52: the sum is rounded to an integer */
+  vd t = a * SPLAT(0.63661977236758134308) + large, n = t - large;
+  vl quadrant = (vl)t + quarter;
+  vd r = ((a - n * SPLAT(1.57079632673412561417e+00)) - n * SPLAT(6.07710050630396597660e-11))
+         - n * SPLAT(2.02226624879595063154e-21);
+  vd z = r * r;
+  vd s = r + r * z * (((((SPLAT(1.58962301576546568060e-10) * z - SPLAT(2.50507477628578072866e-8)) * z
+         + SPLAT(2.75573136213857245213e-6)) * z - SPLAT(1.98412698295895385996e-4)) * z
+         + SPLAT(8.33333333332211858878e-3)) * z - SPLAT(1.66666666666666307295e-1));
+  vd c = SPLAT(1.0) - SPLAT(0.5) * z + z * z * (((((SPLAT(-1.13585365213876817300e-11) * z
+         + SPLAT(2.08757008419747316778e-9)) * z - SPLAT(2.75573141792967388112e-7)) * z
+         + SPLAT(2.48015872888517045348e-5)) * z - SPLAT(1.38888888888730564116e-3)) * z
+         + SPLAT(4.16666666666665929218e-2));
+  vd v = pick((quadrant & 1) != 0, c, s);
+  return (vd)((vl)v ^ ((quadrant & 2) << 62));
+}
+static inline vd vsin(vd a) { return turned_sine(a, 0); }
+static inline vd vcos(vd a) { return turned_sine(a, 1); }
+
+static inline vd vatan(vd a) {
+  vl sign = (vl)a & (vl)SPLAT(-0.0);
+  a = (vd)((vl)a ^ sign);
+  vl far = a > SPLAT(2.41421356237309504880), middle = (a > SPLAT(0.66)) & ~far;
+  vd start = pick(far, SPLAT(1.57079632679489661923), pick(middle, SPLAT(0.78539816339744830962), SPLAT(0.0)));
+  vd rest = pick(far, SPLAT(6.123233995736765886130e-17), pick(middle, SPLAT(3.0616169978683829430e-17), SPLAT(0.0)));
+  a = pick(far, SPLAT(-1.0) / a, pick(middle, (a - SPLAT(1.0)) / (a + SPLAT(1.0)), a));
+  vd z = a * a;
+  vd p = (((SPLAT(-8.750608600031904122785e-1) * z - SPLAT(1.615753718733365076637e1)) * z
+         - SPLAT(7.500855792314704667340e1)) * z - SPLAT(1.228866684490136173410e2)) * z - SPLAT(6.485021904942025371773e1);
+  vd q = ((((z + SPLAT(2.485846490142306297962e1)) * z + SPLAT(1.650270098316988542046e2)) * z
+         + SPLAT(4.328810604912902668951e2)) * z + SPLAT(4.853903996359136964868e2)) * z + SPLAT(1.945506571482613964425e2);
+  start = start + (a * (z * p / q) + a + rest);
+  return (vd)((vl)start ^ sign);
+}
+static inline vd vatan2(vd y, vd x) {
+  vl sign = (vl)y & (vl)SPLAT(-0.0), back = x < SPLAT(0.0);
+  vd a = vatan(y / x), turn = (vd)((vl)SPLAT(3.14159265358979323846) | sign);
+  vd result = pick(back, a + turn, a);
+  result = pick(x == SPLAT(0.0), (vd)((vl)SPLAT(1.57079632679489661923) | sign), result);
+  /* both zero: zero or half a turn, by the sign of x */
+  return pick((x == SPLAT(0.0)) & (y == SPLAT(0.0)), pick(((vl)x & (vl)SPLAT(-0.0)) != 0, turn, y), result);
+}
+
+/* A spline ground: the cells of slipfree.core.lookups. */
+typedef struct {
+  const double *table; /* coefficients, y fastest */
+  long long width;     /* of a row of the table */
+  double x, y;         /* local coordinates of the node nearest to the local origin */
+  double h_x, h_y;     /* distances between nodes */
+  double first_i, first_j, last_i, last_j; /* indices of that node and of the last cell */
+} Cells;
+
+#define ON_KNOT 1e-10 /* a point nearer to a knot than this, in cells, lies on it */
+
+/* The four B-splines, times six, and their derivatives in the middle of a cell, applied to four
+ * coefficients: orders 0 to 3. They are even or odd, which halves the products. */
+static inline void middle(const vd *c, vd *d) {
+  vd outer = c[0] + c[3], inner = c[1] + c[2], wide = c[3] - c[0], narrow = c[2] - c[1];
+  d[0] = SPLAT(0.125) * outer + SPLAT(2.875) * inner;
+  d[1] = SPLAT(0.75) * wide + SPLAT(3.75) * narrow;
+  d[2] = SPLAT(3.0) * (outer - inner);
+  d[3] = SPLAT(6.0) * wide - SPLAT(18.0) * narrow;
+}
+
+/* The centre of the cell at a point and the 16 derivatives there, orders in x fastest. */
+static void look(const Cells *g, vd x, vd y, vd *found) {
+  vd c[4][4], in_x[4][4]; /* by y, then by x or by order in x */
+  vd i = vmin(vmax(vfloor((x - splat(g->x)) / splat(g->h_x) + SPLAT(ON_KNOT)), splat(-g->first_i)), splat(g->last_i - g->first_i));
+  vd j = vmin(vmax(vfloor((y - splat(g->y)) / splat(g->h_y) + SPLAT(ON_KNOT)), splat(-g->first_j)), splat(g->last_j - g->first_j));
+  for (int l = 0; l < LANES; l++) {
+    const double *t = g->table + (long long)(i[l] + g->first_i) * g->width + (long long)(j[l] + g->first_j);
+    for (int m = 0; m < 4; m++)
+      for (int n = 0; n < 4; n++) c[n][m][l] = t[m * g->width + n];
+  }
+  found[0] = splat(g->x) + (i + SPLAT(0.5)) * splat(g->h_x);
+  found[1] = splat(g->y) + (j + SPLAT(0.5)) * splat(g->h_y);
+  double by_x = 1 / g->h_x, by_y = 1 / g->h_y;
+  for (int n = 0; n < 4; n++) middle(c[n], in_x[n]);
+  for (int m = 0; m < 4; m++) {
+    vd line[4] = {in_x[0][m], in_x[1][m], in_x[2][m], in_x[3][m]}, d[4];
+    double scale = m == 0 ? 1 : m == 1 ? by_x : m == 2 ? by_x * by_x : by_x * by_x * by_x;
+    middle(line, d);
+    for (int n = 0; n < 4; n++, scale *= by_y) found[2 + m + 4 * n] = splat(scale) * d[n];
+  }
+}
+
+/* Lanes of a row; the last lane is repeated beyond the end. */
+static inline vd load(const double *row, long n) {
+  vd r;
+  if (n >= LANES) { memcpy(&r, row, sizeof r); return r; }
+  for (int l = 0; l < LANES; l++) r[l] = row[l < n ? l : n - 1];
+  return r;
+}
+static inline void store(double *row, vd r, long n) {
+  if (n >= LANES) memcpy(row, &r, sizeof r);
+  else for (int l = 0; l < n; l++) row[l] = r[l];
+}

@@ -1,0 +1,304 @@
+"""Integrate many motions at once with fixed steps and exact contact.
+
+Positions are integrated with the states by Ralston's third-order method, and corrected by one
+Newton step at each stage. The prediction is so close that one step suffices: Newton steps from the
+positions of the stage before would reduce the order to two. The integration restarts at each sample,
+where the inputs may jump. The number of steps of an interval follows from the speed of the lane
+alone, and every lane is computed by the same operations in any company, so that results do not
+depend on the other lanes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.batch.evaluator import Evaluator
+from slipfree.batch.graph import Graph
+from slipfree.core.dae import LIMIT_ROUNDING
+from slipfree.core.records import Array, Mask, leaves
+
+ORDER = 3
+MAX_CHANGE = 0.1  # largest correction of a position by a Newton step [typical size]
+MAX_RESIDUAL = 1e-8  # residual of the linear equations of the rates, in their units
+MAX_HALVINGS = 6  # of a step whose corrections are too large
+CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
+MAX_STEPS = 1_000_000  # in an interval
+MAX_BISECTIONS = 60
+FORCE_STEPS = 6  # Newton steps of the forces at a start
+FORCE_CHANGE = 1e-6  # change of the forces below which they are solved [typical size]
+FORCES, FORCE_CHANGES, DISTANCES = 6, 7, 8  # parts of the results of the graph "checked"
+COMPLETE, UNSOLVED, INVALID_START = -1, -2, -3  # ends without a limit
+
+
+class Motions(NamedTuple):
+    """Motions of n lanes over m samples.
+
+    Attributes
+    ----------
+    samples : ndarray, shape (n_rows, m, n)
+        States at the samples in local coordinates, NaN after the end of a lane.
+    end : ndarray, shape (n,)
+        Time of the end. [s]
+    reason : ndarray of int, shape (n,)
+        Index of the limit or, after the limits, of the check that ended the lane; `COMPLETE`, or
+        `UNSOLVED` if corrections of the positions stay too large in short steps.
+    last : ndarray, shape (n_rows, n)
+        States at the end.
+    beyond : ndarray, shape (n_rows, n)
+        States just beyond the limit; the states at the end for other lanes.
+    error : ndarray, shape (n,)
+        Estimate of the error of x and y at the last sample of a lane; NaN without estimate. [m]
+    """
+
+    samples: Array
+    end: Array
+    reason: Array
+    last: Array
+    beyond: Array
+    error: Array
+
+
+def integrate_lanes(
+    evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, *, estimate: bool
+) -> Motions:
+    """Return the motions of lanes from states with consistent positions.
+
+    Parameters
+    ----------
+    evaluate : Evaluator
+        The model.
+    states : ndarray, shape (n_rows, n)
+        States at the first sample.
+    inputs : ndarray, shape (n_u, m - 1, n)
+        Inputs in every interval.
+    t : ndarray, shape (m,)
+        Times of the samples. [s]
+    step : float
+        Largest length of a step along the path. [m]
+    estimate : bool
+        Whether to estimate the error by a second motion with twice the step.
+    """
+    with np.errstate(all="ignore"):
+        fine = _Run(evaluate, states, inputs, t, step)
+        fine.run(even=estimate)
+        error = np.full(states.shape[1], np.nan)
+        if estimate:
+            coarse = _Run(evaluate, states, inputs, t, step)
+            coarse.run(counts=fine.counts // 2)
+            names = [label.full for label in leaves(evaluate.graphs.dae.labels.x)]
+            x, y = names.index("x"), names.index("y")
+            reached = np.maximum(np.isfinite(fine.samples[x]).sum(axis=0) - 1, 0)
+            lanes = np.arange(reached.size)
+            apart = [(fine.samples[k] - coarse.samples[k])[reached, lanes] for k in (x, y)]
+            error = np.hypot(*apart) / (2**ORDER - 1)
+    return Motions(fine.samples, fine.end, fine.reason, fine.last, fine.beyond, error)
+
+
+class _Step(NamedTuple):
+    """States, rates and lengths [s] of the last steps of lanes."""
+
+    states: Array
+    rates: Array
+    h: Array
+
+    def of(self, lanes: Mask) -> _Step:
+        """Return the steps of some lanes."""
+        return _Step(self.states[:, lanes], self.rates[:, lanes], self.h[lanes])
+
+
+class _Run:
+    """Motions of lanes while they are integrated; ``counts`` are numbers of steps, (m - 1, n)."""
+
+    def __init__(
+        self, evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float
+    ) -> None:
+        count = states.shape[1]
+        self.evaluate, self.rows, self.step = evaluate, evaluate.graphs.rows, step
+        self.first, self.inputs, self.t = states, inputs, t
+        self.counts = np.zeros((t.size - 1, count), dtype=int)
+        self.samples = np.full((len(states), t.size, count), np.nan)
+        self.end, self.reason = np.full(count, t[-1]), np.full(count, COMPLETE)
+        self.last, self.beyond = states.copy(), states.copy()
+
+    def run(self, *, counts: Array | None = None, even: bool = False) -> None:
+        """Integrate; with given numbers of steps, limits are not evaluated."""
+        lanes, states, limited = np.arange(self.end.size), self.first.copy(), counts is None
+        if limited:
+            states = self._with_forces(states)
+        before: _Step | None = None
+        for k, now in enumerate(self.t):
+            if k < self.t.size - 1:
+                states[self.rows.u] = self.inputs[:, k, lanes]
+            states[self.rows.t] = now
+            rates, good, speed, inside = self._checked(states, limited=limited)
+            if limited:
+                self._end(lanes, states, before, good, inside)
+            kept = good & inside
+            lanes, states, rates, speed = lanes[kept], states[:, kept], rates[:, kept], speed[kept]
+            self.samples[:, k, lanes] = states
+            self.last[:, lanes] = states
+            if k == self.t.size - 1 or not lanes.size:
+                break
+            span = self.t[k + 1] - now
+            if counts is None:
+                number = np.clip(np.ceil(speed * span / self.step - 1e-9), 1, MAX_STEPS).astype(int)
+                number = 2 * ((number + 1) // 2) if even else number
+                self.counts[k, lanes] = number
+            else:
+                number = counts[k, lanes]
+            parts = []
+            for count in np.unique(number[number > 0]):
+                chosen = number == count
+                start = _Step(states[:, chosen], rates[:, chosen], np.full(chosen.sum(), span / count))
+                parts.append(self._interval(lanes[chosen], start, int(count), limited=limited))
+            lanes = np.concatenate([part[0] for part in parts] or [lanes[:0]])
+            states = np.concatenate([part[1] for part in parts] or [states[:, :0]], axis=1)
+            before = _Step(
+                *(np.concatenate([part[2][i] for part in parts] or [states[:, :0]], axis=-1) for i in range(3))
+            )
+
+    def _interval(
+        self, lanes: Array, start: _Step, count: int, *, limited: bool
+    ) -> tuple[Array, Array, _Step]:
+        """Return the lanes that reach the end of an interval, their states and last steps."""
+        for k in range(count):
+            states, solved = advance_safely(self.evaluate, *start)
+            if not solved.all():
+                self._end(lanes, states, start, solved, np.ones_like(solved))
+                lanes, states, start = lanes[solved], states[:, solved], start.of(solved)
+            if k == count - 1 or not lanes.size:
+                break
+            rates, good, _, inside = self._checked(states, limited=limited)
+            if limited:
+                self._end(lanes, states, start, good, inside)
+                good &= inside
+            if not good.all():
+                lanes, states, rates, start = lanes[good], states[:, good], rates[:, good], start.of(good)
+            start = _Step(states, rates, start.h)
+        return lanes, states, start
+
+    def _with_forces(self, states: Array) -> Array:
+        """Return the states with forces that follow from the motion at the first sample."""
+        states[self.rows.u] = self.inputs[:, 0]
+        states[self.rows.t] = self.t[0]
+        graph = self.evaluate.graphs.checked
+        for _ in range(FORCE_STEPS):
+            values = self.evaluate(graph, states)
+            _derivatives(self.evaluate, graph, values, states)
+            states[self.rows.f] = values[graph.parts[FORCES]]
+            if not (np.abs(values[graph.parts[FORCE_CHANGES]]) > FORCE_CHANGE).any():
+                break
+        return states
+
+    def _checked(self, states: Array, *, limited: bool) -> tuple[Array, Mask, Array, Mask]:
+        """Return the results of `derivatives`, and which lanes are within all limits."""
+        if not limited:
+            rates, good, speed = derivatives(self.evaluate, states)
+            return rates, good, speed, np.ones_like(good)
+        graph = self.evaluate.graphs.checked
+        values = self.evaluate(graph, states)
+        states[self.rows.f] = values[graph.parts[FORCES]]
+        inside = np.asarray((values[graph.parts[DISTANCES]] >= -LIMIT_ROUNDING).all(axis=0))
+        return *_derivatives(self.evaluate, graph, values, states), inside
+
+    def _end(
+        self, lanes: Array, states: Array, before: _Step | None, good: Mask, inside: Mask
+    ) -> None:
+        """End lanes that are not solved or beyond a limit; the last step is bisected."""
+        for ended, reason in ((~good, UNSOLVED), (good & ~inside, COMPLETE)):
+            if not ended.any():
+                continue
+            which = lanes[ended]
+            if before is None:
+                self.reason[which] = UNSOLVED if reason == UNSOLVED else INVALID_START
+                self.end[which], self.last[:, which] = self.t[0], states[:, ended]
+                self.beyond[:, which] = states[:, ended]
+                continue
+            step = before.of(ended)
+            if reason == UNSOLVED:
+                self.reason[which] = UNSOLVED
+                self.end[which], self.last[:, which] = step.states[self.rows.t][0], step.states
+                self.beyond[:, which] = step.states
+                continue
+            low, high, limit = self._bisect(step, states[:, ended])
+            self.reason[which], self.end[which] = limit, low[self.rows.t][0]
+            self.last[:, which], self.beyond[:, which] = low, high
+
+    def _bisect(self, step: _Step, at: Array) -> tuple[Array, Array, Array]:
+        """Return the states before and beyond the limits, and the indices of the limits."""
+        low, high = np.zeros(step.h.size), np.ones(step.h.size)
+        inside, beyond = step.states.copy(), at.copy()
+        for k in range(MAX_BISECTIONS):
+            open_ = (high - low) * step.h > CROSSING_TOLERANCE
+            if not open_.any():
+                break
+            # with the inputs of the step: at its end, those of the next interval may apply
+            middle = np.where(k == 0, high, (low + high) / 2)[open_]
+            part = step.of(open_)
+            states, solved = advance(self.evaluate, part.states, part.rates, part.h * middle)
+            _, good, _, within = self._checked(states, limited=True)
+            fine = solved & good & within
+            low[open_] = np.where(fine, middle, low[open_])
+            high[open_] = np.where(fine, high[open_], middle)
+            inside[:, open_] = np.where(fine, states, inside[:, open_])
+            beyond[:, open_] = np.where(fine | (k == 0), beyond[:, open_], states)
+        graph = self.evaluate.graphs.checked
+        distances = self.evaluate(graph, beyond)[graph.parts[DISTANCES]]
+        worst = np.where(np.isnan(distances), -np.inf, distances).argmin(axis=0)
+        return inside, beyond, np.array(self.evaluate.graphs.bounds)[worst]
+
+
+def derivatives(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array]:
+    """Return rates of the integrated rows, which lanes are solved, and speeds [m/s].
+
+    Positions and rates in the states are corrected by one Newton step.
+    """
+    graph = evaluate.graphs.motion
+    return _derivatives(evaluate, graph, evaluate(graph, states), states)
+
+
+def _derivatives(
+    evaluate: Evaluator, graph: Graph, values: Array, states: Array
+) -> tuple[Array, Mask, Array]:
+    rows = evaluate.graphs.rows
+    rates, p, w, change, residual, speed = graph.parts[:6]
+    states[rows.p], states[rows.w] = values[p], values[w]
+    good = (values[change][0] < MAX_CHANGE) & (values[residual][0] < MAX_RESIDUAL)
+    return values[rates], good, values[speed][0]
+
+
+def advance(evaluate: Evaluator, states: Array, rates: Array, h: Array) -> tuple[Array, Mask]:
+    """Return the states after a step of Ralston's third-order method, and which are solved.
+
+    A. Ralston, Runge-Kutta methods with minimum error bounds, Math. Comp. 16 (1962), eq. (4.1). The
+    positions of the result are predicted, not yet corrected.
+    """
+    rows = evaluate.graphs.rows
+    moving = slice(0, rows.q.stop)
+    start, stage = states[moving], states.copy()
+    stage[moving] = start + (0.5 * h) * rates
+    stage[rows.t] += 0.5 * h
+    second, good, _ = derivatives(evaluate, stage)
+    stage[moving] = start + (0.75 * h) * second
+    stage[rows.t] = states[rows.t] + 0.75 * h
+    third, also_good, _ = derivatives(evaluate, stage)
+    stage[moving] = start + (h / 9) * (2 * rates + 3 * second + 4 * third)
+    stage[rows.t] = states[rows.t] + h
+    return stage, good & also_good
+
+
+def advance_safely(
+    evaluate: Evaluator, states: Array, rates: Array, h: Array, halvings: int = MAX_HALVINGS
+) -> tuple[Array, Mask]:
+    """Return the states after a step; lanes with large corrections take two steps of half length."""
+    after, good = advance(evaluate, states, rates, h)
+    if good.all() or not halvings:
+        return after, good
+    bad = ~good
+    middle, solved = advance_safely(evaluate, states[:, bad], rates[:, bad], h[bad] / 2, halvings - 1)
+    new, also_good, _ = derivatives(evaluate, middle)
+    middle, last = advance_safely(evaluate, middle, new, h[bad] / 2, halvings - 1)
+    after[:, bad], good[bad] = middle, solved & also_good & last
+    return after, good
