@@ -100,7 +100,7 @@ def squares(factor):
 
 
 def library(factor=1.0):
-    return codegen_cache.library(f"squares {factor}", ["squares"], lambda: squares(factor))
+    return codegen_cache.load_or_compile(f"squares {factor}", ["squares"], lambda: squares(factor))
 
 
 def kept(factor=1.0):
@@ -260,7 +260,7 @@ def test_what_is_kept_is_used_again_and_what_is_broken_made_again(folder):
     (f,) = library()
     assert float(f([3.0, 4.0])) == 25.0
     (file,) = folder.iterdir()
-    (again,) = codegen_cache.library("squares 1.0", ["squares"], lambda: 1 / 0)
+    (again,) = codegen_cache.load_or_compile("squares 1.0", ["squares"], lambda: 1 / 0)
     assert float(again([1.0, 2.0])) == 5.0
     content = file.read_bytes()
     spoilt(file, content[: len(content) // 2])

@@ -356,7 +356,7 @@ def test_the_compiler_is_out_of_reach_and_ends_with_us(slow, context):
 
     def work():
         with context():
-            codegen_cache.library("text", ["f"], lambda: [ca.Function("f", [x], [x])])
+            codegen_cache.load_or_compile("text", ["f"], lambda: [ca.Function("f", [x], [x])])
 
     with pytest.raises(KeyboardInterrupt):
         work()

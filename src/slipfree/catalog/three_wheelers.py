@@ -130,8 +130,9 @@ def _add_springs(
         return coordinates
     if not any(c.kind == "passive" for c in coordinates):
         raise ModelError(
-            f"three_wheeler: the {axle} axle has no free joint for a spring, damper or elastic "
-            "stop; remove stiffness, damping and bump, or choose another axle"
+            "three_wheeler: expected an axle with a free joint for a spring, damper or elastic "
+            f"stop, found the {axle} axle; remove stiffness, damping and bump, or choose another "
+            "axle"
         )
     return tuple(replace(c, stiffness=stiffness, damping=damping, bump=bump) for c in coordinates)
 

@@ -29,6 +29,8 @@ def evaluate(function: ca.Function, *columns: Array) -> tuple[Array, ...]:
 
     Raises
     ------
+    ValueError
+        If an argument has the wrong number of values.
     RuntimeError
         If the evaluation fails.
     """
@@ -55,6 +57,8 @@ def run_buffered(
 
     Raises
     ------
+    ValueError
+        If an argument has the wrong number of values.
     RuntimeError
         If the evaluation fails.
     """

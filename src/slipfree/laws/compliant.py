@@ -93,15 +93,15 @@ class Compliant:
         touch, slip, depth = contact.touch, contact.slip, contact.wheel.depth
         stiffness, damping = contact.share / depth, 2 * self.damping_ratio / sqrt(GRAVITY * depth)
         normal = touch.frame.normal
-        away = ca.dot(normal, slip)
+        separating = ca.dot(normal, slip)
         elastic = stiffness * ca.fmax(-touch.gap, 0)
-        load = elastic * ca.fmax(0, 1 - damping * away)
-        tangential = slip - away * normal
-        square = ca.sumsqr(tangential)
+        load = elastic * ca.fmax(0, 1 - damping * separating)
+        tangential = slip - separating * normal
+        squared_slip = ca.sumsqr(tangential)
         friction = touch.friction
         if self.sliding < 1:
-            speed = ca.sqrt(square + SMALLEST_SPEED**2)
+            speed = ca.sqrt(squared_slip + SMALLEST_SPEED**2)
             slow = ca.exp(-((speed / self.stribeck_speed) ** 2))
             friction *= self.sliding + (1 - self.sliding) * slow
-        pull = -friction * load / ca.sqrt(square + self.creep**2) * tangential
-        return GroundForce(load, pull, elastic, ca.SX(0))
+        friction_force = -friction * load / ca.sqrt(squared_slip + self.creep**2) * tangential
+        return GroundForce(load, friction_force, elastic, ca.SX(0))

@@ -381,7 +381,7 @@ def forces_at_speeds(
     ``sideways`` are the speeds of the centre along the wheel, and across it to the right; below the
     rim speed ``creep`` the shear displacement is reduced [m/s].
     """
-    contact = _contact(soil, size, depth, rim, forward, creep)
+    contact = _contact_arc(soil, size, depth, rim, forward, creep)
     motion = _shear_motion(soil, rim, forward, sideways, creep)
     totals = [0, 0, 0, 0]
     for root, factor in zip((POINTS + 1) / 2, WEIGHTS / 2, strict=True):
@@ -449,28 +449,28 @@ class _ShearMotion(NamedTuple):
     side: Any
 
 
-def _contact(
+def _contact_arc(
     soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, creep: Any
 ) -> _ContactArc:
-    """Return the arc of a wheel in the soil (1, 2)."""
+    """Return the part of the rim that touches the soil, equations (1) and (2)."""
     relative = ca.fmin(ca.fmax(depth / size.radius, SMALLEST_DEPTH), 1)
     # acos(1 - k depth / r), written without its loss of digits at small depths
     entry, leaving = (2 * ca.asin(ca.sqrt(k * relative / 2)) for k in (1, soil.exit_depth))
-    both = rim + forward
+    speeds = rim + forward
     # smooth sign: a wheel that reverses exchanges its entry and exit edges
-    direction = both / ca.sqrt(both**2 + creep**2)
+    direction = speeds / ca.sqrt(speeds**2 + creep**2)
     ahead, behind = (1 + direction) / 2, (1 - direction) / 2
     fastest = ca.fmax(ca.fabs(rim), ca.fabs(forward))
     slip = direction * (rim - forward) / ca.sqrt(fastest**2 + creep**2)
     share = soil.peak + soil.peak_rate * ca.fmax(-1, ca.fmin(slip, 1))
     return _ContactArc(
-        entry,
-        ahead * entry + behind * leaving,
-        -(behind * entry + ahead * leaving),
-        direction * share * entry,
-        share,
-        ahead,
-        behind,
+        entry=entry,
+        front=ahead * entry + behind * leaving,
+        rear=-(behind * entry + ahead * leaving),
+        peak=direction * share * entry,
+        share=share,
+        ahead=ahead,
+        behind=behind,
     )
 
 

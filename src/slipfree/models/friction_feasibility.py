@@ -111,7 +111,7 @@ def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:
     return (parts.free.T @ forces + parts.load) / parts.weight
 
 
-def following_forces(q: Quantities) -> ca.SX:
+def contact_force_residuals(q: Quantities) -> ca.SX:
     """Return the residuals that determine the contact forces of a motion; empty without mass.
 
     Where equilibrium does not determine the forces, the tangential forces ``f_t`` minimise ``sum

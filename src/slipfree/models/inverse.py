@@ -373,7 +373,7 @@ def _least_departure(
 
 def _multipliers(imposed: Imposed, given: Sequence[str]) -> list[Label]:
     """Return the labels of the multipliers of the direct model's equations and of given rates."""
-    labels = [replace(each.label, name=f"response_{each.label.name}") for each in imposed.rates]
+    labels = [replace(rate.label, name=f"response_{rate.label.name}") for rate in imposed.rates]
     return labels + [
         Label(
             f"multiplier_{name}",

@@ -57,7 +57,7 @@ from slipfree.models.base import (
 )
 from slipfree.models.closure_model import closure_dae, closure_quantities, single_contacts
 from slipfree.models.friction_feasibility import (
-    following_forces,
+    contact_force_residuals,
     force_outputs,
     mechanics,
 )
@@ -415,7 +415,7 @@ def direct_kinematics(
     -----
     For a vehicle with mass, the forces that the motion needs are outputs. Where equilibrium does
     not determine them, they are the load-weighted forces of
-    `slipfree.models.friction_feasibility.following_forces`.
+    `slipfree.models.friction_feasibility.contact_force_residuals`.
 
     Examples
     --------
@@ -437,7 +437,7 @@ def direct_kinematics(
         return pressed_dae(vehicle, terrain, slip, smoothing)
     labels = labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle)))
     z, q = closure_quantities(vehicle, terrain, labels)
-    return closure_dae(labels, z, q, slip_equations(slip, labels, q), following_forces(q))
+    return closure_dae(labels, z, q, slip_equations(slip, labels, q), contact_force_residuals(q))
 
 
 def check_driven(vehicle: Vehicle) -> None:

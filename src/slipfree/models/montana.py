@@ -44,7 +44,7 @@ from slipfree.models.base import (
     touch_function,
 )
 from slipfree.models.friction_feasibility import (
-    following_forces,
+    contact_force_residuals,
     force_outputs,
     mechanics,
     with_tangential,
@@ -197,7 +197,7 @@ def montana_kinematics(
         symbols(labels.q),
         q.u,
         ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
-        alg=(law.rows, following_forces(q)),
+        alg=(law.rows, contact_force_residuals(q)),
         quad=ca.vertcat(*q.spins, *((sampled.power,) if sampled else ())),
         y=AssemblyOutputs(
             **_of_assembly(outputs(q, sampled)),

@@ -100,7 +100,7 @@ class Forces(NamedTuple, Generic[T]):
     """Forces of the ground on the wheels, one per wheel; empty without mass [N].
 
     If equilibrium alone does not determine the forces, ``virtual`` are the virtual rates that
-    distribute them (`slipfree.models.friction_feasibility.following_forces`). [1, 1/m]
+    distribute them (`slipfree.models.friction_feasibility.contact_force_residuals`). [1, 1/m]
     """
 
     along: tuple[T, ...] = ()

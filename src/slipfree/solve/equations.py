@@ -22,7 +22,7 @@ from slipfree.core.lookups import (
     needed_lookups,
 )
 from slipfree.core.records import Array
-from slipfree.system.codegen_cache import compiled_functions, library, source
+from slipfree.system.codegen_cache import compiled_functions, load_or_compile, source
 
 # one forward derivative per column: with as many states as rates, fewer operations than reverse
 FORWARD = {"helper_options": {"ad_weight": 0.0}}
@@ -197,7 +197,7 @@ def _compiled_lookup(function: ca.Function) -> ca.Function:
     parts = [function, *function.find_functions()]
     if any(part.class_name() == "External" for part in parts):
         return function
-    found = library(source([function]), (function.name(),), lambda: [function])
+    found = load_or_compile(source([function]), (function.name(),), lambda: [function])
     return constant_function(found[0]) if found else function
 
 

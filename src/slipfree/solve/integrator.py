@@ -245,7 +245,7 @@ def _start_after_jump(system: System, samples: Samples, u: Array) -> Samples:
 def _make_consistent(
     system: System, at: Samples, u: Array, *, continuation: bool
 ) -> Samples | None:
-    """Solve for the unknowns of a sample under inputs; return None without a solution."""
+    """Return the sample with inputs ``u`` and their unknowns; None without a solution."""
     try:
         z = solve_initial_conditions(
             system, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, continuation=continuation

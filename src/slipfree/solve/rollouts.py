@@ -208,35 +208,35 @@ def _count_runs(
 ) -> int:
     """Return the number of runs; raise ModelError for shapes that do not fit each other."""
     counts = dict[str, int]()
-    columns = {f"p[{name!r}]": each for name, each in parameters.items()}
+    arrays = {f"p[{name!r}]": array for name, array in parameters.items()}
     if isinstance(states, list):
         counts["starts"] = len(states)
     else:
-        columns |= {f"starts[{name!r}]": each for name, each in states.items()}
-    for where, each in columns.items():
-        if each.ndim > 1:
+        arrays |= {f"starts[{name!r}]": array for name, array in states.items()}
+    for argument, array in arrays.items():
+        if array.ndim > 1:
             raise ModelError(
-                f"{where}: expected a number or an array of shape (n_runs,), found shape "
-                f"{each.shape}; correct the shape"
+                f"{argument}: expected a number or an array of shape (n_runs,), found shape "
+                f"{array.shape}; correct the shape"
             )
-        counts[where] = each.size
-    for name, each in values.items():
-        if not isinstance(each, np.ndarray):
+        counts[argument] = array.size
+    for name, value in values.items():
+        if not isinstance(value, np.ndarray):
             continue
-        if each.ndim > 2 or (each.ndim and each.shape[-1] not in (1, intervals)):
+        if value.ndim > 2 or (value.ndim and value.shape[-1] not in (1, intervals)):
             raise ModelError(
                 f"inputs[{name!r}]: expected a number or an array of shape ({intervals},), "
                 f"(n_runs, 1) or (n_runs, {intervals}), for {intervals} intervals between samples, "
-                f"found shape {each.shape}; correct the shape"
+                f"found shape {value.shape}; correct the shape"
             )
-        counts[f"inputs[{name!r}]"] = len(each) if each.ndim == 2 else 1
-    where = max(counts, key=lambda key: counts[key], default="starts")
-    count = counts.get(where, 1)
-    for other, size in counts.items():
+        counts[f"inputs[{name!r}]"] = len(value) if value.ndim == 2 else 1
+    longest = max(counts, key=lambda key: counts[key], default="starts")
+    count = counts.get(longest, 1)
+    for argument, size in counts.items():
         if size not in (1, count):
             raise ModelError(
-                f"{other}: expected values for 1 run or for {count} runs, as {where} has, found "
-                f"{size}; correct the shape"
+                f"{argument}: expected values for 1 run or for {count} runs, as in {longest}, "
+                f"found {size}; correct the shape"
             )
     return count
 

@@ -302,11 +302,11 @@ def _check_keys(axes: Sequence[SweepAxis], settings: Sequence[str]) -> None:
                 )
     for setting in settings:
         try:
-            given = key_path(setting.partition("=")[0])
+            set_path = key_path(setting.partition("=")[0])
         except ValueError:
             continue  # reading the problem reports the error
         for path in paths:
-            if given[: len(path)] == path:
+            if set_path[: len(path)] == path:
                 raise DataError(
                     f"--vary {'.'.join(path)}: expected a key that is not set, found "
                     f"--set {setting}; remove one of the two"

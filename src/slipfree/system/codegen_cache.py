@@ -45,7 +45,7 @@ SCRATCH_PREFIX = "making-"  # prefix of the compiler's working folders
 DIGEST_LENGTH = 32  # number of characters of a digest
 
 
-def library(
+def load_or_compile(
     text: str, names: Sequence[str], make: Callable[[], Sequence[ca.Function]]
 ) -> tuple[ca.Function, ...] | None:
     """Return compiled functions, from the cache if it contains them.
@@ -147,7 +147,7 @@ def compiled_functions(
     if not compiled or key.n_instructions() < MIN_OPERATIONS:
         return tuple(make())
     code = Path(inspect.getfile(make)).read_text(encoding="utf-8")
-    return library("\n".join([code, source([key])]), names, make) or tuple(make())
+    return load_or_compile("\n".join([code, source([key])]), names, make) or tuple(make())
 
 
 def obstacle() -> str | None:

@@ -312,7 +312,7 @@ def ramp(
     if not 0 <= rounding <= end - start:
         raise ModelError(
             f"ramp: expected a rounding from 0 to {end - start:g} m, the length of the ramp, found "
-            f"{rounding:g} m"
+            f"{rounding:g} m; choose a value in this range"
         )
     if smooth and rounding:
         raise ModelError(

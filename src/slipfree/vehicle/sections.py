@@ -161,11 +161,11 @@ class Section(ABC):
         with that width; the rolling radius does not change.
         """
         x, rho = self.outline(np.array([0, np.pi / 2, np.pi]))
-        more = max(0.0, MIN_DRAWN_HALF_WIDTH * rho[1] - np.abs(x).max())
+        added = max(0.0, MIN_DRAWN_HALF_WIDTH * rho[1] - np.abs(x).max())
 
         def drawn(u: Array) -> tuple[Array, Array]:
             x, rho = self.outline(u)
-            return x + more * np.cos(u), rho + more * (np.sin(u) - 1)
+            return x + added * np.cos(u), rho + added * (np.sin(u) - 1)
 
         fine = np.linspace(0, np.pi, ARC_LENGTH_POINTS)
         arc = _lengths(*drawn(fine))

@@ -440,8 +440,8 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
         if name not in passive:
             raise ModelError(
                 f"actuated: expected one of the passive coordinates "
-                f"({', '.join(passive) or 'the vehicle has none'}), found {name!r}; correct the "
-                "name"
+                f"({', '.join(passive) or 'the vehicle has none'}), found {name!r}; "
+                f"{'correct' if passive else 'remove'} the name"
             )
     coordinates = tuple(
         replace(c, kind="commanded", stiffness=0.0, damping=0.0, bump=0.0) if c.name in names else c
