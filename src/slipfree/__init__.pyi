@@ -1,6 +1,7 @@
 """Public names of `slipfree` and the modules that define them, for lazy_loader and mypy."""
 
 from . import catalog
+from .batch.many import settle_many
 from .control.path_following import follow, straight
 from .core.dae import Dae
 from .core.errors import DataError, ModelError, SlipfreeError
@@ -92,6 +93,7 @@ __all__ = [
     "rollouts",
     "run_problem",
     "settle",
+    "settle_many",
     "simulate",
     "straight",
 ]

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
@@ -129,11 +129,15 @@ def test_bounds_of_derivatives_hold_and_are_not_wasteful(rng):
     slope = np.hypot(d[1, 0], d[0, 1]).max()
     hessian = np.array([[d[2, 0], d[1, 1]], [d[1, 1], d[0, 2]]]).transpose(2, 0, 1)
     curvature = np.abs(np.linalg.eigvalsh(hessian)).max()
-    bounds = ground.derivative_bounds(box)
+    middle, reach = (np.array([0.5 * (box[k] + box[k + 1])]) for k in (0, 2)), 0.45
+    bounds = ground.derivative_bounds(*middle, reach)
     assert slope <= bounds[0] < 3 * slope
     assert curvature <= bounds[1] < 6 * curvature
-    assert ground.derivative_bounds((5.9, 6.1, 0, 1)) == (np.inf, np.inf)
-    assert all(np.isfinite(ground.derivative_bounds((-6, 6, -6, 6))))
+    at = np.array([0.0, 5.9])
+    found = ground.derivative_bounds(at, np.zeros(2), 6.0)
+    assert (np.isfinite(found) == [True, False]).all()
+    each = [ground.derivative_bounds(at[k : k + 1], np.zeros(1), 0.1) for k in range(2)]
+    assert_array_equal(ground.derivative_bounds(at, np.zeros(2), 0.1), np.hstack(each))
 
 
 @pytest.mark.slow
@@ -148,7 +152,9 @@ def test_certificate_by_curvature_agrees_with_that_by_points(rms, monkeypatch):
         np.linspace(0, 5, 51),
     )
     excluded = np.isinf(run["clearance"])
-    monkeypatch.setattr(SecondContact, "_has_single_contact", lambda *_: False)
+    monkeypatch.setattr(
+        SecondContact, "_has_single_contact", lambda _, center, __: np.zeros(center.shape[1], bool)
+    )
     x, z = (np.transpose([dae.rows(record, run, k) for k in range(run.t.size)]) for record in "xz")
     by_points = np.transpose([check.margin(x, z) for check in dae.checks])
     assert excluded.all() == (rms < 0.002)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import casadi as ca
@@ -68,6 +69,11 @@ class Rows(NamedTuple):
     c: slice
     t: slice
 
+    @property
+    def z(self) -> tuple[slice, slice, slice]:
+        """Rows of all algebraic unknowns, in their order in the model."""
+        return self.p, self.w, self.f
+
 
 class Graphs(NamedTuple):
     """Graphs of a model.
@@ -81,15 +87,15 @@ class Graphs(NamedTuple):
     quadratures : tuple of int
         Indices of the quadratures that are integrated.
     guess : Graph
-        Initial guess of ``p``.
+        Initial guesses of ``p``, ``w`` and ``f``.
     place : Graph
-        One Newton step of the positions: new ``p``, and the largest change in typical sizes.
+        One Newton step of the positions: new ``p``, and the sum of its changes in typical sizes.
     motion : Graph
         One Newton step of the positions, and the rates there: derivatives of the integrated rows,
-        new ``p``, new ``w``, the largest change of ``p`` in typical sizes, the largest residual of
+        new ``p``, new ``w``, the sum of the changes of ``p`` in typical sizes, that of the residuals of
         the rates, and the speed over the ground [m/s].
     checked : Graph
-        The results of ``motion``, then new ``f`` by one Newton step, its largest change in typical
+        The results of ``motion``, then new ``f`` by one Newton step, the sum of its changes in typical
         sizes, and the distances to the bounds of the limits in sizes of the quantities.
     bounds : tuple of int
         Index of the limit to which each distance belongs.
@@ -125,28 +131,29 @@ def graphs_of(dae: Dae) -> Graphs:
             "batch: expected a kinematic model of a vehicle whose wheels can all touch a rigid "
             "ground, found one with pressed wheels or inertia; use method='simulate'"
         )
-    p, w, f = (z[a:b] for a, b in zip(ends[:3], ends[1:4], strict=True))
+    p, w, f = (z[a:b] for a, b in pairwise(ends))
     late = [ca.depends_on(rate, f) for rate in ca.vertsplit(dae.quad)] if dae.quad.numel() else []
     kept = tuple(k for k, is_late in enumerate(late) if not is_late)
     c = ca.vertcat(ca.SX(0, 1), *(each.symbol for each in dae.p))
     columns = dae.columns()[0], p, ca.SX.sym("q", len(kept)), w, f, u, c, dae.t
     edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
-    rows = Rows(*(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)))
+    rows = Rows(*(slice(a, b) for a, b in pairwise(edges)))
     state = ca.vertcat(*columns)
     eliminate = _elimination(dae, state, rows)
     quad = [dae.quad[k] for k in kept]
     distances, bounds = _distances(dae)
     scale = ca.DM(dae.scale)
     new_p, moved = _moved(dae, (p, w), quad, eliminate)
-    change = ca.norm_inf((new_p - p) / scale[: ends[1]])
+    # sums, since maxima would ignore what is not a number
+    change = ca.norm_1((new_p - p) / scale[: ends[1]])
     forces = f
     if f.numel():
         forces = f - eliminate(ca.jacobian(dae.residuals[2], f), dae.residuals[2])
-    shift = ca.norm_inf((forces - f) / scale[ends[2] :]) if f.numel() else ca.SX(0)
+    shift = ca.norm_1((forces - f) / scale[ends[2] :]) if f.numel() else ca.SX(0)
     checks = ca.vertcat(forces, shift, *_with(distances, f, forces))
     (checks,) = _with([checks], w, moved[1])
-    *moved, checks = _with([*moved, checks], p, new_p)
-    motion = (moved[0], new_p, moved[1], change, *moved[2:])
+    derivatives, rates, residual, speed, checks = _with([*moved, checks], p, new_p)
+    motion = derivatives, new_p, rates, change, residual, speed
     n_f = f.numel()
 
     def graph(name: str, *results: ca.SX) -> Graph:
@@ -156,7 +163,7 @@ def graphs_of(dae: Dae) -> Graphs:
         dae,
         rows,
         kept,
-        graph("guess", dae.guess[: ends[1]]),
+        graph("guess", *(dae.guess[a:b] for a, b in pairwise(ends))),
         graph("place", new_p, change),
         graph("motion", *motion),
         graph("checked", *motion, checks[:n_f], checks[n_f], checks[n_f + 1 :]),
@@ -187,7 +194,7 @@ def _moved(
             "friction or soil; use method='simulate'"
         )
     rates = eliminate(matrix, right)
-    residual = ca.norm_inf(matrix @ rates - right)
+    residual = ca.norm_1(matrix @ rates - right)
     ode, *quad = _with([dae.ode, *quad], w, rates)
     (leading,) = _with([dae.leading_rates], w, rates)
     k = leading.numel()
@@ -195,8 +202,16 @@ def _moved(
     follow = ca.vertcat(leading, -eliminate(jacobian[:, k:], drift))
     names = [label.full for label in leaves(dae.labels.x)]
     v_x, v_y, turn = (ode[names.index(name)] for name in ("x", "y", "heading"))
-    speed = ca.hypot(v_x, v_y) + dae.size * ca.fabs(turn)
-    return p - eliminate(jacobian, closure), (ca.vertcat(ode, follow, *quad), rates, residual, speed)
+    # a contact may be much faster than the platform, as under a wheel that is almost flat
+    places = [k for k, label in enumerate(leaves(dae.labels.z[0])) if label.name == "contact_x"]
+    fast = [ca.hypot(follow[k], follow[k + 1]) for k in places]
+    speed = ca.mmax(ca.vertcat(ca.hypot(v_x, v_y) + dae.size * ca.fabs(turn), *fast))
+    return p - eliminate(jacobian, closure), (
+        ca.vertcat(ode, follow, *quad),
+        rates,
+        residual,
+        speed,
+    )
 
 
 def _distances(dae: Dae) -> tuple[list[ca.SX], tuple[int, ...]]:
@@ -228,7 +243,7 @@ def _graph(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Graph
             ca.Function(f"{name}_{k}", inputs, [ca.densify(each.argument)])
             for k, each in enumerate(lookups)
         ),
-        tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)),
+        tuple(slice(a, b) for a, b in pairwise(ends)),
     )
 
 
@@ -241,7 +256,9 @@ def _elimination(dae: Dae, state: ca.SX, rows: Rows) -> Solve:
     for k, label in enumerate(labels):
         if label.name == "heading":
             samples[k] = rng.uniform(-np.pi, np.pi, SAMPLES)
-    guess = dae.function("guess", [x, ca.vertcat(*(each.symbol for each in dae.p))], [ca.densify(dae.guess)])
+    guess = dae.function(
+        "guess", [x, ca.vertcat(*(each.symbol for each in dae.p))], [ca.densify(dae.guess)]
+    )
     for k, each in enumerate(dae.p):
         samples[rows.c.start + k] = each.value
     (first,) = evaluate(guess, samples[rows.x], samples[rows.c])
@@ -249,9 +266,7 @@ def _elimination(dae: Dae, state: ca.SX, rows: Rows) -> Solve:
     samples[rows.f] = first[z.numel() - (rows.f.stop - rows.f.start) :]
 
     def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
-        (values,) = evaluate(
-            dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples
-        )
+        (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)
         m, n = matrix.shape
         return _eliminate(matrix, right, values.T.reshape(-1, n, m).transpose(0, 2, 1))
 
@@ -267,9 +282,8 @@ def _eliminate(matrix: ca.SX, right: ca.SX, numbers: Array) -> ca.SX:
     those of the least-slip condition can be chosen there, since rates precede multipliers.
     """
     (m, n), numbers = matrix.shape, numbers.copy()
-    a: list[list[ca.SX | None]] = [[None] * n for _ in range(m)]
-    for i, j in zip(*matrix.sparsity().get_triplet(), strict=True):
-        a[i][j] = matrix[i, j]
+    entries = [matrix[i, j] for i, j in zip(*matrix.sparsity().get_triplet(), strict=True)]
+    a = dict(zip(zip(*matrix.sparsity().get_triplet(), strict=True), entries, strict=True))
     turned = numbers.transpose(0, 2, 1)
     symmetric = m == n and bool(np.allclose(numbers, turned, rtol=1e-12, atol=0))
     b = ca.vertsplit(ca.densify(right))
@@ -279,32 +293,31 @@ def _eliminate(matrix: ca.SX, right: ca.SX, numbers: Array) -> ca.SX:
         rows.remove(i)
         columns.remove(j)
         order.append((i, j))
-        inverse = 1 / a[i][j]
+        inverse = 1 / a[i, j]
         for k in rows:
-            if a[k][j] is None:
+            if (k, j) not in a:
                 continue
-            factor = a[k][j] * inverse
+            factor = a[k, j] * inverse
             numbers[:, k] -= (numbers[:, k, j] / numbers[:, i, j])[:, None] * numbers[:, i]
             b[k] = b[k] - factor * b[i]
             for c in columns:
-                if a[i][c] is None or (symmetric and c < k):
+                if (i, c) not in a or (symmetric and c < k):
                     continue
-                old = a[k][c]
-                a[k][c] = -factor * a[i][c] if old is None else old - factor * a[i][c]
+                a[k, c] = a[k, c] - factor * a[i, c] if (k, c) in a else -factor * a[i, c]
                 if symmetric:
-                    a[c][k] = a[k][c]
-    solution: list[ca.SX | None] = [None] * n
+                    a[c, k] = a[k, c]
+    solution = dict[int, ca.SX]()
     for i, j in reversed(order):
         total = b[i]
-        for c in range(n):
-            if a[i][c] is not None and solution[c] is not None:
-                total = total - a[i][c] * solution[c]
-        solution[j] = total / a[i][j]
-    return ca.vertcat(*solution)
+        for c, value in solution.items():
+            if (i, c) in a:
+                total = total - a[i, c] * value
+        solution[j] = total / a[i, j]
+    return ca.vertcat(*(solution[j] for j in range(n)))
 
 
 def _pivot(
-    a: list[list[ca.SX | None]],
+    a: dict[tuple[int, int], ca.SX],
     numbers: Array,
     rows: set[int],
     columns: set[int],
@@ -315,7 +328,7 @@ def _pivot(
     r, c = sorted(rows), sorted(columns)
     left = np.abs(numbers[:, r][:, :, c])
     relative = (left / np.maximum(left.max(axis=2, keepdims=True), 1e-300)).min(axis=0)
-    filled = np.array([[a[i][j] is not None for j in c] for i in r])
+    filled = np.array([[(i, j) in a for j in c] for i in r])
     relative = np.where(filled & np.isfinite(relative), relative, 0.0)
     if symmetric:
         relative *= np.eye(len(r))

@@ -2,32 +2,32 @@
 
 Positions are integrated with the states by Ralston's third-order method, and corrected by one
 Newton step at each stage. The prediction is so close that one step suffices: Newton steps from the
-positions of the stage before would reduce the order to two. The integration restarts at each sample,
-where the inputs may jump. The number of steps of an interval follows from the speed of the lane
-alone, and every lane is computed by the same operations in any company, so that results do not
-depend on the other lanes.
+positions of the stage before would reduce the order to two. The integration restarts at each
+sample, where the inputs may jump. The number of steps of an interval follows from the speed of the
+lane alone, and every lane is computed by the same operations in any company, so that results do
+not depend on the other lanes.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slipfree.batch.evaluator import Evaluator
 from slipfree.batch.graph import Graph
 from slipfree.core.dae import LIMIT_ROUNDING
-from slipfree.core.records import Array, Mask, leaves
+from slipfree.core.records import Array, Indices, Mask, leaves
 
 ORDER = 3
 MAX_CHANGE = 0.1  # largest correction of a position by a Newton step [typical size]
 MAX_RESIDUAL = 1e-8  # residual of the linear equations of the rates, in their units
-MAX_HALVINGS = 6  # of a step whose corrections are too large
+REFINEMENTS = (8, 64)  # factors of smaller steps for lanes whose corrections are too large
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 MAX_STEPS = 1_000_000  # in an interval
 MAX_BISECTIONS = 60
-FORCE_STEPS = 6  # Newton steps of the forces at a start
-FORCE_CHANGE = 1e-6  # change of the forces below which they are solved [typical size]
+FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
+FORCE_CHANGE = 1e-5  # change of the forces that needs another step [typical size]
 FORCES, FORCE_CHANGES, DISTANCES = 6, 7, 8  # parts of the results of the graph "checked"
 COMPLETE, UNSOLVED, INVALID_START = -1, -2, -3  # ends without a limit
 
@@ -50,6 +50,8 @@ class Motions(NamedTuple):
         States just beyond the limit; the states at the end for other lanes.
     error : ndarray, shape (n,)
         Estimate of the error of x and y at the last sample of a lane; NaN without estimate. [m]
+    distances : ndarray, shape (n_bounds, n)
+        Distances to the bounds of the limits at the first sample.
     """
 
     samples: Array
@@ -58,6 +60,7 @@ class Motions(NamedTuple):
     last: Array
     beyond: Array
     error: Array
+    distances: Array
 
 
 def integrate_lanes(
@@ -81,19 +84,38 @@ def integrate_lanes(
         Whether to estimate the error by a second motion with twice the step.
     """
     with np.errstate(all="ignore"):
-        fine = _Run(evaluate, states, inputs, t, step)
-        fine.run(even=estimate)
-        error = np.full(states.shape[1], np.nan)
-        if estimate:
-            coarse = _Run(evaluate, states, inputs, t, step)
-            coarse.run(counts=fine.counts // 2)
-            names = [label.full for label in leaves(evaluate.graphs.dae.labels.x)]
-            x, y = names.index("x"), names.index("y")
-            reached = np.maximum(np.isfinite(fine.samples[x]).sum(axis=0) - 1, 0)
-            lanes = np.arange(reached.size)
-            apart = [(fine.samples[k] - coarse.samples[k])[reached, lanes] for k in (x, y)]
-            error = np.hypot(*apart) / (2**ORDER - 1)
-    return Motions(fine.samples, fine.end, fine.reason, fine.last, fine.beyond, error)
+        motions = _integrate(evaluate, states, inputs, t, step, estimate=estimate)
+        for refinement in REFINEMENTS:
+            again = motions.reason == UNSOLVED
+            if not again.any():
+                break
+            chosen = states[:, again], inputs[..., again]
+            finer = _integrate(evaluate, *chosen, t, step / refinement, estimate=estimate)
+            for values, new in zip(motions, finer, strict=True):
+                values[..., again] = new
+    return motions
+
+
+def _integrate(
+    evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, *, estimate: bool
+) -> Motions:
+    fine = _Run(evaluate, states, inputs, t, step)
+    fine.run(even=estimate)
+    error = np.full(states.shape[1], np.nan)
+    if estimate:
+        coarse = _Run(evaluate, states, inputs, t, step)
+        coarse.run(counts=fine.counts // 2)
+        names = [label.full for label in leaves(evaluate.graphs.dae.labels.x)]
+        reached = np.maximum(np.isfinite(fine.samples[0]).sum(axis=0) - 1, 0)
+        lanes = np.arange(reached.size)
+        apart = [
+            (fine.samples[k] - coarse.samples[k])[reached, lanes]
+            for k in (names.index("x"), names.index("y"))
+        ]
+        error = np.hypot(*apart) / (2**ORDER - 1)
+    return Motions(
+        fine.samples, fine.end, fine.reason, fine.last, fine.beyond, error, fine.distances
+    )
 
 
 class _Step(NamedTuple):
@@ -105,7 +127,7 @@ class _Step(NamedTuple):
 
     def of(self, lanes: Mask) -> _Step:
         """Return the steps of some lanes."""
-        return _Step(self.states[:, lanes], self.rates[:, lanes], self.h[lanes])
+        return _Step(*(_of(lanes, each) for each in self))
 
 
 class _Run:
@@ -126,7 +148,8 @@ class _Run:
         """Integrate; with given numbers of steps, limits are not evaluated."""
         lanes, states, limited = np.arange(self.end.size), self.first.copy(), counts is None
         if limited:
-            states = self._with_forces(states)
+            states[self.rows.u], states[self.rows.t] = self.inputs[:, 0], self.t[0]
+            self.distances = solve_forces(self.evaluate, states)
         before: _Step | None = None
         for k, now in enumerate(self.t):
             if k < self.t.size - 1:
@@ -136,10 +159,17 @@ class _Run:
             if limited:
                 self._end(lanes, states, before, good, inside)
             kept = good & inside
-            lanes, states, rates, speed = lanes[kept], states[:, kept], rates[:, kept], speed[kept]
+            lanes, states, rates, speed = (
+                _of(kept, each) for each in (lanes, states, rates, speed)
+            )
             self.samples[:, k, lanes] = states
             self.last[:, lanes] = states
-            if k == self.t.size - 1 or not lanes.size:
+            if k == self.t.size - 1:
+                break
+            if counts is not None:
+                on_way = counts[k, lanes] > 0  # others have ended
+                lanes, states, rates = (_of(on_way, each) for each in (lanes, states, rates))
+            if not lanes.size:
                 break
             span = self.t[k + 1] - now
             if counts is None:
@@ -149,48 +179,33 @@ class _Run:
             else:
                 number = counts[k, lanes]
             parts = []
-            for count in np.unique(number[number > 0]):
+            for count in np.unique(number):
                 chosen = number == count
-                start = _Step(states[:, chosen], rates[:, chosen], np.full(chosen.sum(), span / count))
-                parts.append(self._interval(lanes[chosen], start, int(count), limited=limited))
-            lanes = np.concatenate([part[0] for part in parts] or [lanes[:0]])
-            states = np.concatenate([part[1] for part in parts] or [states[:, :0]], axis=1)
-            before = _Step(
-                *(np.concatenate([part[2][i] for part in parts] or [states[:, :0]], axis=-1) for i in range(3))
+                start = _Step(states, rates, np.full(lanes.size, span / count)).of(chosen)
+                parts.append(self._interval(_of(chosen, lanes), start, int(count), limited=limited))
+            lanes, states, *last = (
+                np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True)
             )
+            before = _Step(*last)
 
     def _interval(
-        self, lanes: Array, start: _Step, count: int, *, limited: bool
-    ) -> tuple[Array, Array, _Step]:
+        self, lanes: Indices, start: _Step, count: int, *, limited: bool
+    ) -> tuple[Any, ...]:
         """Return the lanes that reach the end of an interval, their states and last steps."""
         for k in range(count):
-            states, solved = advance_safely(self.evaluate, *start)
+            states, solved = advance(self.evaluate, *start)
             if not solved.all():
                 self._end(lanes, states, start, solved, np.ones_like(solved))
-                lanes, states, start = lanes[solved], states[:, solved], start.of(solved)
+                lanes, states, start = _of(solved, lanes), _of(solved, states), start.of(solved)
             if k == count - 1 or not lanes.size:
                 break
             rates, good, _, inside = self._checked(states, limited=limited)
             if limited:
                 self._end(lanes, states, start, good, inside)
                 good &= inside
-            if not good.all():
-                lanes, states, rates, start = lanes[good], states[:, good], rates[:, good], start.of(good)
-            start = _Step(states, rates, start.h)
-        return lanes, states, start
-
-    def _with_forces(self, states: Array) -> Array:
-        """Return the states with forces that follow from the motion at the first sample."""
-        states[self.rows.u] = self.inputs[:, 0]
-        states[self.rows.t] = self.t[0]
-        graph = self.evaluate.graphs.checked
-        for _ in range(FORCE_STEPS):
-            values = self.evaluate(graph, states)
-            _derivatives(self.evaluate, graph, values, states)
-            states[self.rows.f] = values[graph.parts[FORCES]]
-            if not (np.abs(values[graph.parts[FORCE_CHANGES]]) > FORCE_CHANGE).any():
-                break
-        return states
+            lanes, states = _of(good, lanes), _of(good, states)
+            start = _Step(states, _of(good, rates), _of(good, start.h))
+        return lanes, states, *start
 
     def _checked(self, states: Array, *, limited: bool) -> tuple[Array, Mask, Array, Mask]:
         """Return the results of `derivatives`, and which lanes are within all limits."""
@@ -199,12 +214,21 @@ class _Run:
             return rates, good, speed, np.ones_like(good)
         graph = self.evaluate.graphs.checked
         values = self.evaluate(graph, states)
-        states[self.rows.f] = values[graph.parts[FORCES]]
-        inside = np.asarray((values[graph.parts[DISTANCES]] >= -LIMIT_ROUNDING).all(axis=0))
-        return *_derivatives(self.evaluate, graph, values, states), inside
+        result = _derivatives(self.evaluate, graph, values, states)
+        distances = values[graph.parts[DISTANCES]]
+        for _ in range(FORCE_STEPS):
+            states[self.rows.f] = values[graph.parts[FORCES]]
+            rough = values[graph.parts[FORCE_CHANGES]][0] > FORCE_CHANGE
+            if not rough.any():
+                break
+            some = _of(rough, states)
+            more = self.evaluate(graph, some)
+            values[:, rough] = more
+            distances[:, rough] = more[graph.parts[DISTANCES]]
+        return *result, within_limits(distances)
 
     def _end(
-        self, lanes: Array, states: Array, before: _Step | None, good: Mask, inside: Mask
+        self, lanes: Indices, states: Array, before: _Step | None, good: Mask, inside: Mask
     ) -> None:
         """End lanes that are not solved or beyond a limit; the last step is bisected."""
         for ended, reason in ((~good, UNSOLVED), (good & ~inside, COMPLETE)):
@@ -222,7 +246,7 @@ class _Run:
                 self.end[which], self.last[:, which] = step.states[self.rows.t][0], step.states
                 self.beyond[:, which] = step.states
                 continue
-            low, high, limit = self._bisect(step, states[:, ended])
+            low, high, limit = self._bisect(step, _of(ended, states))
             self.reason[which], self.end[which] = limit, low[self.rows.t][0]
             self.last[:, which], self.beyond[:, which] = low, high
 
@@ -248,6 +272,30 @@ class _Run:
         distances = self.evaluate(graph, beyond)[graph.parts[DISTANCES]]
         worst = np.where(np.isnan(distances), -np.inf, distances).argmin(axis=0)
         return inside, beyond, np.array(self.evaluate.graphs.bounds)[worst]
+
+
+def _of(lanes: Mask, array: Any) -> Any:
+    """Return the columns of some lanes, with contiguous rows."""
+    return array if lanes.all() else np.compress(lanes, array, axis=-1)
+
+
+def solve_forces(evaluate: Evaluator, states: Array) -> Array:
+    """Return the distances to the bounds of limits; solve for the forces in the states.
+
+    The forces of a lane that is solved do not change, whatever the others need.
+    """
+    graph, rows = evaluate.graphs.checked, evaluate.graphs.rows
+    for _ in range(FORCE_STEPS):
+        values = evaluate(graph, states)
+        _derivatives(evaluate, graph, values, states)
+        states[rows.f] = values[graph.parts[FORCES]]
+    distances: Array = values[graph.parts[DISTANCES]]
+    return distances
+
+
+def within_limits(distances: Array) -> Mask:
+    """Return which lanes are within all limits, up to rounding; those with NaN are not."""
+    return np.asarray((distances >= -LIMIT_ROUNDING).all(axis=0))
 
 
 def derivatives(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array]:
@@ -287,18 +335,3 @@ def advance(evaluate: Evaluator, states: Array, rates: Array, h: Array) -> tuple
     stage[moving] = start + (h / 9) * (2 * rates + 3 * second + 4 * third)
     stage[rows.t] = states[rows.t] + h
     return stage, good & also_good
-
-
-def advance_safely(
-    evaluate: Evaluator, states: Array, rates: Array, h: Array, halvings: int = MAX_HALVINGS
-) -> tuple[Array, Mask]:
-    """Return the states after a step; lanes with large corrections take two steps of half length."""
-    after, good = advance(evaluate, states, rates, h)
-    if good.all() or not halvings:
-        return after, good
-    bad = ~good
-    middle, solved = advance_safely(evaluate, states[:, bad], rates[:, bad], h[bad] / 2, halvings - 1)
-    new, also_good, _ = derivatives(evaluate, middle)
-    middle, last = advance_safely(evaluate, middle, new, h[bad] / 2, halvings - 1)
-    after[:, bad], good[bad] = middle, solved & also_good & last
-    return after, good

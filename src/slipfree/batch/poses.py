@@ -24,16 +24,19 @@ def solve_positions(evaluate: Evaluator, states: Array) -> Mask:
     """
     graphs = evaluate.graphs
     with np.errstate(all="ignore"):
-        states[graphs.rows.p] = first = evaluate(graphs.guess, states)
+        guess = evaluate(graphs.guess, states)
+        for rows, part in zip(graphs.rows.z, graphs.guess.parts, strict=True):
+            states[rows] = guess[part]
+        first = guess[graphs.guess.parts[0]]
         solved = _newton(evaluate, states, PLAIN_STEPS, np.inf, 0)
         for ramp in (0, RAMP_STEPS):
             left = ~solved
             if not left.any():
                 break
-            part = states[:, left]
-            part[graphs.rows.p] = first[:, left]
-            found = _newton(evaluate, part, BOUNDED_STEPS, MAX_CHANGE, ramp)
-            states[:, left], solved[left] = part, found
+            some = states[:, left]
+            some[graphs.rows.p] = first[:, left]
+            solved[left] = _newton(evaluate, some, BOUNDED_STEPS, MAX_CHANGE, ramp)
+            states[:, left] = some
     return solved
 
 

@@ -65,25 +65,23 @@ class SecondContact:
         A penetration below `TOLERANCE` does not make a clearance negative. Where the curvature of
         the ground excludes a second contact, the clearance is infinite.
         """
-        center, rotation, normal = evaluate(self.pose, x, z)
-        found = np.full(x.shape[1], np.inf)
-        for k in range(0, found.size, CHUNK):
-            part = slice(k, k + CHUNK)
-            pose = center[:, part], rotation[:, part], normal[:, part]
-            if not self._has_single_contact(*pose[:2]):
-                found[part] = self._nearest(*pose)[0]
-        return found
+        pose = evaluate(self.pose, x, z)
+        clearance = np.full(x.shape[1], np.inf)
+        open_ = np.flatnonzero(~self._has_single_contact(*pose[:2]))
+        for k in range(0, open_.size, CHUNK):
+            part = open_[k : k + CHUNK]
+            clearance[part] = self._nearest(*(each[:, part] for each in pose))[0]
+        return clearance
 
-    def _has_single_contact(self, center: Array, rotation: Array) -> bool:
-        """Return whether the curvature of the ground excludes a second contact at all samples."""
+    def _has_single_contact(self, center: Array, rotation: Array) -> Mask:
+        """Return at which samples the curvature of the ground excludes a second contact."""
         bounds = getattr(self.terrain, "derivative_bounds", None)
         if bounds is None or self.wheel.section.torus_radii is None:
-            return False
+            return np.zeros(center.shape[1], dtype=bool)
         radius, (x_0, y_0, _) = self.wheel.radius, self.terrain.origin
-        low, high = center.min(axis=1) - radius, center.max(axis=1) + radius
-        slope, curvature = bounds((low[0] + x_0, high[0] + x_0, low[1] + y_0, high[1] + y_0))
-        level, upright = np.hypot(rotation[0], rotation[1]).min(), np.abs(rotation[2]).max()
-        return bool(radius * curvature < level - slope * upright)
+        slope, curvature = bounds(center[0] + x_0, center[1] + y_0, radius)
+        level, upright = np.hypot(rotation[0], rotation[1]), np.abs(rotation[2])
+        return np.asarray(radius * curvature < level - slope * upright)
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message that locates the second contact, in map coordinates."""

@@ -24,6 +24,7 @@ T = TypeVar("T", default=Any)  # type of the scalars of a record: symbols, label
 Record = tuple[object, ...]  # a named tuple of scalars or records, such as the inputs of a model
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
 LINE_WIDTH, MAX_LINES = 92, 5  # largest width and number of lines of a repr
 MAX_VALUE = 60  # largest number of characters of a value in a repr
 BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {

@@ -20,10 +20,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.core.dae import Dae, Limit, power_of_length
+from slipfree.core.dae import Dae, Limit, limit_message, power_of_length
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, leaves
-from slipfree.solve.initial_conditions import MAX_DIVISIONS, MAX_STEP, limit_message
+from slipfree.solve.initial_conditions import MAX_DIVISIONS, MAX_STEP
 
 MAX_STEPS = 30  # of Newton's method
 MAX_HALVINGS = 6  # of a step that does not reduce the residual

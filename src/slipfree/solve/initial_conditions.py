@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from slipfree.core.dae import limit_message
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.records import Array, leaves
@@ -175,13 +176,3 @@ def _violation_message(system: System, x: Array, z: Array, u: Array) -> str:
                 limit.label.words, value, limit.lower, limit.upper, limit.label.unit
             )
     return ""
-
-
-def limit_message(words: str, value: float, lower: float, upper: float, unit: str) -> str:
-    """Return the message of a violated limit: description, value and allowed range."""
-    if np.isfinite(lower) and np.isfinite(upper):
-        allowed = f"{lower:g} to {upper:g}"
-    else:
-        allowed = f"at least {lower:g}" if np.isfinite(lower) else f"at most {upper:g}"
-    unit = "" if unit == "1" else f" {unit.replace('m-1', '1/m')}"
-    return f"{words}: {round(value, 6) + 0.0:.4g}, allowed {allowed}{unit}"

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.core.dae import LIMIT_ROUNDING, Dae, Limit
+from slipfree.core.dae import LIMIT_ROUNDING, Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import found_column
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Mask, field_overview, leaves
 from slipfree.core.trajectory import Stop, Trajectory
-from slipfree.solve.initial_conditions import UnsolvedError, limit_message, solve_initial_conditions
+from slipfree.solve.initial_conditions import UnsolvedError, solve_initial_conditions
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples
 from slipfree.solve.system import System
 
@@ -24,13 +24,6 @@ PREDICTION_TIME = 1e-3  # time of prediction after the last sample of the integr
 SHARE = 0.1  # fraction of the prediction time after which a small jump is tested again
 MIN_JUMP = 0.05  # smallest jump of an unknown in the prediction time [its typical size]
 MIN_LASTING_JUMP = 5e-3  # the same, if at least half of the jump occurs in the fraction `SHARE`
-
-
-def _limit_message(limit: Limit, value: float, x: Array, z: Array) -> str:
-    if limit.describe is not None and (words := limit.describe(x, z)):
-        return words
-    label = limit.label
-    return limit_message(label.words, value, limit.lower, limit.upper, label.unit)
 
 
 def invalid_start(words: str) -> ModelError:
@@ -63,9 +56,7 @@ def first_violation(
         consider(
             limit.violated_by(values, system.dae.size_of(label)),
             label.full,
-            lambda k, v=values, of=limit: _limit_message(
-                of, float(v[k]), samples.x[:, k], samples.z[:, k]
-            ),
+            lambda k, v=values, of=limit: of.message(float(v[k]), samples.x[:, k], samples.z[:, k]),
             limit.outcome,
         )
     for block in (*system.blocks, *system.dependent_blocks):
@@ -121,7 +112,7 @@ def limit_at_failure(
         return None
     value = float(run.of(nearest.label)[-1])
     k = -1 if violation is None else violation
-    words = _limit_message(nearest, value, samples.x[:, k], samples.z[:, k])
+    words = nearest.message(value, samples.x[:, k], samples.z[:, k])
     return Stop(nearest.label.full, float(run.t[-1]), words, nearest.outcome)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -26,7 +27,7 @@ from slipfree.terrain.kernel import Opened, register_ground
 
 KNOT_TOLERANCE = 1e-10  # points closer to a knot count as on it, in cells
 HOLE_CLEARANCE = 1 / 3  # smoothing shifts the zero of the distance by less, in cells
-TILE = 16  # side of a square with common bounds of the derivatives, in cells
+TILE = 4  # side of a square with common bounds of the derivatives, in cells
 CHUNK = 8192  # points evaluated at once, so that temporary arrays stay in the cache
 CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
 MAX_FOURFOLD_SIZE = 2**21  # larger tables of coefficients are stored once, not four times
@@ -187,45 +188,63 @@ class Bicubic:
             heights[part] = local_heights(flat_x[part] - x_0, flat_y[part] - y_0)
         return heights.reshape(x.shape) + z_0
 
-    def derivative_bounds(self, box: tuple[float, float, float, float]) -> tuple[float, float]:
-        """Return upper bounds of the slope and of the curvature of a box of the map.
+    def derivative_bounds(self, x: Array, y: Array, reach: float) -> tuple[Array, Array]:
+        """Return upper bounds of the slope and of the curvature around points.
 
         Parameters
         ----------
-        box : tuple of 4 floats
-            ``x_min, x_max, y_min, y_max`` in map coordinates. [m]
+        x, y : ndarray, shape (n,)
+            Points in map coordinates. [m]
+        reach : float
+            Distance in x and y within which the bounds hold. [m]
 
         Returns
         -------
-        slope, curvature : float
+        slope, curvature : ndarray, shape (n,)
             Bounds of the norm of the gradient [1] and of the spectral norm of the Hessian [1/m];
-            infinite if the box is not inside the domain.
+            infinite for points whose surroundings are not inside the domain.
 
         Notes
         -----
         A derivative of a B-spline is a B-spline of a lower degree. Its coefficients are difference
         quotients of the coefficients of the spline, and it lies between the smallest and the
-        largest of those that belong to a cell.
+        largest of those that belong to a cell. Points in the same square of `TILE` cells share
+        their bounds, which are computed once.
         """
-        tiles, is_inside = list[range](), True
-        for k, (axis, h) in enumerate(zip((self.grid.x, self.grid.y), self._spacing, strict=True)):
-            low, high = box[2 * k], box[2 * k + 1]
-            is_inside &= bool(axis[0] <= low and high <= axis[-1])
-            ends = (
-                int((each - axis[0]) / h + more) // TILE
-                for each, more in ((low, -0.5), (high, 0.5))
-            )
-            first, last = ends if is_inside else (0, 0)
-            tiles.append(range(max(0, first), last + 1))
-        if not is_inside:
-            return np.inf, np.inf
-        found = [self._tile_bounds(i, j) for i in tiles[0] for j in tiles[1]]
-        return max(slope for slope, _ in found), max(curvature for _, curvature in found)
+        slope, curvature = np.full((2, x.size), np.inf)
+        inside = np.ones(x.size, dtype=bool)
+        squares = list[Array]()
+        for axis, h, at in zip((self.grid.x, self.grid.y), self._spacing, (x, y), strict=True):
+            inside &= (axis[0] <= at - reach) & (at + reach <= axis[-1])
+            squares.append(np.floor((at - axis[0]) / (TILE * h)))
+        width = self._table.shape[1]
+        keys, which = np.unique(
+            squares[0][inside] * width + squares[1][inside], return_inverse=True
+        )
+        bounds = [self._square_bounds(*divmod(int(key), width), reach) for key in keys]
+        if bounds:
+            slope[inside], curvature[inside] = np.array(bounds)[which].T
+        return slope, curvature
+
+    def _square_bounds(self, i: int, j: int, reach: float) -> tuple[float, float]:
+        """Return the bounds of `derivative_bounds` for a square of cells."""
+        known = self._known_bounds
+        if (i, j, reach) not in known:
+            ranges = list[range]()
+            for k, h, count in zip((i, j), self._spacing, self._table.shape, strict=True):
+                more = math.ceil(reach / h) / TILE
+                last = (count - 3) // TILE
+                ranges.append(
+                    range(max(0, math.floor(k - more)), min(last, math.floor(k + 1 + more)) + 1)
+                )
+            tiles = [self._tile_bounds(m, n) for m in ranges[0] for n in ranges[1]]
+            known[i, j, reach] = max(tile[0] for tile in tiles), max(tile[1] for tile in tiles)
+        return known[i, j, reach]
 
     def _tile_bounds(self, i: int, j: int) -> tuple[float, float]:
         """Return the bounds of `derivative_bounds` for a square of cells; computed once."""
         known = self._known_bounds
-        if (i, j) not in known:
+        if (i, j, 0.0) not in known:
             h_x, h_y = self._spacing
             rows, columns = (slice(TILE * k, TILE * (k + 1) + 3) for k in (i, j))
             part = 36 * self._table[rows, columns]
@@ -237,11 +256,11 @@ class Bicubic:
             )
             slopes = (np.abs(each).max(initial=0.0) for each in (along_x, along_y))
             xx, yy, xy = (float(np.abs(each).max(initial=0.0)) for each in second)
-            known[i, j] = float(np.hypot(*slopes)), max(xx, yy) + xy
-        return known[i, j]
+            known[i, j, 0.0] = float(np.hypot(*slopes)), max(xx, yy) + xy
+        return known[i, j, 0.0]
 
     @cached_property
-    def _known_bounds(self) -> dict[tuple[int, int], tuple[float, float]]:
+    def _known_bounds(self) -> dict[tuple[int, int, float], tuple[float, float]]:
         return {}
 
     @cached_property

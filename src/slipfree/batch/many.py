@@ -1,0 +1,419 @@
+"""Very many poses and motions of a model, as arrays with a value for each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from slipfree.batch.evaluator import Evaluator, evaluator_of
+from slipfree.batch.graph import Graphs
+from slipfree.batch.motion import (
+    INVALID_START,
+    UNSOLVED,
+    integrate_lanes,
+    solve_forces,
+    within_limits,
+)
+from slipfree.batch.poses import solve_positions
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, Label, Mask, leaves
+from slipfree.core.trajectory import WHEELS, Column, Trajectory, require
+
+if TYPE_CHECKING:
+    import xarray
+
+CHUNK = 512  # lanes computed together: their states stay in the processor's cache
+LARGEST = 2**22  # numbers in the samples of lanes computed together
+STEP = 0.5  # default length of a step [size of the vehicle]
+FAILED = "failed"  # outcome without a pose
+NO_POSE = (
+    "no pose was found at which all wheels touch the ground; choose another place, or a ground "
+    "without hollows narrower than the wheels (terrain.rolled)"
+)
+
+
+class LaneResults(NamedTuple):
+    """Results of n motions at m samples.
+
+    Attributes
+    ----------
+    columns : dict of str to Column
+        Quantities by name, of shape (n, m) or (n, m, n_wheels), NaN after the end of a motion.
+    wheels : tuple of str
+        Names of the wheels.
+    outcomes : list of str
+        Names of outcomes in lower case; ``"failed"`` without a start.
+    reasons : list of str
+        Messages of early ends.
+    end : ndarray, shape (n,)
+        Times that the motions reached. [s]
+    error : ndarray, shape (n,)
+        Estimates of the errors of x and y at the last sample. [m]
+    disputed : ndarray of bool, shape (n,)
+        Motions that `slipfree.simulate` must decide: Newton's method did not follow the contacts,
+        or a wheel may touch the ground a second time.
+    """
+
+    columns: dict[str, Column]
+    wheels: tuple[str, ...]
+    outcomes: list[str]
+    reasons: list[str]
+    end: Array
+    error: Array
+    disputed: Mask
+
+
+class _Source(NamedTuple):
+    """Label of a quantity and its rows: of the states, or of the outputs if ``is_output``."""
+
+    label: Label
+    rows: list[int]
+    is_output: bool
+    shift: Array
+    wheels: tuple[str, ...]
+
+
+def settle_many(
+    model: Dae,
+    *,
+    quantities: Sequence[str] | None = None,
+    compiled: bool = True,
+    **start: float | Array,
+) -> xarray.Dataset:
+    """Return the vehicle at rest at many positions.
+
+    Each pose equals that of `settle`: all wheels touch the ground.
+
+    Parameters
+    ----------
+    model : Dae
+        Model of a vehicle whose wheels can all touch a rigid ground.
+    quantities : sequence of str, optional
+        Names of the quantities to keep; by default the states and the other coordinates of the
+        pose.
+    compiled : bool
+        Whether to compile the equations, which takes up to half a minute once for each structure of
+        a vehicle. Without a compiler they are interpreted, and a warning gives the reason.
+    **start : float or ndarray, shape (n_poses,)
+        States by name, such as ``x``, ``y``, ``heading``; others are zero. [m, rad]
+
+    Returns
+    -------
+    xarray.Dataset
+        Quantities with the dimensions ``pose`` and ``wheel``, NaN where no pose was found.
+        ``outcome`` is ``"complete"``; the outcome of the violated limit in lower case, such as
+        ``"limit"``; or ``"failed"`` without a pose. ``reason`` is the message of such an end.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown, a value is not finite, shapes differ, or the model has pressed wheels
+        or inertia.
+    SlipfreeError
+        If xarray is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Bicubic, Grid, catalog, direct_kinematics, settle_many
+    >>> axis = np.linspace(-5.0, 5.0, 51)
+    >>> ground = Bicubic(Grid(axis, axis, 0.1 * np.sin(axis)[:, None] * np.cos(axis)))
+    >>> model = direct_kinematics(catalog.three_wheeler(), ground)
+    >>> poses = settle_many(model, x=np.linspace(-3.0, 3.0, 1000), heading=0.3, compiled=False)
+    >>> print(f"roll from {poses['roll'].values.min():.3f} to {poses['roll'].values.max():.3f} rad")
+    roll from -0.099 to 0.099 rad
+    """
+    evaluate = evaluator_of(model, compiled=compiled)
+    graphs = evaluate.graphs
+    names = [label.full for label in leaves((model.labels.x, model.labels.z[0]))]
+    sources = _sources(graphs, names if quantities is None else quantities)
+    columns = {name: np.asarray(values, dtype=float) for name, values in start.items()}
+    count = max((values.size for values in columns.values()), default=1)
+    parts = list[_Poses]()
+    for first in range(0, count, CHUNK):
+        part = {n: v if v.size == 1 else v[first : first + CHUNK] for n, v in columns.items()}
+        parts.append(_poses(evaluate, start_states(graphs, part), sources))
+    return _pose_dataset(sources, parts)
+
+
+class _Poses(NamedTuple):
+    values: dict[str, Array]
+    outcomes: list[str]
+    reasons: list[str]
+
+
+def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Source]) -> _Poses:
+    """Return the poses of states."""
+    graphs = evaluate.graphs
+    solved = solve_positions(evaluate, states)
+    distances = solve_forces(evaluate, states)
+    inside = within_limits(distances)
+    outcomes = np.where(solved, "complete", FAILED).astype(object)
+    reasons = np.where(solved, "", NO_POSE).astype(object)
+    for k in np.flatnonzero(solved & ~inside):
+        limit = _worst(graphs, distances[:, k])
+        outcomes[k], reasons[k] = _limit_end(graphs, limit, states[:, k])
+    for index, margins in enumerate(_clearances(graphs, states[:, solved & inside])):
+        for k in np.flatnonzero(solved & inside)[~(margins >= 0)]:
+            outcomes[k], reasons[k] = _check_end(graphs, index, states[:, k])
+    states[:, ~solved] = np.nan
+    values = _values(evaluate, sources, states[:, None, :])
+    return _Poses({n: v[:, 0] for n, v in values.items()}, list(outcomes), list(reasons))
+
+
+def _pose_dataset(sources: Mapping[str, _Source], parts: Sequence[_Poses]) -> xarray.Dataset:
+    variables: dict[str, Any] = {}
+    wheels = tuple[str, ...]()
+    for name, source in sources.items():
+        values = np.concatenate([part.values[name] for part in parts])
+        wheels = source.wheels or wheels
+        metadata = Column(source.label, values).metadata
+        variables[name] = ("pose", "wheel")[: values.ndim], values, metadata
+    for name in ("outcomes", "reasons"):
+        texts = [text for part in parts for text in getattr(part, name)]
+        variables[name.removesuffix("s")] = "pose", np.array(texts, dtype=str)
+    coordinates = {"wheel": ("wheel", np.array(wheels), WHEELS)} if wheels else {}
+    dataset: xarray.Dataset = require("xarray").Dataset(variables, coordinates)
+    return dataset
+
+
+def start_states(graphs: Graphs, start: Mapping[str, Array]) -> Array:
+    """Return states of a model at rest at given values by name, without positions.
+
+    Raises ModelError if a name is unknown, a value is not finite, or shapes differ.
+    """
+    dae, rows = graphs.dae, graphs.rows
+    dae.start(**{name: float(np.ravel(values)[0]) for name, values in start.items()})  # names
+    sizes = {values.size for values in start.values()} - {1}
+    if len(sizes) > 1 or any(values.ndim > 1 for values in start.values()):
+        found = ", ".join(f"{name} {values.shape}" for name, values in start.items())
+        raise ModelError(
+            f"start: expected numbers or arrays of one shape (n,), found {found}; correct the "
+            "shapes"
+        )
+    states = np.zeros((rows.t.stop, max(sizes, default=1)))
+    for k, label in enumerate(leaves(dae.labels.x)):
+        values = np.asarray(start.get(label.full, 0.0), dtype=float)
+        if not np.isfinite(values).all():
+            raise ModelError(
+                f"start: expected finite numbers for {label.full!r}, found "
+                f"{values[~np.isfinite(values)][0]}; correct them"
+            )
+        states[k] = values - dae.shift[0][k]
+    for k, parameter in enumerate(dae.p):
+        states[rows.c.start + k] = parameter.value
+    return states
+
+
+def states_of(graphs: Graphs, run: Trajectory) -> Array:
+    """Return the state at the last sample of a motion of the model, shape (n_rows,)."""
+    dae, rows = graphs.dae, graphs.rows
+    state = np.zeros(rows.t.stop)
+    state[rows.x] = dae.rows("x", run, -1)
+    z = dae.rows("z", run, -1)
+    state[rows.p], state[rows.w], state[rows.f] = np.split(
+        z, [rows.p.stop - rows.p.start, z.size - (rows.f.stop - rows.f.start)]
+    )
+    state[rows.q] = dae.rows("q", run, -1)[list(graphs.quadratures)]
+    for k, parameter in enumerate(dae.p):
+        state[rows.c.start + k] = parameter.value
+    return state
+
+
+def run_lanes(
+    evaluate: Evaluator,
+    states: Array,
+    inputs: Array,
+    t: Array,
+    *,
+    step: float | None = None,
+    quantities: Sequence[str] | None = None,
+    placed: bool = False,
+) -> LaneResults:
+    """Return the motions of many lanes.
+
+    Parameters
+    ----------
+    evaluate : Evaluator
+        The model.
+    states : ndarray, shape (n_rows, n)
+        States at the start, from `start_states` or with consistent positions.
+    inputs : ndarray, shape (n_u, m - 1, n)
+        Inputs in every interval.
+    t : ndarray, shape (m,)
+        Times of the samples. [s]
+    step : float, optional
+        Largest length of a step; by default half the size of the vehicle. [m]
+    quantities : sequence of str, optional
+        Names of the quantities to keep; by default states, unknowns, inputs and outputs.
+    placed : bool
+        Whether the states have consistent positions.
+
+    Raises
+    ------
+    ModelError
+        If the step is not positive, or a quantity is unknown.
+    """
+    sources = _sources(evaluate.graphs, quantities)
+    step = STEP * evaluate.graphs.dae.size if step is None else step
+    if not step > 0:
+        raise ModelError(f"step: expected a positive number of metres, found {step}; correct it")
+    size = min(CHUNK, max(8, LARGEST // (len(states) * t.size)))
+    parts = [
+        _run(
+            evaluate,
+            states[:, k : k + size].copy(),
+            inputs[..., k : k + size],
+            t,
+            step,
+            sources,
+            placed=placed,
+        )
+        for k in range(0, states.shape[1], size)
+    ]
+    columns = {
+        name: Column(source.label, np.concatenate([part.columns[name].values for part in parts]))
+        for name, source in sources.items()
+    }
+    wheels = next((source.wheels for source in sources.values() if source.wheels), ())
+    texts = [[text for part in parts for text in part[k]] for k in (2, 3)]
+    numbers: list[Any] = [np.concatenate([part[k] for part in parts]) for k in (4, 5, 6)]
+    return LaneResults(columns, wheels, texts[0], texts[1], *numbers)
+
+
+def _run(
+    evaluate: Evaluator,
+    states: Array,
+    inputs: Array,
+    t: Array,
+    step: float,
+    sources: Mapping[str, _Source],
+    *,
+    placed: bool,
+) -> LaneResults:
+    graphs = evaluate.graphs
+    count = states.shape[1]
+    found = np.ones(count, dtype=bool) if placed else solve_positions(evaluate, states)
+    states[graphs.rows.p, ~found] = np.nan
+    motions = integrate_lanes(evaluate, states, inputs, t, step, estimate=True)
+    outcomes, reasons = ["complete"] * count, [""] * count
+    disputed = found & (motions.reason == UNSOLVED)
+    for k in np.flatnonzero(~found):
+        outcomes[k], reasons[k] = FAILED, NO_POSE
+    for k in np.flatnonzero(found & (motions.reason == INVALID_START)):
+        limit = _worst(graphs, motions.distances[:, k])
+        words = _limit_end(graphs, limit, motions.beyond[:, k])[1]
+        outcomes[k] = FAILED
+        reasons[k] = (
+            "start: expected a sample within the limits of the model, found a violation: "
+            f"{words}; choose another start or other inputs"
+        )
+    for k in np.flatnonzero(motions.reason >= 0):
+        outcomes[k], reasons[k] = _limit_end(graphs, motions.reason[k], motions.beyond[:, k])
+    if graphs.dae.checks:
+        # at all samples at once, and at the end of each motion
+        on_way = np.concatenate([motions.samples, motions.last[:, None]], axis=1)
+        flat = on_way.reshape(len(states), -1)
+        valid = np.isfinite(flat[0])
+        for margins in _clearances(graphs, np.compress(valid, flat, axis=1)):
+            bad = np.zeros(valid.size, dtype=bool)
+            bad[valid] = ~(margins >= 0)
+            disputed |= bad.reshape(-1, count).any(axis=0)
+    values = _values(evaluate, sources, motions.samples)
+    columns = {name: Column(sources[name].label, each) for name, each in values.items()}
+    end = np.where(found & (motions.reason != INVALID_START), motions.end, np.nan)
+    return LaneResults(columns, (), outcomes, reasons, end, motions.error, disputed)
+
+
+def _worst(graphs: Graphs, distances: Array) -> int:
+    """Return the index of the limit that is violated most."""
+    return graphs.bounds[int(np.where(np.isnan(distances), -np.inf, distances).argmin())]
+
+
+def _limit_end(graphs: Graphs, index: int, state: Array) -> tuple[str, str]:
+    """Return outcome and message of the end of a motion at a limit."""
+    limit, dae = graphs.dae.limits[index], graphs.dae
+    x, z, u = _columns(graphs, state)
+    symbols = [dae.t, *dae.columns(), *(each.symbol for each in dae.p)]
+    value = dae.function("value", symbols, [limit.expression])(
+        state[graphs.rows.t], x, z, u, *state[graphs.rows.c]
+    )
+    return limit.outcome.name.lower(), limit.message(float(value), x, z)
+
+
+def _check_end(graphs: Graphs, index: int, state: Array) -> tuple[str, str]:
+    x, z, _ = _columns(graphs, state)
+    return Outcome.LIMIT.name.lower(), graphs.dae.checks[index].describe(x, z)
+
+
+def _columns(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
+    """Return ``x``, ``z`` and ``u`` of states."""
+    rows = graphs.rows
+    z = np.concatenate([states[part] for part in rows.z])
+    return states[rows.x], z, states[rows.u]
+
+
+def _clearances(graphs: Graphs, states: Array) -> list[Array]:
+    """Return the margins of all checks at states."""
+    if not states.shape[1]:
+        return [np.zeros(0) for _ in graphs.dae.checks]
+    x, z, _ = _columns(graphs, states)
+    return [check.margin(x, z) for check in graphs.dae.checks]
+
+
+def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Source]:
+    """Return the sources of quantities; by default of all that a lane has.
+
+    Raises ModelError if a name is unknown.
+    """
+    dae, rows = graphs.dae, graphs.rows
+    z_rows = [k for part in rows.z for k in range(part.start, part.stop)]
+    q_labels = [list(leaves(dae.labels.q))[k] for k in graphs.quadratures]
+    groups = (
+        (leaves(dae.labels.x), range(rows.x.start, rows.x.stop), dae.shift[0], False),
+        (leaves(dae.labels.z), z_rows, dae.shift[1], False),
+        (q_labels, range(rows.q.start, rows.q.stop), np.zeros(len(q_labels)), False),
+        (leaves(dae.labels.u), range(rows.u.start, rows.u.stop), None, False),
+        (leaves(dae.labels.y), range(len(list(leaves(dae.labels.y)))), None, True),
+    )
+    known: dict[str, _Source] = {}
+    for labels, indices, shift, is_output in groups:
+        for k, (label, row) in enumerate(zip(labels, indices, strict=True)):
+            moved = 0.0 if shift is None else float(shift[k])
+            old = known.get(label.name)
+            if old is None:
+                text = label.words.replace(f"wheel {label.wheel}", "the wheel")
+                old = _Source(Label(label.name, label.unit, text), [], is_output, np.zeros(0), ())
+            wheels = (*old.wheels, label.wheel) if label.wheel is not None else ()
+            known[label.name] = old._replace(
+                rows=[*old.rows, row], shift=np.append(old.shift, moved), wheels=wheels
+            )
+    names = list(dict.fromkeys(name.split("[")[0] for name in (known if names is None else names)))
+    for name in names:
+        if name not in known:
+            raise ModelError(
+                f"quantities: expected names of states, unknowns, inputs or outputs, found "
+                f"{name!r}; use some of {', '.join(known)}, or method='simulate', which also has "
+                "limits, checks and work"
+            )
+    return {name: known[name] for name in names}
+
+
+def _values(
+    evaluate: Evaluator, sources: Mapping[str, _Source], samples: Array
+) -> dict[str, Array]:
+    """Return quantities at samples (n_rows, m, n), shape (n, m) or (n, m, n_wheels)."""
+    outputs = samples[:0]
+    if any(source.is_output for source in sources.values()):
+        flat = samples.reshape(len(samples), -1)
+        outputs = evaluate(evaluate.graphs.outputs, flat).reshape(-1, *samples.shape[1:])
+    values = dict[str, Array]()
+    for name, source in sources.items():
+        rows = (outputs if source.is_output else samples)[source.rows]
+        turned = (rows + source.shift[:, None, None]).transpose(2, 1, 0)
+        values[name] = np.ascontiguousarray(turned if source.wheels else turned[..., 0])
+    return values

@@ -1,0 +1,279 @@
+"""The batch: exact poses and motions of many lanes, equal to those of settle and simulate."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    Rolling,
+    SolverOptions,
+    catalog,
+    direct_kinematics,
+    dynamics,
+    rollouts,
+    settle,
+    settle_many,
+    simulate,
+)
+from slipfree.batch.evaluator import evaluator_of
+from slipfree.batch.many import run_lanes, start_states
+from slipfree.batch.poses import solve_positions
+from slipfree.core.records import leaves
+from slipfree.system import codegen_cache
+from slipfree.terrain.synthetic import blank, power_law
+
+T = np.linspace(0, 2, 6)
+EXACT = SolverOptions(tolerance=1e-10)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cache(tmp_path_factory):
+    """Share what is compiled with the other processes of the tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        shared = tmp_path_factory.getbasetemp().parent / "compiled"
+        patch.setenv(codegen_cache.FOLDER, str(shared))
+        yield
+
+
+def hills(rms=0.03, shortest=1.0, half=5.0):
+    grid = power_law(
+        blank((-half, half), (-half, half), 0.1),
+        rms=rms,
+        hurst=0.9,
+        longest=4.0,
+        shortest=shortest,
+        seed=3,
+    )
+    return Bicubic(grid, mu=0.6)
+
+
+@pytest.fixture(scope="module")
+def model(_cache):
+    return direct_kinematics(catalog.three_wheeler(), hills())
+
+
+def rates(count, seed=0, spread=0.02, steer=0.1):
+    """Rates that jump at every sample."""
+    rng = np.random.default_rng(seed)
+    shape = count, T.size - 1
+    speed = 0.5 + spread * rng.standard_normal(shape)
+    apart = spread * rng.standard_normal(shape)
+    return {
+        "right_rate": speed + apart,
+        "left_rate": speed - apart,
+        "steer_rate": steer * rng.standard_normal(shape),
+    }
+
+
+def near_the_edge(model, count):
+    """Starts from which the front wheel may leave the map within the motion."""
+    front = settle(model, y=2.0)["contact_y"].max() - 2.0
+    return {"y": np.linspace(4.4, 4.95, count) - front}
+
+
+@pytest.mark.parametrize("vehicle", ["three_wheeler", "rocky7", "ackermann"])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_graphs_equal_the_model(vehicle, compiled, rng):
+    """Derivatives, rates, forces and limits at perturbed positions are those of `simulate`."""
+    made = {
+        "three_wheeler": catalog.three_wheeler,
+        "rocky7": lambda: catalog.rocky7(steered="corners"),
+        "ackermann": catalog.ackermann,
+    }
+    dae = direct_kinematics(made[vehicle](), hills())
+    evaluate = evaluator_of(dae, compiled=compiled)
+    graphs = evaluate.graphs
+    start = settle(dae, x=0.4, y=-0.3, heading=0.7)
+    names = [label.full for label in leaves(dae.labels.u)]
+    inputs = dae.inputs(**dict(zip(names, rng.uniform(-0.3, 0.6, len(names)), strict=True)))
+    run = simulate(dae, start, inputs, np.linspace(0, 1e-6, 2), options=EXACT)
+    states = np.zeros((graphs.rows.t.stop, 3))
+    for part, record in ((graphs.rows.x, "x"), (graphs.rows.u, "u")):
+        values = [run.of(label)[0] for label in leaves(getattr(dae.labels, record))]
+        states[part] = np.array(values)[:, None]
+    states[graphs.rows.x] -= dae.shift[0][:, None]
+    z = dae.rows("z", run, 0)
+    states[graphs.rows.p] = z[: graphs.rows.p.stop - graphs.rows.p.start, None]
+    states[graphs.rows.p] += 1e-7 * rng.standard_normal(states[graphs.rows.p].shape)
+    states[graphs.rows.f] = evaluate(graphs.guess, states)[graphs.guess.parts[2]]
+    for _ in range(4):  # Newton steps of the forces
+        values = evaluate(graphs.checked, states)
+        parts = [values[part] for part in graphs.checked.parts]
+        states[graphs.rows.p], states[graphs.rows.w] = parts[1], parts[2]
+        states[graphs.rows.f] = parts[6]
+    assert_allclose(np.concatenate([parts[1], parts[2], parts[6]])[:, 0], z, atol=2e-8)
+    margins = [
+        sign * (run.of(limit.label)[0] - bound) / dae.size_of(limit.label)
+        for limit in dae.limits
+        for bound, sign in ((limit.lower, 1), (limit.upper, -1))
+        if np.isfinite(bound)
+    ]
+    assert_allclose(parts[8][:, 0], margins, atol=1e-6, rtol=1e-6)
+    outputs = evaluate(graphs.outputs, states)
+    assert_allclose(outputs[:, 0], [run.of(label)[0] for label in leaves(dae.labels.y)], atol=1e-6)
+
+
+def test_compiled_and_interpreted_graphs_agree(model, rng):
+    compiled, interpreted = evaluator_of(model), evaluator_of(model, compiled=False)
+    graphs = compiled.graphs
+    states = start_states(graphs, {"heading": rng.uniform(-9, 9, 37), "x": rng.uniform(-3, 3, 37)})
+    states[graphs.rows.u] = rng.uniform(-1, 1, states[graphs.rows.u].shape)
+    solve_positions(compiled, states)
+    for graph in (graphs.guess, graphs.place, graphs.motion, graphs.checked, graphs.outputs):
+        expected = interpreted(graph, states)
+        assert_allclose(compiled(graph, states), expected, rtol=1e-10, atol=1e-11)
+        assert_allclose(
+            compiled(graph, states[:, 30:31]), expected[:, 30:31], rtol=1e-10, atol=1e-11
+        )
+
+
+def test_poses_equal_those_of_settle(model, rng):
+    places = dict(zip("xy", rng.uniform(-3, 3, (2, 12)), strict=True))
+    places["heading"] = rng.uniform(-3, 3, 12)
+    poses = settle_many(model, **places, quantities=["z", "contact_x", "center_z", "roll"])
+    assert (poses["outcome"] == "complete").all()
+    assert poses["contact_x"].dims == ("pose", "wheel")
+    assert poses["z"].attrs["units"] == "m"
+    for k in range(12):
+        start = settle(model, **{name: values[k] for name, values in places.items()})
+        for name in poses.data_vars:
+            if name in start.columns:
+                assert_allclose(poses[name][k], start[name][0], atol=1e-12)
+
+
+def test_poses_that_do_not_exist_or_violate_a_limit_are_named():
+    rough = hills(rms=0.5, shortest=0.4, half=2.0)
+    dae = direct_kinematics(catalog.three_wheeler(), rough)
+    x = np.linspace(-2.5, 1.2, 20)
+    poses = settle_many(dae, x=x, compiled=False)
+    outcomes = poses["outcome"].values
+    assert set(outcomes) >= {"limit"}
+    assert ((outcomes == "complete") == (poses["reason"] == "")).all()
+    assert np.isnan(poses["z"].values[outcomes == "failed"]).all()
+
+
+def test_motions_converge_with_third_order(model):
+    count = 4
+    inputs = rates(count)
+    starts = {"heading": np.linspace(0, 1.5, count)}
+    exact = rollouts(model, starts, inputs, T, options=EXACT)
+    errors = []
+    for step in (0.04, 0.01):
+        lanes = rollouts(model, starts, inputs, T, method="batch", step=step)
+        assert (lanes["outcome"] == "complete").all()
+        apart = np.hypot(*((lanes[name] - exact[name]).values[:, -1] for name in "xy"))
+        errors.append(np.median(apart))
+    assert errors[1] < 1e-7
+    assert errors[0] / errors[1] > 4**2.3
+    for name in ("slip_along", "force_normal", "wheel_angle", "z", "psi", "velocity_x"):
+        assert_allclose(lanes[name], exact[name], atol=2e-4, rtol=2e-4, err_msg=name)
+
+
+def test_estimates_have_the_size_of_the_errors(model):
+    count = 24
+    inputs = rates(count, seed=2)
+    coarse, fine = (
+        rollouts(model, {}, inputs, T, method="batch", step=step, quantities=["x", "y"])
+        for step in (0.04, 0.005)
+    )
+    error = np.hypot(*((coarse[name] - fine[name]).values[:, -1] for name in "xy"))
+    ratio = coarse["error"].values / error
+    assert 0.3 < np.median(ratio) < 3
+    assert np.mean(ratio > 0.1) > 0.8
+
+
+def test_results_do_not_depend_on_lanes_order_or_company(model):
+    count = 21
+    inputs = rates(count, spread=0.2, steer=0.4)
+    array = np.stack([inputs[label.full].T for label in leaves(model.labels.u)])
+    graphs = evaluator_of(model).graphs
+    states = start_states(graphs, near_the_edge(model, count))
+
+    def motions(order, lanes=None):
+        evaluate = evaluator_of(model, lanes=lanes)
+        part = run_lanes(evaluate, states[:, order], array[..., order], T)
+        columns = [column.values for column in part.columns.values()]
+        return [*columns, part.end, part.error, np.array(part.outcomes), np.array(part.reasons)]
+
+    whole = motions(np.arange(count))
+    assert set(whole[-2]) == {"complete", "limit"}
+    back = np.arange(count)[::-1]
+    for order, lanes in ((back, None), (np.arange(5), None), (back, 1)):
+        for one, other in zip(motions(order, lanes), whole, strict=True):
+            assert_array_equal(one, other[order])
+
+
+def test_motions_end_at_the_limits_of_simulate(model):
+    count = 12
+    inputs = rates(count, spread=0.2, steer=0.5, seed=4)
+    starts = near_the_edge(model, count)
+    exact = rollouts(model, starts, inputs, T, options=EXACT)
+    lanes = rollouts(model, starts, inputs, T, method="batch", step=0.1)
+    assert {"complete", "limit"} <= set(exact["outcome"].values)
+    assert_array_equal(lanes["outcome"], exact["outcome"])
+    assert_allclose(lanes["end"], exact["end"], atol=1e-3)
+    for mine, other in zip(lanes["reason"].values, exact["reason"].values, strict=True):
+        assert mine.split(":")[0] == other.split(":")[0]
+    assert_array_equal(np.isnan(lanes["x"]), np.isnan(exact["x"]))
+
+
+def test_a_second_contact_ends_a_motion_as_in_simulate():
+    """Lanes that a wheel's second contact may end are decided by `simulate`."""
+    axis = np.linspace(-4, 4, 161)
+    ledge = 0.12 / (1 + np.exp(-(axis - 1.4) / 0.02))
+    dae = direct_kinematics(catalog.three_wheeler(), Bicubic(_grid(axis, ledge)))
+    inputs = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": np.array([[0.0], [0.1]])}
+    exact = rollouts(dae, {}, inputs, T, options=EXACT)
+    lanes = rollouts(dae, {}, inputs, T, method="batch", step=0.05)
+    assert set(exact["outcome"].values) == {"limit"}
+    assert_array_equal(lanes["outcome"], exact["outcome"])
+    assert_allclose(lanes["end"], exact["end"], atol=1e-3)
+
+
+def _grid(axis, heights):
+    return Grid(axis, axis, np.broadcast_to(heights, (axis.size, axis.size)).copy())
+
+
+def test_starts_from_trajectories_and_formulas_of_the_ground():
+    """A ground given by a formula needs no lookups; rolling without slip is linear as well."""
+    dae = direct_kinematics(
+        catalog.three_wheeler(), Analytic(lambda x, y: 0.02 * x * y), slip=Rolling()
+    )
+    inputs = rates(2)
+    starts = [settle(dae, heading=0.1), settle(dae, y=0.5)]
+    exact = rollouts(dae, starts, inputs, T, options=EXACT)
+    lanes = rollouts(dae, starts, inputs, T, method="batch", step=0.05, quantities=["x", "pitch"])
+    for name in ("x", "pitch"):
+        assert_allclose(lanes[name], exact[name], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "fast"}, "method: expected 'simulate' or 'batch', found 'fast'"),
+        ({"quantities": ["works"]}, "quantities: expected names of states"),
+        ({"quantities": ["work"]}, "method='simulate', which also has"),
+        ({"step": -0.1}, "step: expected a positive number"),
+    ],
+)
+def test_wrong_arguments_are_named(model, arguments, message):
+    with pytest.raises(ModelError, match=message):
+        rollouts(model, {}, rates(1), T, **({"method": "batch"} | arguments))
+
+
+def test_models_and_inputs_that_the_batch_does_not_take_are_named(model):
+    t = model.t
+    with pytest.raises(ModelError, match="expected numbers for the method 'batch', found SX"):
+        rollouts(model, {}, rates(1) | {"steer_rate": 0.1 * t}, T, method="batch")
+    cart = catalog.rigid_skid_steer()
+    for other in (direct_kinematics(cart, hills()), dynamics(cart, hills())):
+        with pytest.raises(ModelError, match="expected a kinematic model of a vehicle whose"):
+            settle_many(other, x=0.0)
+    with pytest.raises(ModelError, match="expected numbers or arrays of one shape"):
+        settle_many(model, x=np.zeros(2), y=np.zeros(3))
+    with pytest.raises(ModelError, match="unknown 'z'"):
+        settle_many(model, z=np.zeros(2))
