@@ -92,11 +92,11 @@ class Graphs(NamedTuple):
         One Newton step of the positions: new ``p``, and the sum of its changes in typical sizes.
     motion : Graph
         One Newton step of the positions, and the rates there: derivatives of the integrated rows,
-        new ``p``, new ``w``, the sum of the changes of ``p`` in typical sizes, that of the residuals of
-        the rates, and the speed over the ground [m/s].
+        new ``p``, new ``w``, the sum of the changes of ``p`` in typical sizes, that of the errors
+        of ``w``, and the speed over the ground [m/s].
     checked : Graph
-        The results of ``motion``, then new ``f`` by one Newton step, the sum of its changes in typical
-        sizes, and the distances to the bounds of the limits in sizes of the quantities.
+        The results of ``motion``, then new ``f`` by one Newton step, the sum of its changes in
+        typical sizes, and the distances to the bounds of the limits in sizes of the quantities.
     bounds : tuple of int
         Index of the limit to which each distance belongs.
     outputs : Graph
@@ -121,8 +121,7 @@ def graphs_of(dae: Dae) -> Graphs:
     Raises
     ------
     ModelError
-        If states of the model relax or have inertia, or its rates are not the solution of linear
-        equations.
+        If states of the model relax or have inertia.
     """
     _, z, u = dae.columns()
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
@@ -152,8 +151,8 @@ def graphs_of(dae: Dae) -> Graphs:
     shift = ca.norm_1((forces - f) / scale[ends[2] :]) if f.numel() else ca.SX(0)
     checks = ca.vertcat(forces, shift, *_with(distances, f, forces))
     (checks,) = _with([checks], w, moved[1])
-    derivatives, rates, residual, speed, checks = _with([*moved, checks], p, new_p)
-    motion = derivatives, new_p, rates, change, residual, speed
+    derivatives, rates, error, speed, checks = _with([*moved, checks], p, new_p)
+    motion = derivatives, new_p, rates, change, error, speed
     n_f = f.numel()
 
     def graph(name: str, *results: ca.SX) -> Graph:
@@ -183,18 +182,7 @@ def _moved(
     p, w = unknowns
     x, closure = dae.columns()[0], dae.residuals[0]
     jacobian = ca.jacobian(closure, p)
-    if dae.linear is None:
-        law = dae.residuals[1]
-        matrix, right = ca.jacobian(law, w), -_with([law], w, ca.SX.zeros(w.shape))[0]
-    else:
-        matrix, right = dae.linear
-    if ca.depends_on(ca.veccat(matrix, right), w):
-        raise ModelError(
-            "batch: expected equations that are linear in the rates, found those of a law of "
-            "friction or soil; use method='simulate'"
-        )
-    rates = eliminate(matrix, right)
-    residual = ca.norm_1(matrix @ rates - right)
+    rates, error = _rates(dae, w, eliminate)
     ode, *quad = _with([dae.ode, *quad], w, rates)
     (leading,) = _with([dae.leading_rates], w, rates)
     k = leading.numel()
@@ -209,9 +197,36 @@ def _moved(
     return p - eliminate(jacobian, closure), (
         ca.vertcat(ode, follow, *quad),
         rates,
-        residual,
+        error,
         speed,
     )
+
+
+def _rates(dae: Dae, w: ca.SX, eliminate: Solve) -> tuple[ca.SX, ca.SX]:
+    """Return the rates at given positions, and the sum of their errors.
+
+    Linear equations are solved; the error is their residual. For other equations the result is one
+    Newton step from ``w``, and the error the square of its length in typical sizes. Pairs of unknowns are then
+    projected into the unit disc, as in the primal-dual Newton method for sums of norms (K. D.
+    Andersen et al., SIAM J. Sci. Comput. 22 (2000)): without it the method fails where friction is
+    used up at small slip. The projection changes nothing at a solution.
+    """
+    law = dae.residuals[1]
+    matrix = ca.jacobian(law, w)
+    if dae.linear is not None or not ca.depends_on(matrix, w):
+        matrix, right = dae.linear or (matrix, -_with([law], w, ca.SX.zeros(w.shape))[0])
+        rates = eliminate(matrix, right)
+        return rates, ca.norm_1(matrix @ rates - right)
+    rates = w - eliminate(matrix, law)
+    index = {symbol.element_hash(): k for k, symbol in enumerate(ca.vertsplit(w))}
+    for pair in dae.discs:
+        i, j = (index[symbol.element_hash()] for symbol in pair)
+        size = ca.fmax(1, ca.hypot(rates[i], rates[j]))
+        rates[i] /= size
+        rates[j] /= size
+    count = dae.alg[0].numel()
+    step = (rates - w) / ca.DM(dae.scale)[count : count + w.numel()]
+    return rates, ca.norm_1(step) ** 2
 
 
 def _distances(dae: Dae) -> tuple[list[ca.SX], tuple[int, ...]]:
@@ -251,7 +266,7 @@ def _elimination(dae: Dae, state: ca.SX, rows: Rows) -> Solve:
     """Return a function that solves linear systems of expressions by elimination."""
     rng = np.random.default_rng(0)
     samples = rng.normal(0.0, JOINT_SPREAD, (state.numel(), SAMPLES))
-    x, z, _ = dae.columns()
+    x = dae.columns()[0]
     labels = list(leaves(dae.labels.x))
     for k, label in enumerate(labels):
         if label.name == "heading":
@@ -262,8 +277,9 @@ def _elimination(dae: Dae, state: ca.SX, rows: Rows) -> Solve:
     for k, each in enumerate(dae.p):
         samples[rows.c.start + k] = each.value
     (first,) = evaluate(guess, samples[rows.x], samples[rows.c])
-    samples[rows.p] = first[: rows.p.stop - rows.p.start]
-    samples[rows.f] = first[z.numel() - (rows.f.stop - rows.f.start) :]
+    unknowns = np.split(first, np.cumsum([r.stop - r.start for r in rows.z[:2]]))
+    samples[rows.p], samples[rows.f] = unknowns[0], unknowns[2]
+    samples[rows.w] += unknowns[1]  # moving, under load
 
     def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
         (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)

@@ -20,15 +20,18 @@ from slipfree.core.dae import LIMIT_ROUNDING
 from slipfree.core.records import Array, Indices, Mask, leaves
 
 ORDER = 3
-MAX_CHANGE = 0.1  # largest correction of a position by a Newton step [typical size]
-MAX_RESIDUAL = 1e-8  # residual of the linear equations of the rates, in their units
+MAX_CHANGE = 0.3  # largest correction of the positions by a Newton step [typical sizes]
+MAX_ERROR = (
+    1e-7  # error of the rates: residual of linear equations, or square of the last Newton step
+)
+MAX_RATE_STEPS = 40  # further Newton steps of the rates, after jumps of the inputs
 REFINEMENTS = (8, 64)  # factors of smaller steps for lanes whose corrections are too large
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 MAX_STEPS = 1_000_000  # in an interval
 MAX_BISECTIONS = 60
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
 FORCE_CHANGE = 1e-5  # change of the forces that needs another step [typical size]
-FORCES, FORCE_CHANGES, DISTANCES = 6, 7, 8  # parts of the results of the graph "checked"
+RATES, ERROR, FORCES, FORCE_CHANGES, DISTANCES = 2, 4, 6, 7, 8  # parts of the graph "checked"
 COMPLETE, UNSOLVED, INVALID_START = -1, -2, -3  # ends without a limit
 
 
@@ -87,6 +90,8 @@ def integrate_lanes(
         motions = _integrate(evaluate, states, inputs, t, step, estimate=estimate)
         for refinement in REFINEMENTS:
             again = motions.reason == UNSOLVED
+            if estimate:  # where twice the step fails, nothing is known of the error
+                again |= np.isnan(motions.error) & (motions.reason != INVALID_START)
             if not again.any():
                 break
             chosen = states[:, again], inputs[..., again]
@@ -213,7 +218,7 @@ class _Run:
             rates, good, speed = derivatives(self.evaluate, states)
             return rates, good, speed, np.ones_like(good)
         graph = self.evaluate.graphs.checked
-        values = self.evaluate(graph, states)
+        values = _iterated(self.evaluate, graph, states)
         result = _derivatives(self.evaluate, graph, values, states)
         distances = values[graph.parts[DISTANCES]]
         for _ in range(FORCE_STEPS):
@@ -286,7 +291,7 @@ def solve_forces(evaluate: Evaluator, states: Array) -> Array:
     """
     graph, rows = evaluate.graphs.checked, evaluate.graphs.rows
     for _ in range(FORCE_STEPS):
-        values = evaluate(graph, states)
+        values = _iterated(evaluate, graph, states)
         _derivatives(evaluate, graph, values, states)
         states[rows.f] = values[graph.parts[FORCES]]
     distances: Array = values[graph.parts[DISTANCES]]
@@ -304,16 +309,32 @@ def derivatives(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array]
     Positions and rates in the states are corrected by one Newton step.
     """
     graph = evaluate.graphs.motion
-    return _derivatives(evaluate, graph, evaluate(graph, states), states)
+    values = _iterated(evaluate, graph, states)
+    return _derivatives(evaluate, graph, values, states)
+
+
+def _iterated(evaluate: Evaluator, graph: Graph, states: Array) -> Array:
+    """Return the results of a graph after as many Newton steps of the rates as a lane needs."""
+    values = evaluate(graph, states)
+    rows, w, error = evaluate.graphs.rows, graph.parts[RATES], graph.parts[ERROR]
+    for _ in range(MAX_RATE_STEPS):
+        rough = values[error][0] > MAX_ERROR
+        if not rough.any():
+            break
+        some = _of(rough, states)
+        some = some.copy() if some is states else some
+        some[rows.w] = values[w][:, rough]
+        values[:, rough] = evaluate(graph, some)
+    return values
 
 
 def _derivatives(
     evaluate: Evaluator, graph: Graph, values: Array, states: Array
 ) -> tuple[Array, Mask, Array]:
     rows = evaluate.graphs.rows
-    rates, p, w, change, residual, speed = graph.parts[:6]
+    rates, p, w, change, error, speed = graph.parts[:6]
     states[rows.p], states[rows.w] = values[p], values[w]
-    good = (values[change][0] < MAX_CHANGE) & (values[residual][0] < MAX_RESIDUAL)
+    good = (values[change][0] < MAX_CHANGE) & (values[error][0] <= MAX_ERROR)
     return values[rates], good, values[speed][0]
 
 

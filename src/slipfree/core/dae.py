@@ -323,6 +323,9 @@ class Dae(Generic[X, Z, U, Y]):
     linear : tuple of two SX, shapes (n, n) and (n, 1), or None
         Matrix and right side of linear equations with the solution of the second block of
         ``alg``, if there is a form that takes fewer operations than the Jacobian of the block.
+    discs : tuple of pairs of SX
+        Pairs of unknowns that lie in the unit disc at a solution, such as the used fractions of
+        friction along and across a wheel. Newton's method without continuation needs them.
     leading_rates : SX, shape (k, 1)
         Rates of the first k unknowns of ``z``, if other unknowns determine them; empty otherwise.
     p : tuple of Parameter
@@ -382,6 +385,7 @@ class Dae(Generic[X, Z, U, Y]):
     replay: Replay | None = None
     held: HeldTerms | None = None
     linear: tuple[ca.SX, ca.SX] | None = None
+    discs: tuple[tuple[ca.SX, ca.SX], ...] = ()
     leading_rates: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
     p: tuple[Parameter, ...] = ()
     reported: Mapping[str, float] = field(default_factory=dict)

@@ -116,6 +116,7 @@ class Coulomb:
             Equations(equation_labels(contacts.vehicle), ca.vertcat(*contacts.normal, *friction)),
             () if self.reserve else (no_equilibrium(contacts),),
             continuation,
+            discs=tuple(zip(*used, strict=True)),
         )
 
 

@@ -146,6 +146,8 @@ class Reaction(NamedTuple):
     torques : tuple of SX
         Moments of the ground about the axles, positive against forward rolling; empty if these are
         the moments of the forces at the contact points. [N m]
+    discs : tuple of pairs of SX
+        Pairs of unknowns in the unit disc, as in `Dae`.
     """
 
     along: tuple[ca.SX, ...]
@@ -155,6 +157,7 @@ class Reaction(NamedTuple):
     limits: tuple[Limit, ...] = ()
     continuation: Continuation | None = None
     torques: tuple[ca.SX, ...] = ()
+    discs: tuple[tuple[ca.SX, ca.SX], ...] = ()
 
 
 @runtime_checkable

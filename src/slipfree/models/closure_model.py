@@ -83,6 +83,7 @@ def closure_dae(
     limits: tuple[Limit, ...] = (),
     suppress_algebraic: bool = False,
     continuation: Continuation | None = None,
+    discs: tuple[tuple[ca.SX, ca.SX], ...] = (),
 ) -> Dae:
     """Return the DAE of a closure model from its quantities and the equations of its rates.
 
@@ -114,6 +115,7 @@ def closure_dae(
         continuation=continuation,
         lookups=q.lookups.lookups,
         linear=law.linear,
+        discs=discs,
         leading_rates=ca.vertcat(q.rates.z, q.rates.roll, q.rates.pitch, *q.rates.suspension),
     )
 

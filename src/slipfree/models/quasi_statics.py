@@ -102,6 +102,7 @@ def quasi_statics(
         limits=reaction.limits,
         suppress_algebraic=True,  # rates under friction change too fast for an error test
         continuation=reaction.continuation,
+        discs=reaction.discs,
     )
 
 

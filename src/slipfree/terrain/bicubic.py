@@ -221,7 +221,8 @@ class Bicubic:
         keys, which = np.unique(
             squares[0][inside] * width + squares[1][inside], return_inverse=True
         )
-        bounds = [self._square_bounds(*divmod(int(key), width), reach) for key in keys]
+        places = (divmod(int(key), width) for key in keys)
+        bounds = [self._square_bounds(i, j, reach) for i, j in places]
         if bounds:
             slope[inside], curvature[inside] = np.array(bounds)[which].T
         return slope, curvature
