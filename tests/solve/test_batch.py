@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from slipfree import (
     Analytic,
     Bicubic,
+    Coulomb,
     Grid,
     ModelError,
     Rolling,
@@ -14,13 +15,14 @@ from slipfree import (
     catalog,
     direct_kinematics,
     dynamics,
+    quasi_statics,
     rollouts,
     settle,
     settle_many,
     simulate,
 )
 from slipfree.batch.evaluator import evaluator_of
-from slipfree.batch.many import run_lanes, start_states
+from slipfree.batch.many import run_lanes, start_states, states_of
 from slipfree.batch.poses import solve_positions
 from slipfree.core.records import leaves
 from slipfree.system import codegen_cache
@@ -238,6 +240,51 @@ def _grid(axis, heights):
     return Grid(axis, axis, np.broadcast_to(heights, (axis.size, axis.size)).copy())
 
 
+def test_pressed_wheels_relax_as_in_simulate():
+    """Poses at rest are those of `settle`; motions converge with first order."""
+    cart = catalog.rigid_skid_steer()
+    dae = direct_kinematics(cart, hills(rms=0.02, shortest=1.5))
+    evaluate = evaluator_of(dae, compiled=False)
+    poses = settle_many(dae, y=[0.0, 1.0], heading=0.3, compiled=False)
+    starts = [settle(dae, y=y, heading=0.3) for y in (0.0, 1.0)]
+    for name in ("z", "roll", "pitch"):
+        assert_allclose(poses[name], [start[name][0] for start in starts], atol=1e-10)
+    t = np.linspace(0, 1, 3)
+    rates = {
+        "left": np.array([[6.0, 4.0], [3.0, 5.0]]),
+        "right": np.array([[5.0, 6.0], [5.0, 2.0]]),
+    }
+    inputs = {
+        label.full: rates["left" if "left" in label.full else "right"]
+        for label in leaves(dae.labels.u)
+    }
+    exact = rollouts(dae, starts, inputs, t, options=SolverOptions(tolerance=1e-8))
+    array = np.stack([inputs[label.full].T for label in leaves(dae.labels.u)])
+    states = np.stack([states_of(evaluate.graphs, start) for start in starts], axis=1)
+    errors = []
+    for step in (0.02, 0.005):
+        lanes = run_lanes(evaluate, states, array, t, step=step, placed=True)
+        apart = [lanes.columns[name].values[:, -1] - exact[name].values[:, -1] for name in "xy"]
+        errors.append(np.hypot(*apart))
+        assert (lanes.error > 0.2 * errors[-1]).all()
+    assert (errors[1] < 2e-4).all()
+    assert np.median(errors[0] / errors[1]) > 2
+
+
+def test_friction_is_solved_without_continuation():
+    """Quasi-static motions equal those of `simulate`, also just after jumps of the inputs."""
+    dae = quasi_statics(catalog.three_wheeler(axle="fixed"), hills(rms=0.05), law=Coulomb(1e-3))
+    evaluate = evaluator_of(dae, compiled=False)
+    inputs, start = rates(2, spread=0.1), settle(dae)
+    exact = rollouts(dae, start, inputs, T, options=SolverOptions(tolerance=1e-9))
+    array = np.stack([inputs[label.full].T for label in leaves(dae.labels.u)])
+    states = np.repeat(states_of(evaluate.graphs, start)[:, None], 2, axis=1)
+    lanes = run_lanes(evaluate, states, array, T, step=0.01, placed=True)
+    assert lanes.outcomes == ["complete"] * 2
+    for name, atol in (("x", 1e-5), ("y", 1e-5), ("force_normal", 1e-2), ("utilisation", 1e-3)):
+        assert_allclose(lanes.columns[name].values, exact[name].values, atol=atol, err_msg=name)
+
+
 def test_starts_from_trajectories_and_formulas_of_the_ground():
     """A ground given by a formula needs no lookups; rolling without slip is linear as well."""
     dae = direct_kinematics(
@@ -269,10 +316,8 @@ def test_models_and_inputs_that_the_batch_does_not_take_are_named(model):
     t = model.t
     with pytest.raises(ModelError, match="expected numbers for the method 'batch', found SX"):
         rollouts(model, {}, rates(1) | {"steer_rate": 0.1 * t}, T, method="batch")
-    cart = catalog.rigid_skid_steer()
-    for other in (direct_kinematics(cart, hills()), dynamics(cart, hills())):
-        with pytest.raises(ModelError, match="expected a kinematic model of a vehicle whose"):
-            settle_many(other, x=0.0)
+    with pytest.raises(ModelError, match="expected a model of kinematics with least slip"):
+        settle_many(dynamics(catalog.rigid_skid_steer(), hills()), x=0.0)
     with pytest.raises(ModelError, match="expected numbers or arrays of one shape"):
         settle_many(model, x=np.zeros(2), y=np.zeros(3))
     with pytest.raises(ModelError, match="unknown 'z'"):

@@ -56,8 +56,8 @@ class Rows(NamedTuple):
 
     ``x``, ``p`` and ``q`` are integrated: the states, the positions (first block of the unknowns),
     and the quadratures that do not depend on forces. ``w`` are the other unknowns of the motion,
-    ``f`` the unknowns that follow from it, ``u`` the inputs, ``c`` the parameters of the model, and
-    ``t`` is the time.
+    ``f`` the unknowns that follow from it, ``u`` the inputs, ``c`` the parameters of the model,
+    ``lag`` the lag of a model whose last states relax, and ``t`` is the time.
     """
 
     x: slice
@@ -67,6 +67,7 @@ class Rows(NamedTuple):
     f: slice
     u: slice
     c: slice
+    lag: slice
     t: slice
 
     @property
@@ -87,7 +88,7 @@ class Graphs(NamedTuple):
     quadratures : tuple of int
         Indices of the quadratures that are integrated.
     guess : Graph
-        Initial guesses of ``p``, ``w`` and ``f``.
+        Initial guesses of ``p``, ``w`` and ``f``, and of the states that relax.
     place : Graph
         One Newton step of the positions: new ``p``, and the sum of its changes in typical sizes.
     motion : Graph
@@ -121,20 +122,21 @@ def graphs_of(dae: Dae) -> Graphs:
     Raises
     ------
     ModelError
-        If states of the model relax or have inertia.
+        If the model is of another kind than kinematics with least slip or quasi-statics.
     """
     _, z, u = dae.columns()
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
-    if dae.rest.numel() or dae.standing is not None or len(ends) < 4:
+    if dae.standing is not None or len(ends) < 4 or (dae.rest.numel() and dae.linear is None):
         raise ModelError(
-            "batch: expected a kinematic model of a vehicle whose wheels can all touch a rigid "
-            "ground, found one with pressed wheels or inertia; use method='simulate'"
+            "batch: expected a model of kinematics with least slip, or of quasi-statics, found "
+            "another one; use method='simulate'"
         )
     p, w, f = (z[a:b] for a, b in pairwise(ends))
     late = [ca.depends_on(rate, f) for rate in ca.vertsplit(dae.quad)] if dae.quad.numel() else []
     kept = tuple(k for k, is_late in enumerate(late) if not is_late)
     c = ca.vertcat(ca.SX(0, 1), *(each.symbol for each in dae.p))
-    columns = dae.columns()[0], p, ca.SX.sym("q", len(kept)), w, f, u, c, dae.t
+    lag = ca.SX(0, 1) if dae.lag is None else dae.lag
+    columns = dae.columns()[0], p, ca.SX.sym("q", len(kept)), w, f, u, c, lag, dae.t
     edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
     rows = Rows(*(slice(a, b) for a, b in pairwise(edges)))
     state = ca.vertcat(*columns)
@@ -162,7 +164,7 @@ def graphs_of(dae: Dae) -> Graphs:
         dae,
         rows,
         kept,
-        graph("guess", *(dae.guess[a:b] for a, b in pairwise(ends))),
+        graph("guess", *(dae.guess[a:b] for a, b in pairwise(ends)), dae.rest),
         graph("place", new_p, change),
         graph("motion", *motion),
         graph("checked", *motion, checks[:n_f], checks[n_f], checks[n_f + 1 :]),
@@ -206,10 +208,10 @@ def _rates(dae: Dae, w: ca.SX, eliminate: Solve) -> tuple[ca.SX, ca.SX]:
     """Return the rates at given positions, and the sum of their errors.
 
     Linear equations are solved; the error is their residual. For other equations the result is one
-    Newton step from ``w``, and the error the square of its length in typical sizes. Pairs of unknowns are then
-    projected into the unit disc, as in the primal-dual Newton method for sums of norms (K. D.
-    Andersen et al., SIAM J. Sci. Comput. 22 (2000)): without it the method fails where friction is
-    used up at small slip. The projection changes nothing at a solution.
+    Newton step from ``w``, and the error the square of its length in typical sizes. Pairs of
+    unknowns are then projected into the unit disc, as in the primal-dual Newton method for sums of
+    norms (K. D. Andersen et al., SIAM J. Sci. Comput. 22 (2000)): without it the method fails where
+    friction is used up at small slip. The projection changes nothing at a solution.
     """
     law = dae.residuals[1]
     matrix = ca.jacobian(law, w)
@@ -280,6 +282,7 @@ def _elimination(dae: Dae, state: ca.SX, rows: Rows) -> Solve:
     unknowns = np.split(first, np.cumsum([r.stop - r.start for r in rows.z[:2]]))
     samples[rows.p], samples[rows.f] = unknowns[0], unknowns[2]
     samples[rows.w] += unknowns[1]  # moving, under load
+    samples[rows.lag] = np.abs(samples[rows.lag])
 
     def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
         (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)

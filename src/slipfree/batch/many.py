@@ -13,6 +13,7 @@ from slipfree.batch.motion import (
     INVALID_START,
     UNSOLVED,
     integrate_lanes,
+    relax,
     solve_forces,
     within_limits,
 )
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 CHUNK = 512  # lanes computed together: their states stay in the processor's cache
 LARGEST = 2**22  # numbers in the samples of lanes computed together
-STEP = 0.5  # default length of a step [size of the vehicle]
+STEP, RELAXING_STEP = 0.5, 0.05  # default length of a step [size of the vehicle]
 FAILED = "failed"  # outcome without a pose
 NO_POSE = (
     "no pose was found at which all wheels touch the ground; choose another place, or a ground "
@@ -146,10 +147,22 @@ class _Poses(NamedTuple):
     reasons: list[str]
 
 
+def stand(evaluate: Evaluator, states: Array) -> Mask:
+    """Let the vehicle stand at given states; return which poses were found."""
+    graphs = evaluate.graphs
+    count = graphs.dae.rest.numel()
+    if not count:
+        return solve_positions(evaluate, states)
+    with np.errstate(all="ignore"):
+        first = evaluate(graphs.guess, states)[graphs.guess.parts[3]]
+        states[graphs.rows.x.stop - count : graphs.rows.x.stop] = first
+        return solve_positions(evaluate, states) & relax(evaluate, states)
+
+
 def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Source]) -> _Poses:
     """Return the poses of states."""
     graphs = evaluate.graphs
-    solved = solve_positions(evaluate, states)
+    solved = stand(evaluate, states)
     distances = solve_forces(evaluate, states)
     inside = within_limits(distances)
     outcomes = np.where(solved, "complete", FAILED).astype(object)
@@ -259,7 +272,9 @@ def run_lanes(
         If the step is not positive, or a quantity is unknown.
     """
     sources = _sources(evaluate.graphs, quantities)
-    step = STEP * evaluate.graphs.dae.size if step is None else step
+    dae = evaluate.graphs.dae
+    if step is None:
+        step = dae.size * (STEP if dae.lag is None else RELAXING_STEP)
     if not step > 0:
         raise ModelError(f"step: expected a positive number of metres, found {step}; correct it")
     size = min(CHUNK, max(8, LARGEST // (len(states) * t.size)))
@@ -297,7 +312,7 @@ def _run(
 ) -> LaneResults:
     graphs = evaluate.graphs
     count = states.shape[1]
-    found = np.ones(count, dtype=bool) if placed else solve_positions(evaluate, states)
+    found = np.ones(count, dtype=bool) if placed else stand(evaluate, states)
     states[graphs.rows.p, ~found] = np.nan
     motions = integrate_lanes(evaluate, states, inputs, t, step, estimate=True)
     outcomes, reasons = ["complete"] * count, [""] * count

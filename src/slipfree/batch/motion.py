@@ -19,7 +19,7 @@ from slipfree.batch.graph import Graph
 from slipfree.core.dae import LIMIT_ROUNDING
 from slipfree.core.records import Array, Indices, Mask, leaves
 
-ORDER = 3
+ORDER, RELAXING_ORDER = 3, 1
 MAX_CHANGE = 0.3  # largest correction of the positions by a Newton step [typical sizes]
 MAX_ERROR = (
     1e-7  # error of the rates: residual of linear equations, or square of the last Newton step
@@ -27,6 +27,8 @@ MAX_ERROR = (
 MAX_RATE_STEPS = 40  # further Newton steps of the rates, after jumps of the inputs
 REFINEMENTS = (8, 64)  # factors of smaller steps for lanes whose corrections are too large
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
+FIRST_STEP, STEP_GROWTH, MAX_RELAXATIONS = 0.005, 1.3, 120  # of the relaxation to rest [s]
+AT_REST = 1e-11  # last step of the relaxation, of more than a second [size]
 MAX_STEPS = 1_000_000  # in an interval
 MAX_BISECTIONS = 60
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
@@ -117,7 +119,8 @@ def _integrate(
             (fine.samples[k] - coarse.samples[k])[reached, lanes]
             for k in (names.index("x"), names.index("y"))
         ]
-        error = np.hypot(*apart) / (2**ORDER - 1)
+        order = ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER
+        error = np.hypot(*apart) / (2**order - 1)
     return Motions(
         fine.samples, fine.end, fine.reason, fine.last, fine.beyond, error, fine.distances
     )
@@ -144,6 +147,7 @@ class _Run:
         count = states.shape[1]
         self.evaluate, self.rows, self.step = evaluate, evaluate.graphs.rows, step
         self.first, self.inputs, self.t = states, inputs, t
+        self.advance = advance if evaluate.graphs.dae.lag is None else advance_relaxing
         self.counts = np.zeros((t.size - 1, count), dtype=int)
         self.samples = np.full((len(states), t.size, count), np.nan)
         self.end, self.reason = np.full(count, t[-1]), np.full(count, COMPLETE)
@@ -198,7 +202,7 @@ class _Run:
     ) -> tuple[Any, ...]:
         """Return the lanes that reach the end of an interval, their states and last steps."""
         for k in range(count):
-            states, solved = advance(self.evaluate, *start)
+            states, solved = self.advance(self.evaluate, *start)
             if not solved.all():
                 self._end(lanes, states, start, solved, np.ones_like(solved))
                 lanes, states, start = _of(solved, lanes), _of(solved, states), start.of(solved)
@@ -266,7 +270,7 @@ class _Run:
             # with the inputs of the step: at its end, those of the next interval may apply
             middle = np.where(k == 0, high, (low + high) / 2)[open_]
             part = step.of(open_)
-            states, solved = advance(self.evaluate, part.states, part.rates, part.h * middle)
+            states, solved = self.advance(self.evaluate, part.states, part.rates, part.h * middle)
             _, good, _, within = self._checked(states, limited=True)
             fine = solved & good & within
             low[open_] = np.where(fine, middle, low[open_])
@@ -356,3 +360,55 @@ def advance(evaluate: Evaluator, states: Array, rates: Array, h: Array) -> tuple
     stage[moving] = start + (h / 9) * (2 * rates + 3 * second + 4 * third)
     stage[rows.t] = states[rows.t] + h
     return stage, good & also_good
+
+
+def advance_relaxing(
+    evaluate: Evaluator,
+    states: Array,
+    rates: Array,  # noqa: ARG001 - of another lag
+    h: Array,
+) -> tuple[Array, Mask]:
+    """Return the states after a step of a model whose last states relax, and which are solved.
+
+    The relaxing states take two linearly implicit half steps, whose damping is complete for
+    infinitely stiff contacts; the others take a step of the midpoint rule.
+    """
+    dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
+    moving = slice(0, rows.q.stop)
+    relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
+    stage = states.copy()
+    stage[rows.lag] = half = 0.5 * h
+    first, good, _ = derivatives(evaluate, stage)
+    start = stage[moving].copy()
+    stage[moving] = start + half * first
+    stage[rows.t] += half
+    middle = stage[relaxing].copy()
+    second, also_good, _ = derivatives(evaluate, stage)
+    stage[moving] = start + h * second
+    stage[relaxing] = middle + half * second[relaxing]
+    stage[rows.lag] = 0.0
+    stage[rows.t] = states[rows.t] + h
+    return stage, good & also_good
+
+
+def relax(evaluate: Evaluator, states: Array) -> Mask:
+    """Relax states at rest to their equilibrium; return which have reached it.
+
+    Implicit steps that grow follow the relaxation and end as Newton's method.
+    """
+    dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
+    relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
+    size = dae.sizes.x[relaxing, None]
+    at_rest, good = np.zeros(states.shape[1], dtype=bool), np.ones(states.shape[1], dtype=bool)
+    states[rows.u] = 0.0
+    for h in FIRST_STEP * STEP_GROWTH ** np.arange(MAX_RELAXATIONS):
+        states[rows.lag] = h
+        rates, placed, _ = derivatives(evaluate, states)
+        step = np.where(at_rest, 0.0, h * rates[relaxing])
+        good &= at_rest | placed
+        states[relaxing] += step
+        at_rest |= (np.abs(step / size).max(axis=0) < AT_REST) & (h > 1.0)
+        if (at_rest | ~good).all():
+            break
+    states[rows.lag] = 0.0
+    return at_rest & good

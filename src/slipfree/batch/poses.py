@@ -25,7 +25,7 @@ def solve_positions(evaluate: Evaluator, states: Array) -> Mask:
     graphs = evaluate.graphs
     with np.errstate(all="ignore"):
         guess = evaluate(graphs.guess, states)
-        for rows, part in zip(graphs.rows.z, graphs.guess.parts, strict=True):
+        for rows, part in zip(graphs.rows.z, graphs.guess.parts[:3], strict=True):
             states[rows] = guess[part]
         first = guess[graphs.guess.parts[0]]
         solved = _newton(evaluate, states, PLAIN_STEPS, np.inf, 0)

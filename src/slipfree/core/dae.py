@@ -323,6 +323,10 @@ class Dae(Generic[X, Z, U, Y]):
     linear : tuple of two SX, shapes (n, n) and (n, 1), or None
         Matrix and right side of linear equations with the solution of the second block of
         ``alg``, if there is a form that takes fewer operations than the Jacobian of the block.
+    lag : SX or None, shape (1, 1)
+        Symbol in ``linear`` of models whose last states relax: the time by which the stiffness of
+        the contacts is advanced, zero in the other equations. It makes a step linearly implicit.
+        [s]
     discs : tuple of pairs of SX
         Pairs of unknowns that lie in the unit disc at a solution, such as the used fractions of
         friction along and across a wheel. Newton's method without continuation needs them.
@@ -385,6 +389,7 @@ class Dae(Generic[X, Z, U, Y]):
     replay: Replay | None = None
     held: HeldTerms | None = None
     linear: tuple[ca.SX, ca.SX] | None = None
+    lag: ca.SX | None = None
     discs: tuple[tuple[ca.SX, ca.SX], ...] = ()
     leading_rates: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
     p: tuple[Parameter, ...] = ()

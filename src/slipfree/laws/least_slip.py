@@ -77,13 +77,18 @@ def _linear_form(motion: Motion) -> tuple[ca.SX, ca.SX]:
     weighted = ca.SX(a)
     for k, weight in enumerate(motion.weights):
         weighted[2 * k : 2 * k + 2, :] *= weight
-    c, d = ca.jacobian(rows, motion.rates), ca.substitute(rows, motion.rates, motion.rates * 0)
+    c, d = motion.constraints.linear or linear_form(rows, motion.rates)
     n = rows.numel()
     hessian = ca.tril2symm(ca.tril(weighted.T @ a))  # equal entries are one expression
     return (
         ca.blockcat([[hessian, c.T], [c, ca.SX(n, n)]]),
         -ca.vertcat(weighted.T @ b, d),
     )
+
+
+def linear_form(rows: ca.SX, rates: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return matrix and constant of expressions that are linear in rates."""
+    return ca.jacobian(rows, rates), ca.substitute(rows, rates, ca.SX.zeros(rates.shape))
 
 
 def _multiplier(constraint: Label) -> Label:

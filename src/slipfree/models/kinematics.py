@@ -41,7 +41,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Label, leaves, pack, symbols
 from slipfree.geometry.frame import Pose
-from slipfree.laws.least_slip import LeastSlip
+from slipfree.laws.least_slip import LeastSlip, linear_form
 from slipfree.laws.protocols import Equations, Motion, SlipLaw, check_law, wheel_labels
 from slipfree.models.base import (
     Mechanics,
@@ -91,15 +91,16 @@ class Press(NamedTuple):
 
     Depth below the ground along its normal, negative in the air [m]; normal force divided by the
     weight of the vehicle [1]; degree of contact ``touch``, the derivative of the load with respect
-    to the depth divided by its value at large depths: one under load, zero in the air [1]; and
+    to the depth divided by its value at large depths: one under load, zero in the air [1];
     viscosity in the relaxation: normal force per unit of normal velocity, divided by the weight
-    [s/m].
+    [s/m]; and stiffness, the derivative of the load with respect to the depth [1/m].
     """
 
     depth: ca.SX
     load: ca.SX
     touch: ca.SX
     viscosity: ca.SX
+    stiffness: ca.SX
 
 
 class Balance(NamedTuple):
@@ -122,7 +123,8 @@ def press(vehicle: Vehicle, depth: ca.SX, smoothing: float) -> Press:
     root = ca.sqrt(depth**2 + (smoothing * static) ** 2)
     touch = (1 + depth / root) / 2
     viscosity = (touch / CONTACT_SPEED + (1 - touch) / AIR_SPEED) / count
-    return Press(depth, (depth + root) / (2 * count * static), touch, viscosity)
+    load = (depth + root) / (2 * count * static)
+    return Press(depth, load, touch, viscosity, touch / (count * static))
 
 
 def balance(parts: Mechanics, press: Press, groups: tuple[list[int], list[int]]) -> Balance:
@@ -150,18 +152,21 @@ def relaxation(
     rates: ca.SX,
     inputs: ca.SX,
     relaxing: list[int],
+    lag: ca.SX | float = 0.0,
 ) -> ca.SX:
     """Return the residual of the relaxation equations, one row per relaxing rate [1, m].
 
     The viscous normal forces of the contacts, projected on the relaxing rates, balance the
-    unbalanced force ``imbalance``.
+    unbalanced force ``imbalance``. With a ``lag`` in s they balance the force after that time, to
+    first order: the stiffness of contacts and springs, times the lag, adds to their viscosity.
     """
     normal, driven = parts.free[2::3, :], parts.driven[2::3, :]
     velocity = normal @ rates + driven @ inputs
     time = max(wheel.depth for wheel in vehicle.numeric.wheels) / CONTACT_SPEED
-    stiff = [time * c.stiffness / parts.weight for c in vehicle.of("suspension")]
-    springs = ca.DM([0, 0, 0, *stiff]) * rates[relaxing]
-    return normal[:, relaxing].T @ (press.viscosity * velocity) + springs - imbalance
+    stiff = [(time + lag) * c.stiffness / parts.weight for c in vehicle.of("suspension")]
+    springs = ca.vertcat(ca.SX.zeros(3), *stiff) * rates[relaxing]
+    viscosity = press.viscosity + lag * press.stiffness
+    return normal[:, relaxing].T @ (viscosity * velocity) + springs - imbalance
 
 
 def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: float) -> Dae:
@@ -200,11 +205,13 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         tip_over_margin(vehicle, *place, contacts),
         lookups,
     )
-    rest = relaxation(
-        vehicle, parts, pressed, balanced.imbalance, pack(z.rates.motion), pack(u), groups[1]
-    )
+    rates, lag = pack(z.rates.motion), ca.SX.sym("lag")
+    terms = vehicle, parts, pressed, balanced.imbalance, rates, pack(u), groups[1]
+    lagging = linear_form(relaxation(*terms, lag), rates)
+    rest = Equations(_relaxation_labels(vehicle), relaxation(*terms), lagging)
     law = _slip_equations(slip, labels, q, pressed, rest)
-    return _dae(labels, x, z, q, pressed, (_alignment(contacts, misses), law))
+    dae = _dae(labels, x, z, q, pressed, (_alignment(contacts, misses), law))
+    return replace(dae, lag=lag)
 
 
 def loaded(vehicle: Vehicle) -> Vehicle:
@@ -265,7 +272,7 @@ def _alignment(contacts: tuple[ContactFrame, ...], misses: list[ca.SX]) -> ca.SX
 
 
 def _slip_equations(
-    slip: SlipLaw, labels: Labels, q: Quantities, pressed: Press, rest: ca.SX
+    slip: SlipLaw, labels: Labels, q: Quantities, pressed: Press, rest: Equations
 ) -> Equations:
     """Return the equations of the rates: the slip law, with the relaxation as constraint."""
     tangential = tuple(
@@ -278,7 +285,7 @@ def _slip_equations(
         tangential,
         pack(q.rates.motion),
         tuple(leaves(labels.z.rates.motion)),
-        Equations(_relaxation_labels(q.vehicle), rest),
+        rest,
         tuple(ca.vertsplit(pressed.touch + AIR_WEIGHT)),
         (q.mechanics.free, q.mechanics.driven @ pack(q.u)),
     )
