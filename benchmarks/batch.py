@@ -1,0 +1,365 @@
+"""Batch: rates, errors and ends of many motions and poses at once, beside `simulate`.
+
+``python benchmarks batch [PART ...]`` prints, for vehicles and laws on a map of 120 x 120 cells of
+0.1 m with 3 cm rms, motions of 2 m in 4 s whose rates jump ten times:
+
+``rates``
+    Motions a second of CPU in one process by step, with limits and error estimates, errors at the
+    end against `simulate` at 1e-9 (median, 95 %), and the ratio to compiled `simulate` at 1e-4.
+``order``
+    Errors of 64 motions by step, against a step of 5 mm.
+``estimates``
+    Quantiles of estimate over true error.
+``poses``
+    Poses a second of CPU on maps of growing roughness, the share that was found, and the largest
+    difference from `settle`.
+``ends``
+    Random motions on rough maps: outcomes and times of ends beside `simulate`.
+``machines``
+    Lanes, processes and interpreted graphs: rates and differences.
+
+Rates are the best of three repetitions.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from common import run_parts
+
+from slipfree import (
+    Bicubic,
+    Coulomb,
+    ModelError,
+    SolverOptions,
+    catalog,
+    direct_kinematics,
+    quasi_statics,
+    rollouts,
+    settle,
+    settle_many,
+)
+from slipfree.batch.evaluator import evaluator_of
+from slipfree.batch.many import run_lanes, stand, start_states
+from slipfree.core.dae import Dae
+from slipfree.core.records import leaves
+from slipfree.laws.soils import known_soil
+from slipfree.terrain.synthetic import blank, power_law
+from slipfree.vehicle.tree import Vehicle
+
+T = np.linspace(0.0, 4.0, 11)
+SPEED, SPREAD, STEERING = 0.5, 0.1, 0.15  # [m/s], of the speed, [rad/s]
+RUNS, COMPARED = 512, 24
+KEPT = ["x", "y"]
+
+
+class Case(NamedTuple):
+    """Vehicle and law of a row, and the steps of its motions [m]."""
+
+    vehicle: Vehicle
+    law: Callable[[Vehicle, Bicubic], Dae] = direct_kinematics
+    steps: tuple[float, ...] = (0.25, 0.1, 0.05)
+
+
+ROCKY, PRESSED = catalog.rocky7(steered="corners"), (0.1, 0.05, 0.025)
+CASES = {
+    "Rocky 7": Case(ROCKY),
+    "three-wheeler": Case(catalog.three_wheeler()),
+    "Ackermann car": Case(catalog.ackermann()),
+    "articulated cart": Case(catalog.articulated()),
+    "rigid four-wheeler": Case(catalog.rigid_skid_steer(), steps=PRESSED),
+    "rigid six-wheeler": Case(catalog.rigid_skid_steer(axles=3), steps=PRESSED),
+    "Rocky 7, creep 1e-3 m/s": Case(ROCKY, partial(quasi_statics, law=Coulomb(creep=1e-3))),
+    "Rocky 7, dry sand": Case(ROCKY, partial(quasi_statics, law=known_soil("dry_sand"))),
+}
+ROUGH = {  # rms and shortest wave [m], cell [m], Hurst exponent: for poses and ends
+    "3 cm, 0.8 m": (0.03, 0.8, 0.1, 0.9),
+    "10 cm, 0.5 m": (0.1, 0.5, 0.1, 0.9),
+    "5 cm, 0.2 m": (0.05, 0.2, 0.05, 0.5),
+    "10 cm, 0.2 m": (0.1, 0.2, 0.05, 0.5),
+    "40 cm, 1.5 m": (0.4, 1.5, 0.1, 0.9),
+}
+EXACT, USUAL = (SolverOptions(tolerance=each, compiled=True) for each in (1e-9, 1e-4))
+
+
+@cache
+def ground(
+    rms: float = 0.03, shortest: float = 0.8, spacing: float = 0.1, hurst: float = 0.9
+) -> Bicubic:
+    """Return a rough map about the origin."""
+    sheet = blank((-6.0, 6.0), (-6.0, 6.0), spacing)
+    grid = power_law(sheet, rms=rms, hurst=hurst, longest=4.0, shortest=shortest, seed=3)
+    return Bicubic(grid, mu=0.6)
+
+
+@cache
+def model_of(name: str) -> Dae:
+    """Return the model of a case on the common map."""
+    case = CASES[name]
+    return case.law(case.vehicle, ground())
+
+
+def inputs_of(model: Dae, vehicle: Vehicle, count: int, seed: int = 1) -> dict[str, Any]:
+    """Return rates that jump at every sample, shape (count, n_intervals)."""
+    rng = np.random.default_rng(seed)
+    shape = count, T.size - 1
+    rate = SPEED / vehicle.wheels[0].radius * (1 + SPREAD * rng.standard_normal(shape))
+    turn = STEERING * rng.standard_normal(shape)
+    names = [label.full for label in leaves(model.labels.u)]
+    driven = {f"{wheel.name}_rate" for wheel in vehicle.wheels}
+    steered = any(name not in driven for name in names)
+    found = {}
+    for name in names:
+        if name not in driven:
+            found[name] = -turn if "rear" in name else turn
+        else:
+            found[name] = rate if steered or "right" not in name else rate * (1 + turn)
+    return found
+
+
+def cpu(task: Callable[[], Any], repeats: int = 3) -> tuple[float, Any]:
+    """Return the least CPU time of a call [s], and its result."""
+    times, result = [], None
+    for _ in range(repeats):
+        begin = time.process_time()
+        result = task()
+        times.append(time.process_time() - begin)
+    return min(times), result
+
+
+def distance(one: Any, other: Any, count: int) -> Any:
+    """Return the distances of the ends of motions [m]."""
+    return np.hypot(*((one[name][:count, -1] - other[name][:count, -1]).values for name in KEPT))
+
+
+def rates() -> None:
+    """Print rates and errors of all cases."""
+    print(
+        f"{'':24}{'step':>7}{'motions/s':>11}{'of simulate':>12}{'median':>9}{'95 %':>9}"
+        f"{'estimate':>9}  simulated   (errors in mm)"
+    )
+    for name, case in CASES.items():
+        model = model_of(name)
+        start = settle(model, y=-1.5)
+        inputs = inputs_of(model, case.vehicle, RUNS)
+        few = {key: values[:COMPARED] for key, values in inputs.items()}
+        exact = rollouts(model, start, few, T, options=EXACT, quantities=KEPT)
+
+        def simulated(model: Any = model, start: Any = start, few: Any = few) -> Any:
+            return rollouts(model, start, few, T, options=USUAL, quantities=KEPT)
+
+        simulated()  # compiles
+        slow, usual = cpu(simulated, 1)
+        slow /= COMPARED
+        error = 1e3 * np.nanmedian(distance(usual, exact, COMPARED))
+        print(f"{name:24}{'':7}{1 / slow:11.1f}{1:12.0f}{error:9.3f}  simulate, 1e-4", flush=True)
+        for step in case.steps:
+
+            def lanes(
+                step: float = step, model: Any = model, start: Any = start, inputs: Any = inputs
+            ) -> Any:
+                return rollouts(model, start, inputs, T, method="batch", step=step, quantities=KEPT)
+
+            lanes()  # compiles
+            took, batch = cpu(lanes)
+            errors = 1e3 * distance(batch, exact, COMPARED)
+            estimate = 1e3 * float(np.nanmedian(batch["error"]))
+            left = int(np.isnan(batch["error"]).sum())
+            quantiles = np.nanquantile(errors, (0.5, 0.95))
+            print(
+                f"{'':24}{step:7.3g}{RUNS / took:11.0f}{RUNS / took * slow:12.0f}"
+                f"{quantiles[0]:9.4f}{quantiles[1]:9.4f}{estimate:9.4f}  {left}",
+                flush=True,
+            )
+
+
+def order() -> None:
+    """Print median errors by step, and the observed order."""
+    steps = 0.2, 0.1, 0.05, 0.025
+    for name, case in CASES.items():
+        model = model_of(name)
+        start, inputs = settle(model, y=-1.5), inputs_of(model, case.vehicle, 64)
+
+        def lanes(step: float, model: Any = model, start: Any = start, inputs: Any = inputs) -> Any:
+            return rollouts(model, start, inputs, T, method="batch", step=step, quantities=KEPT)
+
+        fine = lanes(0.005)
+        errors = [np.nanmedian(distance(lanes(step), fine, 64)) for step in steps]
+        orders = np.log2(np.array(errors[:-1]) / errors[1:])
+        print(
+            f"{name:24}" + "".join(f"{1e3 * e:10.5f}" for e in errors) + " mm; order",
+            np.round(orders, 1).tolist(),
+            flush=True,
+        )
+
+
+def estimates() -> None:
+    """Print quantiles of the ratio of estimate and true error, of 1000 motions."""
+    print(f"{'':24}{'step':>7}  quantiles 2.5, 25, 50, 75, 97.5 %; share from 0.3 to 3")
+    for name, case in CASES.items():
+        model = model_of(name)
+        start, inputs = settle(model, y=-1.5), inputs_of(model, case.vehicle, 1000, seed=2)
+
+        def lanes(step: float, model: Any = model, start: Any = start, inputs: Any = inputs) -> Any:
+            return rollouts(model, start, inputs, T, method="batch", step=step, quantities=KEPT)
+
+        for step in case.steps[:2]:
+            coarse = lanes(step)
+            error = distance(coarse, lanes(step / 10), 1000)
+            ratio = coarse["error"].values / error
+            ratio = ratio[np.isfinite(ratio)]
+            share = np.mean((ratio > 0.3) & (ratio < 3))
+            quantiles = np.quantile(ratio, (0.025, 0.25, 0.5, 0.75, 0.975))
+            print(f"{name:24}{step:7.3g} ", np.round(quantiles, 2), f"{share:.3f}", flush=True)
+
+
+def poses() -> None:
+    """Print rates of poses of Rocky 7 and of a rigid four-wheeler, and differences from settle."""
+    count = 8192
+    for vehicle in (ROCKY, catalog.rigid_skid_steer()):
+        for name, rough in ROUGH.items():
+            model = direct_kinematics(vehicle, ground(*rough))
+            rng = np.random.default_rng(0)
+            place = {"x": rng.uniform(-4.5, 4.5, count), "y": rng.uniform(-4.5, 4.5, count)}
+            place["heading"] = rng.uniform(-3.0, 3.0, count)
+            evaluate = evaluator_of(model)
+            states = start_states(evaluate.graphs, place)
+
+            def stood(evaluate: Any = evaluate, states: Any = states) -> Any:
+                return np.concatenate(
+                    [stand(evaluate, states[:, k : k + 512].copy()) for k in range(0, count, 512)]
+                )
+
+            took, found = cpu(stood)
+            whole, many = cpu(lambda m=model, p=place: settle_many(m, **p), 1)
+            apart, settled = [], 0
+            for k in np.flatnonzero(many["outcome"].values == "complete")[:40]:
+                try:
+                    one = settle(model, **{key: float(values[k]) for key, values in place.items()})
+                except ModelError:
+                    continue
+                settled += 1
+                apart.append(
+                    max(abs(float(many[q][k]) - one[q][0]) for q in ("z", "roll", "pitch"))
+                )
+            print(
+                f"{vehicle.name:18} {name:13} {count / took:9.0f} poses/s, {count / whole:8.0f}/s "
+                f"with limits and second contacts; found {found.mean():.4f};",
+                f"40 of settle: {settled} settle, {np.sum(np.array(apart) < 1e-7)} equal to 1e-7,",
+                f"median {np.median(apart) if apart else np.nan:.0e} m or rad",
+                dict(Counter(many["outcome"].values.tolist())),
+                flush=True,
+            )
+
+
+def ends() -> None:
+    """Print outcomes and times of ends on rough maps, beside those of `simulate`."""
+    count = 40
+    for name, case in (("Rocky 7", CASES["Rocky 7"]), ("three-wheeler", CASES["three-wheeler"])):
+        for rough_name, rough in ROUGH.items():
+            model = direct_kinematics(case.vehicle, ground(*rough))
+            rng = np.random.default_rng(7)
+            start = {"x": rng.uniform(-4.5, 4.5, count), "y": rng.uniform(-4.5, 4.5, count)}
+            start["heading"] = rng.uniform(-3.0, 3.0, count)
+            inputs = inputs_of(model, case.vehicle, count, seed=3)
+            options = SolverOptions(tolerance=1e-8, compiled=True)
+            exact = rollouts(model, start, inputs, T, options=options, quantities=KEPT)
+            batch = rollouts(model, start, inputs, T, method="batch", step=0.1, quantities=KEPT)
+            same = [
+                a == b and first.split(":")[0] == second.split(":")[0]
+                for a, b, first, second in zip(
+                    *(run["outcome"].values for run in (batch, exact)),
+                    *(run["reason"].values for run in (batch, exact)),
+                    strict=True,
+                )
+            ]
+            late = np.abs((batch["end"] - exact["end"]).values)
+            simulated = int(np.isnan(batch["error"]).sum())
+            print(
+                f"{name:14} {rough_name:13} same end {sum(same)} of {count}, times within "
+                f"{1e3 * np.nanmax(late):.2f} ms, {simulated} simulated or without start;",
+                dict(Counter(exact["outcome"].values.tolist())),
+                flush=True,
+            )
+            for k in np.flatnonzero(~np.array(same) | (late > 0.01)):
+                for run in (batch, exact):
+                    print(
+                        "     ",
+                        k,
+                        run["outcome"].values[k],
+                        f"{float(run['end'][k]):.4f} s",
+                        run["reason"].values[k][:90],
+                    )
+
+
+def by_name(name: str) -> Dae:
+    """Return the model of a case, for other processes."""
+    return model_of(name)
+
+
+def machines() -> None:
+    """Print what lanes, processes and interpretation change."""
+    model, case = model_of("Rocky 7"), CASES["Rocky 7"]
+    inputs = inputs_of(model, case.vehicle, RUNS)
+    array = np.stack([inputs[label.full].T for label in leaves(model.labels.u)])
+    ends_ = {}
+    for tag, evaluate in (
+        *((f"{lanes} lanes", evaluator_of(model, lanes=lanes)) for lanes in (1, 2, 4, 8)),
+        ("interpreted", evaluator_of(model, compiled=False)),
+    ):
+        states = start_states(evaluate.graphs, {"y": np.full(RUNS, -1.5)})
+
+        def lanes_(evaluate: Any = evaluate, states: Any = states) -> Any:
+            return run_lanes(evaluate, states, array, T, step=0.25, quantities=KEPT)
+
+        took, done = cpu(lanes_, 1 if tag == "interpreted" else 3)
+        ends_[tag] = np.stack([done.columns[key].values[:, -1] for key in KEPT])
+        apart = np.abs(ends_[tag] - ends_["1 lanes"]).max()
+        print(
+            f"{tag:12} {RUNS / took:8.0f} motions/s, largest difference {apart:.1e} m", flush=True
+        )
+    many = {key: np.tile(values, (32, 1)) for key, values in inputs.items()}
+    results = {}
+    for processes in (1, 2):
+
+        def run(processes: int = processes) -> Any:
+            return rollouts(
+                by_name,
+                {"y": -1.5},
+                many,
+                T,
+                p={"name": ["Rocky 7"]},
+                quantities=KEPT,
+                method="batch",
+                step=0.25,
+                processes=processes,
+            )
+
+        begin = time.perf_counter()
+        results[processes] = run()
+        rate = 32 * RUNS / (time.perf_counter() - begin)
+        print(f"{processes} processes: {rate:.0f} motions/s of wall time, with their start")
+    print("equal bits:", all(np.array_equal(results[1][key], results[2][key]) for key in KEPT))
+
+
+def main() -> None:
+    """Print the parts that the command line names."""
+    run_parts(
+        {
+            "rates": rates,
+            "order": order,
+            "estimates": estimates,
+            "poses": poses,
+            "ends": ends,
+            "machines": machines,
+        }
+    )
+
+
+if __name__ == "__main__":
+    main()
