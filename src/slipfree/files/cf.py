@@ -80,10 +80,7 @@ def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
 
 
 def map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
-    """Return units and values, shape (n,), of the map coordinates by name.
-
-    Without a transform in the attributes, they are the coordinates of the motion.
-    """
+    """Return units and values, shape (n,), of the map coordinates by name."""
     text = run.attributes.get(MAP_TRANSFORM)
     coordinates = [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
     try:
@@ -106,11 +103,7 @@ def is_trajectory(run: Trajectory) -> bool:
 
 
 def position_columns(run: Trajectory) -> dict[str, Column]:
-    """Return columns with the horizontal position in the reference system of the map, by name.
-
-    The result is empty for a motion without positions, or without a reference system; in the latter
-    case, the columns x, y, z contain the position.
-    """
+    """Return columns with the position in the reference system of the map; empty without either."""
     crs = run.attributes.get(MAP_CRS)
     if not crs or not is_trajectory(run):
         return {}
@@ -125,10 +118,7 @@ def position_columns(run: Trajectory) -> dict[str, Column]:
 
 
 def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> dict[str, str]:
-    """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping.
-
-    ``on_map`` are the names of the columns that `position_columns` returns.
-    """
+    """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping."""
     found = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
     if not is_trajectory(run):
         return found
@@ -143,12 +133,7 @@ def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> 
 
 
 def grid_mapping(crs: str) -> dict[str, Any]:
-    """Return the attributes of the variable ``crs`` for a reference system.
-
-    They are its WKT in ``crs_wkt``, for the CF conventions, and in ``spatial_ref``, for GDAL, and
-    the CF name and parameters of the projection if the conventions define them. ``crs`` is an EPSG
-    code or WKT; DataError is raised if it is unknown.
-    """
+    """Return the attributes of the variable ``crs``: WKT for CF and GDAL, and the CF projection."""
     import rasterio.crs
     from rasterio.errors import CRSError
 

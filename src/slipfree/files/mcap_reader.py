@@ -69,23 +69,8 @@ def is_mcap(path: Path) -> bool:
 def read_mcap(path: Path, name: str) -> Rows:
     """Return a table of commands or of a path from the messages in an MCAP file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str
-        Name of a column of the table. ``"v_x"``, ``"v_y"`` or ``"omega_z"``: commands ``t, v_x,
-        v_y, omega_z`` of messages Twist or TwistStamped [s, m/s, rad/s]. ``"x"``, ``"y"`` or
-        ``"heading"``: path ``t, x, y, heading`` of the last message Path, or of messages Odometry
-        [s, m, rad]. Frames have x forward, y left (REP 103); times are relative to the first
-        row.
-
-    Raises
-    ------
-    DataError
-        If ``name`` is another name, if the package mcap-ros2-support is not installed, if the file
-        cannot be read, if it does not have exactly one topic with such messages, or if a number is
-        not finite.
+    ``name`` is one of its columns: ``t, v_x, v_y, omega_z`` of Twist or TwistStamped, or ``t, x, y,
+    heading`` of the last Path or of Odometry; frames have x forward, y left (REP 103).
     """
     names = next((names for names in MESSAGES if name in names), None)
     if names is None:
@@ -97,25 +82,12 @@ def read_mcap(path: Path, name: str) -> Rows:
 
 
 def read_joint_commands(path: Path) -> dict[str, JointCommands]:
-    """Return the joint commands in the JointState messages of an MCAP file, by name of the joint.
-
-    Raises
-    ------
-    DataError
-        If the package mcap-ros2-support is not installed, if the file cannot be read, if it does
-        not have exactly one topic with such messages, or if their times do not increase.
-    """
+    """Return the joint commands in the JointState messages of an MCAP file, by name of joint."""
     return _bounded(_joint_commands, path)
 
 
 def read_motion_log(path: Path) -> MotionLog:
-    """Return poses and joint states in an MCAP file: one topic of poses, and one of JointState.
-
-    Raises
-    ------
-    DataError
-        As in `read_mcap` and `read_joint_commands`.
-    """
+    """Return poses and joint states in an MCAP file: one topic of poses, and one of JointState."""
     return _bounded(_motion_log, path)
 
 

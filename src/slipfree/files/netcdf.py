@@ -165,14 +165,7 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the arrays that `write` stored in addition to the trajectory, by name.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, is not netCDF-3, is incomplete or damaged, or was not written by
-        ``write``.
-    """
+    """Return the arrays that `write` stored in addition to the trajectory, by name."""
     file = _open(Path(path))
     names = [k for k, each in file.variables.items() if each.dimensions == (f"{k}{SIZE}",)]
     with file.stream:
@@ -205,10 +198,7 @@ def _check(run: Trajectory) -> None:
 
 
 def _define(file: Any, run: Trajectory, on_map: Mapping[str, Column]) -> None:
-    """Write a trajectory to an open netCDF file, without the values of its quantities.
-
-    ``on_map`` are the columns of `position_columns`.
-    """
+    """Write a trajectory to an open netCDF file, without the values of its quantities."""
     _annotate(file, _attributes(run))
     file.createDimension("time", run.t.size)
     time = file.createVariable("time", "f8", ("time",))

@@ -173,20 +173,14 @@ def length_words(value: float) -> str:
 
 
 def degrees_words(angle: float) -> str:
-    """Return a hint for an angle in radians beyond a full turn, which may be degrees.
-
-    The result is empty for smaller angles.
-    """
+    """Return a hint for an angle beyond a full turn, which may be degrees; empty for others."""
     if abs(angle) <= FULL_TURN:
         return ""
     return f"did you mean {angle:.6g} degrees? write {math.radians(angle):.6g}"
 
 
 def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of a tree with parents before children, and those not connected to the root.
-
-    ``parents`` is the parent of each name; the root itself is in none of the results.
-    """
+    """Return the names of a tree, parents first, and the names not connected to the root."""
     done, left = {root}, list(parents)
     ordered: list[str] = []
     while ready := [name for name in left if parents[name] in done]:
@@ -197,10 +191,7 @@ def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tu
 
 
 def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the loop that repeated steps from a name to its parent reach; empty without a loop.
-
-    Each name in the result is followed by its parent.
-    """
+    """Return the loop that repeated steps from a name to its parent reach; empty without a loop."""
     chain = [name]
     while parents.get(chain[-1]) not in (None, *chain):
         chain.append(parents[chain[-1]])
@@ -270,11 +261,7 @@ def rotation_of(turned: Vector) -> Array:
 
 
 def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
-    """Return the text of a vehicle file, from which `read_vehicle` returns the vehicle.
-
-    Notes of the vehicle are left out; ``comments`` are lines at the beginning. ModelError is raised
-    if a wheel has a section without a name in files.
-    """
+    """Return the text of a vehicle file, without the vehicle's notes and with leading comments."""
     document = tomlkit.document()
     for line in comments:
         document.add(tomlkit.comment(line))

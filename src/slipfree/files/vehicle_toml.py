@@ -289,10 +289,7 @@ def _element_lines(text: str, start: int) -> Iterator[int]:
 
 
 def validated(model: type[Record], file: File) -> Any:
-    """Return the contents of a file as a record of type ``model``.
-
-    VehicleError is raised if values are invalid; its message has a line for each.
-    """
+    """Return the contents of a file as a record of type ``model``, or raise VehicleError."""
     try:
         table = model.model_validate(file.data)
     except ValidationError as error:
@@ -314,14 +311,7 @@ def _worded(model: type[Record], data: dict[str, Any], error: dict[str, Any]) ->
 
 
 def read_toml(file: File) -> Draft:
-    """Return the draft of the vehicle in a TOML file, checked to form a vehicle.
-
-    Raises
-    ------
-    VehicleError
-        If the file has errors; the exception contains a message for each of them, and a draft if
-        all single values are valid.
-    """
+    """Return the draft of a vehicle in a TOML file; a VehicleError has all messages and a draft."""
     table: VehicleTable = validated(VehicleTable, file)
     faults = [
         *_name_errors(table),
@@ -496,10 +486,7 @@ def _names_in(formula: str) -> frozenset[str]:
 
 
 def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
-    """Return the draft of the valid parts, and the errors of coordinates and inertias.
-
-    Other errors are found by the checks of names, parents and values.
-    """
+    """Return the draft of the valid parts, and the errors of coordinates and inertias."""
     faults: list[Fault] = []
 
     def build(part: str, make: Callable[[Any], T]) -> tuple[T, ...]:

@@ -119,18 +119,7 @@ class Velocities(NamedTuple):
 
 
 def body_motion(dae: Dae) -> BodyMotion:
-    """Return the body motion of a kinematic or quasi-static model on level ground.
-
-    Parameters
-    ----------
-    dae : Dae
-        Model with parameters ``p``.
-
-    Raises
-    ------
-    ModelError
-        If the model has inertia.
-    """
+    """Return the body motion of a kinematic or quasi-static model on level ground."""
     if dae.standing is not None:
         raise ModelError(
             "expected a kinematic or quasi-static model, found one with inertia; use model = "
@@ -198,10 +187,7 @@ def _limits_of_unknowns(dae: Dae, first: int, count: int) -> tuple[Limit, ...]:
 
 
 def _parameters(dae: Dae) -> tuple[list[ca.SX], tuple[float, ...], int]:
-    """Return the symbols of the parameters, stages of the continuation, and index of its symbol.
-
-    The symbol of the continuation is appended if it is no parameter; without one, the index is -1.
-    """
+    """Return parameter symbols, stages of the continuation, and index of its symbol or -1."""
     symbols = [each.symbol for each in dae.p]
     if dae.continuation is None:
         return symbols, (), -1
@@ -225,24 +211,10 @@ def _motion_size(dae: Dae) -> int:
 def velocities(
     motion: BodyMotion, given: Array, p: Array, near: Velocities | None = None
 ) -> Velocities:
-    """Return the velocities of a vehicle and their derivatives.
+    """Return the velocities of a vehicle and their derivatives; MotionError if there is no motion.
 
-    Parameters
-    ----------
-    motion : BodyMotion
-        The model.
-    given : ndarray, shape (n, n_given)
-        Inputs and joints at n samples. [rad/s, m/s, rad, m]
-    p : ndarray, shape (n_p,)
-        Values of the parameters, in their units.
-    near : Velocities, optional
-        Result at the same samples for other parameters, from which the rates start.
-
-    Raises
-    ------
-    MotionError
-        If the vehicle has no stable pose or violates a limit of the model, or its equations have no
-        solution at a sample.
+    ``inputs`` have the shape (n, n_inputs); ``near``, a result at the same samples for other
+    parameters, is the initial guess of the rates.
     """
     guess = None if near is None else near.z + near.z_slopes @ (p - near.p)
     full = p if motion.stage < len(motion.parameters) else np.append(p, motion.stages[-1])
@@ -260,10 +232,7 @@ def velocities(
 
 
 def _standing_poses(motion: BodyMotion, given: Array, p: Array) -> Array:
-    """Return the unknowns of the vehicle at rest with the joints of each sample, shape (n, n_z).
-
-    Raises MotionError if the relaxation does not converge, or the equilibrium is not stable.
-    """
+    """Return the unknowns of the vehicle at rest with the joints of each sample, shape (n, n_z)."""
     joints, first, inverse = np.unique(
         given[:, motion.inputs :], axis=0, return_index=True, return_inverse=True
     )
@@ -387,11 +356,7 @@ def _solve_cold(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[A
 def _solve_stage(
     motion: BodyMotion, given: Array, p: Array, z: Array, pair: tuple[Array, Array], depth: int
 ) -> tuple[Array, Array, Mask]:
-    """Return the result of `_solve` at the second value of the continuation parameter.
-
-    Where Newton's method fails, the stage is divided at the geometric mean of its two values,
-    recursively at most ``depth`` times.
-    """
+    """Return the result of `_solve` at the end of a stage, divided at most ``depth`` times."""
     found, jac, good = _solve(motion, given, _with_stage(motion, p, pair[1]), z)
     if depth and not good.all():
         bad = ~good
@@ -412,10 +377,7 @@ def _with_stage(motion: BodyMotion, p: Array, values: Array) -> Array:
 
 
 def _solve(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[Array, Array, Mask]:
-    """Return unknowns and Jacobians after Newton's method, and the mask of solved samples.
-
-    A step that does not reduce the largest residual is halved.
-    """
+    """Return unknowns and Jacobians after damped Newton steps, and the mask of solved samples."""
     z = z.copy()
     residual, jac = (each.copy() for each in evaluate(motion.newton, z, given, p))
     size = _size(residual)
@@ -454,10 +416,7 @@ def _size(residual: Array) -> Array:
 
 
 def evaluate(function: ca.Function, *arguments: Array) -> tuple[Array, ...]:
-    """Return the results of a function at n samples, each of shape (n, rows, columns).
-
-    Arguments have one row per sample. A buffer avoids CasADi's slow conversion of matrices.
-    """
+    """Return the results of a function at n samples, each of shape (n, rows, columns)."""
     count = len(arguments[0])
     if count > BATCHES[-1]:
         starts = range(0, count, BATCHES[-1])

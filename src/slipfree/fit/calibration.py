@@ -69,30 +69,7 @@ def calibrate(
     seed: int = 0,
     loss: Loss = "soft_l1",
 ) -> Calibration:
-    """Fit unknowns to a random part of the windows, and predict the others.
-
-    Parameters
-    ----------
-    build : callable
-        ``build(vehicle, law)`` returns a kinematic or quasi-static model.
-    vehicle, law : Vehicle and SlipLaw or GroundLaw
-        Nominal values.
-    unknowns : sequence of Unknown
-        The unknowns.
-    windows : Windows
-        The windows; their quantities are the names of `slipfree.fit.body_motion.body_motion`.
-    train : float
-        Share of the windows for training, between 0 and 1.
-    seed : int
-        Seed of the random choice.
-    loss : {"soft_l1", "linear"}
-        Loss of the residuals, see `slipfree.fit.estimate.estimate`.
-
-    Raises
-    ------
-    ModelError
-        If there are too few windows, a number is out of range, or the model has no motion.
-    """
+    """Fit unknowns to a random part of the windows, a share ``train``, and predict the others."""
     if not 0 < train < 1:
         raise ModelError(f"calibrate: train: expected a share between 0 and 1, found {train:g}")
     order = np.random.default_rng(seed).permutation(len(windows.end))
@@ -137,15 +114,7 @@ def heading_median(errors: Array) -> float:
 
 
 def bootstrap(errors: Array, statistic: Callable[[Array], float]) -> Interval:
-    """Return a statistic of errors, with its 95 % interval by resampling windows (percentiles).
-
-    Parameters
-    ----------
-    errors : ndarray, shape (n, ...)
-        One row per window.
-    statistic : callable
-        Function of such an array.
-    """
+    """Return a statistic of errors, shape (n, ...), with its 95 % interval by resampling rows."""
     rng = np.random.default_rng(0)
     values = [
         statistic(errors[rng.integers(0, len(errors), len(errors))]) for _ in range(RESAMPLES)

@@ -127,18 +127,9 @@ class Prediction(NamedTuple):
 
 
 class Predictor:
-    """Predictions of a model over windows, as a function of the unknowns.
+    """Predictions of a parametric model over windows, as a function of the unknowns.
 
     Each prediction starts from the accepted one; others do not influence it.
-
-    Parameters
-    ----------
-    dae : Dae
-        Model with parameters, from `slipfree.fit.unknowns.parametric_model`.
-    unknowns : sequence of Unknown
-        Unknowns of the model and of the sensor.
-    windows : Windows
-        The windows; their quantities are those of ``names``.
     """
 
     def __init__(self, dae: Dae, unknowns: Sequence[Unknown], windows: Windows) -> None:
@@ -157,11 +148,7 @@ class Predictor:
         self.evaluations = 0
 
     def __call__(self, values: Array) -> Prediction:
-        """Return the prediction for values of the unknowns, in their units.
-
-        Raises MotionError if the vehicle has no stable pose, or the model has no motion at a
-        sample.
-        """
+        """Return the prediction for values of the unknowns; MotionError if there is no motion."""
         if self._last is not None and np.array_equal(self._last[0], values):
             return self._last[1]
         self.evaluations += 1
@@ -210,29 +197,10 @@ def estimate(
     windows: Windows,
     loss: Loss = "soft_l1",
 ) -> Estimate:
-    """Fit unknowns to windows of a log.
+    """Fit unknowns to windows of a log, with a loss of each residual.
 
-    Parameters
-    ----------
-    dae : Dae
-        Model with parameters, from `slipfree.fit.unknowns.parametric_model`.
-    vehicle, law : Vehicle and SlipLaw or GroundLaw
-        Nominal values.
-    unknowns : sequence of Unknown
-        The unknowns, at least one.
-    windows : Windows
-        The windows, more than unknowns.
-    loss : {"soft_l1", "linear"}
-        Loss of a residual ``r``: ``2 sqrt(1 + r^2) - 2``, which limits the influence of outliers,
-        or ``r^2``.
-
-    Raises
-    ------
-    ModelError
-        If there are no unknowns or too few windows, if a nominal value is outside its bounds, if
-        the model has no motion at a sample with the nominal values, or if the search does not
-        converge, or ends at the edge of the values with a motion or at an extremum of the
-        prediction.
+    ModelError is raised if the problem is not determined, the nominal values have no motion, or the
+    search does not converge or ends at an edge or extremum of the prediction.
     """
     labels = tuple(label_of(each, law) for each in unknowns)
     nominal = np.array([value_of(each, vehicle, law) for each in unknowns])
@@ -308,7 +276,6 @@ def _check_extremum(
     """Raise ModelError if the predicted motion has an extremum at the estimate of an unknown.
 
     The log then favours a motion beyond all those of the model, which biases the other estimates.
-    The second prediction is that at the nominal value of the unknown.
     """
     here, there = (float(np.linalg.norm(each.slopes[:, :, k])) for each in predictions)
     if not here < EXTREMUM * there:
@@ -359,10 +326,7 @@ def _scales(
 def _bounds(
     unknowns: Sequence[Unknown], limits: Array, nominal: Array, scales: Array
 ) -> tuple[Array, Array]:
-    """Return lower and upper bounds, which leave out the ends of intervals.
-
-    Raises ModelError if there are no unknowns, or a nominal value is not within its bounds.
-    """
+    """Return lower and upper bounds, which leave out the ends of intervals."""
     if not unknowns:
         raise ModelError("estimate: expected at least one unknown, found none; add one")
     for unknown, value, (low, high) in zip(unknowns, nominal, limits, strict=True):

@@ -184,10 +184,7 @@ SENSOR: dict[str, Label] = {
 
 
 def label_of(unknown: Unknown, law: Any) -> Label:
-    """Return name, unit and description of an unknown.
-
-    Raises ModelError if the quantity is unknown.
-    """
+    """Return name, unit and description of an unknown."""
     if unknown.quantity in QUANTITIES:
         found = QUANTITIES[unknown.quantity]
         return Label(unknown.name, found.unit, found.words)
@@ -204,10 +201,7 @@ def label_of(unknown: Unknown, law: Any) -> Label:
 
 
 def limits_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> tuple[float, float]:
-    """Return the bounds of an unknown within which the vehicle and the law are valid.
-
-    A bound of zero of a positive quantity is excluded.
-    """
+    """Return the bounds of an unknown within which the vehicle and the law are valid."""
     least, most = unknown.lower, unknown.upper
     if unknown.quantity == "radius":
         names = _wheels(unknown, vehicle)
@@ -242,11 +236,7 @@ def value_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> float:
 
 
 def with_unknowns(vehicle: Vehicle, unknowns: Sequence[Unknown], values: Sequence[Any]) -> Vehicle:
-    """Return a vehicle with other values of its unknowns, numbers or expressions.
-
-    Unknowns of the law and of the sensor are ignored. Raises ModelError if a wheel is unknown, or
-    its section has no radius.
-    """
+    """Return a vehicle with other values of its unknowns, numbers or expressions."""
     found = vehicle
     for unknown, value in zip(unknowns, values, strict=True):
         if unknown.quantity in QUANTITIES:
@@ -267,24 +257,7 @@ def law_with_unknowns(law: Any, unknowns: Sequence[Unknown], values: Sequence[An
 def parametric_model(
     build: Callable[[Vehicle, Any], Dae], vehicle: Vehicle, law: Any, unknowns: Sequence[Unknown]
 ) -> Dae:
-    """Return a model whose unknowns are parameters.
-
-    Parameters
-    ----------
-    build : callable
-        ``build(vehicle, law)`` returns the model.
-    vehicle : Vehicle
-        The vehicle, with nominal values.
-    law : SlipLaw or GroundLaw
-        The law, with nominal values.
-    unknowns : sequence of Unknown
-        The unknowns; those of the sensor are not part of the model.
-
-    Raises
-    ------
-    ModelError
-        If a quantity or a wheel is unknown, or the model does not have that quantity.
-    """
+    """Return a model in which the fitted quantities are parameters."""
     labels = [label_of(each, law) for each in unknowns]
     symbols = [ca.SX.sym(label.name) for label in labels]
     values = [value_of(each, vehicle, law) for each in unknowns]

@@ -67,14 +67,7 @@ class Log(NamedTuple):
 
 
 def cut(log: Log) -> Windows:
-    """Return the windows of a log; those with fewer than two samples are left out.
-
-    Raises
-    ------
-    ModelError
-        If there is no window of two samples, there are too many samples, or times decrease within a
-        window.
-    """
+    """Return the windows of a log; those with fewer than two samples are left out."""
     starts = np.flatnonzero(np.append(True, np.diff(log.window) != 0))
     parts = [
         slice(a, b) for a, b in zip(starts, [*starts[1:], len(log.t)], strict=True) if b - a > 1
@@ -120,29 +113,11 @@ def _relative(poses: Array) -> Array:
 
 
 def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, Array, Array]:
-    """Return the predicted end poses of windows, and their derivatives.
+    """Return the predicted end poses of windows, and their derivatives by velocities and sensor.
 
-    Between two samples, the velocity in the platform's axes is linear in time. The heading is then
-    quadratic in time, and the position is integrated by Gauss quadrature.
-
-    Parameters
-    ----------
-    windows : Windows
-        The windows, n of them.
-    velocity : ndarray, shape (n, k + 1, 3)
-        Velocity to the right and forward [m/s], and yaw rate [rad/s], at the samples.
-    sensor : ndarray, shape (3,)
-        Position of the sensor to the right and ahead of the platform's centre [m], and its
-        orientation relative to the platform [rad].
-
-    Returns
-    -------
-    end : ndarray, shape (n, 3)
-        As ``Windows.end``.
-    by_velocity : ndarray, shape (n, 3, k + 1, 3)
-        Derivatives with respect to the velocities.
-    by_sensor : ndarray, shape (n, 3, 3)
-        Derivatives with respect to the sensor's pose.
+    Between two samples, the velocity (right, forward, yaw rate) is linear in time. The heading is
+    then quadratic in time, and the position is integrated by Gauss quadrature. Shapes (n, 3), (n,
+    3, k + 1, 3) and (n, 3, 3).
     """
     count, samples, _ = velocity.shape
     pairs = np.concatenate([velocity[:, :-1], velocity[:, 1:]], axis=2).reshape(-1, 6)
@@ -159,11 +134,7 @@ def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, 
 
 
 def _compose_steps(steps: Array) -> tuple[Array, Array]:
-    """Return pose changes over several intervals, and their derivatives with respect to each.
-
-    The change ``(right, ahead, turn)`` over an interval, shape (n, k, 3), is in the axes at its
-    beginning; the result, shapes (n, 3) and (n, k, 3, 3), in those at the first one.
-    """
+    """Return pose changes over several intervals, and their derivatives with respect to each."""
     ahead = np.cumsum(steps[..., 2], axis=1)
     before = ahead - steps[..., 2]
     c, s = np.cos(before), np.sin(before)

@@ -192,10 +192,7 @@ def _interval_groups(program: Program, row_block: RowBlock) -> Iterator[Constrai
 
 
 def worst_violations(program: Program, values: Array) -> Iterator[tuple[float, Violation]]:
-    """Yield the largest violation of each violated bound, with its relative size first.
-
-    ``values`` are those of the rows, then of the unknowns, not scaled, shape (n_g + n_w,).
-    """
+    """Yield the largest violation of each violated bound, with its relative size first."""
     duration = values[program.g_lower.size + program.layout.duration]
     for group in constraint_groups(program):
         size = size_of(group, values)
@@ -243,10 +240,7 @@ def size_of(group: ConstraintGroup, values: Array) -> float:
 
 
 def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
-    """Return the record (``"x"`` or ``"z"``) and the index of a state or unknown.
-
-    The result is None for an expression that is not a single state or unknown.
-    """
+    """Return the record (``"x"`` or ``"z"``) and index of a state or unknown; None for others."""
     for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
         for k, symbol in enumerate(leaves(symbols)):
             if ca.is_equal(expression, symbol):
@@ -281,10 +275,7 @@ def rate_of(label: Label) -> Label:
 
 
 def subject(label: Label, role: str) -> str:
-    """Return a text for a constrained quantity, such as ``input right_rate``.
-
-    ``role`` is the kind of constraint, as in `slipfree.plan.constraints.Violation`.
-    """
+    """Return a text for a constrained quantity, such as ``input right_rate``."""
     whose = "the vehicle" if label.wheel is None else f"wheel {label.wheel}"
     if role == INPUT:
         return f"input {label.full}"
@@ -305,10 +296,7 @@ def number(label: Label, value: float) -> str:
 
 
 def missed_words(sizes: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """Return violations as text, such as ``x at the goal by 3.1e-04 m``.
-
-    ``sizes`` and ``units`` are the violations and their units by name.
-    """
+    """Return violations as text, such as ``x at the goal by 3.1e-04 m``."""
     return ", ".join(
         f"{name} by {size:.1e} {unit_words(units[name])}".rstrip() for name, size in sizes.items()
     )
@@ -342,8 +330,8 @@ def unit_words(unit: str) -> str:
 class _Bounds(NamedTuple):
     """Bounds of an expression before transcription: ``lower <= expression <= upper``.
 
-    ``fraction`` is the time at which the bounds apply as a fraction of the duration, nan if they
-    apply at all times. ``shift`` is the reported value minus the local value.
+    ``fraction`` of the duration is nan if they apply at all times; ``shift`` is the reported minus
+    the local value.
     """
 
     label: Label
@@ -356,11 +344,7 @@ class _Bounds(NamedTuple):
 
 
 def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
-    """Return one sentence for each pair of contradictory bounds.
-
-    Without a start the algebraic unknowns there are not known, and only bounds on functions of the
-    states are compared with the start.
-    """
+    """Return one sentence for each pair of contradictory bounds; without a start only of states."""
     asked = list(_all_bounds(task))
     along = [bounds for bounds in asked if np.isnan(bounds.fraction)]
     begin = np.full(len(task.dae.scale), np.nan) if start is None else task.dae.rows("z", start, -1)
@@ -446,10 +430,7 @@ def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
 def _value_conflicts(
     task: PlanTask, along: list[_Bounds], role: str, known: Array
 ) -> Iterator[str]:
-    """Yield a message for each bound that known values of states and algebraic unknowns violate.
-
-    ``known`` contains these values, and NaN where none is known, shape (n_x + n_z,).
-    """
+    """Yield a message for each bound that ``known`` values of x and z violate; NaN if not known."""
     x, z, u = task.dae.columns()
     xz = ca.vertcat(x, z)
     unknown = ca.vertcat(task.dae.t, u, xz[np.flatnonzero(np.isnan(known)).tolist()])

@@ -87,10 +87,8 @@ def relax(program: Program, first: Array) -> Relaxation:
 
     The equations, the start and the bounds of the duration are kept. Each other bound is relaxed by
     a slack that is the same at all times. The sum of the slacks, each relative to the size of its
-    bound (`size_of`), is minimised; most slacks are then zero. This is a local minimum: other
-    initial guesses ``first``, not scaled, may lead to smaller sums. Among the motions with these
-    slacks, a second search minimises the cost; if it fails, the motion of the first search is
-    returned.
+    bound (`size_of`), is minimised; most slacks are then zero. This is a local minimum. Among the
+    motions with these slacks, a second search minimises the cost, if it succeeds.
     """
     weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
     first = completed(program, first)
@@ -129,10 +127,7 @@ def relax(program: Program, first: Array) -> Relaxation:
 
 
 def _least_cost(elastic: Program, found: NlpSolution, weights: Array, count: int) -> Array:
-    """Return the unknowns of least cost with the slacks of ``found``.
-
-    If the search fails, return the unknowns of ``found``.
-    """
+    """Return the unknowns of least cost with the slacks of a solution, or its own on failure."""
     if not found.success:
         return found.unknowns
     upper = elastic.upper.copy()
@@ -177,11 +172,7 @@ def _opposing_bounds(
 def _elastic_program(
     program: Program, soft: list[tuple[ConstraintGroup, float]], sizes: Array
 ) -> Program:
-    """Return the program with a slack for each bound in ``soft``, appended to the unknowns.
-
-    The slacks are scaled by ``sizes``. The cost is the sum of the scaled slacks plus the cost of
-    the original program with its weights.
-    """
+    """Return the program with a scaled slack for each bound in ``soft``, whose sum is a cost."""
     hard = np.concatenate(
         [group.where for group in constraint_groups(program) if group.role == EQUATION]
     )
@@ -283,11 +274,7 @@ class Explanation(NamedTuple):
 
 
 def violations(program: Program, solution: NlpSolution) -> list[Violation]:
-    """Return the largest violation of each violated constraint, the worst constraint first.
-
-    Violations are sorted by their size relative to the range of the bounds or to a typical size of
-    the quantity (`size_of`).
-    """
+    """Return the largest violation of each violated constraint, by relative size (`size_of`)."""
     worst: dict[tuple[str, str], tuple[float, Violation]] = {}
     values = np.concatenate([solution.rows, solution.unknowns])
     for size, violation in worst_violations(program, values):
@@ -308,10 +295,7 @@ def violation_words(violation: Violation) -> str:
 
 
 def explanation(program: Program, solution: NlpSolution, first: Array) -> Explanation:
-    """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax.
-
-    ``first`` is the initial guess of the search, not scaled.
-    """
+    """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax."""
     found = violations(program, solution)
     is_infeasible = solution.status == INFEASIBLE_STATUS
     if found:

@@ -77,10 +77,7 @@ def convergence_of(stats: Mapping[str, Any]) -> Convergence:
 
 
 def convergence_arrays(searches: Sequence[Convergence]) -> dict[str, Array]:
-    """Return consecutive searches as arrays for a file, by name; empty without iterates.
-
-    The array ``convergence_search`` has the index of the search of every iterate.
-    """
+    """Return consecutive searches as arrays for a file, by name; empty without iterates."""
     if not any(each.cost.size for each in searches):
         return {}
     found = {
@@ -241,29 +238,11 @@ def solve_program(
     on_iterate: IterateCallback | None = None,
     growth: float = MAX_VIOLATION_GROWTH,
 ) -> NlpSolution:
-    """Return the solution of a nonlinear program.
+    """Return the solution of a nonlinear program, warm-started by the multipliers of ``warm``.
 
-    If IPOPT fails, return the iterate with the smallest constraint violation. If IPOPT reports an
-    infeasible problem, return its last iterate.
-
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    weights : ndarray, shape (n_costs + 1,)
-        Weights of the costs; the last one is the weight of the smoothness.
-    first : ndarray, shape (n_w,)
-        Initial guess, not scaled. Roots of squared cost terms (see `stage_functions`) are ignored
-        and recomputed from the other unknowns.
-    warm : NlpSolution, optional
-        Solution whose multipliers are used for a warm start.
-    iterations : int
-        Maximum number of iterations.
-    on_iterate : callable, optional
-        Function called with every iterate; IPOPT stops if it returns False.
-    growth : float
-        Upper bound of the constraint violation, divided by the larger of 1 and the violation of
-        the initial guess (option ``theta_max_fact`` of IPOPT).
+    If IPOPT fails, return the iterate with the smallest constraint violation; if it reports an
+    infeasible problem, its last iterate. Roots of squared cost terms (`stage_functions`) in
+    ``first`` are computed from the other unknowns. ``growth`` is IPOPT's ``theta_max_fact``.
     """
     given = {
         "x0": completed(program, first) / program.scale,
@@ -294,11 +273,7 @@ def solve_program(
 
 
 def warm_solver(program: Program, iterations: int) -> ca.Function:
-    """Return an IPOPT solver for a warm start near a solution, with full Newton steps.
-
-    The function has the arguments and results of ``casadi.nlpsol``, with unknowns and their bounds
-    divided by their scale. It makes at most the given number of iterations.
-    """
+    """Return an IPOPT solver for a warm start near a solution, with full Newton steps."""
     ipopt = WARM_OPTIONS | {
         "max_iter": iterations,
         "mu_strategy": "monotone",
@@ -356,11 +331,7 @@ def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any])
 
 @with_interrupt_guard
 def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> NlpSolution:
-    """Return the solution of a nonlinear program, found by IPOPT with exact derivatives.
-
-    Cost and rows of the program are functions of the scaled unknowns; the result has the unknowns
-    in their units. Raises SolverError if IPOPT finds no solution.
-    """
+    """Return the solution of a nonlinear program, or raise SolverError."""
     options: dict[str, Any] = {
         "ipopt": {
             "print_level": 0,

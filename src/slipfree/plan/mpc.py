@@ -345,11 +345,7 @@ def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tup
 def _sample_motions(
     window: Horizon, motions: list[tuple[PolynomialMotion, float]], t: float, span: float
 ) -> Array:
-    """Return unknowns of the window at time ``t``, sampled from motions, for `completed`.
-
-    At each time the first motion that has not ended yet is used. ``motions`` are pairs of a motion
-    and its start time. [s]
-    """
+    """Return unknowns of the window at time ``t``, of the first motion that has not ended yet."""
     program = window.program
     mesh, layout = program.mesh, program.layout
     unknowns = np.zeros(program.scale.size)
@@ -369,10 +365,7 @@ def _sample_motions(
 
 
 def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
-    """Return values at times ``at``, each of the first motion that has not ended yet.
-
-    ``read`` takes a motion and fractions of its duration.
-    """
+    """Return values at times, each of the first motion that has not ended yet."""
     values = read(motions[-1][0], _to_fractions(motions[-1], at))
     for motion in reversed(motions[:-1]):
         inside = at <= motion[1] + motion[0].duration
@@ -386,10 +379,7 @@ def _to_fractions(motion: tuple[PolynomialMotion, float], at: Array) -> Array:
 
 
 def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
-    """Return bounds of the rows for a window that ends at time ``end``.
-
-    If the window ends before the plan, the goal is replaced by the values of the plan at ``end``.
-    """
+    """Return bounds of the rows; at ``end`` the plan's values replace the goal of later windows."""
     program, plan = window.program, window.plan
     lower, upper = program.g_lower.copy(), program.g_upper.copy()
     if end < plan.duration - TIME_TOLERANCE:
@@ -403,10 +393,7 @@ def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
 def _shift_multipliers(
     program: Program, former: Cycle, t: float, span: float
 ) -> tuple[Array, Array]:
-    """Return the multipliers of the rows and of the bounds, shifted to the next window.
-
-    The window begins at time ``t`` and has the length ``span`` [s].
-    """
+    """Return the multipliers of the rows and of the bounds, shifted to the next window."""
     ends, layout = program.mesh.ends, program.layout
     middles = (t - former.t + span * (ends[1:] + ends[:-1]) / 2) / former.motion.duration
     which: Index = np.clip(np.searchsorted(ends, middles) - 1, 0, ends.size - 2)

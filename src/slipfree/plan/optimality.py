@@ -137,10 +137,7 @@ def active_set(program: Program, solution: NlpSolution) -> ActiveSet:
 
 
 def check_optimality(program: Program, solution: NlpSolution, weights: Array) -> Optimality:
-    """Check the second-order sufficient conditions at a solution.
-
-    ``weights`` are those of the costs and, last, of the smoothness.
-    """
+    """Check the second-order sufficient conditions at a solution."""
     active = active_set(program, solution)
     free = ~active.bounds
     hessian, jacobian = _derivatives(program, solution, weights)
@@ -196,10 +193,7 @@ def _sparse(matrix: ca.DM) -> scipy.sparse.csc_matrix:
 
 
 def _kkt_solver(h: scipy.sparse.spmatrix, a: scipy.sparse.spmatrix) -> Operator:
-    """Return a function that multiplies by the upper left block of the inverse KKT matrix.
-
-    The KKT matrix has the Hessian ``h`` and the Jacobian ``a`` of the active constraints.
-    """
+    """Return a function that multiplies by the upper left block of the inverse KKT matrix."""
     n, m = h.shape[0], a.shape[0]
     below = -REGULARISATION * scipy.sparse.identity(m)
     # LU, since SciPy has no sparse factorisation of symmetric indefinite matrices.
@@ -292,15 +286,7 @@ class Price(NamedTuple):
 
 
 def limit_prices(program: Program, solution: NlpSolution) -> tuple[Price, ...]:
-    """Return the shadow prices of the active limits of a solution, largest saving per step first.
-
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    solution : NlpSolution
-        Solution of the program; shares are relative to its cost.
-    """
+    """Return the shadow prices of the active limits of a solution, largest saving first."""
     multipliers = np.append(solution.row_multipliers, solution.bound_multipliers / program.scale)
     active = np.append(*active_set(program, solution)[:2])
     found: dict[tuple[str, ...], Price] = {}
@@ -336,10 +322,7 @@ def price_rows(prices: Sequence[Price]) -> list[dict[str, Any]]:
 
 
 def prices_words(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return a text with the largest prices in a table, at most five, and the number of the others.
-
-    Prices are omitted if a small change of the bound saves less than 0.01 % of the cost.
-    """
+    """Return a text with at most five of the prices that save at least 0.01 % of the cost."""
     prices = [
         Price(Label(row["quantity"], row["unit"], ""), *(row[name] for name in Price._fields[1:]))
         for row in rows
@@ -365,10 +348,7 @@ def _limit_groups(program: Program) -> Iterator[ConstraintGroup]:
 def _sides(
     program: Program, group: ConstraintGroup, multipliers: Array
 ) -> Iterator[tuple[str, float, Index]]:
-    """Yield side, bound and indices into rows and unknowns for each side of a limit.
-
-    Points at which the program has a narrower bound are omitted.
-    """
+    """Yield side, bound and indices into rows and unknowns, except where others are narrower."""
     lower = np.append(program.g_lower, program.lower)[group.where]
     upper = np.append(program.g_upper, program.upper)[group.where]
     prices = multipliers[group.where]

@@ -87,30 +87,9 @@ def pareto_front(
 ) -> tuple[FrontPoint, ...]:
     """Return the points of a Pareto front, by increasing bound on the second objective.
 
-    The bounds have equal ratios. Each point is solved from the nearest solved points on both sides,
-    and points that are dominated once more from the dominating point, since a search may end in a
-    local optimum; the best solution is kept.
-
-    Parameters
-    ----------
-    solve : callable
-        ``solve(tasks)`` returns the points of tasks, which are independent of each other.
-    least, best : FrontPoint
-        Solutions of least second objective, and of least first objective. The second one is the
-        last point of the front; the first point has a bound 1 % above the least second objective.
-    count : int
-        Number of points; only ``best`` is returned if its second objective is within this 1 %.
-
-    Returns
-    -------
-    tuple of FrontPoint
-        Solved, dominated and unsolved points.
-
-    Raises
-    ------
-    ModelError
-        If fewer than two points are requested, or ``least`` or ``best`` is not solved or has a
-        second objective that is not positive.
+    The bounds have equal ratios, from 1 % above that of ``least`` to that of ``best``. Each point
+    is solved from the nearest solved points on both sides, and dominated points once more from the
+    dominating point, since a search may end in a local optimum; the best solution is kept.
     """
     check_count(count)
     for name, point in (("second", least), ("first", best)):

@@ -92,10 +92,7 @@ class PolynomialMotion(NamedTuple):
         return len(self.layout.inputs) == self.mesh.ends.size
 
     def _where(self, at: Array) -> tuple[Index, Array]:
-        """Return interval indices and positions on these intervals, 0 to 1, for fractions ``at``.
-
-        The end of an interval belongs to this interval, not to the next one.
-        """
+        """Return indices and positions on intervals, 0 to 1; their ends belong to them."""
         ends = self.mesh.ends
         k = np.clip(np.searchsorted(ends, at - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
         return k, (at - ends[k]) / np.diff(ends)[k]
@@ -123,11 +120,7 @@ def first_intervals(motion: PolynomialMotion, count: int) -> PolynomialMotion:
 
 
 def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
-    """Return consecutive motions of one model as one motion.
-
-    All motions must have the same degree and the same kind of inputs. At a junction, states and
-    continuous inputs are those of the earlier motion.
-    """
+    """Return consecutive motions of one model as one; junctions have the earlier one's values."""
     times = np.cumsum([0.0, *(each.duration for each in motions)])
     ends = [t + each.ends[1:] for t, each in zip(times, motions, strict=False)]
     mesh = CollocationMesh(np.concatenate([[0.0], *ends]) / times[-1], motions[0].mesh.degree)
@@ -148,11 +141,9 @@ def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
 
 
 def transfer_motion(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:
-    """Return unknowns of a program, not scaled, sampled from a motion of another program.
+    """Return unknowns of a program, sampled from the part of another's motion after a fraction.
 
-    Mesh, goal and ground of the programs may differ. Only the part of the given motion after the
-    fraction ``after`` of its duration is used. Algebraic unknowns that the given motion lacks
-    are computed from the equations of the model.
+    Algebraic unknowns that the motion lacks are computed from the equations of the model.
     """
     task, layout = program.task, program.layout
     nodes = after + (1 - after) * program.mesh.nodes
@@ -189,10 +180,7 @@ def _complete_unknowns(program: Program, samples: Samples) -> Samples:
 
 
 def nearest_fraction(former: PolynomialMotion, start: Array) -> float:
-    """Return the fraction of the duration at which a motion is nearest to a state.
-
-    The result is zero if the motion begins at the state.
-    """
+    """Return the fraction of the duration at which a motion is nearest to a state."""
     nodes = former.mesh.nodes
     away = np.linalg.norm(former.states(nodes) - start[:, None], axis=0)
     return (
@@ -208,10 +196,7 @@ def numeric_system(program: Program) -> Any:
 
 
 def guess_unknowns(program: Program, guess: Trajectory) -> Array:
-    """Return unknowns of a program, not scaled, interpolated from a guess.
-
-    The time of the guess is scaled to the mesh; inputs and duration are clipped to their bounds.
-    """
+    """Return unknowns of a program from a guess, scaled to the duration and clipped to bounds."""
     task, layout = program.task, program.layout
     dae, mesh = task.dae, program.mesh
     unknowns = np.zeros(program.scale.size)
@@ -261,10 +246,7 @@ def sample_plan(program: Program, unknowns: Array) -> Trajectory:
 
 
 def _integrate(rates: Array, lengths: Array) -> Array:
-    """Return integrals from the beginning to all collocation points, shape (n_q, 1 + n degree).
-
-    ``rates`` at the points have the shape (n_q, n, degree), ``lengths`` of intervals are in s.
-    """
+    """Return integrals from the beginning to all collocation points, shape (n_q, 1 + n degree)."""
     count, degree = rates.shape[1:]
     inside = radau_basis(degree).integrals(radau_basis(degree).points)
     parts = np.einsum("pj,qij->qip", inside, rates) * lengths[:, None]
@@ -359,11 +341,7 @@ def _model_number(dae: Dae) -> Array:
 
 
 def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
-    """Return a saved motion in the local coordinates of a model.
-
-    Raises ModelError if the model and the saved plan have different states, algebraic unknowns or
-    inputs.
-    """
+    """Return a saved motion in the local coordinates of a model, which must be the same."""
     if not np.array_equal(former.model, _model_number(dae)):
         raise ModelError(
             "plan: expected a saved plan with the states, unknowns and inputs of this model, found "
@@ -380,10 +358,7 @@ def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
 
 
 def from_arrays(arrays: Mapping[str, Array], where: str) -> SavedPlan:
-    """Return the saved plan in the arrays of a file; ``where`` names the file in error messages.
-
-    Raises DataError if an array of a plan is missing.
-    """
+    """Return the saved plan in the arrays of a file; ``where`` names the file in error messages."""
     multipliers = {"bound_multipliers", "row_multipliers"}
     found = {name: arrays.get(f"{ARRAY_PREFIX}{name}") for name in SavedPlan._fields}
     if any(value is None for name, value in found.items() if name not in multipliers):

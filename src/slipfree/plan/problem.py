@@ -24,10 +24,7 @@ ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bo
 
 
 def duration_of(value: float | Range) -> Range:
-    """Return the smallest and the largest duration in s, from a number or a range.
-
-    Raises ModelError if a duration is not positive and finite, or the range descends.
-    """
+    """Return the smallest and the largest duration in s, from a number or a range."""
     low, high = (value, value) if isinstance(value, int | float) else value
     if not 0 < low <= high < np.inf:
         raise ModelError(
@@ -38,10 +35,7 @@ def duration_of(value: float | Range) -> Range:
 
 
 def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
-    """Return the terms of the cost from weights by name, or the given terms unchanged.
-
-    Raises ModelError if a name is unknown, or a weight is negative or not a number.
-    """
+    """Return the terms of the cost from weights by name, or the given terms unchanged."""
     if not isinstance(given, Mapping):
         return tuple(given)
     costs = []
@@ -58,11 +52,7 @@ def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cos
 def cost_limits_of(
     dae: Dae, costs: Sequence[Cost], given: Mapping[str, float]
 ) -> tuple[tuple[Cost, ...], tuple[tuple[int, float], ...]]:
-    """Return the terms of the cost and the limits of their integrals, by index of the term.
-
-    Limited terms that are not among the costs are added with weight 0. Raises ModelError if a name
-    is unknown or a limit is not positive and finite.
-    """
+    """Return the terms of the cost, with weight 0 if only limited, and the limits by index."""
     names, terms = [cost.name for cost in costs], list(costs)
     limits = []
     for name, highest in given.items():
@@ -100,7 +90,7 @@ def _cost_term(dae: Dae, name: str) -> Cost:
 
 
 def _driving_power(dae: Dae) -> ca.SX:
-    """Return the sum of the positive drive powers in W, smooth where a power changes sign.
+    """Return the sum of the positive drive powers [W], smooth where a power changes sign.
 
     A power ``p`` contributes ``(p + sqrt(p^2 + e^2) - e) / 2`` with ``e`` = `BLENDED_POWER`.
     """
@@ -128,10 +118,7 @@ def _squared_unit(dae: Dae, name: str) -> str:
 
 
 def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
-    """Return limits from ranges by name, in map coordinates, or the given limits unchanged.
-
-    Raises ModelError if a name is unknown or a range descends.
-    """
+    """Return limits from ranges by name, in map coordinates, or the given limits unchanged."""
     if not isinstance(given, Mapping):
         return tuple(given)
     return tuple(
@@ -140,10 +127,7 @@ def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[L
 
 
 def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
-    """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities.
-
-    Raises ModelError if the name is unknown or the range descends.
-    """
+    """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities."""
     low, high = (bounds, bounds) if isinstance(bounds, int | float) else bounds
     if not low <= high:
         raise ModelError(
@@ -188,11 +172,7 @@ def timed_conditions(
     goal: Mapping[str, float | Range] | Sequence[Limit],
     way_points: Mapping[float, Mapping[str, float | Range] | Sequence[Limit]],
 ) -> Iterator[TimedCondition]:
-    """Yield the conditions at the way-points in order of time, then those at the goal.
-
-    Raises ModelError if a fraction is not above 0 and below 1, a name is unknown, or a range
-    descends.
-    """
+    """Yield the conditions at the way-points in order of time, then those at the goal."""
     for fraction, wanted in sorted(way_points.items()):
         if not 0 < fraction < 1:
             raise ModelError(
@@ -212,10 +192,7 @@ def _to_limits(
 
 
 def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
-    """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2).
-
-    Raises ModelError if a name is unknown or a range descends.
-    """
+    """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
     for name, (low, high) in given.items():
@@ -233,10 +210,7 @@ def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
 
 
 def _initial_bounds(dae: Dae, given: Mapping[str, Range], initial: Mapping[str, float]) -> Array:
-    """Return the bounds of all inputs at the beginning, equal for given values, shape (n_u, 2).
-
-    Raises ModelError if a name is unknown, or a value is outside the bounds of its input.
-    """
+    """Return the bounds of all inputs at the beginning, equal for given values, shape (n_u, 2)."""
     bounds = bounds_of(dae, given)
     values = bounds_of(dae, {name: (value, value) for name, value in initial.items()})
     fixed = np.clip(values, bounds[:, :1], bounds[:, 1:])
@@ -267,11 +241,7 @@ def task_of(
     cost_limits: Mapping[str, float] | None = None,
     initial_inputs: Mapping[str, float] | None = None,
 ) -> PlanTask:
-    """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`.
-
-    Raises ModelError if a name is unknown, the goal is empty, a number is out of range, or start,
-    goal and limits contradict each other.
-    """
+    """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`."""
     if not goal:
         raise ModelError(
             "plan: goal: expected values or ranges by name, found none; give at least one"
@@ -308,8 +278,7 @@ def near_conditions(
     """Return conditions with whole turns added to values and ranges of periodic states.
 
     A condition is kept if it is within half a turn of one of the motions, or if its range is a turn
-    or more; otherwise it gets the turns that bring it nearest to the first motion. Motions are
-    functions that return the states at a fraction of the duration, shape (n_x,).
+    or more; otherwise it gets the turns that bring it nearest to the first motion.
     """
     symbols = [(k, x) for k, x in enumerate(leaves(dae.x)) if periodic[k]]
     found = []

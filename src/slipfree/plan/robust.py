@@ -176,30 +176,7 @@ def robust_plan(
     missed, the limits of the next plan are tightened by quantiles of these violations, chosen such
     that only half as many of these draws would fail as the share allows: few draws are an uncertain
     sample. If the next plan is not solved, the limits are tightened in smaller steps, as far as
-    possible.
-
-    Parameters
-    ----------
-    first : P
-        The plan with the limits as given.
-    solve : callable
-        Function of the tightening of the bounds and of the previous plan, for a warm start;
-        returns a plan, or raises SlipfreeError if there is none.
-    replay : callable
-        Function of plans and of draws; returns the simulations of each plan.
-    share : float
-        Required share of simulations that satisfy all bounds. [1]
-    draws, final_draws : int
-        Number of draws of a round, and of the final test.
-    seed : int
-        Seed of all draws.
-
-    Returns
-    -------
-    RobustPlan
-        Last solved plan, with its simulations for the draws of the final test. They may still miss
-        the share after five rounds, if no plan with tighter limits is found, or if tightening
-        cannot help.
+    possible. The result, with simulations of the final draws, may miss the share.
     """
     now, tightening, rounds, failure = first, dict[Bound, float](), 0, ""
     for stream in range(FINAL + 1, FINAL + 1 + MAX_ROUNDS):
@@ -219,10 +196,7 @@ def robust_plan(
 def _tighten_gradually(
     solve: Callable[[Tightening, P], P], now: P, tightening: Tightening, added: Tightening
 ) -> tuple[P, float, str]:
-    """Return the plan with tightened limits, the fraction reached, and the reason if it is below 1.
-
-    Steps that are not solved are halved; later steps start from the last solved plan.
-    """
+    """Return the plan with tightened limits, the fraction reached, and the reason if below 1."""
     done, step, failure = 0.0, 1.0, ""
     while done < 1 and step >= MIN_STEP:
         further = min(done + step, 1.0)
@@ -263,11 +237,7 @@ def added_tightening(replays: Replays, share: float) -> dict[Bound, float]:
 def tightened_arguments(
     dae: Dae, arguments: Mapping[str, Any], tightening: Tightening
 ) -> dict[str, Any]:
-    """Return arguments of `plan` with tightened limits, goal and way-points.
-
-    Equal bounds are not changed. Limits of the model whose bounds are tightened are added. Raises
-    ModelError if tightened bounds of a quantity exclude each other.
-    """
+    """Return arguments of `plan` with tightened limits, goal and way-points; equal bounds stay."""
     way_points = {
         fraction: tuple(_tightened(limits_of(dae, given), tightening, role_of(fraction)))
         for fraction, given in arguments["way_points"].items()
@@ -314,20 +284,8 @@ def replay_of(
 ) -> DisturbedRun:
     """Compare a simulation in a drawn world with the bounds of the plan and of its model.
 
-    Parameters
-    ----------
-    dae : Dae
-        Model of the drawn world.
-    arguments : mapping
-        Arguments of `plan` for this model: ``limits``, ``goal`` and ``way_points``.
-    planned : tuple of Dae and PolynomialMotion
-        Model of the plan, and the plan.
-    run : Trajectory
-        Simulation of the planned inputs in the drawn world.
-    accuracy : float
-        Tolerated violation, in the unit of each quantity.
-    goal : float or None
-        Tolerance of conditions with equal bounds, in their units; without it they are ignored.
+    ``accuracy`` is the tolerated violation, ``goal`` the tolerance of conditions with equal bounds,
+    which are ignored without it.
     """
     found = planned[1]
     samples = run.t, *(local_rows(dae, record, run) for record in "xzu")
@@ -397,11 +355,7 @@ def _excess(
     accuracy: float,
     tolerance: float | None,
 ) -> Iterator[tuple[Bound, float]]:
-    """Yield every finite bound of limits, and its largest violation.
-
-    Violations up to `tolerated_excess` are tolerated, for conditions with equal bounds up to
-    ``tolerance`` if it is larger; without it these conditions are ignored.
-    """
+    """Yield every finite bound of limits, and its largest violation beyond `tolerated_excess`."""
     values, tolerated = limit_values(dae, limits, samples), tolerated_excess(limits, accuracy)
     for limit, row, least in zip(limits, values, tolerated, strict=True):
         is_point = bool(role) and limit.lower == limit.upper

@@ -108,25 +108,8 @@ def further_guesses(
 ) -> Iterator[tuple[str, Trajectory]]:
     """Yield names and motions of further guesses: reversed inputs, then perturbed inputs.
 
-    Parameters
-    ----------
-    dae, start : Dae, Trajectory
-        Model, and trajectory whose last sample is the start.
-    guess : Trajectory
-        Motion whose inputs are changed.
-    bounds : ndarray, shape (n_u, 2)
-        Bounds of the inputs. The reversed guess is left out if the bounds of an input that is not
-        zero exclude positive or negative values.
-    count : int
-        Largest number of guesses. A perturbed guess is left out if its motion ends before half of
-        the duration, even with the perturbation halved four times.
-    seed : int
-        Seed of the random perturbations.
-
-    Raises
-    ------
-    SolverError
-        If a simulation fails before its first sample.
+    A reversed guess beyond the bounds is left out, and a perturbed one if its motion ends before
+    half of the duration, even with the perturbation halved four times.
     """
     t = guess.t - guess.t[0]
     inputs = np.array([guess.of(label) for label in leaves(dae.labels.u)])
@@ -213,11 +196,7 @@ class SolvedStage(NamedTuple):
 
 
 class SearchState(NamedTuple):
-    """Last solved program of a search, its solution, its initial guess, and all stages so far.
-
-    ``run`` is the sampled solution, or None if it has not been sampled; ``name`` and ``number`` are
-    those of the initial guess.
-    """
+    """Last solved program of a search, its solution and initial guess, and all stages so far."""
 
     program: Program
     found: NlpSolution
@@ -231,10 +210,7 @@ class SearchState(NamedTuple):
 def named_guesses(
     task: PlanTask, start: Trajectory, given: Sequence[Trajectory], starts: int, seed: int
 ) -> list[tuple[str, Trajectory]]:
-    """Return names and motions of initial guesses: those given, then further ones up to ``starts``.
-
-    Raises ModelError if no guess is given.
-    """
+    """Return names and motions of initial guesses: those given, then others up to ``starts``."""
     if not given:
         raise ModelError(
             "plan: guess: expected at least one motion as initial guess, found none; give one, "
@@ -321,10 +297,7 @@ def _rank(program: Program, search: SearchState) -> tuple[bool, float]:
 def _solve_in_stages(
     program: Program, first: Array, of: str, progress: PlanProgress | None
 ) -> SearchState:
-    """Solve the program; if slip is a cost, first solve the program without this cost.
-
-    The search with all costs starts from the solution without slip cost.
-    """
+    """Solve the program; if slip is a cost, start from the solution without this cost."""
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}without slip cost" if slips else f"{of}all costs"
     search = _solve_stage(program, first, words, SLIP_STAGES[0] if slips else 1.0, progress)
@@ -423,10 +396,7 @@ def cost_weights(program: Program, part: float) -> Array:
 
 
 def _add_limits(search: SearchState, progress: PlanProgress | None) -> SearchState:
-    """Add violated limits of the model to the program and solve it, until none is violated.
-
-    The program is solved again at most `MAX_LIMIT_ROUNDS` times.
-    """
+    """Add violated limits of the model and solve again, at most `MAX_LIMIT_ROUNDS` times."""
     for _ in range(MAX_LIMIT_ROUNDS):
         program, found = search.program, search.found
         if not found.success:
@@ -522,10 +492,7 @@ def _refine(
 
 
 def cost_terms(program: Program, unknowns: Array) -> dict[str, float]:
-    """Return the integrals of the terms of the cost by name, in their units.
-
-    The unknowns are not scaled.
-    """
+    """Return the integrals of the terms of the cost by name, in their units."""
     values = ca.Function("f", [program.problem["x"], program.problem["p"]], [program.problem["f"]])
     units = np.eye(program.problem["p"].numel())
     costs = {

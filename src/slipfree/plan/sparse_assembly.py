@@ -94,27 +94,9 @@ def nlp_block(
 ) -> NlpBlock:
     """Return a block of a program with its derivatives.
 
-    Parameters
-    ----------
-    symbols : tuple of three SX columns
-        Symbols of the unknowns, constants and parameters, ``v, q, p``.
-    cost : SX, shape (1, 1)
-        Cost at a point, in these symbols.
-    rows : SX, shape (n_rows, 1)
-        Constraint functions at a point, in these symbols.
-    lookups : sequence of Lookup
-        Lookups whose results ``cost`` and ``rows`` contain, with arguments in these symbols.
-    indices : tuple of two ndarrays
-        ``variable_indices`` and ``row_indices`` of `NlpBlock`.
-    constants : ndarray, shape (n, n_q)
-        Values of ``q`` for each point.
-    compiled : bool
-        Whether to compile the functions of the rows, their Jacobian and the Hessian.
-
-    Raises
-    ------
-    ModelError
-        If a lookup is exact only up to derivatives of an order below 4.
+    ``cost`` and ``rows`` at a point are expressions of ``symbols``, the unknowns, constants and
+    parameters ``v, q, p``, and of ``lookups``. ``indices`` are ``variable_indices`` and
+    ``row_indices`` of `NlpBlock`, ``constants`` the values of ``q`` for each point, shape (n, n_q).
     """
     lookups = needed_lookups(lookups, [cost, rows])
     check_order(lookups, DERIVATIVE_ORDER, "a plan")
@@ -183,24 +165,7 @@ class ProgramFunctions(NamedTuple):
 
 
 def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunctions:
-    """Return the program that consists of the given blocks.
-
-    Its cost is the sum of the costs of all blocks at all points.
-
-    Parameters
-    ----------
-    blocks : sequence of NlpBlock
-        Blocks; rows of blocks with the same index are added up to one row of the program.
-    scale : ndarray, shape (n_w,)
-        Scale of the unknowns; the blocks take the unknowns of the program times this scale.
-    n_p : int
-        Number of parameters.
-
-    Raises
-    ------
-    ModelError
-        If the argument of a ground lookup calls a function.
-    """
+    """Return the program of blocks, which take the unknowns times ``scale``; equal rows add up."""
     n_g = 1 + max(each.row_indices.max(initial=-1) for each in blocks)
     w, p = ca.MX.sym("w", scale.size), ca.MX.sym("p", n_p)
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", n_g)
@@ -222,10 +187,7 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
 
 
 def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
-    """Return the arguments ``v, q, p, c`` of the functions of a block; ``c`` are lookup results.
-
-    Each argument has one row per point, except ``p``, which has one row for all points.
-    """
+    """Return the arguments ``v, q, p, c`` of the functions of a block; ``c`` are lookup results."""
     count = len(each.variable_indices)
     given, found = (
         [_gather(v, each.variable_indices), ca.MX(ca.DM(each.constants)), p.T],
@@ -241,24 +203,9 @@ def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
 
 
 def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
-    """Evaluate an SX function by applying its operations to columns of numbers.
+    """Evaluate an SX function by applying its operations to columns of numbers, one per point.
 
-    Parameters
-    ----------
-    function : casadi Function
-        SX function without calls of other functions.
-    arguments : sequence of sequences of MX
-        Entries of each argument, each a column with one number per point or a scalar.
-
-    Returns
-    -------
-    list of lists of MX
-        Structurally nonzero entries of each result, each a column or a scalar.
-
-    Raises
-    ------
-    ModelError
-        If the function calls another function.
+    Entries of arguments and structurally nonzero entries of results are MX columns or scalars.
     """
     if function.find_functions():
         name = function.find_functions()[0].name()
@@ -294,10 +241,7 @@ def _split_columns(rows: ca.MX) -> Columns:
 
 
 def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.MX]) -> list[ca.MX]:
-    """Return each result of a function of a block as a column with the values at all points.
-
-    The values of the first entry at all points come first, then those of the second entry.
-    """
+    """Return each result of a block's function as a column, the first entry at all points first."""
     count = len(each.variable_indices)
     if f.is_a("SXFunction") and not f.find_functions():
         # Ten times as fast as calling CasADi's interpreter point by point.
@@ -370,10 +314,7 @@ def _rows_and_jacobian(
 def _lagrangian_hessian(
     blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array, multipliers: tuple[ca.MX, ca.MX]
 ) -> ca.MX:
-    """Return the upper triangle of the Hessian of the Lagrangian for scaled unknowns.
-
-    ``multipliers`` are the factor of the cost, and the multipliers of all rows.
-    """
+    """Return the upper triangle of the Hessian of the Lagrangian for scaled unknowns."""
     values, entries, factors = [], [], []
     for each in blocks:
         given = [*_arguments(each, v, p), multipliers[0], _gather(multipliers[1], each.row_indices)]

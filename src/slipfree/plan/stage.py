@@ -99,17 +99,8 @@ def stage_functions(
 ) -> StageFunctions:
     """Return the equations, limits and costs at a collocation point.
 
-    Parameters
-    ----------
-    system : System
-        System of the model.
-    costs : sequence of Cost
-        Terms of the cost.
-    limits : sequence of Limit
-        Limits that become a row each, without bounds of single states and unknowns.
-    conditions : sequence of SX
-        Expressions of all limits, way-points and goal. If one of them or a cost contains dependent
-        unknowns of the model, these are unknowns of the plan too.
+    If ``conditions``, the expressions of limits, way-points and goal, or costs contain dependent
+    unknowns of the model, these are unknowns of the plan too.
     """
     given = [*conditions, *(cost.expression for cost in costs)]
     dae, blocks = system.dae, _needed_blocks(system, ca.vertcat(ca.SX(0, 1), *given))

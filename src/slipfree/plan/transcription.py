@@ -227,23 +227,7 @@ class Program:
 def transcribe(
     task: PlanTask, mesh: CollocationMesh, options: SolverOptions = SolverOptions()
 ) -> Program:
-    """Return the nonlinear program of an optimal control problem on a mesh.
-
-    Parameters
-    ----------
-    task : PlanTask
-        Optimal control problem.
-    mesh : CollocationMesh
-        Intervals, and degree of the polynomials on them.
-    options : SolverOptions
-        Whether to compile the functions of the program.
-
-    Raises
-    ------
-    ModelError
-        If the degree of the mesh is not 1 to 5, or a lookup of the model is exact only up to
-        derivatives of an order below 4.
-    """
+    """Return the nonlinear program of an optimal control problem on a mesh."""
     if mesh.degree not in ALLOWED_DEGREES:
         raise ModelError(
             f"degree: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
@@ -409,10 +393,7 @@ def _stage_block(
     *,
     compiled: bool,
 ) -> NlpBlock:
-    """Return the block of the collocation points: collocation, equations, limits and costs.
-
-    Limited costs are rows from the index ``first_limit`` on, to which all points contribute.
-    """
+    """Return the block of the collocation points; limited costs are rows from ``first_limit``."""
     n_x, n_z, n_u = point.sizes
     count, degree = mesh.ends.size - 1, mesh.degree
     nodes, x, z = (ca.SX.sym(*of) for of in (("nodes", n_x, 1 + degree), ("x", n_x), ("z", n_z)))

@@ -66,24 +66,8 @@ def verify_plan(
 ) -> Verification:
     """Simulate the inputs of a plan and compare the simulation with the plan.
 
-    Parameters
-    ----------
-    program : Program
-        Nonlinear program of the plan.
-    unknowns : ndarray, shape (n_w,)
-        Solution of the program, not scaled.
-    start : Trajectory
-        Trajectory whose last sample is the start of the plan.
-    accuracy : float
-        Largest admissible difference and violation, each in its unit; for a limit at most 1 % of
-        its range (`tolerated_excess`).
-    step : float
-        Largest time between samples of the simulation. [s]
-
-    Raises
-    ------
-    SolverError
-        If the simulation fails before its first sample.
+    ``accuracy`` is the largest admissible difference and violation, each in its unit; for a limit
+    at most 1 % of its range (`tolerated_excess`).
     """
     found = motion_of(program, unknowns)
     if program.task.dae.replay is not None:
@@ -188,10 +172,7 @@ def _verify_on_replay(
 
 
 def largest_error(program: Program, verification: Verification) -> float:
-    """Return the largest difference from the simulation or violation, each in its unit.
-
-    Speeds are included only if the simulated model is that of the plan.
-    """
+    """Return the largest difference or violation, in its unit; speeds only of the plan's model."""
     is_same = program.task.dae.replay is None
     differences = (
         size
@@ -212,8 +193,7 @@ def _intervals(program: Program, parts: Array) -> Index:
 def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory, x: Array) -> float:
     """Return the largest violation of a limit in a simulation with another model, with states x.
 
-    A limit on unknowns of the planned model applies to the quantity of the same name of the other
-    model; it is omitted if there is none.
+    A limit on unknowns of the planned model applies to the quantity of the same name, if any.
     """
     dae, label = task.dae, quantity_label(limit.label)
     if not ca.depends_on(limit.expression, dae.columns()[1]):
@@ -275,10 +255,7 @@ def _condition_excess(
 
 
 def tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
-    """Return the tolerance of each limit: the smaller of ``accuracy`` and 1 % of its range.
-
-    For equal bounds it is ``accuracy``.
-    """
+    """Return the tolerance of each limit: the smaller of ``accuracy`` and 1 % of a range."""
     widths = np.array([limit.upper - limit.lower for limit in limits])
     return np.where(
         widths > 0, np.minimum(accuracy, LIMIT_WIDTH_FRACTION * np.abs(widths)), accuracy
@@ -338,10 +315,7 @@ def refine_mesh(mesh: CollocationMesh, worse: Mask) -> CollocationMesh:
 
 
 def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Record:
-    """Return the inputs of a plan for ``simulate`` at ``times``.
-
-    The times must include the ends of all intervals between the first and the last time.
-    """
+    """Return inputs of a plan for ``simulate`` at times, which include all ends of intervals."""
     names = [label.full for label in leaves(dae.labels.u)]
     ends, values = found.ends, found.unknowns[found.layout.inputs].T
     k = np.searchsorted(ends, (times[1:] + times[:-1]) / 2) - 1
@@ -361,24 +335,7 @@ def simulate_plan(
     step: float,
     options: SolverOptions = SolverOptions(),
 ) -> Trajectory:
-    """Simulate a model under the inputs of a plan, to its end or to the first failure.
-
-    Parameters
-    ----------
-    dae, start : Dae, Trajectory
-        Model, and trajectory whose last sample is the start.
-    found : PolynomialMotion
-        The plan.
-    step : float
-        Largest time between samples. [s]
-    options : SolverOptions
-        Options of the integrator.
-
-    Raises
-    ------
-    SolverError
-        If the simulation fails before its first sample.
-    """
+    """Simulate a model under the inputs of a plan, to its end or to the first failure."""
     # Limits are often violated just after kinks of the inputs: Chebyshev points are dense there.
     lengths = np.diff(found.ends)
     counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), MIN_INTERVAL_SAMPLES).astype(

@@ -131,10 +131,7 @@ class LongPlan:
 
 
 class _Part(NamedTuple):
-    """Part of a window before its hand-over, or an earlier plan from which the search continues.
-
-    The last five values are those of `Plan`.
-    """
+    """Part of a window before its hand-over, or an earlier plan; the last fields are of `Plan`."""
 
     window: RouteWindow
     motion: PolynomialMotion
@@ -179,7 +176,7 @@ class _WindowSearch(NamedTuple):
     arguments: Mapping[str, Any]
 
     def solve(self, here: _HandOver) -> tuple[Plan, float, tuple[SolvedStage, ...]]:
-        """Return the plan of a window, the arc length at its end [m], and all solved programs.
+        """Return the plan of a window, the arc length at its end, and all programs.
 
         Other lengths are tried if the window has no solution. If none has, the plan is an iterate.
         """
@@ -210,10 +207,7 @@ class _WindowSearch(NamedTuple):
         )
 
     def guess(self, here: _HandOver, end: float) -> Trajectory:
-        """Return the motion along the route from a hand-over to an arc length in m.
-
-        A motion that begins beside the route approaches it over the length of an overlap.
-        """
+        """Return the motion along the route, and towards it, from a hand-over to an arc length."""
         s = np.linspace(here.reached, end, WINDOW_POINTS)
         at = self.route.at(s)
         points = np.column_stack([at.x, at.y])
@@ -231,10 +225,9 @@ class _WindowSearch(NamedTuple):
             return error.trajectory
 
     def gate(self, guess: Trajectory) -> tuple[Limit, Limit]:
-        """Return the conditions at the end of a window: the position is on a line segment.
+        """Return the conditions at a window's end: the position is on a line across the guess.
 
-        The segment crosses the end of the guess at a right angle to the heading there, and extends
-        by `ASIDE` times the overlap to either side.
+        The segment extends by `ASIDE` times the overlap to either side.
         """
         dae, half = self.dae, ASIDE * self.overlap
         x, y, heading = (float(guess[name][-1]) for name in ("x", "y", "heading"))
@@ -247,10 +240,7 @@ class _WindowSearch(NamedTuple):
         )
 
     def nearest(self, run: Trajectory, low: float, high: float) -> float:
-        """Return the arc length of the route at the point nearest to the end of a motion [m].
-
-        Only arc lengths from ``low`` to ``high`` are searched.
-        """
+        """Return the arc length, in a range, of the route nearest to a motion's end [m]."""
         x, y = (float(run[name][-1]) for name in "xy")
         s = np.linspace(low, high, int((high - low) * POINTS_PER_METRE) + 2)
         at = self.route.at(s)
@@ -277,55 +267,14 @@ def plan_windows(
 ) -> LongPlan:
     """Return a plan along a long route, planned in windows that overlap.
 
-    Parameters
-    ----------
-    dae : Dae
-        Model of the vehicle.
-    law : callable
-        Function that returns inputs which move the vehicle along a path from its beginning, for the
-        initial guesses, such as ``partial(follow, dae, vehicle, speed=speed)``.
-    start : Trajectory
-        Trajectory whose last sample is the start of the plan.
-    route : Path
-        Route from the start to the goal. Each window but the last ends on a line across the route,
-        at most a quarter of the overlap to its left or right. Between these lines the motion may
-        leave the route.
-    speed : float
-        Mean speed along the route. [m/s]
-    length, overlap : float
-        Length of a window, and length at its end that is planned again in the next window, along
-        the route. [m]
-    goal : mapping of str to float or (low, high)
-        Goal of the last window, as for `plan`.
-    step : float
-        Largest time between samples of the simulation. [s]
-    options : SolverOptions
-        As for `plan`.
-    resume : SavedPlan, optional
-        Earlier result of this function that ended before the goal; its motion is kept, and the
-        search continues at its end.
-    progress : callable, optional
-        As for `plan`; the description of each program begins with the position of the window.
-    keep : callable, optional
-        Called before each window with the plan up to its beginning, without costs, and before the
-        first window is verified with its plan.
-    **arguments
-        Further arguments of `plan`: ``costs`` and optionally ``limits``, ``inputs``, ``intervals``
-        (of a window) and others, but neither ``duration``, ``way_points`` nor ``cost_limits``.
+    Each window but the last ends on a line across the route, at most a quarter of the overlap to
+    its left or right. Between these lines the motion may leave the route. ``law`` returns inputs
+    that move the vehicle along a path, for guesses; ``length`` and ``overlap`` are along the route
+    [m]; ``resume`` is an earlier result that ended before the goal; ``keep`` is called with the
+    plan before each window; ``arguments`` are those of `plan` without ``duration``, ``way_points``
+    and ``cost_limits``.
 
-    Returns
-    -------
-    LongPlan
-        Plan up to the goal, or up to the last hand-over before a window without solution; the stop
-        of ``replay`` then names that window.
-
-    Raises
-    ------
-    ModelError
-        If speed or lengths are out of range, an argument of `plan` is not valid, or ``resume`` is
-        a plan of another model or cannot be simulated to its end.
-    SolverError
-        If no motion along the route can be simulated from the start.
+    If a window has no solution, the plan ends before it, and the stop of ``replay`` names it.
     """
     if not speed > 0:
         raise ModelError(
@@ -383,21 +332,7 @@ def _first_part(
     rest: float,
     stages: tuple[SolvedStage, ...],
 ) -> _Part:
-    """Return the part of a window before its hand-over.
-
-    Parameters
-    ----------
-    found : Plan
-        Plan of the window.
-    span : tuple of 2 floats
-        Arc lengths of the route at the beginning and at the end of the window. [m]
-    t : float
-        Time at the beginning of the window since the start. [s]
-    rest : float
-        Smallest duration of the motion after the hand-over. [s]
-    stages : tuple of SolvedStage
-        All programs that were solved for the window.
-    """
+    """Return the part of a window before its hand-over, which leaves at least ``rest`` seconds."""
     motion, run = found.motion, found.replay
     times = motion.ends
     count = max(int(np.searchsorted(times, times[-1] - rest + TIME_TOLERANCE)) - 1, 1)
@@ -434,10 +369,7 @@ def _end_inputs(dae: Dae, motion: PolynomialMotion, bounds: Array) -> dict[str, 
 def _former_part(
     dae: Dae, start: Trajectory, saved: SavedPlan, step: float, options: SolverOptions
 ) -> _Part:
-    """Return an earlier plan as the first part of a long plan, simulated again.
-
-    Raises ModelError if it is a plan of another model, or its simulation ends early.
-    """
+    """Return an earlier plan as the first part of a long plan, simulated again."""
     motion = local_motion(saved, dae)
     replay = simulate_plan(dae, start, motion, step=step, options=options)
     if replay.stop is not None:

@@ -57,11 +57,7 @@ class Objection(NamedTuple):
 def unreachable(
     layers: Traversability, positions: Sequence[tuple[str, float, float]]
 ) -> list[Objection]:
-    """Return the objections to named positions, of which the first is the start; empty if none.
-
-    Objections to single positions come first, then those to positions that cannot be reached from
-    the start.
-    """
+    """Return the objections to named positions, the first of which is the start."""
     found = [each for position in positions if (each := _position_objection(layers, *position))]
     off = {each.name: each.sure for each in found}
     first, *others = positions
@@ -77,15 +73,7 @@ def unreachable(
 
 
 def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
-    """Return the text of an error for a goal that cannot be reached.
-
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-    start, goal : ndarray, shape (2,)
-        Map coordinates. [m]
-    """
+    """Return the text of an error for a goal that cannot be reached."""
     regions = _labels(np.isfinite(layers.cost))
     i, j = np.nonzero(regions == regions[node_at(layers, *start)])
     gaps = np.hypot(layers.x[i] - goal[0], layers.y[j] - goal[1])
@@ -102,10 +90,7 @@ def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
 
 
 def _position_objection(layers: Traversability, name: str, x: float, y: float) -> Objection | None:
-    """Return the reason why the vehicle cannot be at a position; None if it can.
-
-    If the position itself is free, the nearest node of the map decides.
-    """
+    """Return the reason why the vehicle cannot be at a position or its nearest node, or None."""
     wrong = reasons_by_kind(layers, x, y)
     why = "; ".join(wrong.values()) or blocking_reasons(layers, x, y)
     if not why:
@@ -124,7 +109,7 @@ def _separation_objection(
     last: tuple[str, float, float],
     is_judged: bool,
 ) -> Objection | None:
-    """Return the reason why the position ``last`` cannot be reached from ``first``; None if it can.
+    """Return the reason why ``last`` cannot be reached from ``first``, or None.
 
     Keep-out regions and slopes that friction cannot hold are always considered, missing routes only
     if ``is_judged``.
@@ -153,10 +138,7 @@ def _separation_objection(
 
 
 def _keep_out_words(layers: Traversability, ends: Ends) -> str:
-    """Return a text about the keep-out regions that separate two nodes, with a remedy.
-
-    The text is empty if keep-out regions do not separate the nodes.
-    """
+    """Return a text about the keep-out regions that separate two nodes; empty if none do."""
     if _are_connected(~blocked_by(layers)["keep_out"], ends):
         return ""
     regions = layers.limits.keep_out
@@ -192,10 +174,7 @@ def _divides(
 
 
 def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
-    """Return a text about the steepest slope on the easiest route, with a remedy.
-
-    The easiest route minimises the largest value of ``used``, the used fraction of the friction.
-    """
+    """Return a text about the steepest slope on the route of least largest ``used`` friction."""
     levels = np.unique(used[np.isfinite(used) & (used >= 1)])
     low, high = 0, levels.size - 1
     while low < high:
@@ -216,10 +195,7 @@ def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
 
 
 def _labels(free: Mask) -> Array:
-    """Return labels of the connected regions of free nodes, from 1; 0 for blocked nodes.
-
-    Neighbours along x or y are connected, diagonal neighbours are not.
-    """
+    """Return labels of the connected regions of free nodes, from 1; 0 for blocked nodes."""
     return np.asarray(scipy.ndimage.label(free)[0])
 
 

@@ -70,24 +70,10 @@ class _Objective(NamedTuple):
 
 
 def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array:
-    """Return a smooth route near the route that the search found.
+    """Return way-points, shape (m, 2), of a smooth route near the rough one that the search found.
 
-    If no smoothed route avoids all blocked nodes, the result is the route that the search found,
-    if possible with equally spaced points whose spline avoids them.
-
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-    rough : ndarray, shape (n, 2)
-        Points of the route that the search found, in map coordinates. [m]
-    turning_radius : float
-        Smallest turning radius, kept where there is enough space. [m]
-
-    Returns
-    -------
-    ndarray, shape (m, 2)
-        Way-points of the route, in map coordinates. [m]
+    If no smoothed route avoids all blocked nodes, the result is the rough route, if possible with
+    equally spaced points whose spline avoids them.
     """
     step = max(0.25 * layers.limits.half, polyline_length(rough) / MAX_POINTS)
     half = max(layers.limits.half, step)
@@ -184,18 +170,13 @@ def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
 
 
 def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, Array]:
-    """Return the smoothing objective, its gradient and an approximation of its Hessian.
+    """Return the smoothing objective, its gradient, and an approximation of its Hessian.
 
-    The objective is the integral along the route of
-    ``cost + (stiff * curvature)**2 / 2 + 10 * weight * (a**2 + b**2) + d**2``, where ``a`` is the
-    relative lack of clearance, ``b`` the relative excess of curvature, and ``d`` the deviation of
-    the distance between two points from its mean, divided by ``step``.
-
-    Returns
-    -------
-    float, ndarray, shape (n, 2), ndarray, shape (6, 2 n - 4)
-        The objective [m], its gradient with respect to the points [1], and a positive definite
-        approximation of the Hessian with respect to the inner points, in upper banded form [1/m].
+    The objective is the integral along the route of ``cost + (stiff * curvature)**2 / 2 + 10 *
+    weight * (a**2 + b**2) + d**2``, where ``a`` is the relative lack of clearance, ``b`` the
+    relative excess of curvature, and ``d`` the deviation of the distance between two points from
+    its mean, divided by ``step``. The Hessian is positive definite, of the inner points, in upper
+    banded form.
     """
     edge = np.diff(p, axis=0)
     # Lengths and curvatures are divisors, hence never exactly zero.
@@ -239,11 +220,7 @@ def _squares(vectors: Array) -> Array:
 
 
 def _gradient(parts: Iterable[tuple[Array, Array]], p: Array) -> Array:
-    """Return the gradient of an objective with respect to the points, shape (n, 2).
-
-    The objective depends on weighted sums of neighbouring points. Each part has the weights of a
-    sum, and the derivatives of the objective with respect to the sums, shape (m, 2).
-    """
+    """Return the gradient with respect to the points, from those of weighted sums of neighbours."""
     gradient = np.zeros_like(p)
     for weights, part in parts:
         for k, weight in enumerate(weights):

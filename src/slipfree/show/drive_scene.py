@@ -94,11 +94,7 @@ class Driven(NamedTuple):
 
 
 def drive_scene(drives: Sequence[Driven]) -> Scene:
-    """Return the scene of at least one motion, over the ground of the first.
-
-    Raises ModelError if a motion leaves this ground, or if its own ground differs from it by more
-    than a wheel radius.
-    """
+    """Return the scene of motions over the ground of the first; other grounds are a ModelError."""
     first, grid = drives[0], drives[0].terrain.grid
     reach = max(extents(drive.vehicle)[2] for drive in drives)
     window = _window(drives, grid, reach)
@@ -135,10 +131,7 @@ def actors_of(drives: Sequence[Driven], origin: Array) -> list[Actor]:
 
 
 def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> Mesh:
-    """Return the mesh of a prism in the drawn part of the ground, relative to an origin.
-
-    ``bottom`` is the lowest drawn height. [m]
-    """
+    """Return the mesh of a prism above ``bottom``, relative to an origin, in the drawn part [m]."""
     west, east, south, north = window
     reach = np.hypot(east - west, north - south) / 2
     center = np.array([(west + east) / 2, (south + north) / 2, 0.0])
@@ -280,10 +273,7 @@ def _actor(
 
 
 def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[SceneBody]:
-    """Return the bodies of a vehicle and its wheels, with their motion in map coordinates.
-
-    The motion has the platform's pose, every coordinate and the wheel angles.
-    """
+    """Return the bodies of a vehicle and its wheels, with their motion in map coordinates."""
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     return [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
 
@@ -291,10 +281,7 @@ def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[Scen
 def _part_bodies(
     vehicle: Vehicle, parts: FramePoses, wheels: FramePoses, color: Color
 ) -> Iterable[SceneBody]:
-    """Yield the bodies of platform and joints: rods to the joints and wheels that they carry.
-
-    The platform and each other half of the vehicle has a plate.
-    """
+    """Yield the bodies of platform and joints: plates, and rods to their joints and wheels."""
     radius = max(wheel.radius for wheel in vehicle.wheels)
     names = ["platform", *(joint.name for joint in vehicle.joints)]
     spans = _plate_spans(vehicle, parts, wheels)
@@ -324,9 +311,7 @@ def _plate_spans(
 ) -> dict[str, tuple[float, float]]:
     """Return the rear and the front end of the plates of platform and other halves, by part [m].
 
-    Another half of the vehicle carries wheels on both sides, all of them ahead of its joint or all
-    behind it by more than a radius. Its plate extends from the joint to the wheels; the plate of
-    the platform then does not extend to these wheels.
+    Another half carries wheels on both sides, all ahead of its joint or all behind it.
     """
     base = parts.rotations[0, 0]
     places, joints = ((each.origins[0] - parts.origins[0, 0]) @ base for each in (wheels, parts))
@@ -429,10 +414,7 @@ def _cropped(grid: Grid, fine: Refined) -> str:
 
 
 def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]:
-    """Yield a note on the vertical distance of the drawn ground from the contact points.
-
-    There is no note for distances below ``least`` radii of the smallest wheel.
-    """
+    """Yield a note on the vertical distance of the drawn ground from the contact points."""
     off = max(
         float(np.abs(fine.height(x, y) - drive.terrain.elevation(x, y)).max())
         for drive in drives
@@ -445,10 +427,7 @@ def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]
 
 
 def _others(drives: Sequence[Driven]) -> Iterable[str]:
-    """Yield notes on differences between the drawn ground and the grounds of the other motions.
-
-    Raises ModelError if a ground differs by more than a wheel's radius along its motion.
-    """
+    """Yield notes on differences between the drawn ground and the grounds of the other motions."""
     first = drives[0]
     west, east, south, north = first.terrain.domain
     for drive in drives[1:]:

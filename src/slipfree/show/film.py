@@ -41,10 +41,7 @@ T = TypeVar("T")
 
 
 def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
-    """Return the writer of a ``.gif`` or ``.mp4`` file with ``rate`` frames per second.
-
-    Raises DataError if the ending is another one, or if ffmpeg, which ``.mp4`` needs, is missing.
-    """
+    """Return the writer of a ``.gif`` or ``.mp4`` file with ``rate`` frames per second."""
     if file.suffix not in ENDINGS:
         raise DataError(
             f"{file}: expected a name that ends in {' or '.join(ENDINGS)} for a film, found "
@@ -67,11 +64,7 @@ def write_film(
     show: Callable[[T], None],
     steps: Iterable[T],
 ) -> None:
-    """Write a film with one frame per step, drawn by ``show(step)``.
-
-    An existing file is replaced when the film is complete. Raises DataError if the file cannot be
-    written.
-    """
+    """Write a film with one frame per step, drawn by ``show(step)``."""
 
     def fill(part: Path) -> None:
         with writer.saving(figure, str(part), FILM_DPI):
@@ -90,11 +83,7 @@ def write_film(
 
 
 def animate(scene: Scene, file: str | Path, title: str = "") -> str:
-    """Write the motions of a scene as a ``.gif`` or ``.mp4`` film; return its speed in words.
-
-    The 3D view follows the first motion. Raises DataError if the ending is unknown, ffmpeg is
-    missing, or the file cannot be written.
-    """
+    """Write the motions of a scene as a ``.gif`` or ``.mp4`` film; return its speed in words."""
     writer, (first, last) = film_writer(Path(file), FRAMES), scene.span
     count = int(np.clip(np.ceil(FRAMES * (last - first)) + 1, 2, MOST))
     speed = max(1.0, FRAMES * (last - first) / count)
@@ -194,11 +183,7 @@ class Film:
 
 
 def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
-    """Return the shafts and the two sides of the heads of arrows, shape (m, 2, 3).
-
-    ``starts`` and ``vectors`` have the shape (n, 3) [m]; arrows with NaN and of length zero are
-    omitted. The heads are perpendicular to ``sight``, the direction to the camera.
-    """
+    """Return shafts and heads of arrows, shape (m, 2, 3), perpendicular to ``sight``."""
     drawn = np.isfinite(starts + vectors).all(axis=1) & (vectors != 0).any(axis=1)
     starts, vectors = starts[drawn], vectors[drawn]
     tips, back = starts + vectors, -HEAD[0] * vectors

@@ -70,10 +70,7 @@ def warned(scene: Scene) -> str:
 
 
 def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable[str]) -> str:
-    """Return a page exported by viser with title, legend and further notes ``words`` added.
-
-    ``color`` is the name of the layer of the ground that is shown first.
-    """
+    """Return a page exported by viser with title, legend and notes; ``color`` names a layer."""
     runs = "".join(
         _switch(
             swatch(actor.color, actor.name, ghost=actor.ghost)

@@ -88,10 +88,7 @@ class PlottedDrive(NamedTuple):
 
 
 def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float = PAGE) -> Figure:
-    """Return a figure of panels over a common axis, with one legend; the width is in inches.
-
-    A note below the figure also gives the reason of an early end of the motion.
-    """
+    """Return a figure of panels over one axis, with one legend and a note."""
     heights = [panel.height for panel in panels]
     figure = style.figure(width, (sum(heights) + MARGIN) * MM)
     axes = list(
@@ -117,24 +114,7 @@ def draw(plots: Iterable[Plot]) -> dict[str, Figure]:
 def save(
     plots: Iterable[Plot], folder: str | Path, formats: Sequence[str] = ("png",)
 ) -> list[Path]:
-    """Draw figures, write them to a folder, and return the paths of the files.
-
-    Parameters
-    ----------
-    plots : iterable of Plot
-        The figures, for files such as ``map.png``.
-    folder : str or Path
-        Folder for the files; it is created if it does not exist.
-    formats : sequence of str
-        Endings such as ``"png"`` (200 dpi), ``"pdf"`` or ``"svg"``.
-
-    Raises
-    ------
-    ModelError
-        If a format is unknown.
-    DataError
-        If the folder or a file cannot be written.
-    """
+    """Draw figures, write them to a folder in formats such as ``"png"``, and return their paths."""
     known = FigureCanvasBase.get_supported_filetypes()
     for name in formats:
         if name not in known:

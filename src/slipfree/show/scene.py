@@ -322,11 +322,7 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
 
 
 def chassis(positions: Array, span: tuple[float, float], radius: float) -> Mesh:
-    """Return the plate of a part of a vehicle, in the part's frame, x right, y forward [m].
-
-    ``positions`` are those of all wheels' centres, shape (k, 3); ``span`` are the rear and the
-    front end of the plate.
-    """
+    """Return the plate of a part from rear to front, in the part's frame, x right [m]."""
     half = NARROW * float(np.abs(positions[:, 0]).max())
     return plate(half, *span, PLATE * radius)
 
@@ -351,10 +347,7 @@ def _top_speed(actor: Actor) -> float:
 
 
 def _scale(name: str, actors: Iterable[Actor], longest: float, least: float) -> float:
-    """Return a round scale that keeps nearly all arrows below a length; zero without arrows.
-
-    Vectors of the size ``least`` have at most that length, even if all vectors are smaller.
-    """
+    """Return a round scale that keeps nearly all arrows below a length; zero without arrows."""
     sizes = _vector_lengths(name, actors)
     if not sizes.size or sizes.max() < LEAST[name]:
         return 0.0
@@ -380,10 +373,7 @@ def scale_words(scene: Scene, name: str) -> str:
 def map_lines(
     drawn: Grid, terrain: Terrain, window: Window, origin: Array, reach: float
 ) -> tuple[Lines, ...]:
-    """Return contours, grid and north arrow of the drawn ground, relative to the scene's origin.
-
-    ``reach`` is the radius of a circle around the vehicle. [m]
-    """
+    """Return contours, grid and north arrow of the ground within ``reach`` of the vehicle [m]."""
     above = origin - np.array([0.0, 0.0, LIFT * reach])
     found = [contours(drawn), *_grid_and_north(drawn, terrain, window)]
     return tuple(

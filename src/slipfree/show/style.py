@@ -138,10 +138,7 @@ def by_wheel(
     zeros: bool = True,
     **looks: Any,
 ) -> Axes:
-    """Draw a line per wheel over time, with ``zeros`` also for values that are identically zero.
-
-    Values have the shape (n, n_wheels).
-    """
+    """Draw a line per wheel over time, with ``zeros`` also for values that are identically zero."""
     for k, wheel in enumerate(run.wheels):
         if zeros or values[:, k].any():
             ax.plot(run.t, values[:, k], label=words(wheel), **look(k) | looks)

@@ -52,10 +52,7 @@ def distribution(swept: Swept, ax: Axes) -> Axes:
 
 
 def curve(swept: Swept, ax: Axes) -> Axes:
-    """Draw mean and range over repetitions, and the value of every run, over one varied key.
-
-    Raises ModelError if not exactly one key was varied.
-    """
+    """Draw mean and range over repetitions, and the value of every run, over one varied key."""
     (varied,) = _axes(swept, 1)
     x, values = _positions(varied), swept.values
     order = np.argsort(x)
@@ -79,10 +76,7 @@ def curve(swept: Swept, ax: Axes) -> Axes:
 
 
 def heat_map(swept: Swept, ax: Axes) -> Axes:
-    """Draw a heat map of the mean over repetitions against two keys; cells without value are grey.
-
-    Raises ModelError if not exactly two keys were varied.
-    """
+    """Draw a heat map of the mean over repetitions against two keys, grey without value."""
     across, up = _axes(swept, 2)
     mean = _over(np.nanmean, swept.values)
     orders = [np.argsort(_positions(each)) for each in (across, up)]
@@ -101,10 +95,7 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
 
 
 def figure(swept: Swept) -> Figure:
-    """Return the figure of a metric over at most two varied keys.
-
-    Raises ModelError if more keys were varied, or no run has a value.
-    """
+    """Return the figure of a metric over at most two varied keys."""
     if not np.isfinite(swept.values).any():
         raise ModelError(
             f"{swept.name}: expected a value in at least one run, found none; choose another metric"
@@ -126,11 +117,7 @@ def figure(swept: Swept) -> Figure:
 def save_sweep_figures(
     quantities: Sequence[Swept], folder: str | Path, formats: Sequence[str] = ("png", "pdf")
 ) -> list[Path]:
-    """Write one figure per metric to a folder, and return the paths of the files.
-
-    Raises ModelError if more than two keys were varied, no run has a value, or a format is unknown,
-    and DataError if the folder or a file cannot be written.
-    """
+    """Write one figure per metric to a folder, and return the paths of the files."""
     return save(
         [Plot(each.name, "", partial(figure, each)) for each in quantities], folder, formats
     )

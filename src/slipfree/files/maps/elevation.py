@@ -271,22 +271,10 @@ def local_frame(longitude: Array, latitude: Array) -> Frame:
 def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
     """Return a grid converted from degrees to metres; its south-western node is at (0, 0).
 
-    Parameters
-    ----------
-    longitude : ndarray, shape (n_x,)
-        Longitudes, increasing to the east. [deg]
-    latitude : ndarray, shape (n_y,)
-        Latitudes, increasing to the north. [deg]
-    z : ndarray, shape (n_x, n_y)
-        Heights at ``(longitude[i], latitude[j])``. [m]
-
-    Notes
-    -----
-    The projection is equirectangular: ``x = R cos(middle) (longitude - longitude[0])`` and
-    ``y = R (latitude - latitude[0])`` in radians, with the mean radius R = 6371008.8 m and the
-    ``middle`` of the first and the last latitude. Distances along x are exact at ``middle``; their
-    relative error elsewhere is ``tan(middle)`` times the angular distance from it: 0.2 % at 36
-    degrees north in a distance of 15 km.
+    The projection is equirectangular, ``x = R cos(middle) (longitude - longitude[0])`` with the
+    mean radius R = 6371008.8 m: distances along x are exact at the middle latitude; elsewhere their
+    relative error is ``tan(middle)`` times the angular distance from it, 0.2 % at 36 degrees north
+    in 15 km.
     """
     frame = local_frame(longitude, latitude)
     return Grid((longitude - frame.x0) / frame.kx, (latitude - frame.y0) / frame.ky, z)

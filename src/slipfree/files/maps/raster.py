@@ -150,13 +150,7 @@ class _Place(NamedTuple):
 
 
 def read_raster(path: Path, ask: Reading) -> Heights:
-    """Return the heights in a raster file of a format that GDAL reads from one file.
-
-    DataError is raised if the file is damaged, if it does not have one band of heights on a grid
-    along x and y in metres or degrees, if it has no coordinates and cell or registration is
-    missing, if it has coordinates and one of them is given, or if the window is empty or contains
-    too few or too many nodes.
-    """
+    """Return the heights in a raster file of a format that GDAL reads from one file."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
@@ -404,10 +398,7 @@ def _unit(file: Any) -> float:  # of the heights [m]
 
 
 def _is_picture(file: Any, is_placed: bool) -> bool:
-    """Return whether the values are gray levels of a picture.
-
-    Such values are unsigned, without scale and unit, and of 8 bits or without coordinates.
-    """
+    """Return whether the values are gray levels of a picture: unsigned, and 8 bits or unplaced."""
     kind = np.dtype(file.dtypes[0])
     if kind.kind != "u" or (file.scales[0], file.offsets[0]) != (1, 0) or file.units[0]:
         return False
@@ -440,10 +431,7 @@ def _check_band(file: Any) -> None:
 
 
 def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
-    """Return the positions of the nodes of a raster.
-
-    They follow from the coordinates in the file, else from ``ask.cell`` and ``ask.registration``.
-    """
+    """Return the node positions by the file, else by ``ask.cell`` and ``ask.registration``."""
     if file.gcps[0]:
         refuse(
             "a raster on a grid along x and y",

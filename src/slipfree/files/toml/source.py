@@ -121,11 +121,7 @@ def spelled(place: Place) -> str:
 
 
 def load_toml(text: str) -> dict[str, Any]:
-    """Return the values of a TOML text from a user.
-
-    ValueError is raised if the text is not TOML, is nested deeply, or contains an integer of
-    thousands of digits. The message may end with ``(at line L, column C)``.
-    """
+    """Return the values of a TOML text; the ValueError may end with ``(at line L, column C)``."""
     if (found := LONG_KEY.search(text)) is not None:
         line = text.count("\n", 0, found.start()) + 1
         raise ValueError(f"a key of more than 60 dotted parts (at line {line}, column 1)")
@@ -168,11 +164,7 @@ def key_path(text: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def key_lines(text: str) -> Mapping[Place, int]:
-    """Return the line of every key and table of a valid TOML text.
-
-    Keys inside an inline table or an array are not included; their line is that of the key to which
-    the table or array belongs.
-    """
+    """Return the line of every key and table of a TOML text, except keys inside inline values."""
     found: dict[Place, int] = {}
     counts: dict[Place, int] = {}
     table: Place = ()
@@ -378,20 +370,7 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
 
 
 def read_text(path: Path, expected: str = "a problem file") -> str:
-    """Return the text of a TOML file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    expected : str
-        Description of the file in messages.
-
-    Raises
-    ------
-    ProblemError
-        If the file cannot be read, is not UTF-8, or is larger than 10 MB.
-    """
+    """Return the text of a TOML file; messages call it ``expected``."""
     return decode_text(path, read_raw(path, expected))
 
 
@@ -435,29 +414,7 @@ def _syntax(path: Path, text: str, message: str) -> str:
 def replace_values(
     data: dict[str, Any], settings: Sequence[str], option: str = "--set"
 ) -> dict[Place, str]:
-    """Replace values in the tables of a file by settings; ``data`` is modified in place.
-
-    Parameters
-    ----------
-    data : dict
-        Contents of the file.
-    settings : sequence of str
-        Texts ``key=value`` with a dotted key and a value in TOML or a bare word; ``key=`` removes
-        the key.
-    option : str
-        Name of the command-line option in error messages.
-
-    Returns
-    -------
-    dict of tuple to str
-        The setting that changed, added or removed a value or table, by the keys of the value.
-
-    Raises
-    ------
-    ProblemError
-        If a setting is not UTF-8 or not ``key=value``, if it sets a key inside a value that is not
-        a table, or if it removes a key that does not exist.
-    """
+    """Replace values in ``data`` by texts ``key=value``; return the setting of each changed key."""
     places: dict[Place, str] = {}
     faults = []
     for setting in settings:

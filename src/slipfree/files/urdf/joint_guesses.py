@@ -64,10 +64,8 @@ class Caster(NamedTuple):
 def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) -> Iterator[Caster]:
     """Yield the casters whose wheels do not turn about a level axis of a joint.
 
-    A caster is a joint with "caster" in a name, with the links below it; the lowest of them touches
-    the ground. A sphere that touches the ground of the wheels is one without a name. The URDF faces
-    forward along x; ``wheels`` are joints of wheels that roll, and ``excluded`` names of joints
-    that carry no wheel.
+    A caster is a joint with "caster" in a name, with the links below it, the lowest of which
+    touches the ground, or a sphere that touches the ground.
     """
     frames = tree.frames
     bottoms = [_bottom(tree.links[wheel.child].shapes, frames[wheel.child]) for wheel in wheels]
@@ -142,10 +140,7 @@ def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
 
 
 def with_separate_balls(tree: Tree) -> Tree:
-    """Return a URDF with links of their own for spheres of the chassis that touch the ground.
-
-    Simple robots have the ball of their caster in the link that carries the wheels.
-    """
+    """Return a URDF in which balls of casters that are part of the chassis have their own links."""
     frames, links, joints = tree.frames, dict(tree.links), dict(tree.joints)
     bottoms = {name: _bottom(link.shapes, frames[name]) for name, link in links.items()}
     moving = [joint for joint in tree.joints.values() if joint.moves]
@@ -342,8 +337,7 @@ class Joints:
         """Return the name of a rocker, and the opposite rocker that it follows; None without them.
 
         Two opposite rockers that carry all wheels leave the pitch of the platform free, unless a
-        differential joins them: relative to the platform they turn by opposite angles. The result
-        is None if they do.
+        differential joins them.
         """
         rockers = [
             joint

@@ -34,27 +34,11 @@ MAX_NAMES = 12  # more joints are not listed
 
 
 def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
-    """Return the vehicle of a URDF, in axes x right, y forward, z up.
+    """Return the vehicle of a URDF, in axes x right, y forward, z up, with its root as platform.
 
-    The platform is the root link. A joint carries a wheel if it has a wheel role, or if it is
-    continuous with a nearly level axis, no other joint moves below it, and its link has a cylinder,
-    a sphere or a round mesh about its axis. Joints that carry neither a wheel nor a mass are
-    omitted.
-
-    Parameters
-    ----------
-    tree : Tree
-        Result of `slipfree.files.urdf.elements.read_tree`.
-    roles : Roles
-        Information that completes the URDF.
-
-    Raises
-    ------
-    UnfitError
-        If a joint or a wheel is invalid or not completely described, or if there are too few wheels
-        or too many suspension coordinates.
-    ModelError
-        If a number in the URDF or the roles is out of range.
+    A joint carries a wheel if it has a wheel role, or if it is continuous with a nearly level axis,
+    no other joint moves below it, and its link has a cylinder, a sphere or a round mesh about its
+    axis. Joints that carry neither a wheel nor a mass are omitted.
     """
     findings = Findings(tree.file)
     draft = from_rep103(_draft(tree, roles, findings))
@@ -149,10 +133,7 @@ def _forward(tree: Tree, roles: Roles, findings: Findings) -> str:
 
 
 def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tuple[Tree, Roles]:
-    """Return a URDF whose opposite rockers have a differential, and the roles of other joints.
-
-    Add an error if they are coupled in another way, or if a wheel is coupled.
-    """
+    """Return a URDF whose opposite rockers have a differential, and the roles of other joints."""
     tree, couple = wheels.tree, dict(roles.couple)
     for name in {*couple} & {wheel.name for wheel in wheels.joints}:
         message = 'expected a joint without a wheel in "couple", found one that carries a wheel'
@@ -321,11 +302,7 @@ class _Coordinates:
     def _restrict(
         self, name: str, joint: UrdfJoint, leader: UrdfJoint, multiplier: float, offset: float
     ) -> None:
-        """Restrict the stops and the rate of a coordinate to the limits of a joint that it moves.
-
-        Limits in the role of the leading joint take precedence. The value of the joint is
-        ``offset + multiplier * coordinate`` [rad or m].
-        """
+        """Restrict stops and rate of a coordinate to the limits of a joint that it moves."""
         c, role = self.known[name], self._roles.joints.get(leader.name)
         given = {} if role is None else role.keywords
         if multiplier == 0:

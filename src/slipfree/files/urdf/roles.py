@@ -185,10 +185,7 @@ def _with_role(joint: UrdfJoint, roles: Roles) -> UrdfJoint:
 
 
 def coupled(tree: Tree, couple: Mapping[str, float]) -> Tree:
-    """Return a URDF in which the second of two joints mimics the first.
-
-    The sum of the joints' values with the coefficients in ``couple`` is zero; it is empty for none.
-    """
+    """Return a URDF in which the second of two joints in ``couple`` mimics the first."""
     if not couple:
         return tree
     (first, ahead), (second, behind) = couple.items()

@@ -244,11 +244,9 @@ class Tree:
         return max((shape.radius for shape in self.links[joint.child].shapes), default=0.0)
 
     def mirror_image(self, joint: UrdfJoint, others: Iterable[UrdfJoint]) -> UrdfJoint | None:
-        """Return the joint whose link is at the mirror image of a joint's link, on the other side.
+        """Return the joint whose link is at the mirror image of a joint's link; None in the plane.
 
-        The root faces forward along x. The plane is midway between the outermost links that turn
-        about level axes. The result is None without such a joint, and for links in the plane; of
-        several joints it is the last.
+        The plane is midway between the outermost links that turn about level axes.
         """
         frames = self.frames
         turning = [j for j in self.joints.values() if j.type == "continuous" and self.is_level(j)]

@@ -82,11 +82,7 @@ def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
 def wheel_guesses(
     tree: Tree, wheels: Sequence[UrdfJoint], unread: Collection[str], roles: Roles
 ) -> Iterator[tuple[str, WheelGuess]]:
-    """Yield the wheels that joints probably carry, with the name of the joint.
-
-    The URDF faces forward along x; ``wheels`` are wheels by their shape, and ``unread`` the names
-    of joints whose meshes cannot be read.
-    """
+    """Yield the wheels that joints probably carry, with the name of the joint."""
     guesses = dict(_named_wheels(tree, wheels, roles))
     rolling = [*wheels, *(tree.joints[name] for name in guesses if tree.joints[name].moves)]
     for caster in casters(tree, rolling, roles.joints):
@@ -165,10 +161,7 @@ def _counterparts(
 
 
 def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, WheelGuess]]:
-    """Yield the wheels that nothing steers and that must slide along their axles.
-
-    They are all wheels with axles that are not parallel, and those of casters without a swivel.
-    """
+    """Yield the unsteered wheels that slide: axles not parallel, or casters without a swivel."""
     casters_, turned = caster_wheels(tree, wheels), tree.steered
     rolling = [
         wheel
@@ -240,10 +233,7 @@ def _sides(name: str) -> set[str]:
 
 
 def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Forward:
-    """Return the axis of the root link that probably points forward.
-
-    ``excluded`` are names of joints that carry no wheels.
-    """
+    """Return the axis of the root link that probably points forward."""
     tree, _ = with_fixed_rollers(tree)
     rolling = _turning(tree)
     excluded = {*excluded, *caster_wheels(tree, rolling)}
@@ -317,10 +307,7 @@ def _evidence(tree: Tree, wheels: Sequence[UrdfJoint], line: tuple[str, ...]) ->
 
 
 def _named_vectors(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Array, int]]:
-    """Yield the forward vectors by names of front and rear, left and right, with their weights.
-
-    They are names of wheels if there are any, else of all other joints, with a small weight.
-    """
+    """Yield the forward vectors by names of front and rear, left and right, with their weights."""
     rolling = [j for j in tree.joints.values() if WHEEL.search(j.names)]
     for first, second in (("front", "rear"), ("left", "right")):
         group, weight = [*wheels, *rolling], NAMES
