@@ -54,24 +54,12 @@ UNITS = {"degree", "metre", "unity"}  # units of CF attributes
 
 
 class MapCoordinate(NamedTuple):
-    """A coordinate of the map file as a linear function of a coordinate of the motion.
+    """A coordinate of the map file as a linear function of a coordinate of the motion."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the map coordinate: ``"x"``, ``"y"``, ``"z"``, ``"longitude"`` or ``"latitude"``.
-    offset : float
-        Value of the map coordinate at the origin of the motion's coordinates. [m] or [deg]
-    factor : float
-        Change of the map coordinate per metre of the motion. [1] or [deg/m]
-    axis : str
-        Coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``.
-    """
-
-    name: str
-    offset: float
-    factor: float
-    axis: str
+    name: str  # ``"x"``, ``"y"``, ``"z"``, ``"longitude"`` or ``"latitude"``
+    offset: float  # value at the origin of the motion's coordinates [m] or [deg]
+    factor: float  # change per metre of the motion [1] or [deg/m]
+    axis: str  # coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``
 
 
 def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:

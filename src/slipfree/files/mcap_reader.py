@@ -28,20 +28,11 @@ MESSAGES = {  # types of the messages from which a table is read, by the names o
 
 
 class JointCommands(NamedTuple):
-    """Commands of a joint over time.
+    """Commands of a joint over time."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times since the first message of the topic. [s]
-    positions, velocities : ndarray, shape (n,)
-        Commanded values and rates; NaN where a message does not contain them. [rad or m, rad/s or
-        m/s]
-    """
-
-    t: Array
-    positions: Array
-    velocities: Array
+    t: Array  # shape (n,): times since the first message of the topic [s]
+    positions: Array  # [rad or m], NaN where a message has none
+    velocities: Array  # [rad/s or m/s], NaN where a message has none
 
 
 class MotionLog(NamedTuple):

@@ -99,18 +99,10 @@ class _Layout(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Columns of a table, in SI units.
+    """Columns of a table, in SI units."""
 
-    Attributes
-    ----------
-    values : dict of str and ndarray, shape (n,)
-        Values by requested name.
-    notes : tuple of str
-        Conversions and choices that were made.
-    """
-
-    values: dict[str, Array]
-    notes: tuple[str, ...] = ()
+    values: dict[str, Array]  # shape (n,): values by requested name
+    notes: tuple[str, ...] = ()  # conversions and choices that were made
 
     def rows(self) -> list[tuple[float, ...]]:
         """Return the rows of the table."""

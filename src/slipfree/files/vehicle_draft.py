@@ -33,26 +33,13 @@ Value = float | bool | str | Mapping[str, Any]  # of a key in a vehicle file
 
 
 class Guess(NamedTuple):
-    """A guess of a property that a file does not contain; a vehicle file can override it.
+    """A guess of a property that a file does not contain; a vehicle file can override it."""
 
-    Attributes
-    ----------
-    table, name : str
-        Table of the vehicle file, ``"wheels"`` or ``"joints"``, and the name of a joint; or an
-        empty table and the name of a top-level key.
-    values : mapping of str to float, bool, str or mapping
-        Keys in the table of the joint, or the top-level key, and their guessed values.
-    reason : str
-        Guessed property, and the reason for the guessed values.
-    other : str
-        Line of the vehicle file, at its top level, that states the other choice.
-    """
-
-    table: str
-    name: str
-    values: Mapping[str, Value]
-    reason: str
-    other: str
+    table: str  # ``"wheels"`` or ``"joints"`` of the vehicle file, empty for its top level
+    name: str  # of the joint, or of the top-level key
+    values: Mapping[str, Value]  # guessed values by key
+    reason: str  # guessed property, and the reason for the guessed values
+    other: str  # line of the vehicle file, at its top level, that states the other choice
 
     @property
     def toml(self) -> str:
@@ -84,17 +71,7 @@ def toml_line(table: str, name: str, **values: Value) -> str:
 
 @dataclass(frozen=True)
 class Draft:
-    """Parts of a vehicle read from a file, not yet validated as a vehicle.
-
-    Attributes
-    ----------
-    name, coordinates, joints, wheels, body, notes
-        Fields of `slipfree.vehicle.tree.Vehicle` with the same names and types.
-    guesses : tuple of Guess
-        Guesses that the reader made.
-    planar : bool
-        Whether the vehicle is locked to a plane.
-    """
+    """Parts of a vehicle read from a file, not yet validated as a vehicle."""
 
     name: str
     coordinates: tuple[Coordinate, ...]
@@ -102,8 +79,8 @@ class Draft:
     wheels: tuple[Wheel, ...]
     body: Body = NO_BODY
     notes: tuple[str, ...] = ()
-    guesses: tuple[Guess, ...] = ()
-    planar: bool = False
+    guesses: tuple[Guess, ...] = ()  # guesses that the reader made
+    planar: bool = False  # whether the vehicle is locked to a plane
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
         """Return the coordinates of a given kind, in the order of the file."""

@@ -44,78 +44,32 @@ class MotionError(ModelError):
 
 
 class BodyMotion(NamedTuple):
-    """A model on level ground as a function of inputs, joints and parameters.
+    """A model on level ground as a function of inputs, joints and parameters."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the given quantities: inputs, then values of the joints that are states.
-    inputs : int
-        Number of inputs.
-    parameters : tuple of str
-        Names of the parameters. If the model has a continuation parameter that is none of them, it
-        is the last argument ``p``, without a name.
-    pose : int
-        Number of unknowns of the pose; they are the first ones.
-    relaxing : int
-        Number of unknowns of the pose that follow from equilibrium, the first ones of it; their
-        rates are the last equations.
-    scale : ndarray, shape (n_z,)
-        Typical sizes of the unknowns.
-    size : float
-        Unit of length of the model. [m]
-    newton : casadi Function
-        ``(z, given, p) -> (residual, its Jacobian by z)``.
-    slopes : casadi Function
-        ``(z, given, p) -> (residual by p, velocity, velocity by z, velocity by p)``.
-    guess : casadi Function
-        ``(given, p) -> z``.
-    limits : tuple of Limit
-        Limits of the model that the unknowns may violate.
-    limited : casadi Function
-        ``(z, given, p) -> values of the limits``.
-    stages : tuple of float
-        Values of the continuation parameter, in the order of solution; empty for none.
-    stage : int
-        Index of the continuation parameter in ``p``.
-    """
-
-    names: tuple[str, ...]
-    inputs: int
-    parameters: tuple[str, ...]
-    pose: int
-    relaxing: int
-    scale: Array
-    size: float
-    newton: ca.Function
-    slopes: ca.Function
-    guess: ca.Function
-    limits: tuple[Limit, ...]
-    limited: ca.Function
-    stages: tuple[float, ...]
-    stage: int
+    names: tuple[str, ...]  # of the inputs, then of the joints that are states
+    inputs: int  # number of inputs
+    parameters: tuple[str, ...]  # a continuation parameter may be the last ``p``, without name
+    pose: int  # number of unknowns of the pose; they are the first ones
+    relaxing: int  # number of first pose unknowns with rates, which are the last equations
+    scale: Array  # shape (n_z,): typical sizes of the unknowns
+    size: float  # unit of length of the model [m]
+    newton: ca.Function  # ``(z, given, p) -> (residual, its Jacobian by z)``
+    slopes: ca.Function  # ``(z, given, p) -> (residual_p, velocity, velocity_z, velocity_p)``
+    guess: ca.Function  # ``(given, p) -> z``
+    limits: tuple[Limit, ...]  # limits of the model that the unknowns may violate
+    limited: ca.Function  # ``(z, given, p) -> values of the limits``
+    stages: tuple[float, ...]  # values of the continuation parameter in order; else empty
+    stage: int  # index of the continuation parameter in ``p``
 
 
 class Velocities(NamedTuple):
-    """Velocities of the platform's centre at n samples.
+    """Velocities of the platform's centre at n samples."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (n, 3)
-        Velocity to the right and forward [m/s], and yaw rate [rad/s].
-    slopes : ndarray, shape (n, 3, n_p)
-        Derivatives with respect to the parameters of the model.
-    p : ndarray, shape (n_p,)
-        Values of the parameters.
-    z, z_slopes : ndarray, shape (n, n_z) and (n, n_z, n_p)
-        Unknowns of the model, and their derivatives with respect to the parameters.
-    """
-
-    values: Array
-    slopes: Array
-    p: Array
-    z: Array
-    z_slopes: Array
+    values: Array  # shape (n, 3): velocity to the right and forward [m/s], and yaw rate [rad/s]
+    slopes: Array  # shape (n, 3, n_p): derivatives with respect to the parameters of the model
+    p: Array  # shape (n_p,): values of the parameters
+    z: Array  # shape (n, n_z): unknowns of the model
+    z_slopes: Array  # shape (n, n_z, n_p): their derivatives
 
 
 def body_motion(dae: Dae) -> BodyMotion:

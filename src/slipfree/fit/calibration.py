@@ -19,34 +19,18 @@ RESAMPLES = 2000  # of a bootstrap
 
 
 class EndErrors(NamedTuple):
-    """Predicted minus measured end poses of n windows.
+    """Predicted minus measured end poses of n windows."""
 
-    Attributes
-    ----------
-    measured : ndarray, shape (n, 3)
-        Measured end poses, as ``Windows.end``. [m, m, rad]
-    nominal, fitted : ndarray, shape (n, 3)
-        Errors before and after the fit. [m, m, rad]
-    """
-
-    measured: Array
-    nominal: Array
+    measured: Array  # shape (n, 3): measured end poses, as ``Windows.end`` [m, m, rad]
+    nominal: Array  # shape (n, 3): errors before and after the fit [m, m, rad]
     fitted: Array
 
 
 class Calibration(NamedTuple):
-    """Result of a calibration.
+    """Result of a calibration."""
 
-    Attributes
-    ----------
-    estimate : Estimate
-        Estimates from the windows for training.
-    train, test : EndErrors
-        Errors in the windows for training and in those for testing.
-    """
-
-    estimate: Estimate
-    train: EndErrors
+    estimate: Estimate  # estimates from the windows for training
+    train: EndErrors  # errors in the windows for training and in those for testing
     test: EndErrors
 
 

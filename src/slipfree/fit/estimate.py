@@ -48,59 +48,26 @@ AT_BOUND = 1e-3  # distance from a bound that counts as zero [scales]
 
 
 class Direction(NamedTuple):
-    """A combination of unknowns, with its standard deviation.
+    """A combination of unknowns, with its standard deviation."""
 
-    Attributes
-    ----------
-    deviation : float
-        Standard deviation relative to the scales of the unknowns; infinite if it is undetermined.
-    weights : ndarray, shape (n,)
-        Components in units of the scales; a unit vector.
-    """
-
-    deviation: float
-    weights: Array
+    deviation: float  # relative to the scales of the unknowns; infinite if undetermined
+    weights: Array  # shape (n,): components in units of the scales; a unit vector
 
 
 class Estimate(NamedTuple):
-    """Result of a calibration with n unknowns.
+    """Result of a calibration with n unknowns."""
 
-    Attributes
-    ----------
-    labels : tuple of Label
-        Names, units and descriptions of the unknowns.
-    nominal, values : ndarray, shape (n,)
-        Values before and after the fit, in the unit of each label.
-    covariance : ndarray, shape (n, n)
-        Covariance of the estimates; infinite for undetermined unknowns, zero for those at a bound.
-    intervals : ndarray, shape (n, 2)
-        95 % confidence intervals.
-    scales : ndarray, shape (n,)
-        Sizes of the unknowns: deviation of the prior, or nominal value.
-    at_bound : tuple of bool
-        Whether the estimate is at a bound; its interval is then that value.
-    directions : tuple of Direction
-        Principal directions of the covariance, best determined first.
-    deviations : ndarray, shape (3,)
-        Standard deviations of the residuals: two of position [m], and heading [rad].
-    evaluations : int
-        Number of evaluations of the predictions.
-    is_interrupted : bool
-        Whether Ctrl-C, held back by `held_interrupt`, ended the search; the values are then those
-        of its last accepted step.
-    """
-
-    labels: tuple[Label, ...]
-    nominal: Array
+    labels: tuple[Label, ...]  # names, units and descriptions of the unknowns
+    nominal: Array  # shape (n,): values before and after the fit, in the unit of each label
     values: Array
-    covariance: Array
-    intervals: Array
-    scales: Array
-    at_bound: tuple[bool, ...]
-    directions: tuple[Direction, ...]
-    deviations: Array
-    evaluations: int
-    is_interrupted: bool = False
+    covariance: Array  # shape (n, n): infinite if undetermined, zero at a bound
+    intervals: Array  # shape (n, 2): 95 % confidence intervals
+    scales: Array  # shape (n,): sizes of the unknowns: deviation of the prior, or nominal value
+    at_bound: tuple[bool, ...]  # whether it is at a bound; its interval is then that value
+    directions: tuple[Direction, ...]  # principal, of the covariance, best determined first
+    deviations: Array  # of the residuals: two of position [m], and heading [rad]
+    evaluations: int  # number of evaluations of the predictions
+    is_interrupted: bool = False  # by Ctrl-C: values of the last accepted step
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -112,18 +79,10 @@ class Estimate(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """Predicted end poses of windows, and their derivatives.
+    """Predicted end poses of windows, and their derivatives."""
 
-    Attributes
-    ----------
-    end : ndarray, shape (n, 3)
-        As ``Windows.end``. [m, m, rad]
-    slopes : ndarray, shape (n, 3, n_unknowns)
-        Derivatives with respect to the unknowns.
-    """
-
-    end: Array
-    slopes: Array
+    end: Array  # shape (n, 3): as ``Windows.end`` [m, m, rad]
+    slopes: Array  # shape (n, 3, n_unknowns): derivatives with respect to the unknowns
 
 
 class Predictor:

@@ -70,22 +70,12 @@ class Unknown:
 
 
 class Quantity(NamedTuple):
-    """A number of a vehicle.
+    """A number of a vehicle."""
 
-    Attributes
-    ----------
-    unit, words : str
-        Unit and description.
-    read : callable
-        ``read(vehicle, wheels)`` returns the value of a vehicle, for the named wheels.
-    set : callable
-        ``set(vehicle, wheels, value)`` returns the vehicle with another value.
-    """
-
-    unit: str
+    unit: str  # unit and description
     words: str
-    read: Callable[[Vehicle, Sequence[str]], float]
-    set: Callable[[Vehicle, Sequence[str], Any], Vehicle]
+    read: Callable[[Vehicle, Sequence[str]], float]  # ``read(vehicle, wheels)``
+    set: Callable[[Vehicle, Sequence[str], Any], Vehicle]  # ``set(vehicle, wheels, value)``
 
 
 def _on_wheels(

@@ -18,25 +18,14 @@ MAX_SAMPLES = 1_000_000  # windows times samples of the longest one; an estimate
 
 
 class Windows(NamedTuple):
-    """Windows of a log, with at most k + 1 samples each.
+    """Windows of a log, with at most k + 1 samples each."""
 
-    Attributes
-    ----------
-    number, start : ndarray, shape (n,)
-        Number of each window in the log, and time of its first sample [s].
-    dt : ndarray, shape (n, k)
-        Times between samples; zero after the end of a shorter window. [s]
-    given : ndarray, shape (n, k + 1, n_given)
-        Inputs and joints at the samples. [rad/s, m/s, rad, m]
-    end : ndarray, shape (n, 3)
-        Measured pose of the sensor at the last sample, relative to the first one: to the right and
-        forward [m], and change of heading, counter-clockwise and continuous over turns [rad].
-    """
-
-    number: Array
+    number: Array  # shape (n,): number of each window in the log, and time of its first sample [s]
     start: Array
-    dt: Array
-    given: Array
+    dt: Array  # shape (n, k): times between samples; zero after the end of a shorter window [s]
+    given: Array  # shape (n, k + 1, n_given): inputs and joints at the samples [rad/s, m/s, rad, m]
+    # shape (n, 3): measured pose of the sensor at the last sample, relative to the first one: to
+    # the right and forward [m], and change of heading, continuous over turns [rad]
     end: Array
 
     def take(self, rows: npt.NDArray[np.int64] | Mask) -> Windows:
@@ -45,25 +34,14 @@ class Windows(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A log of rates and poses.
+    """A log of rates and poses."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times, not decreasing within a window. [s]
-    given : ndarray, shape (n, n_given)
-        Inputs and joints. [rad/s, m/s, rad, m]
-    pose : ndarray, shape (n, 3)
-        Position in axes of which the second points along heading zero [m], and heading,
-        counter-clockwise, which changes by less than half a turn between samples [rad].
-    window : ndarray of int, shape (n,)
-        Number of the window of each sample, constant over consecutive samples.
-    """
-
-    t: Array
-    given: Array
+    t: Array  # shape (n,): times, not decreasing within a window [s]
+    given: Array  # shape (n, n_given): inputs and joints [rad/s, m/s, rad, m]
+    # shape (n, 3): position in axes of which the second points along heading zero [m], and heading,
+    # which changes by less than half a turn between samples [rad]
     pose: Array
-    window: Array | npt.NDArray[np.int64]
+    window: Array | npt.NDArray[np.int64]  # shape (n,): number of each sample's window
 
 
 def cut(log: Log) -> Windows:

@@ -34,64 +34,29 @@ REMEDIES = {
 
 
 class Violation(NamedTuple):
-    """Largest violation of a constraint.
+    """Largest violation of a constraint."""
 
-    Attributes
-    ----------
-    label : Label
-        Label of the constrained quantity, with its wheel.
-    t : float
-        Time of the violation. [s]
-    interval : int
-        Index of the mesh interval that contains this time.
-    size : float
-        Size of the violation, in the label's unit.
-    bound, value : float
-        Violated bound and value of the quantity as reported (`Dae.reported`), in the label's unit.
-    role : str
-        Kind of constraint: ``"equation"``, ``"limit"``, ``"input"``, ``"cost"``, ``"goal"``, or for
-        a way-point its name, for example ``"way-point at 0.5"``.
-    """
-
-    label: Label
-    t: float
-    interval: int
-    size: float
-    bound: float
-    value: float
-    role: str
+    label: Label  # label of the constrained quantity, with its wheel
+    t: float  # time of the violation [s]
+    interval: int  # index of the mesh interval that contains this time
+    size: float  # size of the violation, in the label's unit
+    bound: float  # violated bound as reported (`Dae.reported`), in the label's unit
+    value: float  # value of the quantity, likewise
+    role: str  # "equation", "limit", "input", "cost", "goal" or name of a way-point
 
 
 class ConstraintGroup(NamedTuple):
-    """One constraint of a program: its rows (constraint functions) or unknowns at all n points.
+    """One constraint of a program: its rows (constraint functions) or unknowns at all n points."""
 
-    Attributes
-    ----------
-    label, role : Label, str
-        Constrained quantity and kind of constraint, as in `Violation`.
-    where : ndarray, shape (n,)
-        Indices into the column of all rows followed by all unknowns.
-    intervals : ndarray, shape (n,)
-        Index of the mesh interval of each point.
-    parts : ndarray, shape (n,)
-        Time of each point as a fraction of the duration, 0 to 1.
-    lower, upper : float
-        Bounds, in the label's unit and in local coordinates.
-    shift : float
-        Reported value minus local value; zero for quantities that are not coordinates.
-    typical : float
-        Typical size of the terms of an equation, in the label's unit; zero for other roles.
-    """
-
-    label: Label
+    label: Label  # constrained quantity and kind of constraint, as in `Violation`
     role: str
-    where: Index
-    intervals: Index
-    parts: Array
-    lower: float
+    where: Index  # shape (n,): indices into the column of all rows followed by all unknowns
+    intervals: Index  # shape (n,): index of the mesh interval of each point
+    parts: Array  # shape (n,): time of each point as a fraction of the duration, 0 to 1
+    lower: float  # bounds, in the label's unit and in local coordinates
     upper: float
-    shift: float
-    typical: float = 0.0
+    shift: float  # reported value minus local value; zero for quantities that are not coordinates
+    typical: float = 0.0  # of the terms of an equation, in the label's unit; else zero
 
 
 def constraint_groups(program: Program) -> Iterator[ConstraintGroup]:

@@ -35,51 +35,25 @@ MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
 
 
 class OpposingBound(NamedTuple):
-    """Bound that was not relaxed and conflicts with the relaxed bounds.
+    """Bound that was not relaxed and conflicts with the relaxed bounds."""
 
-    Attributes
-    ----------
-    label, role : Label, str
-        Bounded quantity and kind of constraint, as in `Violation`; the role may also be
-        ``"duration"``.
-    bound : float
-        Value of the bound, in the label's unit and in map coordinates.
-    side : str
-        ``"at least"`` or ``"at most"``; empty if lower and upper bound are equal.
-    share : float
-        Decrease of the sum of all relative relaxations per unit of the label by which this bound is
-        relaxed; for the duration, per relative change of the duration.
-    """
-
-    label: Label
-    role: str
-    bound: float
-    side: str
+    label: Label  # bounded quantity
+    role: str  # as in `Violation`, or ``"duration"``
+    bound: float  # value of the bound, in the label's unit and in map coordinates
+    side: str  # ``"at least"`` or ``"at most"``; empty if lower and upper bound are equal
+    # decrease of the sum of all relative relaxations per unit of the label by which this bound is
+    # relaxed; for the duration, per relative change of it
     share: float
 
 
 class Relaxation(NamedTuple):
-    """Relaxed bounds with which the equations of motion have a solution.
+    """Relaxed bounds with which the equations of motion have a solution."""
 
-    Attributes
-    ----------
-    solution : ndarray, shape (n_w,)
-        Unknowns, not scaled, that satisfy the equations and the relaxed bounds.
-    relaxed : list of Violation
-        Largest violation of each relaxed bound, the largest relative violation first.
-    opposing : list of OpposingBound
-        Bounds that were not relaxed and conflict with the relaxed bounds, the largest share first.
-    success : bool
-        Whether the search for the smallest relaxation converged.
-    status : str
-        IPOPT's return status of this search.
-    """
-
-    solution: Array
-    relaxed: list[Violation]
-    opposing: list[OpposingBound]
-    success: bool
-    status: str
+    solution: Array  # shape (n_w,): unknowns that satisfy the relaxed bounds
+    relaxed: list[Violation]  # largest violation of each relaxed bound, relatively sorted
+    opposing: list[OpposingBound]  # conflicting bounds, the largest share first
+    success: bool  # whether the search for the smallest relaxation converged
+    status: str  # IPOPT's return status of this search
 
 
 def relax(program: Program, first: Array) -> Relaxation:
@@ -257,20 +231,10 @@ def _row_values(program: Program, unknowns: Array, weights: Array) -> Array:
 
 
 class Explanation(NamedTuple):
-    """Outcome of a search without a plan, and its explanation.
+    """Outcome of a search without a plan, and its explanation."""
 
-    Attributes
-    ----------
-    outcome : Outcome
-        ``INTERRUPTED`` if the search was stopped; ``INFEASIBLE`` if a motion was found only with
-        relaxed bounds, or if no relaxation was found and IPOPT reports an infeasible problem;
-        otherwise ``SOLVER_FAILURE``.
-    words : str
-        Explanation, several lines of text.
-    """
-
-    outcome: Outcome
-    words: str
+    outcome: Outcome  # infeasible only if a relaxation or IPOPT confirms it
+    words: str  # explanation, several lines of text
 
 
 def violations(program: Program, solution: NlpSolution) -> list[Violation]:

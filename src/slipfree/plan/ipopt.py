@@ -43,25 +43,14 @@ IterateCallback = Callable[["Iterate"], bool]
 class Convergence(NamedTuple):
     """Values of IPOPT at every iterate of a search, from the initial guess on.
 
-    Violation and dual infeasibility are those of the scaled program, which IPOPT's tolerance
-    refers to.
-
-    Attributes
-    ----------
-    cost : ndarray, shape (n,)
-        Cost, the sum of all weighted terms.
-    violation : ndarray, shape (n,)
-        Largest violation of a constraint.
-    dual_infeasibility : ndarray, shape (n,)
-        Largest component of the gradient of the Lagrangian.
-    barrier : ndarray, shape (n,)
-        Barrier parameter.
+    Violation and dual infeasibility are those of the scaled program, which IPOPT's tolerance refers
+    to.
     """
 
-    cost: Array
-    violation: Array
-    dual_infeasibility: Array
-    barrier: Array
+    cost: Array  # shape (n,): cost, the sum of all weighted terms
+    violation: Array  # shape (n,): largest violation of a constraint
+    dual_infeasibility: Array  # shape (n,): largest component of the gradient of the Lagrangian
+    barrier: Array  # shape (n,): barrier parameter
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -99,67 +88,28 @@ def convergence_from(arrays: Mapping[str, Array]) -> dict[int, Convergence]:
 
 
 class Iterate(NamedTuple):
-    """Iterate of IPOPT.
+    """Iterate of IPOPT."""
 
-    Attributes
-    ----------
-    number : int
-        Number of the iteration; zero for the initial guess.
-    cost : float
-        Cost, the sum of all weighted terms.
-    violation : float
-        Largest violation of the bounds of a row (constraint function), in the unit of the row.
-    unknowns : ndarray, shape (n_w,)
-        Unknowns, not scaled.
-    program : Program
-        The nonlinear program.
-    """
-
-    number: int
-    cost: float
-    violation: float
-    unknowns: Array
-    program: Program
+    number: int  # number of the iteration; zero for the initial guess
+    cost: float  # cost, the sum of all weighted terms
+    violation: float  # largest violation of the bounds of a row, in its unit
+    unknowns: Array  # shape (n_w,): unknowns, not scaled
+    program: Program  # the nonlinear program
 
 
 class NlpSolution(NamedTuple):
-    """Solution of a nonlinear program; if the search failed, its best or last iterate.
+    """Solution of a nonlinear program; if the search failed, its best or last iterate."""
 
-    Attributes
-    ----------
-    unknowns : ndarray, shape (n_w,)
-        Unknowns, not scaled.
-    rows : ndarray, shape (n_g,)
-        Values of all rows (constraint functions).
-    cost : float
-        Cost, the sum of all weighted terms.
-    row_multipliers : ndarray, shape (n_g,)
-        Lagrange multipliers of the rows.
-    bound_multipliers : ndarray, shape (n_w,)
-        Lagrange multipliers of the bounds of the scaled unknowns.
-    status : str
-        Return status of IPOPT.
-    success : bool
-        Whether IPOPT reports a solution.
-    iterations : int
-        Number of iterations.
-    seconds : dict of str to float
-        Wall time: ``"total"``, ``"functions"`` (evaluation of functions and derivatives) and
-        ``"rest"`` (linear solver and overhead). [s]
-    convergence : Convergence
-        Cost, violation and barrier parameter of every iterate; empty if not known.
-    """
-
-    unknowns: Array
-    rows: Array
-    cost: float
-    row_multipliers: Array
-    bound_multipliers: Array
-    status: str
-    success: bool
-    iterations: int
-    seconds: dict[str, float]
-    convergence: Convergence = NO_CONVERGENCE
+    unknowns: Array  # shape (n_w,): unknowns, not scaled
+    rows: Array  # shape (n_g,): values of all rows (constraint functions)
+    cost: float  # cost, the sum of all weighted terms
+    row_multipliers: Array  # shape (n_g,): lagrange multipliers of the rows
+    bound_multipliers: Array  # shape (n_w,): of the bounds of the scaled unknowns
+    status: str  # return status of IPOPT
+    success: bool  # whether IPOPT reports a solution
+    iterations: int  # number of iterations
+    seconds: dict[str, float]  # wall time: total, functions (evaluation) and rest [s]
+    convergence: Convergence = NO_CONVERGENCE  # every iterate; empty if not known
 
     def __repr__(self) -> str:
         return field_overview(self)

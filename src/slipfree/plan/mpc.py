@@ -48,60 +48,28 @@ MIN_WINDOW_FRACTION = 0.25  # shorter windows, at the end of a plan, are not upd
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """Moving window of a plan, with its nonlinear program and solver.
+    """Moving window of a plan, with its nonlinear program and solver."""
 
-    Attributes
-    ----------
-    program : Program
-        Nonlinear program of the window.
-    plan : PolynomialMotion
-        Planned motion that the window follows.
-    targets : casadi Function
-        Function ``(x, z, u) ->`` quantities that the goal constrains.
-    span : float
-        Length of the window. [s]
-    weights : ndarray, shape (n_costs + 1,)
-        Weights of the costs; the last one is the weight of the smoothness.
-    rows : casadi Function
-        Function ``(w, p) ->`` rows of the program, of scaled unknowns and weights.
-    solver : casadi Function
-        Solver that makes the iterations of one cycle, from `warm_solver`.
-    """
-
-    program: Program
-    plan: PolynomialMotion
-    targets: ca.Function
-    span: float
-    weights: Array
-    rows: ca.Function
-    solver: ca.Function
+    program: Program  # nonlinear program of the window
+    plan: PolynomialMotion  # planned motion that the window follows
+    targets: ca.Function  # function ``(x, z, u) ->`` quantities that the goal constrains
+    span: float  # length of the window [s]
+    weights: Array  # shape (n_costs + 1,): of the costs and, last, the smoothness
+    rows: ca.Function  # function ``(w, p) ->`` rows of the program, of scaled unknowns and weights
+    solver: ca.Function  # solver that makes the iterations of one cycle, from `warm_solver`
 
     def __repr__(self) -> str:
         return field_overview(self)
 
 
 class Cycle(NamedTuple):
-    """Solution of one cycle, the initial guess of the next cycle.
+    """Solution of one cycle, the initial guess of the next cycle."""
 
-    Attributes
-    ----------
-    t : float
-        Time of the cycle since the beginning of the plan. [s]
-    motion : PolynomialMotion
-        Planned motion from this time to the end of the window.
-    row_multipliers : ndarray, shape (n_g,)
-        Lagrange multipliers of the rows.
-    bound_multipliers : ndarray, shape (n_w,)
-        Lagrange multipliers of the bounds of the scaled unknowns.
-    violation : float
-        Largest violation of an equation or limit that is a row of the program, in its unit.
-    """
-
-    t: float
-    motion: PolynomialMotion
-    row_multipliers: Array
-    bound_multipliers: Array
-    violation: float
+    t: float  # time of the cycle since the beginning of the plan [s]
+    motion: PolynomialMotion  # planned motion from this time to the end of the window
+    row_multipliers: Array  # shape (n_g,): lagrange multipliers of the rows
+    bound_multipliers: Array  # shape (n_w,): of the bounds of the scaled unknowns
+    violation: float  # largest violation of a row of the program, in its unit
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -408,22 +376,11 @@ def _shift_multipliers(
 
 
 class TrackedMotion(NamedTuple):
-    """Motion of a vehicle that follows a plan in closed loop.
+    """Motion of a vehicle that follows a plan in closed loop."""
 
-    Attributes
-    ----------
-    run : Trajectory
-        The simulated motion, with times since the beginning of the plan.
-    cycles : int
-        Number of simulated cycles.
-    failures : int
-        Number of cycles whose optimisation failed; in these the vehicle used the inputs of the last
-        successful cycle.
-    """
-
-    run: Trajectory
-    cycles: int
-    failures: int
+    run: Trajectory  # the simulated motion, with times since the beginning of the plan
+    cycles: int  # number of simulated cycles
+    failures: int  # cycles without solution, which used the inputs of the last solved one
 
 
 @computing

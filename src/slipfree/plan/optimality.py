@@ -50,20 +50,11 @@ AT_MOST, AT_LEAST, VALUE = "at most", "at least", "value"
 
 
 class ActiveSet(NamedTuple):
-    """Active constraints of a solution.
+    """Active constraints of a solution."""
 
-    Attributes
-    ----------
-    rows, bounds : ndarray of bool, shapes (n_g,) and (n_w,)
-        True for rows and unknowns whose bound is active, including equations and fixed unknowns.
-    weak : int
-        Number of inequalities without strict complementarity: the distance from the bound and the
-        multiplier are both near zero.
-    """
-
-    rows: Mask
-    bounds: Mask
-    weak: int
+    rows: Mask  # whether a bound of the row is active, as of all equations
+    bounds: Mask  # whether a bound of the unknown is active
+    weak: int  # number of inequalities whose distance and multiplier are both near zero
 
 
 class Optimality(NamedTuple):

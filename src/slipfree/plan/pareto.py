@@ -22,35 +22,16 @@ MARGIN = 1e-3  # smallest relative gain of a point that dominates another
 
 
 class FrontPoint(NamedTuple):
-    """Point of a Pareto front: minimum of the first objective for a bound on the second one.
+    """Point of a Pareto front: minimum of the first objective for a bound on the second one."""
 
-    Attributes
-    ----------
-    bound : float
-        Bound on the second objective.
-    first, second : float
-        Objectives of the solution; NaN without a solution.
-    slope : float
-        Derivative of the first objective with respect to the bound; NaN if unknown.
-    outcome : Outcome
-        ``COMPLETE`` for a verified solution.
-    words : str
-        Reason of another outcome.
-    solution : object
-        Solution, from which others start.
-    is_dominated : bool
-        Whether another point has a smaller first and no larger second objective. The solution is
-        then a local optimum, but not a global one.
-    """
-
-    bound: float
-    first: float = np.nan
+    bound: float  # bound on the second objective
+    first: float = np.nan  # objectives of the solution; NaN without a solution
     second: float = np.nan
-    slope: float = np.nan
-    outcome: Outcome = Outcome.INTERRUPTED
-    words: str = ""
-    solution: Any = None
-    is_dominated: bool = False
+    slope: float = np.nan  # of the first objective with respect to the bound; or NaN
+    outcome: Outcome = Outcome.INTERRUPTED  # ``COMPLETE`` for a verified solution
+    words: str = ""  # reason of another outcome
+    solution: Any = None  # solution, from which others start
+    is_dominated: bool = False  # a local optimum, but not a global one
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -62,21 +43,11 @@ class FrontPoint(NamedTuple):
 
 
 class FrontTask(NamedTuple):
-    """Minimisation of the first objective for one point of a front.
+    """Minimisation of the first objective for one point of a front."""
 
-    Attributes
-    ----------
-    number : int
-        Index of the point, from 0 at the smallest bound.
-    bound : float
-        Bound on the second objective.
-    start : FrontPoint
-        Solved point as initial guess.
-    """
-
-    number: int
-    bound: float
-    start: FrontPoint
+    number: int  # index of the point, from 0 at the smallest bound
+    bound: float  # bound on the second objective
+    start: FrontPoint  # solved point as initial guess
 
 
 def pareto_front(

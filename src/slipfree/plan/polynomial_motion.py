@@ -33,21 +33,11 @@ ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays in a file
 
 
 class PolynomialMotion(NamedTuple):
-    """Motion as polynomials of time on the intervals of a mesh, in local coordinates.
+    """Motion as polynomials of time on the intervals of a mesh, in local coordinates."""
 
-    Attributes
-    ----------
-    mesh : CollocationMesh
-        Mesh of the polynomials.
-    layout : VariableLayout
-        Indices of states, inputs, algebraic unknowns and duration among the unknowns.
-    unknowns : ndarray, shape (n_w,)
-        Unknowns of a program, not scaled.
-    """
-
-    mesh: CollocationMesh
-    layout: VariableLayout
-    unknowns: Array
+    mesh: CollocationMesh  # mesh of the polynomials
+    layout: VariableLayout  # indices among the unknowns
+    unknowns: Array  # shape (n_w,): unknowns of a program, not scaled
 
     def __repr__(self) -> str:
         return field_overview(self)

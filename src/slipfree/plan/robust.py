@@ -35,19 +35,10 @@ FINAL = 0  # random stream of the draws for the reported shares only
 
 
 class Bound(NamedTuple):
-    """A bound of a limit, goal or way-point, or the requirement that the motion reaches its end.
+    """A bound of a limit, goal or way-point, or the requirement that the motion reaches its end."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the limited quantity, such as ``"utilisation[left]"`` or ``"y at the goal"``;
-        otherwise a description, such as ``"motion ends early (roll)"``.
-    side : str
-        ``"lower"`` or ``"upper"``; empty for the requirement that the motion reaches its end.
-    """
-
-    name: str
-    side: str = ""
+    name: str  # such as "utilisation[left]", "y at the goal", "motion ends early (roll)"
+    side: str = ""  # ``"lower"``, ``"upper"``, or empty for an early end
 
     def __str__(self) -> str:
         return f"{self.side} bound of {self.name}" if self.side else self.name
@@ -57,21 +48,12 @@ Tightening = Mapping[Bound, float]
 
 
 class DisturbedRun(NamedTuple):
-    """Simulation of a plan in a drawn world, compared with the bounds.
+    """Simulation of a plan in a drawn world, compared with the bounds."""
 
-    Attributes
-    ----------
-    excess : dict of Bound to float
-        Largest value beyond each bound and its tolerance, in the unit of the quantity: positive if
-        the bound is violated, infinite if tightening cannot help. If the motion ends early at a
-        limit of the model, distance of the plan from this limit.
-    distance : float
-        Distance of the end of the motion from that of the plan in x and y; NaN if the motion ends
-        early. [m]
-    """
-
+    # largest value beyond each bound and its tolerance, in the unit of the quantity: positive if
+    # violated, infinite if tightening cannot help
     excess: dict[Bound, float]
-    distance: float
+    distance: float  # of its end from that of the plan in x and y, or NaN [m]
 
     @property
     def holds(self) -> bool:
@@ -80,15 +62,9 @@ class DisturbedRun(NamedTuple):
 
 
 class Replays(NamedTuple):
-    """Simulations of a plan in drawn worlds.
+    """Simulations of a plan in drawn worlds."""
 
-    Attributes
-    ----------
-    each : tuple of DisturbedRun
-        One simulation for each draw.
-    """
-
-    each: tuple[DisturbedRun, ...]
+    each: tuple[DisturbedRun, ...]  # one simulation for each draw
 
     def __repr__(self) -> str:
         return f"Replays: {self.held} of {self.draws} satisfy all bounds"
@@ -131,30 +107,14 @@ class Replays(NamedTuple):
 
 
 class RobustPlan(NamedTuple, Generic[P]):
-    """A plan with tightened limits, and its simulations in drawn worlds.
+    """A plan with tightened limits, and its simulations in drawn worlds."""
 
-    Attributes
-    ----------
-    plan : P
-        The plan with the tightest limits that were solved.
-    before, after : Replays
-        Simulations of the first plan and of this one for the same draws. The tightening does not
-        depend on these draws.
-    tightening : dict of Bound to float
-        Distance of each tightened bound from the given one, in the unit of the quantity.
-    rounds : int
-        Number of times that the limits were tightened.
-    failure : str
-        Reason why the last round could not tighten the limits as far as intended; empty if it
-        could, or if no round was needed.
-    """
-
-    plan: P
-    before: Replays
-    after: Replays
-    tightening: dict[Bound, float]
-    rounds: int
-    failure: str
+    plan: P  # the plan with the tightest limits that were solved
+    before: Replays  # simulations of the first plan for the final draws
+    after: Replays  # simulations of this plan for the same draws
+    tightening: dict[Bound, float]  # distance from the given bound, in its unit
+    rounds: int  # number of times that the limits were tightened
+    failure: str  # why the last round could not tighten the limits as far as intended
 
     def __repr__(self) -> str:
         return field_overview(self)

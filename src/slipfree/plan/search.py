@@ -166,30 +166,14 @@ def distances(optima: Sequence[LocalOptimum]) -> list[float]:
 
 
 class SolvedStage(NamedTuple):
-    """Program that was solved during a search for a plan.
+    """Program that was solved during a search for a plan."""
 
-    Attributes
-    ----------
-    words : str
-        Description of the program, such as ``"without slip cost"``.
-    iterations : int
-        Number of iterations.
-    status : str
-        Return status of IPOPT.
-    seconds : dict of str to float
-        Wall times: ``"total"``, ``"functions"`` (evaluations of the program) and ``"rest"``. [s]
-    cost : float
-        Final cost, with the weights of this stage.
-    convergence : Convergence
-        Cost, violation and barrier parameter of every iterate.
-    """
-
-    words: str
-    iterations: int
-    status: str
-    seconds: dict[str, float]
-    cost: float
-    convergence: Convergence
+    words: str  # description of the program, such as ``"without slip cost"``
+    iterations: int  # number of iterations
+    status: str  # return status of IPOPT
+    seconds: dict[str, float]  # wall times, as in `NlpSolution` [s]
+    cost: float  # final cost, with the weights of this stage
+    convergence: Convergence  # cost, violation and barrier parameter of every iterate
 
     def __repr__(self) -> str:
         return field_overview(self)

@@ -28,19 +28,10 @@ Columns = Sequence[ca.MX]
 
 
 class BlockLookup(NamedTuple):
-    """Ground lookup of a block: a function, and the expression of its argument.
+    """Ground lookup of a block: a function, and the expression of its argument."""
 
-    Attributes
-    ----------
-    argument : casadi Function
-        Function ``(v, q, p, c) ->`` argument of the lookup; ``c`` are the results of the preceding
-        lookups of the block.
-    function : casadi Function
-        Function from the argument to the result of the lookup.
-    """
-
-    argument: ca.Function
-    function: ca.Function
+    argument: ca.Function  # function ``(v, q, p, c) ->``; ``c``: results of preceding lookups
+    function: ca.Function  # function from the argument to the result of the lookup
 
 
 class NlpBlock(NamedTuple):
@@ -48,38 +39,17 @@ class NlpBlock(NamedTuple):
 
     The arguments of all functions are unknowns ``v``, constants ``q``, parameters ``p`` and lookup
     results ``c``; derivatives are with respect to ``v``.
-
-    Attributes
-    ----------
-    cost : casadi Function
-        Function ``(v, q, p, c) -> cost``.
-    gradient : casadi Function
-        Function ``(v, q, p, c) -> (cost, gradient of the cost)``.
-    rows : casadi Function
-        Function ``(v, q, p, c) -> rows`` (constraint functions).
-    jacobian : casadi Function
-        Function ``(v, q, p, c) -> (rows, Jacobian of the rows)``.
-    hessian : casadi Function
-        Function ``(v, q, p, c, s, l) ->`` upper triangle of the Hessian of ``s cost + l' rows``.
-    lookups : tuple of BlockLookup
-        Lookups in the order of their evaluation.
-    variable_indices : ndarray, shape (n, n_v)
-        Indices of ``v`` among the unknowns of the program, for each point.
-    row_indices : ndarray, shape (n, n_rows)
-        Indices of the rows among all rows of the program, for each point.
-    constants : ndarray, shape (n, n_q)
-        Values of ``q`` for each point.
     """
 
-    cost: ca.Function
-    gradient: ca.Function
-    rows: ca.Function
-    jacobian: ca.Function
-    hessian: ca.Function
-    lookups: tuple[BlockLookup, ...]
-    variable_indices: Index
-    row_indices: Index
-    constants: Array
+    cost: ca.Function  # function ``(v, q, p, c) -> cost``
+    gradient: ca.Function  # function ``(v, q, p, c) -> (cost, gradient of the cost)``
+    rows: ca.Function  # function ``(v, q, p, c) -> rows`` (constraint functions)
+    jacobian: ca.Function  # function ``(v, q, p, c) -> (rows, Jacobian of the rows)``
+    hessian: ca.Function  # function ``(v, q, p, c, s, l) ->`` upper triangle
+    lookups: tuple[BlockLookup, ...]  # lookups in the order of their evaluation
+    variable_indices: Index  # shape (n, n_v): indices of ``v`` among the unknowns
+    row_indices: Index  # shape (n, n_rows): indices among all rows of the program
+    constants: Array  # shape (n, n_q): values of ``q`` for each point
 
 
 def nlp_block(
@@ -135,33 +105,15 @@ def nlp_block(
 
 
 class ProgramFunctions(NamedTuple):
-    """Cost ``f(w, p)`` and constraint functions ``g(w, p)`` of a program, with derivatives.
+    """Cost ``f(w, p)`` and constraint functions ``g(w, p)`` of a program, with derivatives."""
 
-    Attributes
-    ----------
-    w : MX, shape (n_w, 1)
-        Unknowns, divided by their scale.
-    p : MX, shape (n_p, 1)
-        Parameters.
-    f : MX, shape (1, 1)
-        Cost.
-    g : MX, shape (n_g, 1)
-        Rows (constraint functions).
-    gradient : casadi Function
-        Function ``(w, p) -> (f, gradient of f)``, derivatives with respect to ``w``.
-    jacobian : casadi Function
-        Function ``(w, p) -> (g, Jacobian of g)``.
-    hessian : casadi Function
-        Function ``(w, p, s, l) ->`` upper triangle of the Hessian of ``s f + l' g``.
-    """
-
-    w: ca.MX
-    p: ca.MX
-    f: ca.MX
-    g: ca.MX
-    gradient: ca.Function
-    jacobian: ca.Function
-    hessian: ca.Function
+    w: ca.MX  # shape (n_w, 1): unknowns, divided by their scale
+    p: ca.MX  # shape (n_p, 1): parameters
+    f: ca.MX  # shape (1, 1): cost
+    g: ca.MX  # shape (n_g, 1): rows (constraint functions)
+    gradient: ca.Function  # function ``(w, p) -> (f, gradient of f)``
+    jacobian: ca.Function  # function ``(w, p) -> (g, Jacobian of g)``
+    hessian: ca.Function  # function ``(w, p, s, l) ->`` upper triangle of ``s f + l' g``
 
 
 def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunctions:

@@ -62,35 +62,17 @@ class Cost(NamedTuple):
 
 
 class StageFunctions(NamedTuple):
-    """Equations, limits and costs of a model at one collocation point.
+    """Equations, limits and costs of a model at one collocation point."""
 
-    Attributes
-    ----------
-    function : casadi Function
-        Function ``(t, x, z, r, u, c) -> (rates of the states, rows, costs)`` of time, states,
-        algebraic unknowns on which the plan depends, roots, inputs, and lookup results.
-    symbols : tuple of SX
-        Symbols ``t, x, z, r, u``.
-    lookups : tuple of Lookup
-        Lookups whose results are ``c``, with arguments in these symbols.
-    sizes : tuple of 3 ints
-        Numbers of states, algebraic unknowns and inputs.
-    roots : int
-        Number of roots of squared cost terms.
-    labels : tuple of Label, length n_rows
-        Labels of the rows at a point: collocation equations of the states, equations of the model,
-        equations of the roots, limits.
-    lower, upper : ndarray, shape (n_rows,)
-        Bounds of these rows.
-    """
-
+    # ``(t, x, z, r, u, c) -> (rates of the states, rows, costs)`` of time, states, algebraic
+    # unknowns on which the plan depends, roots, inputs, and lookup results
     function: ca.Function
-    symbols: tuple[ca.SX, ...]
-    lookups: tuple[Lookup, ...]
-    sizes: tuple[int, int, int]
-    roots: int
-    labels: tuple[Label, ...]
-    lower: Array
+    symbols: tuple[ca.SX, ...]  # symbols ``t, x, z, r, u``
+    lookups: tuple[Lookup, ...]  # lookups whose results are ``c``, with arguments in these symbols
+    sizes: tuple[int, int, int]  # numbers of states, algebraic unknowns and inputs
+    roots: int  # number of roots of squared cost terms
+    labels: tuple[Label, ...]  # of collocation, equations, roots, limits
+    lower: Array  # shape (n_rows,): bounds of these rows
     upper: Array
 
 

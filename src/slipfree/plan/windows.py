@@ -49,31 +49,15 @@ GOAL_SUFFIX = " at the goal"  # of the violations of conditions at the end of a 
 
 
 class RouteWindow(NamedTuple):
-    """One window of a long plan.
+    """One window of a long plan."""
 
-    Attributes
-    ----------
-    begin, end : float
-        Arc lengths of the route between which the window was planned. [m]
-    t : float
-        Time at which the window begins. [s]
-    duration : float
-        Duration of the part before the hand-over. [s]
-    iterations : int
-        Number of iterations of all its programs, including those of attempts without solution.
-    seconds : float
-        Wall time of these programs. [s]
-    accurate : bool
-        Whether differences and violations of its simulation are within the accuracy.
-    """
-
-    begin: float
+    begin: float  # arc lengths of the route between which the window was planned [m]
     end: float
-    t: float
-    duration: float
-    iterations: int
-    seconds: float
-    accurate: bool
+    t: float  # time at which the window begins [s]
+    duration: float  # duration of the part before the hand-over [s]
+    iterations: int  # of all its programs, including those without solution
+    seconds: float  # wall time of these programs [s]
+    accurate: bool  # whether differences and violations of its simulation are within the accuracy
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -81,42 +65,21 @@ class RouteWindow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LongPlan:
-    """Plan of a long motion, composed of the parts of windows before their hand-overs.
+    """Plan of a long motion, composed of the parts of windows before their hand-overs."""
 
-    Attributes
-    ----------
-    motion : PolynomialMotion
-        Planned motion as polynomials of time. The states at a hand-over jump by the difference
-        between plan and simulation.
-    replay : Trajectory
-        Simulated motion under the planned inputs, up to the goal or to the last hand-over before a
-        window that was not solved.
-    windows : tuple of RouteWindow
-        Windows in order.
-    difference, violation, units, costs : dict
-        As for `Plan`: largest differences and violations of all windows, and total costs.
-    success, accurate : bool
-        Whether all windows were solved, and whether all of them are accurate.
-    stages : tuple of SolvedStage
-        Programs of all windows in order, including attempts at windows of other lengths.
-    compiled : bool
-        Whether the functions of the programs are compiled.
-    saved : SavedPlan
-        The motion, from which the search may continue or another one may start.
-    """
-
+    # The states at a hand-over jump by the difference between plan and simulation.
     motion: PolynomialMotion
-    replay: Trajectory
+    replay: Trajectory  # up to the goal or an unsolved window
     windows: tuple[RouteWindow, ...]
-    difference: dict[str, float]
+    difference: dict[str, float]  # as for `Plan`, largest of all windows
     violation: dict[str, float]
     units: dict[str, str]
-    costs: dict[str, float]
-    success: bool
+    costs: dict[str, float]  # as for `Plan`, total of all windows
+    success: bool  # whether all windows were solved, and whether all of them are accurate
     accurate: bool
-    stages: tuple[SolvedStage, ...]
-    compiled: bool
-    saved: SavedPlan
+    stages: tuple[SolvedStage, ...]  # in order, including windows of other lengths
+    compiled: bool  # whether the functions of the programs are compiled
+    saved: SavedPlan  # the motion, from which the search may continue or another one may start
 
     def __repr__(self) -> str:
         solved = "accurate" if self.accurate else "not accurate"
@@ -144,21 +107,11 @@ class _Part(NamedTuple):
 
 
 class _HandOver(NamedTuple):
-    """State in which a window begins.
+    """State in which a window begins."""
 
-    Attributes
-    ----------
-    run : Trajectory
-        Trajectory whose last sample is the state.
-    inputs : dict of str to float
-        Inputs at this state; empty if they may jump.
-    reached : float
-        Arc length of the nearest point of the route. [m]
-    """
-
-    run: Trajectory
-    inputs: dict[str, float]
-    reached: float
+    run: Trajectory  # trajectory whose last sample is the state
+    inputs: dict[str, float]  # inputs at this state; empty if they may jump
+    reached: float  # arc length of the nearest point of the route [m]
 
 
 class _WindowSearch(NamedTuple):

@@ -33,24 +33,13 @@ Ends = tuple[tuple[int, int], tuple[int, int]]  # nodes
 
 
 class Objection(NamedTuple):
-    """Reason why a position cannot be part of a motion.
+    """Reason why a position cannot be part of a motion."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the position, such as ``"goal"``.
-    words : str
-        The reason with numbers, and a remedy.
-    sure : bool
-        Whether the position is an error: it is off the map, within reach of a keep-out region or
-        on a slope that friction cannot hold, or one of these two separates it from the start.
-        Otherwise only the search for a route fails, since it requires space for every heading and
-        ground that is not too steep, rough or concave for the footprint; a motion may still
-        exist.
-    """
-
-    name: str
-    words: str
+    name: str  # name of the position, such as ``"goal"``
+    words: str  # the reason with numbers, and a remedy
+    # whether the position is an error: off the map, within reach of a keep-out region or on a slope
+    # that friction cannot hold, or one of these two separates it from the start. Otherwise only the
+    # search for a route fails, since it requires space for every heading; a motion may still exist
     sure: bool
 
 

@@ -15,18 +15,10 @@ PlanarPose = tuple[float, float, float]
 
 
 class Arc(NamedTuple):
-    """Arc of a circle or straight line.
+    """Arc of a circle or straight line."""
 
-    Attributes
-    ----------
-    length : float
-        Length, negative if the vehicle drives backwards. [m]
-    curvature : float
-        Change of the heading per metre driven forwards, positive to the left. [1/m]
-    """
-
-    length: float
-    curvature: float
+    length: float  # length, negative if the vehicle drives backwards [m]
+    curvature: float  # change of the heading per metre driven forwards, positive to the left [1/m]
 
 
 def reeds_shepp(

@@ -28,45 +28,22 @@ MIDDLE, EDGE, BEND = np.array([0.5, 0.5]), np.array([-1.0, 1.0]), np.array([1.0,
 
 
 class _Field(NamedTuple):
-    """Part of the map around a route: finite cost, and distance to the nearest blocked node.
+    """Part of the map around a route: finite cost, and distance to the nearest blocked node."""
 
-    Attributes
-    ----------
-    cost, clearance : ndarray, shape (n_x, n_y)
-        Smoothed cost per metre [1], and distance to the nearest blocked node [m].
-    origin, spacing : ndarray, shape (2,)
-        Map coordinates of the first node, and distances between nodes. [m]
-    """
-
-    cost: Array
-    clearance: Array
-    origin: Array
+    cost: Array  # shape (n_x, n_y): smoothed cost per metre [1]
+    clearance: Array  # shape (n_x, n_y): distance to the nearest blocked node [m]
+    origin: Array  # shape (2,): map coordinates of the first node, and distances between nodes [m]
     spacing: Array
 
 
 class _Objective(NamedTuple):
-    """Weights and bounds of the smoothing objective.
+    """Weights and bounds of the smoothing objective."""
 
-    Attributes
-    ----------
-    stiff : float
-        Length that weights the curvature: the cost per metre contains half the square of ``stiff``
-        times the curvature. [m]
-    clear : float
-        Required clearance from blocked nodes. [m]
-    sharpest : float
-        Curvature above which a violation is penalised; infinite without a turning radius. [1/m]
-    weight : float
-        Weight of the violations of clearance and curvature. [1]
-    step : float
-        Mean distance between points. [m]
-    """
-
-    stiff: float
-    clear: float
-    sharpest: float
-    weight: float
-    step: float
+    stiff: float  # weight of the curvature, see `_objective` [m]
+    clear: float  # required clearance from blocked nodes [m]
+    sharpest: float  # curvature above which a violation is penalised, may be infinite [1/m]
+    weight: float  # weight of the violations of clearance and curvature [1]
+    step: float  # mean distance between points [m]
 
 
 def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array:

@@ -190,39 +190,18 @@ class Limits(NamedTuple):
 
 
 class Traversability(NamedTuple):
-    """Cost of a map for a vehicle, and the layers from which it was computed.
+    """Cost of a map for a vehicle, and the layers from which it was computed."""
 
-    Attributes
-    ----------
-    x, y : ndarray, shape (n_x,) and (n_y,)
-        Axes in map coordinates. [m]
-    cost : ndarray, shape (n_x, n_y)
-        Cost per metre; infinite where the vehicle's centre must not be. [1]
-    slope : ndarray, shape (n_x, n_y)
-        Slope of the plane fitted to the ground under the footprint. [rad]
-    roughness : ndarray, shape (n_x, n_y)
-        Root mean square deviation of the ground from that plane. [m]
-    hollow : ndarray, shape (n_x, n_y)
-        Largest concavity of the ground in any direction; negative on a dome. [1/m]
-    friction : ndarray, shape (n_x, n_y), or None
-        Tangent of the slope, divided by the mean friction coefficient of the ground under the
-        footprint and by the largest ``grip`` of a wheel; None if the terrain has no friction
-        coefficient. [1]
-    to_hole : ndarray, shape (n_x, n_y)
-        Distance to the nearest cell of the ground with a missing height, negative inside; infinite
-        on a map without holes. [m]
-    limits : Limits
-        Limits of the vehicle.
-    """
-
-    x: Array
+    x: Array  # shape (n_x,): axes in map coordinates [m]
     y: Array
-    cost: Array
-    slope: Array
-    roughness: Array
-    hollow: Array
+    cost: Array  # shape (n_x, n_y): per metre; infinite where the centre must not be [1]
+    slope: Array  # shape (n_x, n_y): of the plane fitted under the footprint [rad]
+    roughness: Array  # shape (n_x, n_y): root mean square deviation from that plane [m]
+    hollow: Array  # shape (n_x, n_y): largest concavity; negative on a dome [1/m]
+    # shape (n_x, n_y): tangent of the slope, divided by the mean friction coefficient of the ground
+    # under the footprint and by the largest ``grip`` of a wheel [1]
     friction: Array | None
-    to_hole: Array
+    to_hole: Array  # shape (n_x, n_y): distance to a missing height, negative inside [m]
     limits: Limits
 
     @property

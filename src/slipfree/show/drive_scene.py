@@ -58,39 +58,17 @@ SAME = 1e-9  # smaller differences of grounds are rounding [m]
 
 
 class Driven(NamedTuple):
-    """A motion over terrain with its ground and vehicle.
-
-    Attributes
-    ----------
-    name : str
-        Displayed name.
-    run : Trajectory
-        The motion.
-    terrain : Bicubic
-        The ground.
-    vehicle : Vehicle
-        The vehicle.
-    keep_out : tuple of Region
-        Keep-out regions of a plan.
-    plan : Trajectory or None
-        The plan that the motion simulates, with poses and contact points; None without a plan.
-    prisms : tuple of Prism
-        Solids on the ground.
-    robot : Robot or None
-        URDF of the vehicle; None without one.
-    visuals : mapping of str to Mesh
-        Meshes of links of the URDF, in the frames of the links, by name; empty if unavailable.
-    """
+    """A motion over terrain with its ground and vehicle."""
 
     name: str
     run: Trajectory
     terrain: Bicubic
     vehicle: Vehicle
-    keep_out: tuple[Region, ...] = ()
-    plan: Trajectory | None = None
-    prisms: tuple[Prism, ...] = ()
-    robot: Robot | None = None
-    visuals: Mapping[str, Mesh] = {}
+    keep_out: tuple[Region, ...] = ()  # of a plan
+    plan: Trajectory | None = None  # the plan that the motion simulates, with contact points
+    prisms: tuple[Prism, ...] = ()  # solids on the ground
+    robot: Robot | None = None  # URDF of the vehicle; None without one
+    visuals: Mapping[str, Mesh] = {}  # of links of the URDF, in their frames, by name
 
 
 def drive_scene(drives: Sequence[Driven]) -> Scene:

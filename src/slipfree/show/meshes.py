@@ -103,24 +103,12 @@ def _cut(points: Array, axis: int, bound: float, sign: float) -> Array:
 
 
 class Refined(NamedTuple):
-    """A grid with divided cells.
-
-    Attributes
-    ----------
-    grid : Grid
-        The grid.
-    near : ndarray of bool, shape (n_x - 1, n_y - 1)
-        Mask of the divided cells.
-    parts : int
-        Number of intervals on each side of a divided cell; 1 if no cell is divided.
-    terrain : Terrain
-        Ground that gives the heights inside divided cells.
-    """
+    """A grid with divided cells."""
 
     grid: Grid
-    near: npt.NDArray[np.bool_]
-    parts: int
-    terrain: Terrain
+    near: npt.NDArray[np.bool_]  # shape (n_x - 1, n_y - 1): mask of the divided cells
+    parts: int  # number of intervals on each side of a divided cell; 1 if no cell is divided
+    terrain: Terrain  # ground that gives the heights inside divided cells
 
     @property
     def spacing(self) -> float:

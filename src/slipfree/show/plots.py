@@ -31,59 +31,27 @@ MARGIN = 24.0  # height of legend, axis and note of a figure [mm]
 
 
 class Panel(NamedTuple):
-    """One of the axes in a figure.
-
-    Attributes
-    ----------
-    draw : callable
-        ``draw(ax)`` draws on the axes.
-    height : float
-        Height of the axes. [mm]
-    has_legend : bool
-        Whether its artists appear in the legend of the figure.
-    """
+    """One of the axes in a figure."""
 
     draw: Callable[[Axes], Any]
-    height: float = PANEL
-    has_legend: bool = True
+    height: float = PANEL  # height of the axes [mm]
+    has_legend: bool = True  # whether its artists appear in the legend of the figure
 
 
 class Plot(NamedTuple):
-    """A figure that has not been drawn yet.
+    """A figure that has not been drawn yet."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the figure and of its file, without ending.
-    caption : str
-        Caption of the figure.
-    make : callable
-        ``make()`` draws and returns the figure.
-    """
-
-    name: str
+    name: str  # also of its file, without ending
     caption: str
-    make: Callable[[], Figure]
+    make: Callable[[], Figure]  # draws and returns the figure
 
 
 class PlottedDrive(NamedTuple):
-    """Data for the figures of a motion over terrain.
-
-    Attributes
-    ----------
-    run : Trajectory
-        The motion.
-    grid : Grid
-        The ground.
-    surface : Terrain
-        Surface of the ground as used by the model.
-    prisms : tuple of Prism
-        Solids on the ground.
-    """
+    """Data for the figures of a motion over terrain."""
 
     run: Trajectory
     grid: Grid
-    surface: Terrain
+    surface: Terrain  # surface of the ground as used by the model
     prisms: tuple[Prism, ...] = ()
 
 

@@ -50,69 +50,31 @@ GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 
 
 class Layer(NamedTuple):
-    """A colouring of the ground.
+    """A colouring of the ground."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the quantity that determines the colour.
-    legend : str
-        Description of the range of values, with unit.
-    scale : tuple of 3-tuples
-        Colours of the scale from its lowest to its highest value.
-    colors : ndarray of uint8, shape (n, 3)
-        Red, green and blue of the vertices.
-    """
-
-    name: str
-    legend: str
-    scale: tuple[Color, ...]
-    colors: Colors
+    name: str  # name of the quantity that determines the colour
+    legend: str  # description of the range of values, with unit
+    scale: tuple[Color, ...]  # colours of the scale from its lowest to its highest value
+    colors: Colors  # shape (n, 3): red, green and blue of the vertices
 
 
 class Lines(NamedTuple):
-    """Lines on the ground of a scene.
+    """Lines on the ground of a scene."""
 
-    Attributes
-    ----------
-    name : str
-        Displayed name, such as ``"contours"``.
-    legend : str
-        Description of the lines, such as their distance.
-    color : tuple of 3 ints
-        Red, green and blue, from 0 to 255.
-    segments : ndarray, shape (n, 2, 3)
-        Starts and ends of straight pieces, in scene coordinates. [m]
-    labels : tuple of (str, ndarray)
-        Texts and their positions, shape (3,). [m]
-    """
-
-    name: str
-    legend: str
-    color: Color
-    segments: Array
-    labels: tuple[tuple[str, Array], ...] = ()
+    name: str  # displayed name, such as ``"contours"``
+    legend: str  # description of the lines, such as their distance
+    color: Color  # red, green and blue, from 0 to 255
+    segments: Array  # shape (n, 2, 3): starts and ends of straight pieces, in scene coordinates [m]
+    labels: tuple[tuple[str, Array], ...] = ()  # texts and their positions, shape (3,) [m]
 
 
 class SceneGround(NamedTuple):
-    """Ground of a scene.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        The surface.
-    layers : tuple of Layer
-        Colourings to choose from.
-    shade : ndarray, shape (n,), or None
-        Factor of the brightness of each vertex in a hillshade; None without a hillshade.
-    lines : tuple of Lines
-        Lines on the surface: contours, grid, arrow to the north.
-    """
+    """Ground of a scene."""
 
     mesh: Mesh
-    layers: tuple[Layer, ...]
-    shade: Array | None = None
-    lines: tuple[Lines, ...] = ()
+    layers: tuple[Layer, ...]  # colourings to choose from
+    shade: Array | None = None  # shape (n,): brightness of the vertices in a hillshade
+    lines: tuple[Lines, ...] = ()  # lines on the surface: contours, grid, arrow to the north
 
     def colors(self, name: str, *, shaded: bool) -> Colors:
         """Return the colours of the vertices in a layer, with or without hillshade."""
@@ -123,24 +85,12 @@ class SceneGround(NamedTuple):
 
 
 class SceneBody(NamedTuple):
-    """A rigid body over time.
+    """A rigid body over time."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the part or the wheel.
-    meshes : tuple of (Mesh, color)
-        Meshes in the frame of the body, with their colours.
-    origins : ndarray, shape (n, 3)
-        Origin of the body's frame at each time, in scene coordinates. [m]
-    rotations : ndarray, shape (n, 3, 3)
-        Rotation matrix from the body's frame to the scene at each time.
-    """
-
-    name: str
-    meshes: tuple[tuple[Mesh, Color], ...]
-    origins: Array
-    rotations: Array
+    name: str  # name of the part or the wheel
+    meshes: tuple[tuple[Mesh, Color], ...]  # meshes in the frame of the body, with their colours
+    origins: Array  # shape (n, 3): origins of the body's frame in the scene [m]
+    rotations: Array  # shape (n, 3, 3): from the body's frame to the scene
 
     @property
     def quaternions(self) -> Array:
@@ -149,113 +99,48 @@ class SceneBody(NamedTuple):
 
 
 class Arrows(NamedTuple):
-    """Vectors at the contacts.
+    """Vectors at the contacts."""
 
-    Attributes
-    ----------
-    name : {"slip", "force"}
-        Velocity of the wheels' material points over the ground, or force of the ground on them.
-    starts : ndarray, shape (n, k, 3)
-        Starting points; NaN without contact. [m]
-    vectors : ndarray, shape (n, k, 3)
-        Components in scene axes. [m/s or N]
-    """
-
-    name: str
-    starts: Array
-    vectors: Array
+    name: str  # of wheels over the ground, or of the ground on wheels: "slip" or "force"
+    starts: Array  # shape (n, k, 3): starting points; NaN without contact [m]
+    vectors: Array  # shape (n, k, 3): components in scene axes [m/s or N]
 
 
 class Actor(NamedTuple):
-    """One motion of one vehicle.
-
-    Attributes
-    ----------
-    name : str
-        Displayed name.
-    color : tuple of 3 ints
-        Red, green and blue of the platform, from 0 to 255.
-    t : ndarray, shape (n,)
-        Times of the samples of bodies, contacts and arrows. [s]
-    bodies : tuple of SceneBody
-        Parts of the vehicle, the platform first, and wheels.
-    contacts : ndarray, shape (n, k, 3)
-        Contact points; NaN without contact. [m]
-    arrows : tuple of Arrows
-        Slip and forces, if the motion has them.
-    ghost : bool
-        Whether the motion is a plan, which is drawn as wireframe.
-    stop : str
-        Time and reason of an early stop, or outcome and reason of an incomplete plan; empty without
-        a stop.
-    """
+    """One motion of one vehicle."""
 
     name: str
-    color: Color
-    t: Array
-    bodies: tuple[SceneBody, ...]
-    contacts: Array
-    arrows: tuple[Arrows, ...]
-    ghost: bool = False
-    stop: str = ""
+    color: Color  # red, green and blue of the platform, from 0 to 255
+    t: Array  # shape (n,): times of the samples of bodies, contacts and arrows [s]
+    bodies: tuple[SceneBody, ...]  # parts of the vehicle, the platform first, and wheels
+    contacts: Array  # shape (n, k, 3): contact points; NaN without contact [m]
+    arrows: tuple[Arrows, ...]  # slip and forces, if the motion has them
+    ghost: bool = False  # whether the motion is a plan, which is drawn as wireframe
+    stop: str = ""  # time and reason of an early stop, or outcome of an incomplete plan
 
 
 class Backdrop(NamedTuple):
-    """Ground of a film: a plan or section with all paths, and the surroundings of a vehicle.
+    """Ground of a film: a plan or section with all paths, and the surroundings of a vehicle."""
 
-    Attributes
-    ----------
-    draw : callable
-        ``draw(ax)`` draws the ground on axes in map coordinates, in plan view or as a section.
-    axes : tuple of 2 ints
-        Indices of the coordinates on these axes: `PLAN` or `SECTION`.
-    near : callable
-        ``near(point, half)`` returns the faces of the ground around a point, each of shape (n, 3),
-        in scene coordinates; ``half`` is half the width of the surroundings. [m]
-    half : float
-        Half the width of the surroundings in the view of the vehicle. [m]
-    camera : tuple of 2 floats
-        Elevation and azimuth of the camera. [deg]
-    """
-
-    draw: Callable[[Axes], Any]
-    axes: tuple[int, int]
+    draw: Callable[[Axes], Any]  # draws the ground on axes in map coordinates
+    axes: tuple[int, int]  # indices of the coordinates on these axes: `PLAN` or `SECTION`
+    # ``near(point, half)`` returns the faces of the ground around a point, each of shape (n, 3) [m]
     near: Callable[[Array, float], Sequence[Array]]
-    half: float
-    camera: tuple[float, float]
+    half: float  # half the width of the surroundings in the view of the vehicle [m]
+    camera: tuple[float, float]  # elevation and azimuth of the camera [deg]
 
 
 class Scene(NamedTuple):
-    """Ground, motions and notes of a drawing.
-
-    Attributes
-    ----------
-    ground : SceneGround
-        The ground.
-    actors : tuple of Actor
-        The motions.
-    origin : ndarray, shape (3,)
-        Map coordinates of the scene's origin. [m]
-    reach : float
-        Radius of a circle around the largest vehicle. [m]
-    backdrop : Backdrop
-        The ground in films.
-    scales : dict of str to float
-        Length of an arrow per unit of its quantity, by name; zero without arrows. [m s/m, m/N]
-    notes : tuple of str
-        Notes on the drawing.
-    warnings : tuple of str
-        Notes that are always shown.
-    """
+    """Ground, motions and notes of a drawing."""
 
     ground: SceneGround
     actors: tuple[Actor, ...]
-    origin: Array
-    reach: float
-    backdrop: Backdrop
-    scales: dict[str, float]
+    origin: Array  # shape (3,): map coordinates of the scene's origin [m]
+    reach: float  # radius of a circle around the largest vehicle [m]
+    backdrop: Backdrop  # the ground in films
+    scales: dict[str, float]  # length of an arrow per unit; zero without [m s/m, m/N]
     notes: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # notes that are always shown
 
     @property
     def paths(self) -> Array:

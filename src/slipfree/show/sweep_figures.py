@@ -185,35 +185,17 @@ def _labelled(name: str, unit: str) -> str:
 
 
 class DrawnFront(NamedTuple):
-    """Data for the figure of a Pareto front of n points.
+    """Data for the figure of a Pareto front of n points."""
 
-    Attributes
-    ----------
-    name, unit : str
-        Name and unit of the second objective.
-    bounds, second : ndarray, shape (n,)
-        Bound and value of the second objective, in its unit; the value is NaN for unsolved points.
-    objective, slopes : ndarray, shape (n,)
-        Minimised objective, and its derivative with respect to the bound. [m2/s, m2/s per unit of
-        the bound]
-    slip : ndarray, shape (n,)
-        Slip per wheel and metre of path. [m/m]
-    is_dominated : ndarray of bool, shape (n,)
-        Whether another point of the front dominates the point.
-    given : tuple of 3 floats
-        Second objective, first objective [m2/s] and slip [m/m] of the plan with the costs of the
-        problem.
-    """
-
-    name: str
+    name: str  # name and unit of the second objective
     unit: str
-    bounds: Array
-    second: Array
-    objective: Array
-    slopes: Array
-    slip: Array
-    is_dominated: Mask
-    given: tuple[float, float, float]
+    bounds: Array  # shape (n,), in the unit of the second objective
+    second: Array  # shape (n,): second objective, NaN for unsolved points
+    objective: Array  # shape (n,): minimised objective [m2/s]
+    slopes: Array  # shape (n,): its derivative with respect to the bound
+    slip: Array  # shape (n,): slip per wheel and metre of path [m/m]
+    is_dominated: Mask  # shape (n,): whether another point of the front dominates the point
+    given: tuple[float, float, float]  # both objectives and slip with the costs of the problem
 
 
 def front_figure(front: DrawnFront) -> Figure:
@@ -277,28 +259,13 @@ def _draw_tangents(front: DrawnFront, ax: Axes) -> None:
 
 
 class DrawnWheel(NamedTuple):
-    """Data for the figure of a single-wheel test.
+    """Data for the figure of a single-wheel test."""
 
-    Attributes
-    ----------
-    angle : ndarray, shape (n_angles,)
-        Slip angles. [rad]
-    slip : ndarray, shape (n_slips,)
-        Slip ratios. [1]
-    load : float
-        Vertical load of the curves. [N]
-    values : mapping of str and ndarray, shape (n_angles, n_slips)
-        Computed quantities by name.
-    measured : mapping of str and tuple of 4 ndarrays, shape (n,)
-        Slip ratios [1], slip angles [rad], loads [N] and values of measured points, by quantity.
-        Those at the load of the curves are circles, others are crosses.
-    """
-
-    angle: Array
-    slip: Array
-    load: float
-    values: Mapping[str, Array]
-    measured: Mapping[str, tuple[Array, Array, Array, Array]]
+    angle: Array  # shape (n_angles,): slip angles [rad]
+    slip: Array  # shape (n_slips,): slip ratios [1]
+    load: float  # vertical load of the curves [N]
+    values: Mapping[str, Array]  # shape (n_angles, n_slips): computed quantities by name
+    measured: Mapping[str, tuple[Array, Array, Array, Array]]  # by quantity
 
 
 def wheel_plot(name: str, test: DrawnWheel) -> Plot:

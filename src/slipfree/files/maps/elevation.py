@@ -40,18 +40,10 @@ Facts = tuple[tuple[str, str], ...]
 
 
 class Frame(NamedTuple):
-    """Linear relation between ground and map file: file coordinates ``x0 + kx x, y0 + ky y``.
+    """Linear relation between ground and map file: file coordinates ``x0 + kx x, y0 + ky y``."""
 
-    Attributes
-    ----------
-    x0, y0 : float
-        Origin of the ground in coordinates of the file. [m] or [deg]
-    kx, ky : float
-        Units of the file per metre of the ground. [1] or [deg/m]
-    """
-
-    x0: float = 0.0
-    kx: float = 1.0
+    x0: float = 0.0  # origin of the ground in coordinates of the file [m] or [deg]
+    kx: float = 1.0  # units of the file per metre of the ground [1] or [deg/m]
     y0: float = 0.0
     ky: float = 1.0
 
@@ -327,21 +319,11 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
 
 
 class MapReader(NamedTuple):
-    """Reader of map files of one format.
+    """Reader of map files of one format."""
 
-    Attributes
-    ----------
-    endings : tuple of str
-        Endings of the names of such files, in lower case, with the dot.
-    read : callable
-        ``read(path, reading)`` returns the heights in a file.
-    keys : tuple of str
-        Fields of `Reading`, besides ``window``, that the format uses.
-    """
-
-    endings: tuple[str, ...]
-    read: Callable[[Path, Reading], Heights]
-    keys: tuple[str, ...] = ()
+    endings: tuple[str, ...]  # endings of the names of such files, in lower case, with the dot
+    read: Callable[[Path, Reading], Heights]  # ``read(path, reading)`` returns the heights
+    keys: tuple[str, ...] = ()  # fields of `Reading`, besides ``window``, that the format uses
 
 
 def _read_raster(path: Path, ask: Reading) -> Heights:

@@ -109,30 +109,15 @@ def _check_header(path: Path) -> None:
 
 
 class Reading(NamedTuple):
-    """Information that the user gives about a map file.
+    """Information that the user gives about a map file."""
 
-    Attributes
-    ----------
-    window : tuple of 4 floats or None
-        Part to read: x_min, x_max, y_min, y_max in coordinates of the file. [m] or [deg]
-    cell : float or None
-        Width of a cell of a raster without coordinates. [m]
-    registration : {"area", "point"} or None
-        Position of the values of a raster without coordinates. ``"area"``: at the centres of cells,
-        so that the border is half a cell outside the first node. ``"point"``: at nodes, so that the
-        border passes through the first node.
-    spacing : float or None
-        Distance between nodes for scattered points and point clouds. [m]
-    vertical_scale : float or None
-        Metres per unit of the heights, to recognize markers of missing heights; None if the heights
-        are metres, or unknown gray levels.
-    """
-
-    window: Window | None = None
-    cell: float | None = None
+    window: Window | None = None  # x_min, x_max, y_min, y_max of the part to read [m] or [deg]
+    cell: float | None = None  # width of a cell of a raster without coordinates [m]
+    # of a raster without coordinates: values at the centres of cells, so that the border is half a
+    # cell outside the first node (``"area"``), or at nodes (``"point"``)
     registration: Registration | None = None
-    spacing: float | None = None
-    vertical_scale: float | None = None
+    spacing: float | None = None  # distance between nodes for scattered points and point clouds [m]
+    vertical_scale: float | None = None  # metres per unit of the heights; None if gray or metres
 
 
 class _Place(NamedTuple):

@@ -63,28 +63,13 @@ BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
 
 @dataclass(frozen=True)
 class Source:
-    """Text of a problem file, and the origin of its values.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the file.
-    text : str
-        Text of the file.
-    lines : mapping of tuple to int
-        Line number of every key and table. A key is a tuple of names, and of indices for elements
-        of arrays of tables.
-    settings : mapping of tuple to str
-        Settings ``key=value`` of the command line, by the keys that they set.
-    varied : frozenset of tuple
-        Keys of `settings` that the option ``--vary`` sets; the other keys are set by ``--set``.
-    """
+    """Text of a problem file, and the origin of its values."""
 
     path: Path
     text: str
-    lines: Mapping[Place, int]
-    settings: Mapping[Place, str] = field(default_factory=dict)
-    varied: frozenset[Place] = frozenset()
+    lines: Mapping[Place, int]  # line of every key, with indices of arrays of tables, and table
+    settings: Mapping[Place, str] = field(default_factory=dict)  # ``key=value`` by key
+    varied: frozenset[Place] = frozenset()  # keys that ``--vary`` sets; ``--set`` sets the others
 
     def where(self, place: Place) -> str:
         """Return the location ``file:line: key``, ``--set key`` or ``--vary key`` of a value."""
@@ -230,22 +215,12 @@ class ProblemError(DataError):
 
 
 class Fault(NamedTuple):
-    """One error in a TOML file.
+    """One error in a TOML file."""
 
-    Attributes
-    ----------
-    place : tuple of str or int
-        Location of the value: names of nested keys, and indices of array elements.
-    expected, found : str
-        Descriptions of the expected and the found value.
-    hint : str
-        Suggestion at the start of the message, such as a similar key; empty without one.
-    """
-
-    place: Place
-    expected: str
+    place: Place  # location of the value: names of nested keys, and indices of array elements
+    expected: str  # descriptions of the expected and the found value
     found: str
-    hint: str = ""
+    hint: str = ""  # suggestion at the start of the message, such as a similar key
 
     @property
     def message(self) -> str:

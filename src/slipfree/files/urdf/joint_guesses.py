@@ -38,27 +38,13 @@ LATERAL = 0.9  # axes of opposite rockers have at least this component to the le
 
 
 class Caster(NamedTuple):
-    """A caster: links that belong together, of which one touches the ground.
+    """A caster: links that belong together, of which one touches the ground."""
 
-    Attributes
-    ----------
-    joint : str
-        Joint of the link that touches the ground.
-    parts : frozenset of str
-        Joints of all its links.
-    radius : float
-        Radius of the ball or wheel. [m]
-    is_ball : bool
-        Whether it slides freely as a ball; else it is a wheel that trails the axis of a swivel.
-    reason : str
-        Reason for the radius.
-    """
-
-    joint: str
-    parts: frozenset[str]
-    radius: float
-    is_ball: bool
-    reason: str
+    joint: str  # joint of the link that touches the ground
+    parts: frozenset[str]  # joints of all its links
+    radius: float  # radius of the ball or wheel [m]
+    is_ball: bool  # whether it slides freely as a ball; else its wheel trails a swivel
+    reason: str  # reason for the radius
 
 
 def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) -> Iterator[Caster]:

@@ -206,24 +206,12 @@ class Evidence(NamedTuple):
 
 
 class Forward(NamedTuple):
-    """Forward direction of a URDF.
+    """Forward direction of a URDF."""
 
-    Attributes
-    ----------
-    direction : {"x", "-x", "y", "-y"}
-        Axis of the root link that probably points forward.
-    reason : str
-        Evidence for it, and against it; empty for evidence that only agrees with the convention.
-    other : str
-        Axis that the other choice would be.
-    is_open : bool
-        Whether the evidence is absent or contradictory, so that the direction must be given.
-    """
-
-    direction: str
-    reason: str
-    other: str
-    is_open: bool = False
+    direction: str  # axis of the root link that probably points forward
+    reason: str  # evidence for it, and against it; empty if it agrees with the convention
+    other: str  # axis that the other choice would be
+    is_open: bool = False  # if the evidence is absent or contradictory: must be given
 
 
 def _sides(name: str) -> set[str]:
