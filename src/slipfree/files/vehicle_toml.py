@@ -10,13 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    ValidationError,
-)
+from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, ValidationError
 
 from slipfree.core.errors import ModelError
 from slipfree.files.toml.source import (

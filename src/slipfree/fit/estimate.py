@@ -21,13 +21,7 @@ import scipy  # its parts are imported when they are used, since this takes 0.2 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label, Mask
-from slipfree.fit.body_motion import (
-    BodyMotion,
-    MotionError,
-    Velocities,
-    body_motion,
-    velocities,
-)
+from slipfree.fit.body_motion import BodyMotion, MotionError, Velocities, body_motion, velocities
 from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
 from slipfree.fit.windows import Windows, end_poses
 from slipfree.system.interrupt import check_interrupt, interrupt_requested

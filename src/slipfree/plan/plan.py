@@ -21,10 +21,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record, leaves, overview
 from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory
 from slipfree.plan.explanation import explanation
-from slipfree.plan.ipopt import (
-    STOPPED_STATUS,
-    NlpSolution,
-)
+from slipfree.plan.ipopt import STOPPED_STATUS, NlpSolution
 from slipfree.plan.optimality import Optimality, Price, check_optimality, limit_prices
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
@@ -49,11 +46,7 @@ from slipfree.plan.search import (
 )
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
-from slipfree.plan.verification import (
-    Verification,
-    inputs_along,
-    verify_plan,
-)
+from slipfree.plan.verification import Verification, inputs_along, verify_plan
 from slipfree.solve.options import SolverOptions
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import with_interrupt_guard

@@ -36,11 +36,7 @@ from slipfree.plan.polynomial_motion import (
     transfer_motion,
 )
 from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
-from slipfree.plan.verification import (
-    Verification,
-    largest_error,
-    refine_mesh,
-)
+from slipfree.plan.verification import Verification, largest_error, refine_mesh
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 
@@ -348,12 +344,7 @@ def _solve_stage(
     stages = [_stage_of(words, found)]
     if found.status in STUCK_STATUSES:  # rounding decides whether searches for long plans succeed
         again = solve_program(
-            program,
-            weights,
-            first,
-            warm=warm,
-            on_iterate=on_iterate,
-            growth=OTHER_VIOLATION_GROWTH,
+            program, weights, first, warm=warm, on_iterate=on_iterate, growth=OTHER_VIOLATION_GROWTH
         )
         words = f"{words}, again"
         stages.append(_stage_of(words, again))

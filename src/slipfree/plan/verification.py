@@ -57,12 +57,7 @@ class Verification(NamedTuple):
 
 
 def verify_plan(
-    program: Program,
-    unknowns: Array,
-    start: Trajectory,
-    *,
-    accuracy: float,
-    step: float,
+    program: Program, unknowns: Array, start: Trajectory, *, accuracy: float, step: float
 ) -> Verification:
     """Simulate the inputs of a plan and compare the simulation with the plan.
 

@@ -279,11 +279,7 @@ def _stop_of(found: Plan, here: _HandOver, end: float) -> Stop | None:
 
 
 def _first_part(
-    found: Plan,
-    span: tuple[float, float],
-    t: float,
-    rest: float,
-    stages: tuple[SolvedStage, ...],
+    found: Plan, span: tuple[float, float], t: float, rest: float, stages: tuple[SolvedStage, ...]
 ) -> _Part:
     """Return the part of a window before its hand-over, which leaves at least ``rest`` seconds."""
     motion, run = found.motion, found.replay
@@ -335,11 +331,7 @@ def _former_part(
 
 
 def _join(
-    parts: list[_Part],
-    task: PlanTask | None,
-    stop: Stop | None,
-    dae: Dae,
-    options: SolverOptions,
+    parts: list[_Part], task: PlanTask | None, stop: Stop | None, dae: Dae, options: SolverOptions
 ) -> LongPlan:
     """Return the plan composed of parts; ``task`` has the terms of its cost."""
     motion = joined_motions([part.motion for part in parts])

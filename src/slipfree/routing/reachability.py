@@ -152,11 +152,7 @@ def _keep_out_words(layers: Traversability, ends: Ends) -> str:
     return f"several keep-out regions together separate them: {words}; make one smaller or move it"
 
 
-def _divides(
-    layers: Traversability,
-    regions: tuple[Region, ...],
-    ends: Ends,
-) -> bool:
+def _divides(layers: Traversability, regions: tuple[Region, ...], ends: Ends) -> bool:
     """Return whether keep-out regions separate two nodes."""
     limits = layers.limits._replace(keep_out=regions)
     return not _are_connected(~blocked_by(layers._replace(limits=limits))["keep_out"], ends)

@@ -157,12 +157,7 @@ def route(
 
 
 def routes(
-    layers: Traversability,
-    start: Point,
-    goal: Point,
-    count: int,
-    *,
-    turning_radius: float = 0.0,
+    layers: Traversability, start: Point, goal: Point, count: int, *, turning_radius: float = 0.0
 ) -> list[Route]:
     """Return several routes of different homotopy classes, in order of cost.
 

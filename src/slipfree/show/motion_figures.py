@@ -230,10 +230,7 @@ def check(run: Trajectory, name: str, ax: Axes) -> Axes:
 
 
 def motion_plots(
-    run: Trajectory,
-    grid: Grid,
-    surface: Terrain | None = None,
-    prisms: tuple[Prism, ...] = (),
+    run: Trajectory, grid: Grid, surface: Terrain | None = None, prisms: tuple[Prism, ...] = ()
 ) -> tuple[Plot, ...]:
     """Return the figures of `FIGURES` that have content, the most important first."""
     drive = PlottedDrive(run, grid, surface or Bicubic(grid), prisms)

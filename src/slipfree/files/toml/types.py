@@ -189,8 +189,7 @@ def record_of(
         key.name: (
             _toml_type(key),
             Field(
-                default=... if key.default is MISSING else key.default,
-                description=key.description,
+                default=... if key.default is MISSING else key.default, description=key.description
             ),
         )
         for key in keys_of(kind)

@@ -15,14 +15,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.roles import Roles
-from slipfree.files.urdf.tree import (
-    Link,
-    Mimic,
-    Shape,
-    Tree,
-    UrdfJoint,
-    lowest,
-)
+from slipfree.files.urdf.tree import Link, Mimic, Shape, Tree, UrdfJoint, lowest
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN

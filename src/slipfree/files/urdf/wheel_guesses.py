@@ -13,13 +13,7 @@ from slipfree.core.records import Array
 from slipfree.files.urdf.joint_guesses import CASTER, PARALLEL, axle_of, caster_wheels, casters
 from slipfree.files.urdf.meshes import angles_to
 from slipfree.files.urdf.roles import Roles, WheelRole
-from slipfree.files.urdf.tree import (
-    WHEEL,
-    Shape,
-    Tree,
-    UrdfJoint,
-    is_about,
-)
+from slipfree.files.urdf.tree import WHEEL, Shape, Tree, UrdfJoint, is_about
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.geometry.frame import unit_vector
 from slipfree.vehicle.wheel import ORIGIN
