@@ -95,29 +95,29 @@ def position_columns(run: Trajectory) -> dict[str, Column]:
     crs = run.attributes.get(MAP_CRS)
     if not crs or not is_trajectory(run):
         return {}
-    found = {}
+    columns = {}
     for name, (unit, values) in map_positions(run).items():
         if name != "z":
             known = name if name in DEGREES else f"map_{name}"
             unit = {"longitude": "degrees_east", "latitude": "degrees_north"}.get(name, unit)
             label = Label(known, unit, f"{name} of the platform's centre in {crs}")
-            found[known] = Column(label, values)
-    return found
+            columns[known] = Column(label, values)
+    return columns
 
 
 def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> dict[str, str]:
     """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping."""
-    found = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
+    attributes = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
     if not is_trajectory(run):
-        return found
+        return attributes
     axes = dict(zip([*on_map, "z"], "XYZ" if on_map else "Z", strict=True))
     if name in axes:
-        return found | {"axis": axes[name]} | ({"positive": "up"} if name == "z" else {})
+        return attributes | {"axis": axes[name]} | ({"positive": "up"} if name == "z" else {})
     horizontal = on_map or "xy"  # without an axis, since CF reserves X for longitude and map_x
     if name in horizontal:
-        return found
-    found["coordinates"] = " ".join(["time", *horizontal, "z"])
-    return found | ({"grid_mapping": CRS} if on_map else {})
+        return attributes
+    attributes["coordinates"] = " ".join(["time", *horizontal, "z"])
+    return attributes | ({"grid_mapping": CRS} if on_map else {})
 
 
 def grid_mapping(crs: str) -> dict[str, Any]:
@@ -148,9 +148,9 @@ def _projection(system: dict[str, Any]) -> dict[str, Any]:
         return {}
     name, longitude = METHODS[code]
     known = {**PARAMETERS, LONGITUDE: longitude}
-    found: dict[str, Any] = {
+    parameters: dict[str, Any] = {
         known[key]: float(value) for key, value in values.items() if key in known
     }
     if PARALLELS[0] in values:
-        found["standard_parallel"] = tuple(float(values[key]) for key in PARALLELS)
-    return {"grid_mapping_name": name, **found}
+        parameters["standard_parallel"] = tuple(float(values[key]) for key in PARALLELS)
+    return {"grid_mapping_name": name, **parameters}

@@ -114,7 +114,7 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     With springs at all suspension coordinates, any number of them is valid, since the springs
     determine the pose of the vehicle.
     """
-    count, given = len(draft.wheels), [c.name for c in draft.of("suspension")]
+    count, names = len(draft.wheels), [c.name for c in draft.of("suspension")]
     if draft.planar:
         return
     if count < 3:
@@ -123,14 +123,14 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     if all(c.stiffness for c in draft.of("suspension")):
         return
     most = count - 3
-    if (more := len(given) - most) > 0:
+    if (more := len(names) - most) > 0:
         remove, whose, stiffen = f"{more} of them", f"the kind of {more} of them", "each"
-        if len(given) == 1:
+        if len(names) == 1:
             remove, whose, stiffen = "it", "its kind", "it"
         yield (
             f"at most {most} suspension coordinate{'s' * (most != 1)} for {count} wheels, one for "
             "each wheel beyond three",
-            f"{len(given)} ({', '.join(given)}); remove {remove}, set {whose} to 'passive' or "
+            f"{len(names)} ({', '.join(names)}); remove {remove}, set {whose} to 'passive' or "
             f"'commanded', add {more} wheel{'s' * (more > 1)}, or give {stiffen} a stiffness",
         )
 

@@ -167,21 +167,21 @@ def velocities(
 ) -> Velocities:
     """Return the velocities of a vehicle and their derivatives; MotionError if there is no motion.
 
-    ``inputs`` have the shape (n, n_inputs); ``near``, a result at the same samples for other
-    parameters, is the initial guess of the rates.
+    ``given`` are inputs and joints, shape (n, n_given); ``near``, a result at the same samples for
+    other parameters, is the initial guess of the rates.
     """
     guess = None if near is None else near.z + near.z_slopes @ (p - near.p)
     full = p if motion.stage < len(motion.parameters) else np.append(p, motion.stages[-1])
     pose = _standing_poses(motion, given, full)
-    found = list[tuple[Array, ...]]()
+    blocks = list[tuple[Array, ...]]()
     for k in range(0, len(given), BATCHES[-1]):
         part = slice(k, k + BATCHES[-1])
         at = (given[part], full, pose[part], None if guess is None else guess[part])
         try:
-            found.append(_velocities(motion, *at))
+            blocks.append(_velocities(motion, *at))
         except MotionError as error:
             raise MotionError(str(error), k + error.sample) from error
-    values, slopes, z, z_slopes = (np.concatenate(each) for each in zip(*found, strict=True))
+    values, slopes, z, z_slopes = (np.concatenate(each) for each in zip(*blocks, strict=True))
     return Velocities(values, slopes, p, z, z_slopes)
 
 
@@ -191,7 +191,7 @@ def _standing_poses(motion: BodyMotion, given: Array, p: Array) -> Array:
         given[:, motion.inputs :], axis=0, return_index=True, return_inverse=True
     )
     still = np.concatenate([np.zeros((len(joints), motion.inputs)), joints], axis=1)
-    found = np.empty((len(joints), motion.scale.size))
+    unknowns = np.empty((len(joints), motion.scale.size))
     for k in range(0, len(joints), BATCHES[-1]):
         part = slice(k, k + BATCHES[-1])
         here, many = still[part], _repeated(p, len(still[part]))
@@ -199,8 +199,8 @@ def _standing_poses(motion: BodyMotion, given: Array, p: Array) -> Array:
         _check(solved, first[part], "the vehicle has no pose in which it stands on level ground")
         words = "the vehicle would fall from the pose in which its wheels bear it"
         _check(_is_stable(jac, motion.relaxing), first[part], words)
-        found[part] = z
-    return found[inverse.ravel()]
+        unknowns[part] = z
+    return unknowns[inverse.ravel()]
 
 
 def _relax(motion: BodyMotion, given: Array, p: Array) -> tuple[Array, Array, Mask]:
@@ -311,16 +311,16 @@ def _solve_stage(
     motion: BodyMotion, given: Array, p: Array, z: Array, pair: tuple[Array, Array], depth: int
 ) -> tuple[Array, Array, Mask]:
     """Return the result of `_solve` at the end of a stage, divided at most ``depth`` times."""
-    found, jac, good = _solve(motion, given, _with_stage(motion, p, pair[1]), z)
+    solved, jac, good = _solve(motion, given, _with_stage(motion, p, pair[1]), z)
     if depth and not good.all():
         bad = ~good
         begin, end = (each[bad] for each in pair)
         at = motion, given[bad], p[bad]
         middle = np.sqrt(begin * end)
-        parts = _solve_stage(*at, z[bad], (begin, middle), depth - 1)
-        if parts[2].all():
-            found[bad], jac[bad], good[bad] = _solve_stage(*at, parts[0], (middle, end), depth - 1)
-    return found, jac, good
+        half = _solve_stage(*at, z[bad], (begin, middle), depth - 1)
+        if half[2].all():
+            solved[bad], jac[bad], good[bad] = _solve_stage(*at, half[0], (middle, end), depth - 1)
+    return solved, jac, good
 
 
 def _with_stage(motion: BodyMotion, p: Array, values: Array) -> Array:
@@ -374,10 +374,10 @@ def evaluate(function: ca.Function, *arguments: Array) -> tuple[Array, ...]:
     count = len(arguments[0])
     if count > BATCHES[-1]:
         starts = range(0, count, BATCHES[-1])
-        parts = [
+        blocks = [
             evaluate(function, *(each[k : k + BATCHES[-1]] for each in arguments)) for k in starts
         ]
-        return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
+        return tuple(np.concatenate(each) for each in zip(*blocks, strict=True))
     size = next(each for each in BATCHES if each >= count)
     buffer: Any
     buffer, run = _mapped(function, size).buffer()

@@ -65,15 +65,15 @@ def calibrate(
         )
     dae = parametric_model(build, vehicle, law, unknowns)
     learnt, other = windows.take(np.sort(order[:count])), windows.take(np.sort(order[count:]))
-    found = estimate(dae, vehicle, law, unknowns, learnt, loss)
-    errors = [_errors(dae, unknowns, part, found) for part in (learnt, other)]
-    return Calibration(found, *errors)
+    fitted = estimate(dae, vehicle, law, unknowns, learnt, loss)
+    errors = [_errors(dae, unknowns, part, fitted) for part in (learnt, other)]
+    return Calibration(fitted, *errors)
 
 
-def _errors(dae: Dae, unknowns: Sequence[Unknown], windows: Windows, found: Estimate) -> EndErrors:
+def _errors(dae: Dae, unknowns: Sequence[Unknown], windows: Windows, fitted: Estimate) -> EndErrors:
     """Return the errors of end poses with nominal and with fitted values."""
     predict = Predictor(dae, unknowns, windows)
-    errors = [predict(values).end - windows.end for values in (found.nominal, found.values)]
+    errors = [predict(values).end - windows.end for values in (fitted.nominal, fitted.values)]
     return EndErrors(windows.end, *errors)
 
 

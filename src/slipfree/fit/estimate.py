@@ -106,29 +106,29 @@ class Predictor:
             return self._last[1]
         self.evaluations += 1
         try:
-            found = velocities(self.motion, self._given, values[self._of_model], self._near)
+            motion = velocities(self.motion, self._given, values[self._of_model], self._near)
         except MotionError as error:
             raise MotionError(self._message(error, values), error.sample) from error
         sensor = np.zeros(3)
         sensor[self._axes] = values[self._of_sensor]
         at = self._inverse.ravel()
-        velocity = found.values[at].reshape(self._shape)
+        velocity = motion.values[at].reshape(self._shape)
         end, by_velocity, by_sensor = end_poses(self.windows, velocity, sensor)
         slopes = np.zeros((*end.shape, values.size))
-        by_model = found.slopes[at].reshape(*self._shape, -1)
+        by_model = motion.slopes[at].reshape(*self._shape, -1)
         slopes[..., self._of_model] = np.einsum(
             "nikj,nkjp->nip", by_velocity, by_model, optimize=True
         )
         slopes[..., self._of_sensor] = by_sensor[..., self._axes]
-        self._last = values.copy(), Prediction(end, slopes), found
+        self._last = values.copy(), Prediction(end, slopes), motion
         return self._last[1]
 
     def accept(self, values: Array) -> Prediction:
         """Return the prediction for values, from which the following ones start."""
-        found = self(values)
+        prediction = self(values)
         if self._last is not None:
             self._near = self._last[2]
-        return found
+        return prediction
 
     def _message(self, error: MotionError, values: Array) -> str:
         """Return the message of a sample without motion: reason, window, time, rates, values."""
@@ -174,7 +174,7 @@ def estimate(
         deviations = _deviations(predict(values).end - windows.end)
         search = _Estimation(predict, windows, deviations, priors)
         try:
-            found = scipy.optimize.least_squares(
+            result = scipy.optimize.least_squares(
                 search.residual,
                 values,
                 search.jacobian,
@@ -188,7 +188,7 @@ def estimate(
                 raise
             values, is_interrupted = [values, *search.accepted][-1], True
             break
-        values = np.asarray(found.x)
+        values = np.asarray(result.x)
     prediction = predict(values)
     edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
     at_bound = edges < AT_BOUND * scales
@@ -196,7 +196,7 @@ def estimate(
         prediction, windows, deviations, priors, scales, ~at_bound, loss
     )
     if not is_interrupted:
-        search.check(found, scales)
+        search.check(result, scales)
         for k in np.flatnonzero(np.sqrt(np.diag(covariance)) > scales).tolist():
             other = values.copy()
             other[k] = nominal[k]
@@ -333,17 +333,17 @@ class _Estimation:
         rows[np.arange(self._priors.rows.size), self._priors.rows] = 1 / self._priors.deviation
         return np.concatenate([slopes.reshape(-1, values.size), rows])
 
-    def check(self, found: Any, scales: Array) -> None:
+    def check(self, result: Any, scales: Array) -> None:
         """Raise ModelError if a search ended beside rejected values, or did not converge."""
         for values, error in self._rejected:
-            if np.abs((values - found.x) / scales).max() < AT_BOUND:
+            if np.abs((values - result.x) / scales).max() < AT_BOUND:
                 raise ModelError(
                     "estimate: expected estimates within the range in which the vehicle can move, "
                     f"found that the log favours values beyond it: {error}"
                 ) from error
-        if not found.status:
+        if not result.status:
             raise ModelError(
-                f"estimate: expected convergence, found none after {found.nfev} evaluations; give "
+                f"estimate: expected convergence, found none after {result.nfev} evaluations; give "
                 "bounds or priors of the unknowns, or fit fewer of them"
             )
 
@@ -391,11 +391,11 @@ def _directions(scaled: Array, vectors: Array, lost: Mask) -> tuple[Direction, .
     """Return the principal directions of a covariance, and those that are undetermined."""
     kept = vectors[:, ~lost]
     values, axes = np.linalg.eigh(kept.T @ scaled @ kept)
-    found = [
+    known = [
         Direction(float(np.sqrt(max(value, 0.0))), _signed(kept @ axis))
         for value, axis in zip(values, axes.T, strict=True)
     ]
-    return (*found, *(Direction(np.inf, _signed(vector)) for vector in vectors[:, lost].T))
+    return (*known, *(Direction(np.inf, _signed(vector)) for vector in vectors[:, lost].T))
 
 
 def _signed(vector: Array) -> Array:

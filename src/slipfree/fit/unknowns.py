@@ -176,8 +176,8 @@ SENSOR: dict[str, Label] = {
 def label_of(unknown: Unknown, law: Any) -> Label:
     """Return name, unit and description of an unknown."""
     if unknown.quantity in QUANTITIES:
-        found = QUANTITIES[unknown.quantity]
-        return Label(unknown.name, found.unit, found.words)
+        quantity = QUANTITIES[unknown.quantity]
+        return Label(unknown.name, quantity.unit, quantity.words)
     if unknown.quantity in SENSOR:
         return replace(SENSOR[unknown.quantity], name=unknown.name)
     constants = law_constants(law)
@@ -209,13 +209,13 @@ def limits_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> tuple[float, floa
 
 def law_constants(law: Any) -> dict[str, Label]:
     """Return the constants of a law, by name, from the annotations of its dataclass."""
-    hints, found = get_type_hints(type(law), include_extras=True), {}
+    hints, constants = get_type_hints(type(law), include_extras=True), {}
     for each in fields(law):
         metadata = getattr(hints[each.name], "__metadata__", ())
         unit = next((m.unit for m in metadata if isinstance(m, Unit)), "1")
         words = next((m.documentation for m in metadata if isinstance(m, DocInfo)), "")
-        found[each.name] = Label(each.name, unit, words)
-    return found
+        constants[each.name] = Label(each.name, unit, words)
+    return constants
 
 
 def value_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> float:
@@ -227,14 +227,14 @@ def value_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> float:
 
 def with_unknowns(vehicle: Vehicle, unknowns: Sequence[Unknown], values: Sequence[Any]) -> Vehicle:
     """Return a vehicle with other values of its unknowns, numbers or expressions."""
-    found = vehicle
+    changed = vehicle
     for unknown, value in zip(unknowns, values, strict=True):
         if unknown.quantity in QUANTITIES:
             quantity = QUANTITIES[unknown.quantity]
-            found = quantity.set(found, _wheels(unknown, vehicle), value)
+            changed = quantity.set(changed, _wheels(unknown, vehicle), value)
             if isinstance(value, ca.SX):
-                found = replace(found, nominal=vehicle)
-    return found
+                changed = replace(changed, nominal=vehicle)
+    return changed
 
 
 def law_with_unknowns(law: Any, unknowns: Sequence[Unknown], values: Sequence[Any]) -> Any:
@@ -259,7 +259,7 @@ def parametric_model(
     symbolic = with_unknowns(vehicle, *zip(*others, strict=True)) if others else vehicle
     new_law = law_with_unknowns(law, *zip(*others, strict=True)) if others else law
     model = build(symbolic, new_law)
-    found = list[Parameter]()
+    parameters = list[Parameter]()
     for unknown, label, symbol, value in zip(unknowns, labels, symbols, values, strict=True):
         if unknown.quantity in SENSOR:
             continue
@@ -267,8 +267,8 @@ def parametric_model(
             if model.continuation is None:
                 raise ModelError(f"unknown {unknown.name!r}: the law has no creep speed to fit")
             symbol = model.continuation.symbol
-        found.append(Parameter(label, symbol, value))
-    return replace(model, p=tuple(found))
+        parameters.append(Parameter(label, symbol, value))
+    return replace(model, p=tuple(parameters))
 
 
 def _wheels(unknown: Unknown, vehicle: Vehicle) -> tuple[str, ...]:

@@ -47,28 +47,28 @@ class Log(NamedTuple):
 def cut(log: Log) -> Windows:
     """Return the windows of a log; those with fewer than two samples are left out."""
     starts = np.flatnonzero(np.append(True, np.diff(log.window) != 0))
-    parts = [
+    spans = [
         slice(a, b) for a, b in zip(starts, [*starts[1:], len(log.t)], strict=True) if b - a > 1
     ]
-    if not parts:
+    if not spans:
         raise ModelError(
             "windows: expected at least one window with two samples, found none: samples are "
             f"{np.median(np.diff(log.t)) if len(log.t) > 1 else 0:.3g} s apart (median); correct "
             "the unit of the times if they are not in seconds, or use longer windows"
         )
-    longest = max(part.stop - part.start for part in parts)
-    if longest * len(parts) > MAX_SAMPLES:
+    longest = max(part.stop - part.start for part in spans)
+    if longest * len(spans) > MAX_SAMPLES:
         raise ModelError(
             f"windows: expected at most {MAX_SAMPLES} samples (windows times samples of the "
-            f"longest one), found {len(parts)} windows of up to {longest} samples; use a part of "
+            f"longest one), found {len(spans)} windows of up to {longest} samples; use a part of "
             "the log, windows of similar length, or fewer samples per second"
         )
     dt, given = (
-        np.zeros((len(parts), longest - 1)),
-        np.zeros((len(parts), longest, log.given.shape[1])),
+        np.zeros((len(spans), longest - 1)),
+        np.zeros((len(spans), longest, log.given.shape[1])),
     )
-    end = np.zeros((len(parts), 3))
-    for k, part in enumerate(parts):
+    end = np.zeros((len(spans), 3))
+    for k, part in enumerate(spans):
         steps, count = np.diff(log.t[part]), part.stop - part.start
         if steps.min() < 0:
             raise ModelError(
@@ -79,7 +79,7 @@ def cut(log: Log) -> Windows:
         given[k, :count], given[k, count:] = log.given[part], log.given[part.stop - 1]
         x, y, heading = log.pose[part].T
         end[k] = _relative(np.column_stack([x, y, np.unwrap(heading)]))
-    first = [part.start for part in parts]
+    first = [part.start for part in spans]
     return Windows(log.window[first].astype(float), log.t[first], dt, given, end)
 
 

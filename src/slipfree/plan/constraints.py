@@ -13,7 +13,15 @@ import numpy as np
 from slipfree.core.dae import Limit
 from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.plan.transcription import Index, PlanTask, Program, RowBlock, TimedCondition
+from slipfree.plan.transcription import (
+    Index,
+    PlanTask,
+    Program,
+    RowBlock,
+    TimedCondition,
+    rate_of,
+    variable_of,
+)
 
 VIOLATION_TOLERANCE = 1e-6  # smaller violations count as rounding, in the unit of the quantity
 EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"
@@ -204,15 +212,6 @@ def size_of(group: ConstraintGroup, values: Array) -> float:
     return float(max(1.0, one_sided))
 
 
-def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
-    """Return the record (``"x"`` or ``"z"``) and index of a state or unknown; None for others."""
-    for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
-        for k, symbol in enumerate(leaves(symbols)):
-            if ca.is_equal(expression, symbol):
-                return record, k
-    return None
-
-
 def shift_of(task: PlanTask, expression: ca.SX) -> float:
     """Return reported minus local value of a state or unknown, zero for other expressions."""
     plain = variable_of(task, expression)
@@ -232,11 +231,6 @@ def role_of(fraction: float) -> str:
 def quantity_label(label: Label) -> Label:
     """Return the label of a limit without the suffix ``_limit`` of its name."""
     return replace(label, name=label.name.removesuffix("_limit"))
-
-
-def rate_of(label: Label) -> Label:
-    """Return the label of the rate of an input, in 1/s2."""
-    return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
 
 
 def subject(label: Label, role: str) -> str:
@@ -313,13 +307,13 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
     asked = list(_all_bounds(task))
     along = [bounds for bounds in asked if np.isnan(bounds.fraction)]
     begin = np.full(len(task.dae.scale), np.nan) if start is None else task.dae.rows("z", start, -1)
-    found = [
+    sentences = [
         *_input_conflicts(task),
         *_value_conflicts(task, along, "start", np.append(task.start, begin)),
     ]
     for condition in task.conditions:
         formulas = [bounds for bounds in along if variable_of(task, bounds.expression) is None]
-        found += _value_conflicts(
+        sentences += _value_conflicts(
             task, formulas, role_of(condition.fraction), _condition_values(task, condition)
         )
     for one, other in combinations(asked, 2):
@@ -327,8 +321,9 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
         together = np.isnan([one.fraction, other.fraction]).any() or one.fraction == other.fraction
         if apart > BOUND_TOLERANCE and together and ca.is_equal(one.expression, other.expression):
             remedies = dict.fromkeys([_remedy_words(one.role), _remedy_words(other.role)])
-            found.append(f"{_bound_words(one)}, but {_bound_words(other)}: {' or '.join(remedies)}")
-    return found
+            both = f"{_bound_words(one)}, but {_bound_words(other)}"
+            sentences.append(f"{both}: {' or '.join(remedies)}")
+    return sentences
 
 
 def _all_bounds(task: PlanTask) -> Iterator[_Bounds]:

@@ -81,61 +81,61 @@ def relax(program: Program, first: Array) -> Relaxation:
     ]
     elastic = _elastic_program(program, soft, sizes)
     most, begin = MAX_RELAXATION_ITERATIONS, np.append(first, over)
-    found = solve_program(elastic, 0 * weights, begin, iterations=most)
-    unknowns = _least_cost(elastic, found, weights, len(soft))[: first.size]
+    solution = solve_program(elastic, 0 * weights, begin, iterations=most)
+    unknowns = _least_cost(elastic, solution, weights, len(soft))[: first.size]
     values = np.append(_row_values(program, unknowns, weights), unknowns)
     relaxed = sorted(worst_violations(program, values), key=lambda pair: -pair[0])
     gave = {(each.role, each.label.full) for _, each in relaxed}
     opposing = [
         each
-        for each in _opposing_bounds(program, soft, found)
+        for each in _opposing_bounds(program, soft, solution)
         if each.share > MIN_SHARE and (each.role, each.label.full) not in gave
     ]
     return Relaxation(
         unknowns,
         [each for _, each in relaxed],
         sorted(opposing, key=lambda each: -each.share) if relaxed else [],
-        found.success,
-        found.status,
+        solution.success,
+        solution.status,
     )
 
 
-def _least_cost(elastic: Program, found: NlpSolution, weights: Array, count: int) -> Array:
+def _least_cost(elastic: Program, solution: NlpSolution, weights: Array, count: int) -> Array:
     """Return the unknowns of least cost with the slacks of a solution, or its own on failure."""
-    if not found.success:
-        return found.unknowns
+    if not solution.success:
+        return solution.unknowns
     upper = elastic.upper.copy()
-    upper[-count:] = np.maximum(found.unknowns[-count:], 0.0) + VIOLATION_TOLERANCE / 2
-    cost = abs(float(elastic.gradient(found.unknowns / elastic.scale, weights)[0]))
+    upper[-count:] = np.maximum(solution.unknowns[-count:], 0.0) + VIOLATION_TOLERANCE / 2
+    cost = abs(float(elastic.gradient(solution.unknowns / elastic.scale, weights)[0]))
     again = solve_program(
         replace(elastic, upper=upper),
         weights / max(1.0, cost),
-        found.unknowns,
+        solution.unknowns,
         iterations=MAX_RELAXATION_ITERATIONS,
     )
-    return again.unknowns if again.success else found.unknowns
+    return again.unknowns if again.success else solution.unknowns
 
 
 def _opposing_bounds(
-    program: Program, soft: list[tuple[ConstraintGroup, float]], found: NlpSolution
+    program: Program, soft: list[tuple[ConstraintGroup, float]], solution: NlpSolution
 ) -> Iterator[OpposingBound]:
     """Yield each relaxable bound and the duration, with shares computed from multipliers."""
     counts = [group.where.size for group, _ in soft]
-    prices = found.row_multipliers[found.rows.size - sum(counts) :]
-    parts = np.split(prices, np.cumsum(counts)[:-1])
+    prices = solution.row_multipliers[solution.rows.size - sum(counts) :]
+    prices_by_bound = np.split(prices, np.cumsum(counts)[:-1])
     for k, (group, sign) in enumerate(soft):
-        equal, price, side = group.lower == group.upper, parts[k], SIDE_WORDS[sign]
+        equal, price, side = group.lower == group.upper, prices_by_bound[k], SIDE_WORDS[sign]
         if equal and sign < 0:
             continue
         if equal:
             # Multipliers of the two equal bounds have opposite signs.
-            price, side = price + parts[k + 1], ""
+            price, side = price + prices_by_bound[k + 1], ""
         share = float(np.abs(price).sum())
         yield OpposingBound(
             group.label, group.role, bound_of(group, sign) + group.shift, side, share
         )
     at = program.layout.duration
-    cost, duration = float(found.bound_multipliers[at]), float(found.unknowns[at])
+    cost, duration = float(solution.bound_multipliers[at]), float(solution.unknowns[at])
     label = Label(DURATION, "s", "duration of the plan")
     # Multipliers of upper bounds are positive.
     yield OpposingBound(
@@ -260,17 +260,17 @@ def violation_words(violation: Violation) -> str:
 
 def explanation(program: Program, solution: NlpSolution, first: Array) -> Explanation:
     """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax."""
-    found = violations(program, solution)
+    missed = violations(program, solution)
     is_infeasible = solution.status == INFEASIBLE_STATUS
-    if found:
+    if missed:
         kept = "the last iterate" if is_infeasible else "the iterate of least violation"
     else:
         kept = "a motion that meets all constraints but is not optimal"
     words = ipopt_words(solution.status)
     lines = [f"{words} after {solution.iterations} iterations; the result is {kept}"]
-    if found:
-        lines.append(f"largest violations of this result ({len(found)} in all):")
-        lines += [f"  {violation_words(each)}" for each in found[:MAX_NAMED_VIOLATIONS]]
+    if missed:
+        lines.append(f"largest violations of this result ({len(missed)} in all):")
+        lines += [f"  {violation_words(each)}" for each in missed[:MAX_NAMED_VIOLATIONS]]
     if solution.status == STOPPED_STATUS:  # no further search after an interruption
         return Explanation(Outcome.INTERRUPTED, "\n".join(lines))
     relaxation = relax(program, first)

@@ -34,9 +34,14 @@ WARM_OPTIONS: dict[str, Any] = {
     "warm_start_bound_frac": WARM_PUSH,
     "warm_start_slack_bound_frac": WARM_PUSH,
 }
-QUASI_DENSE_ORDERING = (
-    6  # of MUMPS: suits matrices with a few dense rows, such as that of a free duration
-)
+QUASI_DENSE_ORDERING = 6  # of MUMPS: for a few dense rows, such as that of a free duration
+QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "record_time": True}
+IPOPT_OPTIONS: dict[str, Any] = {
+    "print_level": 0,
+    "sb": "yes",
+    "tol": IPOPT_TOLERANCE,
+    "mumps_permuting_scaling": 0,
+}
 IterateCallback = Callable[["Iterate"], bool]
 
 
@@ -69,12 +74,12 @@ def convergence_arrays(searches: Sequence[Convergence]) -> dict[str, Array]:
     """Return consecutive searches as arrays for a file, by name; empty without iterates."""
     if not any(each.cost.size for each in searches):
         return {}
-    found = {
+    fields = {
         f"{PREFIX}{name}": np.concatenate([getattr(each, name) for each in searches])
         for name in Convergence._fields
     }
     numbers = [np.full(each.cost.size, float(k)) for k, each in enumerate(searches)]
-    return {**found, f"{PREFIX}search": np.concatenate(numbers)}
+    return {**fields, f"{PREFIX}search": np.concatenate(numbers)}
 
 
 def convergence_from(arrays: Mapping[str, Array]) -> dict[int, Convergence]:
@@ -152,9 +157,8 @@ class _IterateWatcher(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Record and report an iterate; return ``[1.0]`` to stop IPOPT, otherwise ``[0.0]``."""
         try:
-            return [
-                0.0 if self.guard.call(self.on_iterate, self._record_iterate(arguments)) else 1.0
-            ]
+            goes_on = self.guard.call(self.on_iterate, self._record_iterate(arguments))
+            return [0.0 if goes_on else 1.0]
         except BaseException as error:
             self.guard.keep(error)
             return [1.0]
@@ -194,7 +198,7 @@ def solve_program(
     infeasible problem, its last iterate. Roots of squared cost terms (`stage_functions`) in
     ``first`` are computed from the other unknowns. ``growth`` is IPOPT's ``theta_max_fact``.
     """
-    given = {
+    arguments = {
         "x0": completed(program, first) / program.scale,
         "p": weights,
         "lbx": program.lower / program.scale,
@@ -203,7 +207,7 @@ def solve_program(
         "ubg": program.g_upper,
     }
     if warm is not None:
-        given |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
+        arguments |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
     ipopt = ({} if warm is None else WARM_OPTIONS) | {
         "max_iter": iterations,
         "theta_max_fact": growth,
@@ -213,7 +217,7 @@ def solve_program(
     with InterruptGuard() as guard:
         watch = _IterateWatcher(program, on_iterate or (lambda _: True), guard)
         solver = _ipopt_solver(program, ipopt, {"iteration_callback": watch})
-        solution = _to_solution(program, solver(**given), solver.stats())
+        solution = _to_solution(program.scale, solver(**arguments), solver.stats())
     if solution.success or solution.status == INFEASIBLE_STATUS or watch.best is None:
         return solution
     best, rows = watch.best
@@ -235,22 +239,16 @@ def warm_solver(program: Program, iterations: int) -> ca.Function:
 
 def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
     """Return the ``casadi.nlpsol`` function of a program, with options for IPOPT and for CasADi."""
-    quiet: dict[str, Any] = {
-        "print_level": 0,
-        "sb": "yes",
-        "tol": IPOPT_TOLERANCE,
+    own: dict[str, Any] = {
         # Contact forces as unknowns require the monotone strategy (docs/decisions.md).
         "mu_strategy": "monotone" if program.task.dae.replay else "adaptive",
         "honor_original_bounds": "yes",
-        "mumps_permuting_scaling": 0,
         "mumps_pivot_order": QUASI_DENSE_ORDERING,
         "theta_max_fact": MAX_VIOLATION_GROWTH,
     }
-    every: dict[str, Any] = {
-        "ipopt": quiet | ipopt,
-        "print_time": False,
-        "error_on_fail": False,
-        "record_time": True,
+    exact: dict[str, Any] = {
+        **QUIET,
+        "ipopt": IPOPT_OPTIONS | own | ipopt,
         "grad_f": program.gradient,
         "jac_g": program.jacobian,
         "hess_lag": program.hessian,
@@ -258,19 +256,19 @@ def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, An
         "calc_lam_p": False,
         "show_eval_warnings": False,
     }
-    return ca.nlpsol("plan", "ipopt", program.problem, every | options)
+    return ca.nlpsol("plan", "ipopt", program.problem, exact | options)
 
 
-def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> NlpSolution:
+def _to_solution(scale: Array, results: dict[str, Any], stats: dict[str, Any]) -> NlpSolution:
     times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
     total = times.get("t_wall_total", 0.0)
     functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
     return NlpSolution(
-        np.array(found["x"]).ravel() * program.scale,
-        np.array(found["g"]).ravel(),
-        float(found["f"]),
-        np.array(found["lam_g"]).ravel(),
-        np.array(found["lam_x"]).ravel(),
+        np.array(results["x"]).ravel() * scale,
+        np.array(results["g"]).ravel(),
+        float(results["f"]),
+        np.array(results["lam_g"]).ravel(),
+        np.array(results["lam_x"]).ravel(),
         str(stats["return_status"]),
         bool(stats["success"]),
         int(stats["iter_count"]),
@@ -282,49 +280,21 @@ def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any])
 @with_interrupt_guard
 def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> NlpSolution:
     """Return the solution of a nonlinear program, or raise SolverError."""
-    options: dict[str, Any] = {
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": IPOPT_TOLERANCE,
-            "max_iter": iterations,
-            "mu_strategy": "adaptive",
-            "mumps_permuting_scaling": 0,
-        },
-        "print_time": False,
-        "error_on_fail": False,
-        "record_time": True,
-    }
-    solver = ca.nlpsol("nlp", "ipopt", {"x": nlp.x, "f": nlp.f, "g": nlp.g}, options)
-    found = solver(
+    ipopt = IPOPT_OPTIONS | {"max_iter": iterations, "mu_strategy": "adaptive"}
+    problem = {"x": nlp.x, "f": nlp.f, "g": nlp.g}
+    solver = ca.nlpsol("nlp", "ipopt", problem, {**QUIET, "ipopt": ipopt})
+    results = solver(
         x0=nlp.guess / nlp.scale,
         lbx=nlp.lower / nlp.scale,
         ubx=nlp.upper / nlp.scale,
         lbg=nlp.g_lower,
         ubg=nlp.g_upper,
     )
-    stats = solver.stats()
-    status, count = str(stats["return_status"]), int(stats["iter_count"])
-    if not stats["success"]:
+    solution = _to_solution(nlp.scale, results, solver.stats())
+    if not solution.success:
         raise SolverError(
-            f"no solution of the nonlinear program was found: {ipopt_words(status)} after "
-            f"{count} iterations; widen limits that may contradict each other, or change the "
-            "number of nodes or the initial guess"
+            f"no solution of the nonlinear program was found: {ipopt_words(solution.status)} after "
+            f"{solution.iterations} iterations; widen limits that may contradict each other, or "
+            "change the number of nodes or the initial guess"
         )
-    times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
-    functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
-    total = times.get("t_wall_total", 0.0)
-    x, rows, row_multipliers, bound_multipliers = (
-        np.array(found[name]).ravel() for name in ("x", "g", "lam_g", "lam_x")
-    )
-    return NlpSolution(
-        x * nlp.scale,
-        rows,
-        float(found["f"]),
-        row_multipliers,
-        bound_multipliers,
-        status,
-        True,
-        count,
-        {"total": total, "functions": functions, "rest": total - functions},
-    )
+    return solution

@@ -25,7 +25,12 @@ from slipfree.core.records import Array, Record, field_overview, leaves
 from slipfree.core.trajectory import SolverError, Trajectory, joined
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
-from slipfree.plan.polynomial_motion import PolynomialMotion, motion_of
+from slipfree.plan.polynomial_motion import (
+    PolynomialMotion,
+    input_fractions,
+    motion_of,
+    unknowns_of,
+)
 from slipfree.plan.transcription import (
     CollocationMesh,
     Index,
@@ -34,10 +39,10 @@ from slipfree.plan.transcription import (
     completed,
     transcribe,
 )
-from slipfree.plan.verification import inputs_along
+from slipfree.plan.verification import inputs_along, simulate_to_failure
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import same_turn
-from slipfree.solve.simulate import interrupted_at, simulate
+from slipfree.solve.simulate import interrupted_at
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import interrupt_requested, with_interrupt_guard
 
@@ -249,7 +254,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     lower[program.layout.duration] = upper[program.layout.duration] = span
     g_lower, g_upper = _row_bounds(window, t + span)
     rows, bounds = _shift_multipliers(program, former, t, span)
-    found = window.solver(
+    results = window.solver(
         x0=first / scale,
         p=window.weights,
         lbx=lower / scale,
@@ -261,13 +266,13 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     )
     status = str(window.solver.stats()["return_status"])
     # The rows that IPOPT returns may belong to another iterate than the unknowns.
-    g = np.array(window.rows(found["x"], window.weights)).ravel()
+    g = np.array(window.rows(results["x"], window.weights)).ravel()
     if status not in USABLE_STATUSES or not np.isfinite(g).all():
         raise SolverError(
             f"replan: the iterations failed at t = {t:g} s, state {x}: {ipopt_words(status)}; "
             "the inputs of the previous cycle may still be used"
         )
-    unknowns, rows, bounds = (np.array(found[name]).ravel() for name in ("x", "lam_g", "lam_x"))
+    unknowns, rows, bounds = (np.array(results[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     asked = replace(program, g_lower=g_lower, g_upper=g_upper)
     return Cycle(t, motion_of(program, unknowns * scale), rows, bounds, largest_violation(asked, g))
 
@@ -314,22 +319,11 @@ def _sample_motions(
     window: Horizon, motions: list[tuple[PolynomialMotion, float]], t: float, span: float
 ) -> Array:
     """Return unknowns of the window at time ``t``, of the first motion that has not ended yet."""
-    program = window.program
-    mesh, layout = program.mesh, program.layout
-    unknowns = np.zeros(program.scale.size)
-    unknowns[layout.duration] = span
-    nodes, n_z = t + span * mesh.nodes, layout.unknowns.shape[2]
-    ends = t + span * (
-        mesh.ends if len(layout.inputs) == mesh.ends.size else (mesh.ends[1:] + mesh.ends[:-1]) / 2
-    )
-    states = _join_values(motions, nodes, PolynomialMotion.states)
-    unknown = _join_values(motions, nodes, PolynomialMotion.algebraic)
-    inputs = _join_values(motions, ends, PolynomialMotion.inputs)
-    unknowns[layout.first] = states[:, 0]
-    unknowns[layout.states] = states[:, 1:].T.reshape(layout.states.shape)
-    unknowns[layout.unknowns] = unknown[:n_z, 1:].T.reshape(layout.unknowns.shape)
-    unknowns[layout.inputs] = inputs.T
-    return unknowns
+    nodes, ends = t + span * window.program.mesh.nodes, t + span * input_fractions(window.program)
+    x = _join_values(motions, nodes, PolynomialMotion.states)
+    z = _join_values(motions, nodes, PolynomialMotion.algebraic)
+    u = _join_values(motions, ends, PolynomialMotion.inputs)
+    return unknowns_of(window.program, x, z, u, span)
 
 
 def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
@@ -434,13 +428,13 @@ def track_plan(
             f"plan, found {period:g} s; choose a period in this range"
         )
     for record in ("x", "u"):
-        found, expected = (
+        own, expected = (
             [label.full for label in leaves(getattr(each.labels, record))] for each in (world, dae)
         )
-        if found != expected:
+        if own != expected:
             raise ModelError(
                 "world: expected the states and inputs of the plan's model, "
-                f"{', '.join(expected)}, found {', '.join(found)}; use a vehicle with the same "
+                f"{', '.join(expected)}, found {', '.join(own)}; use a vehicle with the same "
                 "joints and wheels (its parameters may differ)"
             )
     times = np.append(np.arange(0.0, duration - 0.5 * period, period), duration)
@@ -476,11 +470,6 @@ def _drive(
 ) -> Trajectory:
     """Return the motion under the inputs of a cycle, with times since the beginning of the plan."""
     inputs, times = cycle_inputs(window, cycle, *span)
-    try:
-        run = simulate(world, here, inputs, times, options=options)
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        run = error.trajectory
+    run = simulate_to_failure(world, here, inputs, times, options)
     stop = run.stop and run.stop._replace(t=run.stop.t + cycle.t)
     return replace(run, t=run.t + cycle.t, stop=stop)

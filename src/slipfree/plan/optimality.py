@@ -108,7 +108,7 @@ def active_set(program: Program, solution: NlpSolution) -> ActiveSet:
     multiplier is the larger of the two.
     """
     size = max(abs(solution.cost), IPOPT_TOLERANCE)
-    found, weak = [], 0
+    masks, weak = [], 0
     for values, low, high, multipliers in (
         (solution.rows, program.g_lower, program.g_upper, solution.row_multipliers),
         (
@@ -122,9 +122,9 @@ def active_set(program: Program, solution: NlpSolution) -> ActiveSet:
         pull = np.abs(multipliers) / size
         is_equation = low == high
         is_weak = ~is_equation & (np.maximum(distance, pull) < WEAK)
-        found.append(is_equation | ((pull > distance) & ~is_weak))
+        masks.append(is_equation | ((pull > distance) & ~is_weak))
         weak += int(is_weak.sum())
-    return ActiveSet(found[0], found[1], weak)
+    return ActiveSet(masks[0], masks[1], weak)
 
 
 def check_optimality(program: Program, solution: NlpSolution, weights: Array) -> Optimality:
@@ -280,7 +280,7 @@ def limit_prices(program: Program, solution: NlpSolution) -> tuple[Price, ...]:
     """Return the shadow prices of the active limits of a solution, largest saving first."""
     multipliers = np.append(solution.row_multipliers, solution.bound_multipliers / program.scale)
     active = np.append(*active_set(program, solution)[:2])
-    found: dict[tuple[str, ...], Price] = {}
+    prices: dict[tuple[str, ...], Price] = {}
     for group in _limit_groups(program):
         for side, bound, where in _sides(program, group, multipliers):
             count = int(active[where].sum())
@@ -291,13 +291,13 @@ def limit_prices(program: Program, solution: NlpSolution) -> tuple[Price, ...]:
             share = rate / max(abs(solution.cost), IPOPT_TOLERANCE)
             new = Price(label, group.role, side, bound + group.shift, rate, share, count)
             key = group.role, label.name, side, f"{bound}"
-            old = found.get(key)
+            old = prices.get(key)
             if old is not None:
                 new = new._replace(
                     rate=old.rate + rate, share=old.share + share, active=old.active + count
                 )
-            found[key] = new
-    return tuple(sorted(found.values(), key=lambda price: -abs(price.share) * price.step))
+            prices[key] = new
+    return tuple(sorted(prices.values(), key=lambda price: -abs(price.share) * price.step))
 
 
 def price_rows(prices: Sequence[Price]) -> list[dict[str, Any]]:

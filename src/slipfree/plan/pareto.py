@@ -79,21 +79,21 @@ def pareto_front(
     if lowest >= best.second:
         return (best,)
     bounds = np.geomspace(lowest, best.second, count)
-    found = {-1: least, count - 1: best}
+    known = {-1: least, count - 1: best}
     for batch in _batches(count):
         tasks = [
-            FrontTask(k, float(bounds[k]), start) for k in batch for start in _neighbours(found, k)
+            FrontTask(k, float(bounds[k]), start) for k in batch for start in _neighbours(known, k)
         ]
-        _keep_better(found, tasks, solve(tasks))
-    points = [found[k] for k in range(count)]
+        _keep_better(known, tasks, solve(tasks))
+    points = [known[k] for k in range(count)]
     dominating = [_dominating(point, points) for point in points]
     again = [
         FrontTask(k, point.bound, start)
         for k, (point, start) in enumerate(zip(points, dominating, strict=True))
         if start is not None
     ]
-    _keep_better(found, again, solve(again))
-    points = [found[k] for k in range(count)]
+    _keep_better(known, again, solve(again))
+    points = [known[k] for k in range(count)]
     return tuple(
         point._replace(is_dominated=_dominating(point, points) is not None) for point in points
     )
@@ -121,21 +121,21 @@ def _batches(count: int) -> Iterator[list[int]]:
         known = sorted([*known, *batch])
 
 
-def _neighbours(found: dict[int, FrontPoint], k: int) -> Iterator[FrontPoint]:
+def _neighbours(points: dict[int, FrontPoint], k: int) -> Iterator[FrontPoint]:
     """Yield the nearest solved points below and above point ``k``; only below for the first one."""
-    solved = [j for j, point in found.items() if point.is_solved]
-    yield found[max(j for j in solved if j < k)]
+    solved = [j for j, point in points.items() if point.is_solved]
+    yield points[max(j for j in solved if j < k)]
     if k:
-        yield found[min(j for j in solved if j > k)]
+        yield points[min(j for j in solved if j > k)]
 
 
 def _keep_better(
-    found: dict[int, FrontPoint], tasks: Sequence[FrontTask], points: Sequence[FrontPoint]
+    known: dict[int, FrontPoint], tasks: Sequence[FrontTask], points: Sequence[FrontPoint]
 ) -> None:
-    """Store the points of tasks in ``found`` where they are better than the stored points."""
+    """Store the points of tasks in ``known`` where they are better than the stored points."""
     for task, point in zip(tasks, points, strict=True):
-        if is_better(point, found.setdefault(task.number, point)):
-            found[task.number] = point
+        if is_better(point, known.setdefault(task.number, point)):
+            known[task.number] = point
 
 
 def _dominating(point: FrontPoint, points: Sequence[FrontPoint]) -> FrontPoint | None:

@@ -347,22 +347,22 @@ def _with_near_conditions(
 
 
 def _to_plan(search: SearchState, verification: Verification) -> Plan:
-    program, found, first, _, run, *_ = search
-    run = sample_plan(program, found.unknowns) if run is None else run
-    if not found.success:
-        why = explanation(program, found, first)
+    program, solution, first, _, run, *_ = search
+    run = sample_plan(program, solution.unknowns) if run is None else run
+    if not solution.success:
+        why = explanation(program, solution, first)
         run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, why.outcome))
     return _as_plan(search, run, verification)
 
 
 def _unverified(search: SearchState) -> Plan:
     """Return a plan without verification; its stop says so."""
-    program, found = search.program, search.found
-    run = sample_plan(program, found.unknowns) if search.run is None else search.run
+    program, solution = search.program, search.found
+    run = sample_plan(program, solution.unknowns) if search.run is None else search.run
     name, words = PLAN, "the search for a plan was interrupted"
-    if found.status == STOPPED_STATUS:
-        words = explanation(program, found, search.first).words
-    elif found.success:
+    if solution.status == STOPPED_STATUS:
+        words = explanation(program, solution, search.first).words
+    elif solution.success:
         name = PLAN_UNVERIFIED
         words = "the plan is solved, but the simulation that verifies it did not end"
     run = replace(run, stop=Stop(name, float(run.t[-1]), words, Outcome.INTERRUPTED))
@@ -373,8 +373,8 @@ def _unverified(search: SearchState) -> Plan:
 
 def _as_plan(search: SearchState, run: Trajectory, verification: Verification) -> Plan:
     """Return the plan of a search with its samples ``run`` and its verification."""
-    program, found, stages = search.program, search.found, search.stages
-    motion = motion_of(program, found.unknowns)
+    program, solution, stages = search.program, search.found, search.stages
+    motion = motion_of(program, solution.unknowns)
     return Plan(
         run,
         inputs_along(program.task.dae, motion, motion.ends),
@@ -383,11 +383,11 @@ def _as_plan(search: SearchState, run: Trajectory, verification: Verification) -
         verification.difference,
         verification.violation,
         verification.units,
-        cost_terms(program, found.unknowns),
-        found.success,
+        cost_terms(program, solution.unknowns),
+        solution.success,
         verification.accurate,
         program,
-        found,
+        solution,
         stages,
-        save_plan(program, found),
+        save_plan(program, solution),
     )

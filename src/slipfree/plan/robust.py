@@ -102,8 +102,8 @@ class Replays(NamedTuple):
 
     def distances(self, *levels: float) -> list[float]:
         """Return quantiles in m of the distance from the planned end; NaN if all end early."""
-        found = [replay.distance for replay in self.each if np.isfinite(replay.distance)]
-        return [float(np.quantile(found, level)) if found else np.nan for level in levels]
+        finite = [replay.distance for replay in self.each if np.isfinite(replay.distance)]
+        return [float(np.quantile(finite, level)) if finite else np.nan for level in levels]
 
 
 class RobustPlan(NamedTuple, Generic[P]):
@@ -140,8 +140,8 @@ def robust_plan(
     """
     now, tightening, rounds, failure = first, dict[Bound, float](), 0, ""
     for stream in range(FINAL + 1, FINAL + 1 + MAX_ROUNDS):
-        (found,) = replay([now], _draws(seed, stream, draws))
-        added = {} if found.share >= share else added_tightening(found, (1 + share) / 2)
+        (replays,) = replay([now], _draws(seed, stream, draws))
+        added = {} if replays.share >= share else added_tightening(replays, (1 + share) / 2)
         if not added:  # the share is reached, or the motions fail for another reason
             break
         now, done, failure = _tighten_gradually(solve, now, tightening, added)
@@ -190,8 +190,8 @@ def added_tightening(replays: Replays, share: float) -> dict[Bound, float]:
     ranks = scipy.stats.rankdata(sizes, method="max", axis=0).astype(int)
     needed = min(math.ceil(share * replays.draws), len(finite))
     level = np.sort(ranks.max(axis=1))[needed - 1]
-    found = np.sort(sizes, axis=0)[level - 1].tolist()
-    return {bound: size for bound, size in zip(bounds, found, strict=True) if size > 0}
+    quantiles = np.sort(sizes, axis=0)[level - 1].tolist()
+    return {bound: size for bound, size in zip(bounds, quantiles, strict=True) if size > 0}
 
 
 def tightened_arguments(
@@ -199,14 +199,14 @@ def tightened_arguments(
 ) -> dict[str, Any]:
     """Return arguments of `plan` with tightened limits, goal and way-points; equal bounds stay."""
     way_points = {
-        fraction: tuple(_tightened(limits_of(dae, given), tightening, role_of(fraction)))
-        for fraction, given in arguments["way_points"].items()
+        fraction: tuple(_tightened(limits_of(dae, limits), tightening, role_of(fraction)))
+        for fraction, limits in arguments["way_points"].items()
     }
-    given, tight = arguments["limits"], {bound.name for bound in tightening}
-    own = [limit for limit in _model_limits(dae, given) if limit_name(limit) in tight]
+    limits, tight = arguments["limits"], {bound.name for bound in tightening}
+    own = [limit for limit in _model_limits(dae, limits) if limit_name(limit) in tight]
     return {
         **arguments,
-        "limits": tuple(_tightened((*given, *own), tightening, "")),
+        "limits": tuple(_tightened((*limits, *own), tightening, "")),
         "goal": tuple(_tightened(limits_of(dae, arguments["goal"]), tightening, role_of(1.0))),
         "way_points": way_points,
     }
@@ -247,39 +247,39 @@ def replay_of(
     ``accuracy`` is the tolerated violation, ``goal`` the tolerance of conditions with equal bounds,
     which are ignored without it.
     """
-    found = planned[1]
+    plan = planned[1]
     samples = run.t, *(local_rows(dae, record, run) for record in "xzu")
     limits = (*arguments["limits"], *_model_limits(dae, arguments["limits"]))
     excess = [*_excess(dae, limits, samples, "", accuracy, None)]
     if run.stop is not None:
         excess.append(_excess_at_stop(*planned, run))
         return DisturbedRun(_largest(excess), np.nan)
-    parts = run.t / found.duration
+    fractions = run.t / plan.duration
     periodic = periodic_states(dae, samples[1][:, 0], limits)
-    given = timed_conditions(dae, arguments["goal"], arguments["way_points"])
-    states = [lambda fraction: found.states(np.array([fraction]))[:, 0]]
+    conditions = timed_conditions(dae, arguments["goal"], arguments["way_points"])
+    states = [lambda fraction: plan.states(np.array([fraction]))[:, 0]]
     samples = (
         run.t,
-        same_turn(samples[1], found.states(np.minimum(parts, 1.0)), periodic),
+        same_turn(samples[1], plan.states(np.minimum(fractions, 1.0)), periodic),
         *samples[2:],
     )
-    for condition in near_conditions(dae, [*given], periodic, states):
-        k = int(np.abs(parts - condition.fraction).argmin())
+    for condition in near_conditions(dae, [*conditions], periodic, states):
+        k = int(np.abs(fractions - condition.fraction).argmin())
         at, role = tuple(rows[..., k : k + 1] for rows in samples), role_of(condition.fraction)
         excess += _excess(dae, condition.limits, at, role, accuracy, goal)
     names = [label.full for label in leaves(dae.labels.x)]
     rows = [names.index(name) for name in "xy"]
-    gaps = samples[1][rows, -1] - found.states(np.ones(1))[rows, 0]
+    gaps = samples[1][rows, -1] - plan.states(np.ones(1))[rows, 0]
     return DisturbedRun(_largest(excess), float(np.hypot(*gaps)))
 
 
-def _model_limits(dae: Dae, given: Sequence[Limit]) -> Iterator[Limit]:
+def _model_limits(dae: Dae, own: Sequence[Limit]) -> Iterator[Limit]:
     """Yield the limits of a model, which end simulations, except the given ones."""
-    names = {limit_name(limit) for limit in given}
+    names = {limit_name(limit) for limit in own}
     yield from (limit for limit in dae.limits if limit_name(limit) not in names)
 
 
-def _excess_at_stop(dae: Dae, found: PolynomialMotion, run: Trajectory) -> tuple[Bound, float]:
+def _excess_at_stop(dae: Dae, plan: PolynomialMotion, run: Trajectory) -> tuple[Bound, float]:
     """Return the bound at which a simulation of a plan ended, and an estimate of the excess.
 
     The simulation does not show by how much the bound would have been violated. The excess is the
@@ -288,8 +288,8 @@ def _excess_at_stop(dae: Dae, found: PolynomialMotion, run: Trajectory) -> tuple
     """
     for limit in dae.limits:
         if run.stop is not None and limit.label.full == run.stop.name:
-            part = np.minimum(run.t[-1:] / found.duration, 1.0)
-            sample = run.t[-1:], found.states(part), found.algebraic(part), found.inputs(part)
+            part = np.minimum(run.t[-1:] / plan.duration, 1.0)
+            sample = run.t[-1:], plan.states(part), plan.algebraic(part), plan.inputs(part)
             value = float(limit_values(dae, (limit,), sample)[0, 0])
             side, away = min(
                 (LOWER, value - limit.lower), (UPPER, limit.upper - value), key=itemgetter(1)
@@ -301,10 +301,10 @@ def _excess_at_stop(dae: Dae, found: PolynomialMotion, run: Trajectory) -> tuple
 
 def _largest(excess: Iterable[tuple[Bound, float]]) -> dict[Bound, float]:
     """Return the largest excess of each bound."""
-    found: dict[Bound, float] = {}
+    sizes: dict[Bound, float] = {}
     for bound, size in excess:
-        found[bound] = max(found.get(bound, -np.inf), size)
-    return found
+        sizes[bound] = max(sizes.get(bound, -np.inf), size)
+    return sizes
 
 
 def _excess(

@@ -70,19 +70,19 @@ def nlp_block(
     """
     lookups = needed_lookups(lookups, [cost, rows])
     check_order(lookups, DERIVATIVE_ORDER, "a plan")
-    v, given, shared = symbols[0], [*symbols, found_column(lookups)], {"cse": True}
+    v, arguments, shared = symbols[0], [*symbols, found_column(lookups)], {"cse": True}
     cost, rows = ca.densify(cost), ca.cse(ca.densify(rows))
 
     def large() -> list[ca.Function]:
         s, multipliers = ca.SX.sym("s"), ca.SX.sym("l", rows.numel())
         hessian = ca.triu(ca.hessian(s * cost + ca.dot(multipliers, rows), v)[0])
         return [
-            ca.Function("rows", given, [rows], shared),
-            ca.Function("jacobian", given, [rows, ca.jacobian(rows, v)], shared),
-            ca.Function("hessian", [*given, s, multipliers], [hessian], shared),
+            ca.Function("rows", arguments, [rows], shared),
+            ca.Function("jacobian", arguments, [rows, ca.jacobian(rows, v)], shared),
+            ca.Function("hessian", [*arguments, s, multipliers], [hessian], shared),
         ]
 
-    key = ca.Function("values", given, [cost, rows], shared)
+    key = ca.Function("values", arguments, [cost, rows], shared)
     block_lookups = tuple(
         BlockLookup(
             ca.Function("argument", [*symbols, found_column(lookups[:k])], [each.argument]),
@@ -93,8 +93,8 @@ def nlp_block(
     names = ("rows", "jacobian", "hessian")
     of_rows, jacobian, hessian = compiled_functions(key, names, large, compiled=compiled)
     return NlpBlock(
-        ca.Function("cost", given, [cost]),
-        ca.Function("gradient", given, [cost, ca.gradient(cost, v)]),
+        ca.Function("cost", arguments, [cost]),
+        ca.Function("gradient", arguments, [cost, ca.gradient(cost, v)]),
         of_rows,
         jacobian,
         hessian,
@@ -141,17 +141,17 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
 def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
     """Return the arguments ``v, q, p, c`` of the functions of a block; ``c`` are lookup results."""
     count = len(each.variable_indices)
-    given, found = (
+    own, lookups = (
         [_gather(v, each.variable_indices), ca.MX(ca.DM(each.constants)), p.T],
         ca.MX(count, 0),
     )
     for argument, function in each.lookups:
         asked = _repeat_constants(
-            _evaluate_by_columns(argument, [*map(_split_columns, [*given, found])]), count
+            _evaluate_by_columns(argument, [*map(_split_columns, [*own, lookups])]), count
         )[0]
         results = function.map(count)(ca.reshape(asked, count, -1).T)
-        found = ca.horzcat(found, results.T)
-    return [*given, found]
+        lookups = ca.horzcat(lookups, results.T)
+    return [*own, lookups]
 
 
 def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
@@ -199,8 +199,8 @@ def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.
         # Ten times as fast as calling CasADi's interpreter point by point.
         return _repeat_constants(_evaluate_by_columns(f, [*map(_split_columns, arguments)]), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
-    found = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
-    return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in found]
+    results = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
+    return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in results]
 
 
 def _total_cost(blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX) -> ca.MX:
@@ -226,40 +226,40 @@ def _cost_and_gradient(
     """Return the cost of the program and its gradient with respect to scaled unknowns."""
     cost, values, entries, factors = ca.MX(0), [], [], []
     for each in blocks:
-        own, found = _evaluate_everywhere(each.gradient, each, _arguments(each, v, p))
+        own, gradient = _evaluate_everywhere(each.gradient, each, _arguments(each, v, p))
         which, _ = _row_column(each.gradient.sparsity_out(1))
         rows = each.variable_indices.T[which].ravel()
         cost += ca.sum1(own)
-        values.append(found)
+        values.append(gradient)
         entries.append((rows, np.zeros_like(rows)))
         factors.append(scale[rows])
     return cost, ca.densify(_sum_entries(values, entries, factors, (scale.size, 1)))
 
 
-def _sum_rows(blocks: Sequence[NlpBlock], parts: Sequence[ca.MX]) -> ca.MX:
+def _sum_rows(blocks: Sequence[NlpBlock], rows: Sequence[ca.MX]) -> ca.MX:
     """Return the rows of the program from the rows of all blocks."""
     where = np.concatenate([each.row_indices.T.ravel() for each in blocks])
     if np.unique(where).size == where.size:
-        return ca.vertcat(*parts)[np.argsort(where).tolist()]
+        return ca.vertcat(*rows)[np.argsort(where).tolist()]
     entries = [(where, np.zeros_like(where))]
     shape = (int(where.max()) + 1, 1)
-    return ca.densify(_sum_entries([ca.vertcat(*parts)], entries, [np.ones(where.size)], shape))
+    return ca.densify(_sum_entries([ca.vertcat(*rows)], entries, [np.ones(where.size)], shape))
 
 
 def _rows_and_jacobian(
     blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array
 ) -> tuple[ca.MX, ca.MX]:
     """Return the rows of the program and their Jacobian with respect to scaled unknowns."""
-    parts, values, entries, factors = [], [], [], []
+    own_rows, values, entries, factors = [], [], [], []
     for each in blocks:
-        own, found = _evaluate_everywhere(each.jacobian, each, _arguments(each, v, p))
+        own, jacobian = _evaluate_everywhere(each.jacobian, each, _arguments(each, v, p))
         row, column = _row_column(each.jacobian.sparsity_out(1))
         rows, columns = each.row_indices.T[row].ravel(), each.variable_indices.T[column].ravel()
-        parts.append(own)
-        values.append(found)
+        own_rows.append(own)
+        values.append(jacobian)
         entries.append((rows, columns))
         factors.append(scale[columns])
-    g = _sum_rows(blocks, parts)
+    g = _sum_rows(blocks, own_rows)
     return g, _sum_entries(values, entries, factors, (g.numel(), scale.size))
 
 
@@ -269,8 +269,12 @@ def _lagrangian_hessian(
     """Return the upper triangle of the Hessian of the Lagrangian for scaled unknowns."""
     values, entries, factors = [], [], []
     for each in blocks:
-        given = [*_arguments(each, v, p), multipliers[0], _gather(multipliers[1], each.row_indices)]
-        (found,) = _evaluate_everywhere(each.hessian, each, given)
+        own = [
+            *_arguments(each, v, p),
+            multipliers[0],
+            _gather(multipliers[1], each.row_indices),
+        ]
+        (hessian,) = _evaluate_everywhere(each.hessian, each, own)
         row, column = _row_column(each.hessian.sparsity_out(0))
         rows, columns = (
             each.variable_indices.T[row].ravel(),
@@ -278,7 +282,7 @@ def _lagrangian_hessian(
         )
         # If two unknowns of a block are one unknown of the program, both triangles count.
         twice = np.repeat(row != column, len(each.variable_indices)) & (rows == columns)
-        values.append(found)
+        values.append(hessian)
         entries.append((np.minimum(rows, columns), np.maximum(rows, columns)))
         factors.append(scale[rows] * scale[columns] * (1 + twice))
     return _sum_entries(values, entries, factors, (scale.size, scale.size))
@@ -289,14 +293,14 @@ def _row_column(sparsity: ca.Sparsity) -> tuple[Index, Index]:
     return row, column
 
 
-def _repeat_constants(found: Sequence[Columns], count: int) -> list[ca.MX]:
+def _repeat_constants(results: Sequence[Columns], count: int) -> list[ca.MX]:
     """Return each result as one column, with scalar entries repeated for all ``count`` points."""
     return [
         ca.vertcat(
             ca.MX(0, 1),
             *(each if each.numel() == count else ca.repmat(each, count) for each in entries),
         )
-        for entries in found
+        for entries in results
     ]
 
 

@@ -84,8 +84,8 @@ def stage_functions(
     If ``conditions``, the expressions of limits, way-points and goal, or costs contain dependent
     unknowns of the model, these are unknowns of the plan too.
     """
-    given = [*conditions, *(cost.expression for cost in costs)]
-    dae, blocks = system.dae, _needed_blocks(system, ca.vertcat(ca.SX(0, 1), *given))
+    wanted = [*conditions, *(cost.expression for cost in costs)]
+    dae, blocks = system.dae, _needed_blocks(system, ca.vertcat(ca.SX(0, 1), *wanted))
     x, z, u = dae.columns()
     z = z[: blocks[-1].span.stop]
     alg = ca.vertcat(*dae.alg[: len(blocks)])

@@ -23,7 +23,7 @@ from slipfree.plan.sparse_assembly import Index as Index
 from slipfree.plan.sparse_assembly import NlpBlock, ProgramFunctions, assemble, nlp_block
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.system import System, with_inputs
+from slipfree.solve.system import with_inputs
 
 ALLOWED_DEGREES = (1, 2, 3, 4, 5)
 
@@ -134,7 +134,7 @@ def transcribe(
         )
     rest = task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)})
     system = with_inputs(task.dae, rest, 0, options)
-    bounds, limits = _split(task, system)
+    bounds, limits = _split(task)
     conditions = [
         *task.limits,
         *(limit for condition in task.conditions for limit in condition.limits),
@@ -184,8 +184,8 @@ def transcribe(
 def completed(program: Program, unknowns: Array) -> Array:
     """Return unscaled unknowns with their roots recomputed from the other unknowns."""
     full, n_w = unknowns.copy(), program.roots.size1_in(0)
-    found = program.roots(unknowns[:n_w] / program.scale[:n_w])
-    full[program.layout.roots.ravel()] = np.array(found).ravel()
+    roots = program.roots(unknowns[:n_w] / program.scale[:n_w])
+    full[program.layout.roots.ravel()] = np.array(roots).ravel()
     return full
 
 
@@ -216,25 +216,33 @@ def variable_layout(
 
 
 def _split(
-    task: PlanTask, system: System
+    task: PlanTask,
 ) -> tuple[dict[tuple[str, int], tuple[float, float]], list[Limit]]:
     """Return bounds of single states and unknowns, by record and index, and all other limits."""
-    x, z, _ = system.dae.columns()
     simple: dict[tuple[str, int], tuple[float, float]] = {}
     rows = []
     for limit in task.limits:
-        found = [
-            (kind, k)
-            for kind, column in (("x", x), ("z", z))
-            for k in range(column.numel())
-            if ca.is_equal(limit.expression, column[k])
-        ]
-        if not found:
+        variable = variable_of(task, limit.expression)
+        if variable is None:
             rows.append(limit)
             continue
-        low, high = simple.get(found[0], (-np.inf, np.inf))
-        simple[found[0]] = max(low, limit.lower), min(high, limit.upper)
+        low, high = simple.get(variable, (-np.inf, np.inf))
+        simple[variable] = max(low, limit.lower), min(high, limit.upper)
     return simple, rows
+
+
+def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
+    """Return the record (``"x"`` or ``"z"``) and index of a state or unknown; None for others."""
+    for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
+        for k, symbol in enumerate(leaves(symbols)):
+            if ca.is_equal(expression, symbol):
+                return record, k
+    return None
+
+
+def rate_of(label: Label) -> Label:
+    """Return the label of the rate of an input, in 1/s2."""
+    return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
 
 
 def _with_roots(layout: VariableLayout, point: StageFunctions) -> VariableLayout:
@@ -247,9 +255,8 @@ def _interval_rows(
     task: PlanTask, point: StageFunctions, mesh: CollocationMesh, layout: VariableLayout
 ) -> RowBlock:
     """Return the rows of the intervals: those of the points, then the bounded input rates."""
-    names = [label.full for label in leaves(task.dae.labels.u)]
-    jumps = _bounded(task)
-    rates = [Label(f"{names[k]}_change", "s-2", f"rate of {names[k]}") for k in jumps]
+    inputs, jumps = list(leaves(task.dae.labels.u)), _bounded(task)
+    rates = [rate_of(inputs[k]) for k in jumps]
     low, high = (
         np.append(np.tile(bounds, mesh.degree), task.accelerations[jumps, side])
         for side, bounds in enumerate((point.lower, point.upper))

@@ -240,10 +240,10 @@ def plan_windows(
         )
     own = {"step": step, "options": options, **arguments}
 
-    def keep_first(found: Plan, here: _HandOver, end: float) -> None:
+    def keep_first(planned: Plan, here: _HandOver, end: float) -> None:
         if keep is not None and not parts:
-            part = _first_part(found, (0.0, end), 0.0, 0.0, found.stages)
-            keep(_join([part], None, _stop_of(found, here, end), dae, options))
+            part = _first_part(planned, (0.0, end), 0.0, 0.0, planned.stages)
+            keep(_join([part], None, _stop_of(planned, here, end), dae, options))
 
     search = _WindowSearch(dae, law, route, speed, length, overlap, goal, progress, keep_first, own)
     bounds = bounds_of(dae, arguments.get("inputs") or {})
@@ -257,21 +257,21 @@ def plan_windows(
         if keep is not None and parts:
             words = f"the plan from {here.reached:.4g} m of the route was interrupted"
             keep(_join(parts, None, Stop(PLAN, 0.0, words, Outcome.INTERRUPTED), dae, options))
-        found, end, stages = search.solve(here)
-        stop, task = _stop_of(found, here, end), found.program.task
-        if found.success or not parts:
+        planned, end, stages = search.solve(here)
+        stop, task = _stop_of(planned, here, end), planned.program.task
+        if planned.success or not parts:
             t = sum(part.window.duration for part in parts)
             rest = 0.0 if end == route.length or stop else overlap / speed
-            part = _first_part(found, (here.reached, end), t, rest, stages)
+            part = _first_part(planned, (here.reached, end), t, rest, stages)
             parts.append(part)
             reached = search.nearest(part.replay, here.reached, end) if rest else end
             here = _HandOver(part.replay, _end_inputs(dae, part.motion, bounds), reached)
     return _join(parts, task, stop, dae, options)
 
 
-def _stop_of(found: Plan, here: _HandOver, end: float) -> Stop | None:
+def _stop_of(planned: Plan, here: _HandOver, end: float) -> Stop | None:
     """Return the stop of a window that is not solved or whose simulation stops; otherwise None."""
-    stop = found.replay.stop if found.success else found.run.stop
+    stop = planned.replay.stop if planned.success else planned.run.stop
     if stop is None:
         return None
     words = f"the plan from {here.reached:.4g} to {end:.4g} m of the route: {stop.words}"
@@ -279,30 +279,30 @@ def _stop_of(found: Plan, here: _HandOver, end: float) -> Stop | None:
 
 
 def _first_part(
-    found: Plan, span: tuple[float, float], t: float, rest: float, stages: tuple[SolvedStage, ...]
+    planned: Plan, span: tuple[float, float], t: float, rest: float, stages: tuple[SolvedStage, ...]
 ) -> _Part:
     """Return the part of a window before its hand-over, which leaves at least ``rest`` seconds."""
-    motion, run = found.motion, found.replay
+    motion, run = planned.motion, planned.replay
     times = motion.ends
     count = max(int(np.searchsorted(times, times[-1] - rest + TIME_TOLERANCE)) - 1, 1)
     last = min(int(np.searchsorted(run.t, times[count] - TIME_TOLERANCE)), run.t.size - 1)
     own = run.part(slice(last + 1))
     violation = {
         name: size
-        for name, size in found.violation.items()
+        for name, size in planned.violation.items()
         if not (rest and name.endswith(GOAL_SUFFIX))
     }
     iterations = sum(stage.iterations for stage in stages)
     seconds = sum(stage.seconds["total"] for stage in stages)
     return _Part(
-        RouteWindow(*span, t, float(own.t[-1]), iterations, seconds, found.accurate),
+        RouteWindow(*span, t, float(own.t[-1]), iterations, seconds, planned.accurate),
         first_intervals(motion, count),
         own,
-        found.difference,
+        planned.difference,
         violation,
-        found.units,
+        planned.units,
         stages,
-        found.compiled,
+        planned.compiled,
     )
 
 
@@ -371,10 +371,10 @@ def _costs(task: PlanTask, motion: PolynomialMotion, options: SolverOptions) -> 
 
 def _largest(sizes: Iterable[dict[str, float]]) -> dict[str, float]:
     """Return the largest value of each name."""
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for each in sizes:
-        found |= {name: max(size, found.get(name, 0.0)) for name, size in each.items()}
-    return found
+        largest |= {name: max(size, largest.get(name, 0.0)) for name, size in each.items()}
+    return largest
 
 
 def _chained(runs: Sequence[Trajectory]) -> Trajectory:

@@ -47,18 +47,20 @@ def unreachable(
     layers: Traversability, positions: Sequence[tuple[str, float, float]]
 ) -> list[Objection]:
     """Return the objections to named positions, the first of which is the start."""
-    found = [each for position in positions if (each := _position_objection(layers, *position))]
-    off = {each.name: each.sure for each in found}
+    objections = [
+        each for position in positions if (each := _position_objection(layers, *position))
+    ]
+    off = {each.name: each.sure for each in objections}
     first, *others = positions
     if off.get(first[0], False):
-        return found
+        return objections
     for other in others:
         if not off.get(other[0], False):
             each = _separation_objection(
                 layers, first, other, is_judged=not {first[0], other[0]} & set(off)
             )
-            found += [each] if each else []
-    return found
+            objections += [each] if each else []
+    return objections
 
 
 def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:

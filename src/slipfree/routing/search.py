@@ -189,26 +189,26 @@ def routes(
     _check_ends(layers, start, goal, turning_radius)
     ends = np.asarray(start, float), np.asarray(goal, float)
     obstacles = obstacle_points(layers)
-    found: dict[tuple[int, ...], Route] = {}
+    by_class: dict[tuple[int, ...], Route] = {}
     pending: list[tuple[float, tuple[Ray, ...]]] = [(0.0, ())]
     for _ in range(MAX_SEARCHES * count):
-        if not pending or len(found) == count:
+        if not pending or len(by_class) == count:
             break
         _, closed = pending.pop(0)
         rough = _search(layers, close_rays(layers.cost, closed), *ends)
         if not len(rough):
-            if not found:
+            if not by_class:
                 raise ModelError(f"route: {no_route_words(layers, *ends)}")
             continue
         points = smooth(layers, rough, turning_radius)
         kind = homotopy_class(points, obstacles)
-        if kind not in found:
-            found[kind] = Route(points, _integral(layers, points), polyline_length(points))
+        if kind not in by_class:
+            by_class[kind] = Route(points, _integral(layers, points), polyline_length(points))
         further = crossed_rays(layers, rough, obstacles)
         pending += [(detour, (*closed, ray)) for detour, ray in further]
         pending.sort(key=itemgetter(0))
-    least = min(each.cost for each in found.values())
-    cheap = [each for each in found.values() if each.cost <= MAX_COST_RATIO * least]
+    least = min(each.cost for each in by_class.values())
+    cheap = [each for each in by_class.values() if each.cost <= MAX_COST_RATIO * least]
     return sorted(cheap, key=attrgetter("cost"))
 
 

@@ -196,19 +196,19 @@ def _squares(vectors: Array) -> Array:
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])
 
 
-def _gradient(parts: Iterable[tuple[Array, Array]], p: Array) -> Array:
+def _gradient(terms: Iterable[tuple[Array, Array]], p: Array) -> Array:
     """Return the gradient with respect to the points, from those of weighted sums of neighbours."""
     gradient = np.zeros_like(p)
-    for weights, part in parts:
+    for weights, part in terms:
         for k, weight in enumerate(weights):
             gradient[k : k + len(part)] += weight * part
     return gradient
 
 
-def _banded(parts: Iterable[tuple[Array, Array]], count: int) -> Array:
+def _banded(terms: Iterable[tuple[Array, Array]], count: int) -> Array:
     """Return the Hessian of the inner points in upper banded form, shape (6, 2 count - 4)."""
     blocks = np.zeros((3, count, 2, 2))  # blocks[o, k] couples point k to point k + o
-    for weights, part in parts:
+    for weights, part in terms:
         for a in range(len(weights)):
             for b in range(a, len(weights)):
                 blocks[b - a, a : a + len(part)] += weights[a] * weights[b] * part

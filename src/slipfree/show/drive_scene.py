@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
-from slipfree.core.trajectory import Trajectory
+from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.files.urdf.tree import UrdfJoint
 from slipfree.geometry.mesh import Mesh
@@ -22,7 +22,6 @@ from slipfree.show.ground_drawing import Window
 from slipfree.show.meshes import Refined, clipped, extruded, joined, refined, rod, spokes
 from slipfree.show.scene import (
     BLOCKED,
-    PLAN,
     ROD,
     TYRE,
     Actor,
@@ -38,7 +37,6 @@ from slipfree.show.scene import (
     framed,
     layer,
     map_lines,
-    stopped,
 )
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
@@ -99,13 +97,13 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
 
 def actors_of(drives: Sequence[Driven], origin: Array) -> list[Actor]:
     """Return the actors of motions and of their plans, relative to the scene's origin [m]."""
-    found = []
+    actors = []
     for k, drive in enumerate(drives):
-        found.append(_actor(drive, drive.run, drive.name, k, origin))
+        actors.append(_actor(drive, drive.run, drive.name, k, origin))
         if drive.plan is not None:
             name = f"{drive.name}: plan"
-            found.append(_actor(drive, drive.plan, name, k + len(drives), origin, ghost=True))
-    return found
+            actors.append(_actor(drive, drive.plan, name, k + len(drives), origin, ghost=True))
+    return actors
 
 
 def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> Mesh:
@@ -165,7 +163,7 @@ def _backdrop(
     def draw(ax: Axes) -> Axes:
         return ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))
 
-    return Backdrop(draw, PLAN, near, AROUND * reach, (28.0, -55.0))
+    return Backdrop(draw, near, AROUND * reach)
 
 
 def _runs(drives: Sequence[Driven]) -> list[Trajectory]:
@@ -187,10 +185,10 @@ def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
     ]
     low, high = slice(0, None, 2), slice(1, None, 2)
     whole = np.array(ground_drawing.whole(grid))
-    found = np.empty(4)
-    found[low] = np.maximum(np.minimum(around[low], least[low]), whole[low])
-    found[high] = np.minimum(np.maximum(around[high], least[high]), whole[high])
-    west, east, south, north = (float(each) for each in found)
+    ends = np.empty(4)
+    ends[low] = np.maximum(np.minimum(around[low], least[low]), whole[low])
+    ends[high] = np.minimum(np.maximum(around[high], least[high]), whole[high])
+    west, east, south, north = (float(each) for each in ends)
     return west, east, south, north
 
 
@@ -222,9 +220,9 @@ def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
     free = np.isfinite(cost)
     top = float(np.percentile(cost[free], 99)) if free.any() else 1.0
     legend = f"cost per metre of path, 1 to {top:.3g}; grey: blocked"
-    found = layer("traversability", np.where(free, cost, 1.0), legend, 1.0, top)
-    found.colors[~free] = BLOCKED
-    return found
+    coloured = layer("traversability", np.where(free, cost, 1.0), legend, 1.0, top)
+    coloured.colors[~free] = BLOCKED
+    return coloured
 
 
 def _actor(
@@ -246,7 +244,7 @@ def _actor(
         contacts - origin,
         tuple(a._replace(starts=a.starts - origin) for a in arrows),
         ghost,
-        stopped(run),
+        stop_words(run),
     )
 
 
@@ -304,12 +302,12 @@ def _plate_spans(
             halves[carried] = number  # of several joints in a row, the last one
     own = ~np.any([*halves, (False,) * len(places)], axis=0)
     ends = np.append(places[own, 1], joints[list(halves.values()), 1])
-    found = {"platform": (float(ends.min()), float(ends.max()))}
+    spans = {"platform": (float(ends.min()), float(ends.max()))}
     for carried, number in halves.items():
         away = places[list(carried), 1] - joints[number, 1]
         span = float(away.min(initial=0)), float(away.max(initial=0))
-        found[vehicle.joints[number - 1].name] = span
-    return found
+        spans[vehicle.joints[number - 1].name] = span
+    return spans
 
 
 def _is_carried(part: str, by: str, parents: Mapping[str, str]) -> bool:
@@ -358,12 +356,12 @@ def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> li
     along = np.cross(normals, axles)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     frame = {"along": along, "across": np.cross(along, normals), "normal": normals}
-    found = []
+    arrows = []
     for name, directions in (("slip", ("along", "across")), ("force", tuple(frame))):
         if {f"{name}_{each}" for each in directions} <= run.columns.keys():
             vectors = sum(run[f"{name}_{each}"][..., None] * frame[each] for each in directions)
-            found.append(Arrows(name, contacts, np.asarray(vectors)))
-    return found
+            arrows.append(Arrows(name, contacts, np.asarray(vectors)))
+    return arrows
 
 
 def ground_normals(terrain: Bicubic, points: Array) -> Array:

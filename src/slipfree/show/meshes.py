@@ -82,11 +82,11 @@ def clipped(
     points: Sequence[tuple[float, float]], low: tuple[float, float], high: tuple[float, float]
 ) -> Array:
     """Return the corners of the part of a convex polygon inside a box, shape (n, 2)."""
-    found = np.array(points, dtype=float)
+    corners = np.array(points, dtype=float)
     for axis in (0, 1):
         for bound, sign in ((low[axis], 1.0), (high[axis], -1.0)):
-            found = _cut(found, axis, bound, sign)
-    return found
+            corners = _cut(corners, axis, bound, sign)
+    return corners
 
 
 def _cut(points: Array, axis: int, bound: float, sign: float) -> Array:

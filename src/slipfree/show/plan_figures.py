@@ -88,11 +88,11 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
     return ax
 
 
-def initial_routes(found: Sequence[Array], ax: Axes) -> Axes:
+def initial_routes(routes: Sequence[Array], ax: Axes) -> Axes:
     """Draw the routes of the initial guesses, shape (n, 2) each [m], with their lengths."""
-    for k, points in enumerate(found):
+    for k, points in enumerate(routes):
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-        name = f"initial route {k + 1}" if len(found) > 1 else "initial route"
+        name = f"initial route {k + 1}" if len(routes) > 1 else "initial route"
         ax.plot(
             *points.T,
             color=PLATFORM,
@@ -263,18 +263,18 @@ def _panels(
     limits: Mapping[str, Range],
 ) -> list[Panel]:
     """Return the panels for inputs, limited quantities, keep-out distances and slip of a plan."""
-    found: list[tuple[float, Callable[[Axes], Any]]] = []
+    drawings: list[tuple[float, Callable[[Axes], Any]]] = []
     if bounds:
         entries = sum(len(textwrap.wrap(style.words(name), WRAP)) for name in bounds)
-        found.append((max(1.0, (entries + 1) / ENTRIES), partial(inputs, run, bounds)))
-    found += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
+        drawings.append((max(1.0, (entries + 1) / ENTRIES), partial(inputs, run, bounds)))
+    drawings += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
     if layers.limits.keep_out:
-        found.append((1.0, partial(keep_out_distance, run, layers)))
-    found += [
+        drawings.append((1.0, partial(keep_out_distance, run, layers)))
+    drawings += [
         (1.0, partial(motion_figures.slip, run, direction))
         for direction in motion_figures.slipping_directions(run)
     ]
-    return [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in found]
+    return [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in drawings]
 
 
 def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:

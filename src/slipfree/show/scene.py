@@ -18,7 +18,6 @@ from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from slipfree.core.records import Array
-from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.geometry.mesh import Mesh
 from slipfree.show import style
 from slipfree.show.ground_drawing import Window
@@ -38,7 +37,6 @@ UNITS = {"slip": "m/s", "force": "N"}
 MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # different from the colours of runs
 FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
-PLAN, SECTION = (0, 1), (1, 2)  # indices of the coordinates drawn to the right and up
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
 LIFT = 0.01  # height of lines above the ground, so that it does not hide them [reach]
@@ -78,10 +76,10 @@ class SceneGround(NamedTuple):
 
     def colors(self, name: str, *, shaded: bool) -> Colors:
         """Return the colours of the vertices in a layer, with or without hillshade."""
-        found = next(each.colors for each in self.layers if each.name == name)
+        colors = next(each.colors for each in self.layers if each.name == name)
         if self.shade is None or not shaded:
-            return found
-        return np.asarray(np.rint(found * self.shade[:, None]), dtype=np.uint8)
+            return colors
+        return np.asarray(np.rint(colors * self.shade[:, None]), dtype=np.uint8)
 
 
 class SceneBody(NamedTuple):
@@ -120,14 +118,12 @@ class Actor(NamedTuple):
 
 
 class Backdrop(NamedTuple):
-    """Ground of a film: a plan or section with all paths, and the surroundings of a vehicle."""
+    """Ground of a film: plan view with all paths, and the surroundings of a vehicle."""
 
     draw: Callable[[Axes], Any]  # draws the ground on axes in map coordinates
-    axes: tuple[int, int]  # indices of the coordinates on these axes: `PLAN` or `SECTION`
     # ``near(point, half)`` returns the faces of the ground around a point, each of shape (n, 3) [m]
     near: Callable[[Array, float], Sequence[Array]]
     half: float  # half the width of the surroundings in the view of the vehicle [m]
-    camera: tuple[float, float]  # elevation and azimuth of the camera [deg]
 
 
 class Scene(NamedTuple):
@@ -175,16 +171,11 @@ def framed(
     least = {**LEAST, "slip": max(LEAST["slip"], NOTABLE * max(map(_top_speed, actors)))}
     scales = {name: _scale(name, actors, LONGEST * reach, least[name]) for name in LEAST}
     place = ", ".join(f"{value + 0.0:.10g}" for value in origin)  # no minus zero
-    found = [*notes, f"The origin of the scene is ({place}) m in map coordinates."]
+    all_notes = [*notes, f"The origin of the scene is ({place}) m in map coordinates."]
     for name, scale in scales.items():
         if not scale:
-            found.append(f"No {name} is drawn: {_reason_without_arrows(name, actors)}.")
-    return Scene(ground, actors, origin, reach, backdrop, scales, tuple(found), tuple(warnings))
-
-
-def stopped(run: Trajectory) -> str:
-    """Return the message of a stop, as in `Actor`; empty without a stop."""
-    return stop_words(run)
+            all_notes.append(f"No {name} is drawn: {_reason_without_arrows(name, actors)}.")
+    return Scene(ground, actors, origin, reach, backdrop, scales, tuple(all_notes), tuple(warnings))
 
 
 def color_of(k: int) -> Color:
@@ -214,13 +205,13 @@ def chassis(positions: Array, span: tuple[float, float], radius: float) -> Mesh:
 
 def _vector_lengths(name: str, actors: Iterable[Actor]) -> Array:
     """Return the finite lengths of all vectors of a quantity."""
-    found = [
+    lengths = [
         np.linalg.norm(each.vectors, axis=-1).ravel()
         for actor in actors
         for each in actor.arrows
         if each.name == name
     ]
-    sizes = np.concatenate([*found, np.zeros(0)])
+    sizes = np.concatenate([*lengths, np.zeros(0)])
     return np.asarray(sizes[np.isfinite(sizes)])
 
 
@@ -260,13 +251,13 @@ def map_lines(
 ) -> tuple[Lines, ...]:
     """Return contours, grid and north arrow of the ground within ``reach`` of the vehicle [m]."""
     above = origin - np.array([0.0, 0.0, LIFT * reach])
-    found = [contours(drawn), *_grid_and_north(drawn, terrain, window)]
+    lines = [contours(drawn), *_grid_and_north(drawn, terrain, window)]
     return tuple(
         each._replace(
             segments=each.segments - above,
             labels=tuple((words, place - above) for words, place in each.labels),
         )
-        for each in found
+        for each in lines
         if len(each.segments)
     )
 
@@ -334,5 +325,5 @@ def _coordinate(name: str, value: float) -> str:
 
 def _segments(line: Array) -> Array:
     """Return the segments between consecutive points, shape (n, 2, 3); NaN ends are omitted."""
-    found = np.stack([line[:-1], line[1:]], axis=1)
-    return np.asarray(found[np.isfinite(found).all(axis=(1, 2))])
+    segments = np.stack([line[:-1], line[1:]], axis=1)
+    return np.asarray(segments[np.isfinite(segments).all(axis=(1, 2))])

@@ -17,11 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slipfree.core.errors import ModelError
-from slipfree.core.facts import Swept, Varied
 from slipfree.core.records import Array, Mask
 from slipfree.show import style
 from slipfree.show.plots import MARGIN, PANEL, Plot, save
 from slipfree.show.style import COLUMN, MM, PALETTE, STOPPED
+from slipfree.show.swept import Swept, Varied
 
 COLOURS = "viridis"
 NOTHING = "0.85"  # colour of cells without a run
@@ -136,9 +136,9 @@ def _axes(swept: Swept, count: int) -> tuple[Varied, ...]:
 def _over(reduce: Any, values: Array) -> Array:
     """Return a reduction such as the mean over repetitions; NaN where no repetition has a value."""
     there = np.isfinite(values).any(axis=-1)
-    found = np.full(there.shape, np.nan)
-    found[there] = reduce(values[there], axis=-1)
-    return found
+    reduced = np.full(there.shape, np.nan)
+    reduced[there] = reduce(values[there], axis=-1)
+    return reduced
 
 
 def _positions(varied: Varied) -> Array:

@@ -315,8 +315,8 @@ def _matt(tree: dict[str, Any]) -> None:
 def linear(colors: Colors) -> Colors:
     """Return sRGB colours converted to linear light (IEC 61966-2-1), shape (n, 3)."""
     parts = colors / 255
-    found = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.rint(255 * found), dtype=np.uint8)
+    light = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.rint(255 * light), dtype=np.uint8)
 
 
 def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arrows) -> Any:

@@ -137,9 +137,9 @@ def read_map(
                 refuse(f"no {key!r} for {kind}", f"{value!r}", remedy)
         check_ending(path, "map", _expected_endings(), _endings())
         with regular_file(path, "a map"):
-            found = _reader(ending).read(path, reading)
-        _check_degrees(found, local=geographic is not None)
-        return _mapped(found, geographic, fill)
+            heights = _reader(ending).read(path, reading)
+        _check_degrees(heights, local=geographic is not None)
+        return _mapped(heights, geographic, fill)
     except DataError as error:
         if str(error).startswith(f"{path}:"):
             raise

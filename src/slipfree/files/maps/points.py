@@ -252,11 +252,11 @@ def _read(path: Path, near: Window | None) -> _Cloud:
                     remedy = "set spacing and window, or thin the points"
                     found_words = f"more, of {count} in the file"
                     refuse(f"at most {MAX_POINTS:g} points", found_words, remedy)
-            found = np.concatenate(points)
-            if not (np.abs(found) <= MAX_COORDINATE).all():
+            cloud = np.concatenate(points)
+            if not (np.abs(cloud) <= MAX_COORDINATE).all():
                 raise ValueError(f"coordinates that are not finite or exceed {MAX_COORDINATE:g}")
             version = str(file.header.version)
-            return _Cloud(found, np.concatenate(ground), version, *_system(file.header))
+            return _Cloud(cloud, np.concatenate(ground), version, *_system(file.header))
     except (DataError, OSError):
         raise
     except Exception as error:  # laspy, lazrs and pyproj raise many kinds for damaged files
@@ -346,11 +346,11 @@ def _gridded(
     # relative to the first node: sums of coordinates such as northings would lose digits
     means = [np.bincount(which, column) / count for column in (points[:, :2] - first).T]
     z = np.bincount(which, points[:, 2]) / count
-    found = interpolate_points(np.column_stack([*means, z]), np.zeros(2), x.step, part)
+    heights = interpolate_points(np.column_stack([*means, z]), np.zeros(2), x.step, part)
     rows, columns = (
         each - nodes.start for each, nodes in zip(np.divmod(cells, y.size), part, strict=True)
     )
-    inside = (rows >= 0) & (rows < found.shape[0]) & (columns >= 0) & (columns < found.shape[1])
-    occupied = np.zeros(found.shape, bool)
+    inside = (rows >= 0) & (rows < heights.shape[0]) & (columns >= 0) & (columns < heights.shape[1])
+    occupied = np.zeros(heights.shape, bool)
     occupied[rows[inside], columns[inside]] = True
-    return np.where(occupied, found, np.nan), int(occupied.sum())
+    return np.where(occupied, heights, np.nan), int(occupied.sum())

@@ -96,8 +96,8 @@ class Source:
 
 
 def _longest(place: Place, known: Mapping[Place, object]) -> Place | None:
-    parts = (place[:end] for end in range(len(place), 0, -1))
-    return next((part for part in parts if part in known), None)
+    beginnings = (place[:end] for end in range(len(place), 0, -1))
+    return next((part for part in beginnings if part in known), None)
 
 
 def spelled(place: Place) -> str:
@@ -107,8 +107,8 @@ def spelled(place: Place) -> str:
 
 def load_toml(text: str) -> dict[str, Any]:
     """Return the values of a TOML text; the ValueError may end with ``(at line L, column C)``."""
-    if (found := LONG_KEY.search(text)) is not None:
-        line = text.count("\n", 0, found.start()) + 1
+    if (long_key := LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, long_key.start()) + 1
         raise ValueError(f"a key of more than 60 dotted parts (at line {line}, column 1)")
     try:
         values = tomllib.loads(text)
@@ -150,7 +150,7 @@ def key_path(text: str) -> tuple[str, ...]:
 @lru_cache(maxsize=1)
 def key_lines(text: str) -> Mapping[Place, int]:
     """Return the line of every key and table of a TOML text, except keys inside inline values."""
-    found: dict[Place, int] = {}
+    lines: dict[Place, int] = {}
     counts: dict[Place, int] = {}
     table: Place = ()
     for line, statement in _statements(text):
@@ -164,13 +164,13 @@ def key_lines(text: str) -> Mapping[Place, int]:
             table = _resolved(key[: len(key) - (depth == 2)], counts)
             if depth == 2:
                 table = (*table, key[-1])
-                found.setdefault(table, line)
+                lines.setdefault(table, line)
                 counts[table] = counts.get(table, -1) + 1
                 table = (*table, counts[table])
         place = table if depth else (*table, *key)
         for end in range(1, len(place) + 1):
-            found.setdefault(place[:end], line)
-    return found
+            lines.setdefault(place[:end], line)
+    return lines
 
 
 def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
@@ -234,9 +234,9 @@ def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
     return ProblemError(*(f"{source.where(fault.place)}: {fault.message}" for fault in ordered))
 
 
-def name_errors(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
+def name_errors(place: Place, names: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
     """Yield an error for each unknown name, with the most similar known name."""
-    for name in given:
+    for name in names:
         if name not in known:
             yield _unknown((*place, name), known)
 
@@ -377,9 +377,9 @@ def decode_text(path: Path, raw: bytes) -> str:
 
 def _syntax(path: Path, text: str, message: str) -> str:
     """Return the message of an error of `load_toml`, with file, line and column if it has them."""
-    found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
-    if found is not None:
-        return f"{path}:{found[2]}: expected TOML, found an error in column {found[3]}: {found[1]}"
+    place = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
+    if place is not None:
+        return f"{path}:{place[2]}: expected TOML, found an error in column {place[3]}: {place[1]}"
     if message.endswith("(at end of document)"):
         last = len(text.splitlines()) or 1
         return f"{path}:{last}: expected TOML, found an error at the end: {message}"

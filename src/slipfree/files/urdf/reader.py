@@ -278,7 +278,7 @@ class _Coordinates:
     def _mimic(self, joint: UrdfJoint) -> Mimic | None:
         return None if joint.name in self._roles.joints or not joint.moves else joint.mimic
 
-    def _coordinate(self, joint: UrdfJoint, given: JointRole | None) -> str:
+    def _coordinate(self, joint: UrdfJoint, joint_role: JointRole | None) -> str:
         """Return the name of a joint's coordinate; create the coordinate if it is new."""
         name = re.sub(r"\W", "_", joint.name)
         name = name if name.isidentifier() else f"_{name}"
@@ -286,7 +286,7 @@ class _Coordinates:
             name += "_"
         if name in self.known:
             return name
-        role = given or JointRole("commanded")
+        role = joint_role or JointRole("commanded")
         if name != joint.name:
             self._findings.notes.append(f"joint {joint.name} is the coordinate {name}")
         for key in ("lower", "upper", "rest"):
@@ -304,13 +304,13 @@ class _Coordinates:
     ) -> None:
         """Restrict stops and rate of a coordinate to the limits of a joint that it moves."""
         c, role = self.known[name], self._roles.joints.get(leader.name)
-        given = {} if role is None else role.keywords
+        keywords = {} if role is None else role.keywords
         if multiplier == 0:
             return
         ends = {"lower": -math.inf, "upper": math.inf}
         sides = ("lower", "upper") if multiplier > 0 else ("upper", "lower")
         for key, side in zip(("lower", "upper"), sides, strict=True):
-            if side not in given:
+            if side not in keywords:
                 ends[side] = (self._limit(joint, key) - offset) / multiplier
         lower, upper = max(c.lower, ends["lower"]), min(c.upper, ends["upper"])
         if not lower < upper:
@@ -323,7 +323,9 @@ class _Coordinates:
             )
             return
         rate = (
-            c.max_rate if "max_rate" in given else min(c.max_rate, joint.max_rate / abs(multiplier))
+            c.max_rate
+            if "max_rate" in keywords
+            else min(c.max_rate, joint.max_rate / abs(multiplier))
         )
         self.known[name] = replace(c, lower=lower, upper=upper, max_rate=rate)
 

@@ -221,13 +221,13 @@ class Wheels:
 
     def _add_guess(self, joint: UrdfJoint, guess: WheelGuess) -> None:
         """Complete the given properties of a wheel by guessed ones, and record these."""
-        name, shape, role, given = joint.name, self._shape(joint), guess.role, self._role(joint)
-        if given.radius and role.tube is not None and role.tube == role.radius:
-            role = replace(role, tube=given.radius)
+        name, shape, role, stated = joint.name, self._shape(joint), guess.role, self._role(joint)
+        if stated.radius and role.tube is not None and role.tube == role.radius:
+            role = replace(role, tube=stated.radius)
         every = "radius", "tube", "driven", "rollers"
-        keys = [key for key in every if getattr(given, key) is None]
+        keys = [key for key in every if getattr(stated, key) is None]
         values = {key: getattr(role, key) for key in keys if getattr(role, key) is not None}
-        self._given[name] = replace(given, **values)
+        self._given[name] = replace(stated, **values)
         if shape is not None and "radius" in keys:
             values = {"radius": shape.radius, **values}
         if shape is not None and shape.tube and "tube" in keys:
