@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.core.errors import DataError
-from slipfree.files.mcap_writer import write_mcap
+from slipfree.files.mcap import write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
 from slipfree.files.vehicle_draft import vehicle_text

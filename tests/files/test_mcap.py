@@ -27,8 +27,7 @@ from slipfree.catalog.rovers import rocky7
 from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.files import netcdf
-from slipfree.files.mcap_reader import read_joint_commands, read_mcap
-from slipfree.files.mcap_writer import DEFINITIONS
+from slipfree.files.mcap import DEFINITIONS, read_joint_commands, read_mcap
 from slipfree.files.tables import read_columns, read_names
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import export_mcap, run_problem

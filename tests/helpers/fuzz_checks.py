@@ -16,7 +16,7 @@ from helpers.fuzz_damage import Case
 from slipfree.cli import app
 from slipfree.core.errors import SlipfreeError
 from slipfree.files.maps.elevation import read_map
-from slipfree.files.mcap_reader import read_joint_commands, read_mcap
+from slipfree.files.mcap import read_joint_commands, read_mcap
 from slipfree.files.netcdf import read_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import describe

@@ -1,6 +1,6 @@
 """Tables of numbers in text files: separators, comments, names and units of columns.
 
-Tables of paths and commands are also read from MCAP files (`slipfree.files.mcap_reader`).
+Tables of paths and commands are also read from MCAP files (`slipfree.files.mcap`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents, check_ending
-from slipfree.files.mcap_reader import is_mcap, read_mcap
+from slipfree.files.mcap import is_mcap, read_mcap
 from slipfree.system.regular_files import read_bytes, replace_file
 
 SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
