@@ -31,10 +31,7 @@ from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import film_writer
 from slipfree.show.html_page import with_legend
 from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, spokes
-from slipfree.show.scene import (
-    BLOCKED,
-    scale_words,
-)
+from slipfree.show.scene import BLOCKED, scale_words
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import Disc, Torus

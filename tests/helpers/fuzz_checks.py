@@ -31,16 +31,7 @@ ADDRESS = re.compile(r" at 0x[0-9a-f]{6}|Traceback \(most")
 
 
 class Verdict(NamedTuple):
-    """What became of a case.
-
-    Attributes
-    ----------
-    name : str
-        ``"read"``, ``"refused"`` by a clear error, or what is wrong: ``"traceback"``,
-        ``"warning"``, ``"unclear"``.
-    words : str
-        The error, or where it came from.
-    """
+    """Outcome of a case: `READ`, `REFUSED` by a clear error, or what is wrong, and the error."""
 
     name: str
     words: str = ""

@@ -173,10 +173,7 @@ def _rasters() -> tuple[tuple[str, bytes], ...]:
                 ("EPSG:32633", 5e5, 5e6, 2),
                 ("EPSG:4326", 15, 45, 1e-4),
             ):
-                with (
-                    tempfile.TemporaryDirectory() as folder,
-                    warnings.catch_warnings(),
-                ):
+                with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     whole, copy = f"{folder}/whole.tif", f"{folder}/copy{ending}"
                     place = {

@@ -52,13 +52,7 @@ def holed(grid, *holes):
 def test_holes_in_a_plane_are_filled_exactly_and_counted():
     grid = plane()
     found = fill_holes(
-        holed(
-            grid,
-            (slice(3, 9), slice(4, 8)),
-            (12, 5),
-            (13, 6),
-            (slice(20, 22), slice(10, 20)),
-        )
+        holed(grid, (slice(3, 9), slice(4, 8)), (12, 5), (13, 6), (slice(20, 22), slice(10, 20)))
     )
     assert_allclose(found.z, grid.z, atol=1e-13)
     assert (found.nodes, found.holes) == (24 + 2 + 20, 3)  # touching by a corner is one hole
