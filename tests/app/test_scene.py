@@ -39,35 +39,19 @@ PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = """\
 verb = "direct"
 model = "quasi-static"
+vehicle = { catalog = "three_wheeler", stiffness = 60.0 }
+law.coulomb.creep = 1e-3
+start = { x = 0.0, y = -2.0, heading = 0.4 }
+driver = { name = "straight", speed = 0.3 }
+time = { duration = 1.0, step = 0.02 }
 
 [terrain]
 friction = 0.6
-
 [terrain.synthetic]
 x = [-6, 6]
 y = [-6, 6]
 spacing = 0.25
 power_law = { rms = 0.1, hurst = 0.9, longest = 8.0, shortest = 2.0, seed = 11 }
-
-[vehicle]
-catalog = "three_wheeler"
-stiffness = 60.0
-
-[law.coulomb]
-creep = 1e-3
-
-[start]
-x = 0.0
-y = -2.0
-heading = 0.4
-
-[driver]
-name = "straight"
-speed = 0.3
-
-[time]
-duration = 1.0
-step = 0.02
 """
 NAMED = (
     'verb = "direct"\n[terrain]\nfile = "hills.npz"\n[vehicle]\nfile = "trike.toml"\n'
@@ -323,7 +307,7 @@ def test_what_cannot_be_shown_is_refused(
     netcdf.write(bare, replace(run, attributes=attributes))
     assert "expected a result that contains its problem, found none" in unseen(bare)
     text = PROBLEM.replace("[terrain]\n", '[terrain]\nfile = "hills.npz"\n')
-    text = text[: text.index("[terrain.synthetic]")] + text[text.index("[vehicle]") :]
+    text = text[: text.index("[terrain.synthetic]")]
     named = tmp_path / "named.nc"
     data = file.parent / "data"
     data.mkdir()

@@ -11,42 +11,23 @@ from slipfree.files.netcdf import read
 
 PROBLEM = """\
 verb = "plan"
+vehicle = { catalog = "three_wheeler", axle = "fixed" }
+start = {}
+inputs = { right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0 }
+time = { duration = 4.0, step = 0.2 }
 
 [terrain.synthetic]
 x = [-3, 3]
 y = [-3, 3]
 spacing = 0.5
-
-[terrain.synthetic.power_law]
-rms = 0.05
-hurst = 0.9
-longest = 4.0
-shortest = 2.0
-seed = 1
-
-[vehicle]
-catalog = "three_wheeler"
-axle = "fixed"
-
-[start]
-
-[inputs]
-right_rate = 0.5
-left_rate = 0.5
-steer_rate = 0.0
-
-[time]
-duration = 4.0
-step = 0.2
+power_law = { rms = 0.05, hurst = 0.9, longest = 4.0, shortest = 2.0, seed = 1 }
 """
 PLAN = """
 [goal]
 y = 0.8
-
 [costs]
 slip = 1e3
 effort = 0.01
-
 [plan]
 intervals = 8
 smooth = 0.002

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import rasterio
 from numpy.testing import assert_allclose
-from rasterio.transform import Affine
 
+from helpers.rasters import from_origin, geotiff
 from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.export import export_path, export_rates
@@ -20,40 +19,20 @@ from slipfree.problem.result import run_problem
 
 PROBLEM = """\
 verb = "direct"
+vehicle.catalog = "three_wheeler"
+start = {{ x = {x}, y = {y}, heading = 0.3 }}
+inputs = {{ right_rate = [[0, 0.5], [0.5, 0.4]], left_rate = 0.4, steer_rate = 0.01 }}
+time = {{ duration = 1, step = 0.25 }}
 [terrain]
 file = "map.tif"
 {terrain}
-[vehicle]
-catalog = "three_wheeler"
-[start]
-x = {x}
-y = {y}
-heading = 0.3
-[inputs]
-right_rate = [[0, 0.5], [0.5, 0.4]]
-left_rate = 0.4
-steer_rate = 0.01
-[time]
-duration = 1
-step = 0.25
 """
 
 
 def _solved(folder, crs, transform, **asked):
     """Solve a problem on a GeoTIFF of a plane, write its result, and return it."""
     rows = 100 + 0.1 * np.arange(40.0)[:, None] + np.zeros(40)
-    with rasterio.open(
-        folder / "map.tif",
-        "w",
-        driver="GTiff",
-        width=40,
-        height=40,
-        count=1,
-        dtype="float64",
-        crs=crs,
-        transform=transform,
-    ) as file:
-        file.write(rows, 1)
+    geotiff(folder / "map.tif", rows, transform, crs=crs, dtype="float64")
     (folder / "p.toml").write_text(PROBLEM.format(**asked))
     found = run_problem(load_problem(folder / "p.toml")).trajectory
     netcdf.write(folder / "out.nc", found)
@@ -67,8 +46,8 @@ def _rows(path):
 
 
 def _utm(folder, terrain="", x=500010.0, y=4499990.0):
-    transform = Affine(0.5, 0, 500000, 0, -0.5, 4.5e6)
-    return _solved(folder, "EPSG:32633", transform, terrain=terrain, x=x, y=y)
+    place = from_origin(500000, 4.5e6, 0.5)
+    return _solved(folder, "EPSG:32633", place, terrain=terrain, x=x, y=y)
 
 
 def test_a_path_on_a_projected_map(tmp_path):
@@ -102,8 +81,8 @@ def test_a_path_on_a_scaled_map_is_where_the_file_says(tmp_path):
 
 def test_a_path_on_a_map_in_degrees(tmp_path):
     step = 1 / 3600 / 64  # half a metre
-    transform = Affine(step, 0, 15, 0, -step, 47)
-    found = _solved(tmp_path, "EPSG:4326", transform, terrain='geographic = "local"', x=5.0, y=10.0)
+    place = from_origin(15, 47, step)
+    found = _solved(tmp_path, "EPSG:4326", place, terrain='geographic = "local"', x=5.0, y=10.0)
     assert "treated as a sphere" in found.attributes["ground_degrees"]
     export_path(tmp_path / "out.nc", tmp_path / "path.csv")
     head, rows = _rows(tmp_path / "path.csv")
