@@ -17,6 +17,8 @@ from slipfree.plan.plan import plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.terrain.grid_ops import disturbed
 
+pytestmark = pytest.mark.slow
+
 GOAL, DURATION, COUNT = {"x": 0.2, "y": 0.9}, 8.0, 12
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
 VEHICLE = three_wheeler(axle="fixed")
@@ -64,7 +66,6 @@ def away(run):
     return float(np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]))
 
 
-@pytest.mark.slow
 def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
     first, count = first_cycle(window), found.motion.layout.duration
@@ -75,7 +76,6 @@ def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
         assert one.violation < 1e-9
 
 
-@pytest.mark.slow
 def test_steps_converge(found):
     """From a start beside the plan, without moving: to what many iterations find at once."""
     window, many = (
@@ -92,7 +92,6 @@ def test_steps_converge(found):
     assert cycle.violation < 1e-6
 
 
-@pytest.mark.slow
 def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found, window):
     many = horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=50)
     off = {"x": 0.02, "y": -0.02, "heading": 0.03}
@@ -103,7 +102,6 @@ def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found, window):
     assert cycles[-1] is cycles[-2]  # what is left of the last one that decides is driven on
 
 
-@pytest.mark.slow
 def test_inputs_keep_to_their_bounds(found, window):
     start = found.program.task.start.copy()
     start[1] -= 0.5  # metres behind
@@ -114,7 +112,6 @@ def test_inputs_keep_to_their_bounds(found, window):
     assert np.abs(rates).max() <= 2.0 + 1e-6
 
 
-@pytest.mark.slow
 def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, window):
     """The last part is as long as what is left."""
     dae, times = found.program.task.dae, []
@@ -126,7 +123,6 @@ def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, wind
     assert (np.diff(tracked.run.t) > 0).all()
 
 
-@pytest.mark.slow
 def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
     world = sf.direct_kinematics(VEHICLE, sf.Bicubic(disturbed(GRID, 0.02, 1.0, 1)))
     start = sf.settle(world, x=0.04, y=-0.03, heading=0.03)
@@ -135,7 +131,6 @@ def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
     assert away(tracked.run) < away(alone) / 5
 
 
-@pytest.mark.slow
 def test_a_limit_of_the_world_ends_the_motion(window):
     part = slice(7, 18)
     grid = sf.Grid(AXIS[part], AXIS[part], np.ascontiguousarray(GRID.z[part, part]))
@@ -146,7 +141,6 @@ def test_a_limit_of_the_world_ends_the_motion(window):
     assert tracked.run.t[-1] < DURATION
 
 
-@pytest.mark.slow
 def test_what_is_no_window_period_world_or_state_is_refused(found, window):
     task, first = found.program.task, first_cycle(window)
     start = task.start

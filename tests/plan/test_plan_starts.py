@@ -24,6 +24,8 @@ from slipfree.plan.plan import plan
 from slipfree.plan.search import count_distinct, distances, further_guesses
 from slipfree.plan.verification import verify_plan
 
+pytestmark = pytest.mark.slow
+
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 FEW = ("plan.intervals=7", "plan.starts=2")
 FREE = np.array([[-2.0, 2.0]] * 3)
@@ -69,7 +71,6 @@ def planned(model, guess, **options):
     )
 
 
-@pytest.mark.slow
 def test_both_sides_of_a_hill_are_local_optima_and_the_cheaper_one_is_returned(model):
     both = planned(model, [led(model, -1), led(model, 1)])
     assert both.success
@@ -79,7 +80,6 @@ def test_both_sides_of_a_hill_are_local_optima_and_the_cheaper_one_is_returned(m
     assert count_distinct(both.optima) == 2
 
 
-@pytest.mark.slow
 def test_the_best_verified_plan_counts(model, monkeypatch):
     """The simulation of the cheapest plan is made to miss it."""
     calls = []
@@ -98,7 +98,6 @@ def test_the_best_verified_plan_counts(model, monkeypatch):
     assert both.solution.cost == both.optima[0].cost
 
 
-@pytest.mark.slow
 def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
     _, dae, start = model
     inputs = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
@@ -122,7 +121,6 @@ def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
     assert values.max() <= 0.55
 
 
-@pytest.mark.slow
 def test_no_starts_and_starts_that_cannot_be_simulated_are_an_error(model, monkeypatch):
     with pytest.raises(sf.ModelError, match="starts: expected 1 or more, found 0"):
         planned(model, led(model, 1), starts=0)
@@ -142,7 +140,6 @@ def table(run):
     return [{**row, "seconds": 0.0} for row in run.facts["plan_starts"].value]
 
 
-@pytest.mark.slow
 def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
     out = tmp_path / "p.nc"
     words = [word for each in FEW for word in ("--set", each)]
@@ -157,7 +154,6 @@ def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
     assert_array_equal(stored["x"], alone["x"])
 
 
-@pytest.mark.slow
 def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
     monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
 

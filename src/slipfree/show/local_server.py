@@ -311,10 +311,15 @@ def start_server(
     try:
         server = _Server((HOST, port), Handler)
     except OSError as error:
-        raise DataError(
-            f"--port: expected a free port, found {port} in use; omit --port to choose a free port"
-        ) from error
+        raise taken(port) from error
     return server
+
+
+def taken(port: int) -> DataError:
+    """Return the error of a port in use."""
+    return DataError(
+        f"--port: expected a free port, found {port} in use; omit --port to choose a free port"
+    )
 
 
 class _Server(ThreadingHTTPServer):

@@ -16,7 +16,7 @@ import numpy as np
 from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
 from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
-from slipfree.show.local_server import Guard, stop
+from slipfree.show.local_server import Guard, stop, taken
 from slipfree.show.scene import (
     ARROWS,
     Actor,
@@ -105,9 +105,7 @@ def _server(
         raise DataError(f"show: {missing_package('viser', 'view')}") from error
     if port and server.get_port() != port:
         stop(server)
-        raise DataError(
-            f"--port: expected a free port, found {port} in use; omit --port to choose a free port"
-        )
+        raise taken(port)
     return server, guard.gate.url(server.get_port())
 
 
