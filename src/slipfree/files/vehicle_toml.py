@@ -493,8 +493,8 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
         return tuple(made)
 
     def coordinate(table: CoordinateTable) -> Coordinate:
-        given = {key: value for key, value in table if value is not None}
-        return Coordinate(**{"words": table.name.replace("_", " "), **given})
+        keys = {key: value for key, value in table if value is not None}
+        return Coordinate(**{"words": table.name.replace("_", " "), **keys})
 
     def joint(table: JointTable) -> Joint:
         keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia"})
@@ -523,9 +523,9 @@ def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
     """Return the wheel that a table describes; its axle is ``sideways`` by default."""
-    given = table.model_dump(include={field.name for field in fields(Wheel)})
+    keys = table.model_dump(include={field.name for field in fields(Wheel)})
     axle = sideways if table.axle is None else table.axle
-    return Wheel(**given | {"section": _section_of(table), "axle": axle, "drive": table.drive})
+    return Wheel(**keys | {"section": _section_of(table), "axle": axle, "drive": table.drive})
 
 
 def _section_of(table: AnyWheelTable) -> Section:

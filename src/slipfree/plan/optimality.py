@@ -152,8 +152,8 @@ def check_optimality(program: Program, solution: NlpSolution, weights: Array) ->
     def inverse(v: Array) -> Array:
         full = np.zeros(n)
         full[inputs] = v
-        found: Array = solve(full)[inputs]
-        return found
+        product: Array = solve(full)[inputs]
+        return product
 
     # With the identity as Hessian, the block is the projection onto the null space.
     project = _kkt_solver(scipy.sparse.identity(n), a)
@@ -191,8 +191,8 @@ def _kkt_solver(h: scipy.sparse.spmatrix, a: scipy.sparse.spmatrix) -> Operator:
     factors = scipy.sparse.linalg.splu(scipy.sparse.bmat([[h, a.T], [a, below]]).tocsc())
 
     def solve(v: Array) -> Array:
-        found: Array = factors.solve(np.append(v, np.zeros(m)))[:n]
-        return found
+        product: Array = factors.solve(np.append(v, np.zeros(m)))[:n]
+        return product
 
     return solve
 

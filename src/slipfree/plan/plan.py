@@ -299,10 +299,10 @@ def plan(
             raise ModelError(f"plan: {name}: expected 1 or more, found {number}; increase it")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
     mesh = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
-    given = [guess] if isinstance(guess, Trajectory) else list(guess)
-    task = _with_near_conditions(task, given, resume)
+    motions = [guess] if isinstance(guess, Trajectory) else list(guess)
+    task = _with_near_conditions(task, motions, resume)
     if resume is None:
-        guesses = named_guesses(task, start, given, starts, seed)
+        guesses = named_guesses(task, start, motions, starts, seed)
         searches = solve_guesses(transcribe(task, mesh, options), guesses, progress)
     else:
         searches = [solve_resumed(task, mesh, resume, options, progress)]

@@ -137,11 +137,11 @@ class _WindowSearch(NamedTuple):
         for change in (0.0, *OTHER_LENGTHS):
             end = here.reached + self.length + change * self.overlap
             end = self.route.length if self.route.length - end < self.overlap else end
-            found = self.attempt(here, end)
-            stages += found.stages
-            if found.success or found.run.outcome is Outcome.INTERRUPTED:
+            attempt = self.attempt(here, end)
+            stages += attempt.stages
+            if attempt.success or attempt.run.outcome is Outcome.INTERRUPTED:
                 break
-        return found, end, stages
+        return attempt, end, stages
 
     def attempt(self, here: _HandOver, end: float) -> Plan:
         """Return the plan of a window from a hand-over to an arc length in m."""
@@ -155,7 +155,7 @@ class _WindowSearch(NamedTuple):
             duration=float(guess.t[-1]),
             initial_inputs=here.inputs,
             progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
-            keep=lambda found: self.keep(found, here, end),
+            keep=lambda unverified: self.keep(unverified, here, end),
             **self.arguments,
         )
 

@@ -111,10 +111,10 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
 
 def _nearest_free(free: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
     """Return the indices of the free node nearest to every node."""
-    found = scipy.ndimage.distance_transform_edt(
+    i, j = scipy.ndimage.distance_transform_edt(
         ~free, h, return_distances=False, return_indices=True
     )
-    return found[0], found[1]
+    return i, j
 
 
 def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:

@@ -259,8 +259,8 @@ def start_server(
         def do_GET(self) -> None:
             if (path := self._admitted()) is None:
                 return
-            found = get.get(path)
-            self._send(200, found()) if found else self._send(404, _text("not found"))
+            content = get.get(path)
+            self._send(200, content()) if content else self._send(404, _text("not found"))
 
         def do_POST(self) -> None:
             if (path := self._admitted()) is None:
