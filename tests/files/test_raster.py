@@ -246,8 +246,7 @@ def test_tiles_in_degrees(tmp_path):
     half = 1 / 240
     tile = heights[:121, :121].astype("int16")
     place = {"crs": "EPSG:4326", "transform": from_origin(6 - half, 46 + half, 2 * half)}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         rasterio.shutil.copy(
             geotiff(tmp_path / "map.tif", tile, dtype="int16", **place),
             tmp_path / "map.dt0",
@@ -496,8 +495,7 @@ def test_rasters_that_are_one_file(tmp_path, driver, ending, dtype, options):
     written.rename(path)
     found = read_map(path)
     assert found.crs in ("", UTM)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         dataset = rasterio.open(path)
     with dataset:
         heights = dataset.read(1)
@@ -529,15 +527,12 @@ def test_formats_that_refer_to_other_files_are_not_opened(tmp_path):
 )
 def test_gray_levels_are_told_from_heights(tmp_path, dtype, options, gray):
     """Gray levels have 8 bits, or are unsigned without a position: as PNGs that were converted."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         path = geotiff(tmp_path / "map.tif", np.round(100 * ROWS), dtype=dtype, **options)
     keys = {"cell": 1.0, "registration": "area"} if "transform" in options else {}
     assert read_map(path, **keys).gray is gray
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with rasterio.open(path, "r+") as file:
-            file.scales = (0.1,)
+    with warnings.catch_warnings(action="ignore"), rasterio.open(path, "r+") as file:
+        file.scales = (0.1,)
     assert not read_map(path, **keys).gray
 
 

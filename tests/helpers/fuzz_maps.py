@@ -145,8 +145,7 @@ def pictures(kind: str) -> tuple[bytes, ...]:
 
 def _placed_pictures(kind: str) -> list[bytes]:
     """Return rasters in metres, in degrees and, of GeoTIFF, a sparse one of a giant size."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what rasterio is made of
+    with warnings.catch_warnings(action="ignore"):  # of what rasterio is made of
         rasterio = __import__("rasterio")
 
     found = []

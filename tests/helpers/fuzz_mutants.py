@@ -168,8 +168,7 @@ def _rasters() -> tuple[tuple[str, bytes], ...]:
     places = {"EPSG:32633": from_origin(5e5, 5e6, 2), "EPSG:4326": from_origin(15, 45, 1e-4)}
     for ending, (driver, dtype, options) in RASTERS.items():
         for option, (crs, place) in product(options, places.items()):
-            with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-                warnings.simplefilter("ignore")
+            with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(action="ignore"):
                 whole, copy = Path(folder, "whole.tif"), Path(folder, f"copy{ending}")
                 geotiff(whole, heights, place, crs=crs, dtype=dtype, nodata=0)
                 rasterio.shutil.copy(whole, copy, driver=driver, **option)
