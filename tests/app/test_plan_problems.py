@@ -45,43 +45,39 @@ def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
     assert disc.distance(motion["x"], motion["y"]).min() > reach - 0.02
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        (["keep_out=[{ x = 20.0, y = 35.0, radius = 2.0 }]"], "the vehicle cannot be at the goal"),
-        (["terrain.friction=0.01"], "needs a friction coefficient of 0.0563, the ground offers"),
-    ],
-)
-def test_what_keeps_a_route_from_being_found_is_told(settings, words):
+def refused(*settings):
     with pytest.raises(ProblemError) as error:
         build(load_problem(FIELD, settings))
-    assert words in str(error.value)
+    return str(error.value)
+
+
+def test_what_keeps_a_route_from_being_found_is_told():
+    goal = "keep_out=[{ x = 20.0, y = 35.0, radius = 2.0 }]"
+    assert "the vehicle cannot be at the goal" in refused(goal)
+    words = "needs a friction coefficient of 0.0563, the ground offers"
+    assert words in refused("terrain.friction=0.01")
+
+
+BOTH = (
+    'driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
+    "paths = [[[17, 14], [17, 24]]] }"
+)
+TWICE = "way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("settings", "words"),
+    ("setting", "words"),
     [
-        (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected the key 'at'"),
-        (["plan.intervals=100000"], "expected at most 2000 intervals, found 100000; reduce it, or"),
-        (
-            [
-                'driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
-                "paths = [[[17, 14], [17, 24]]] }"
-            ],
-            "expected one of 'path', 'paths' and 'file', found several",
-        ),
-        (
-            ["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"],
-            "two; put their values into one table",
-        ),
-        (["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle must be 0"),
+        ("way_points=[{ x = 17.0, y = 19.0 }]", "way_points[0]: expected the key 'at'"),
+        ("plan.intervals=100000", "expected at most 2000 intervals, found 100000; reduce it, or"),
+        (BOTH, "expected one of 'path', 'paths' and 'file', found several"),
+        (TWICE, "two; put their values into one table"),
+        ("limits.x=[0.0, 10.0]", "x at the goal must be 20 m, but x of the vehicle must be 0"),
     ],
 )
-def test_what_is_wrong_with_places_and_ways_is_told(settings, words):
-    with pytest.raises(ProblemError) as error:
-        build(load_problem(FIELD, settings))
-    assert words in str(error.value)
+def test_what_is_wrong_with_places_and_ways_is_told(setting, words):
+    assert words in refused(setting)
 
 
 def test_several_routes_start_the_search():
