@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.core.errors import DataError
-from slipfree.files.mcap_writer import write_mcap
+from slipfree.files.mcap import write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
 from slipfree.files.vehicle_draft import vehicle_text
@@ -49,21 +49,15 @@ window = 1.0
 
 RUN = """
 verb = "direct"
-[terrain.synthetic]
-x = [-3.0, 3.0]
-y = [-3.0, 3.0]
-spacing = 0.5
-[vehicle]
-file = "fitted.toml"
-[start]
+terrain.synthetic = { x = [-3.0, 3.0], y = [-3.0, 3.0], spacing = 0.5 }
+vehicle.file = "fitted.toml"
+start = {}
+time = { duration = 0.2, step = 0.1 }
 [inputs]
 front_right_rate = 1.0
 front_left_rate = 1.0
 rear_right_rate = 1.0
 rear_left_rate = 1.0
-[time]
-duration = 0.2
-step = 0.1
 """
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pyproj
 import pytest
-import rasterio
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from helpers.problem_files import PROBLEM
+from helpers.rasters import from_origin, geotiff
 from slipfree.cli import app
 from slipfree.files.maps.elevation import read_map
 from slipfree.files.toml.source import ProblemError
@@ -30,36 +30,19 @@ keep_out = [
   { longitude = 14.2348, latitude = 46.0536, radius = 0.5 },
   { x = 1, y = 2, radius = 1 },
 ]
-[terrain]
-file = "map.tif"
-[vehicle]
-catalog = "three_wheeler"
-[start]
-longitude = "14.2347 deg"
-latitude = 46.0535
-[driver]
-name = "route"
-speed = 0.5
-[time]
-duration = 10
-step = 1
+terrain.file = "map.tif"
+vehicle.catalog = "three_wheeler"
+start = { longitude = "14.2347 deg", latitude = 46.0535 }
+driver = { name = "route", speed = 0.5 }
+time = { duration = 10, step = 1 }
 """
 
 
-def geotiff(folder: Path, crs: str | None = "EPSG:32633", cell: float = CELL, place=(WEST, NORTH)):
+def write_map(folder: Path, crs: str | None = "EPSG:32633", cell=CELL, place=(WEST, NORTH)) -> None:
+    """Write a map of hills."""
     x, y = np.meshgrid(np.arange(60.0), np.arange(50.0))
-    with rasterio.open(
-        folder / "map.tif",
-        "w",
-        driver="GTiff",
-        width=60,
-        height=50,
-        count=1,
-        dtype="float32",
-        crs=crs,
-        transform=rasterio.Affine(cell, 0, place[0], 0, -cell, place[1]),
-    ) as file:
-        file.write((0.1 * np.sin(0.3 * x) * np.cos(0.3 * y)).astype("float32"), 1)
+    rows = 0.1 * np.sin(0.3 * x) * np.cos(0.3 * y)
+    geotiff(folder / "map.tif", rows, from_origin(*place, cell), crs=crs)
 
 
 def problem(folder: Path, start: str, terrain: str = "") -> Path:
@@ -79,7 +62,7 @@ def degrees_at(x: float, y: float) -> str:
 
 
 def test_a_start_is_the_place_of_pyproj(tmp_path: Path) -> None:
-    geotiff(tmp_path)
+    write_map(tmp_path)
     path = problem(tmp_path, degrees_at(WEST + 10, NORTH - 12))
     start = load_problem(path).spec.start
     assert [*start] == ["x", "y", "heading"]
@@ -91,7 +74,7 @@ def test_a_start_is_the_place_of_pyproj(tmp_path: Path) -> None:
 
 
 def test_goals_way_points_and_keep_outs(tmp_path: Path) -> None:
-    geotiff(tmp_path)
+    write_map(tmp_path)
     (tmp_path / "p.toml").write_text(PLAN)
     spec = load_problem(tmp_path / "p.toml").spec
     x, y = of_pyproj("EPSG:32633", 14.2350, 46.0538)
@@ -111,7 +94,7 @@ def test_goals_way_points_and_keep_outs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4258", None])
 def test_a_map_in_degrees_is_in_local_metres(tmp_path: Path, crs: str | None) -> None:
-    geotiff(tmp_path, crs, 1e-5, (14.2, 46.1))
+    write_map(tmp_path, crs, 1e-5, (14.2, 46.1))
     path = problem(tmp_path, "longitude = 14.2003\nlatitude = 46.0998", 'geographic = "local"')
     start = load_problem(path).spec.start
     frame = read_map(tmp_path / "map.tif", geographic="local").frame
@@ -129,7 +112,7 @@ def test_a_map_in_degrees_is_in_local_metres(tmp_path: Path, crs: str | None) ->
     ],
 )
 def test_wrong_places_are_refused(tmp_path: Path, start: str, words: str) -> None:
-    geotiff(tmp_path)
+    write_map(tmp_path)
     found = CliRunner().invoke(app, ["check", str(problem(tmp_path, start))])
     assert found.exit_code == 2
     assert "p.toml" in found.output
@@ -137,7 +120,7 @@ def test_wrong_places_are_refused(tmp_path: Path, start: str, words: str) -> Non
 
 
 def test_a_map_without_a_system_is_refused(tmp_path: Path) -> None:
-    geotiff(tmp_path, None)
+    write_map(tmp_path, None)
     place = "longitude = 14.2\nlatitude = 46.1"
     with pytest.raises(ProblemError, match=r"p\.toml:10: start: .* reference system .*gdal_edit"):
         load_problem(problem(tmp_path, place))

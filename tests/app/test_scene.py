@@ -15,9 +15,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from PIL import Image
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke, refused, sets
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import Stop, Trajectory
@@ -31,10 +30,7 @@ from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import film_writer
 from slipfree.show.html_page import with_legend
 from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, spokes
-from slipfree.show.scene import (
-    BLOCKED,
-    scale_words,
-)
+from slipfree.show.scene import BLOCKED, scale_words
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import Disc, Torus
@@ -43,35 +39,19 @@ PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = """\
 verb = "direct"
 model = "quasi-static"
+vehicle = { catalog = "three_wheeler", stiffness = 60.0 }
+law.coulomb.creep = 1e-3
+start = { x = 0.0, y = -2.0, heading = 0.4 }
+driver = { name = "straight", speed = 0.3 }
+time = { duration = 1.0, step = 0.02 }
 
 [terrain]
 friction = 0.6
-
 [terrain.synthetic]
 x = [-6, 6]
 y = [-6, 6]
 spacing = 0.25
 power_law = { rms = 0.1, hurst = 0.9, longest = 8.0, shortest = 2.0, seed = 11 }
-
-[vehicle]
-catalog = "three_wheeler"
-stiffness = 60.0
-
-[law.coulomb]
-creep = 1e-3
-
-[start]
-x = 0.0
-y = -2.0
-heading = 0.4
-
-[driver]
-name = "straight"
-speed = 0.3
-
-[time]
-duration = 1.0
-step = 0.02
 """
 NAMED = (
     'verb = "direct"\n[terrain]\nfile = "hills.npz"\n[vehicle]\nfile = "trike.toml"\n'
@@ -95,10 +75,7 @@ def solved(folder: Path, name: str, text: str, *settings: str) -> Path:
     """Return the result file of a problem."""
     (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     out = folder / f"{name}.nc"
-    words = ["run", str(folder / f"{name}.toml"), "-o", str(out), "--no-draw"]
-    words += [word for each in settings for word in ("--set", each)]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
+    invoke("run", folder / f"{name}.toml", "-o", out, "--no-draw", *sets(*settings), code=0)
     return out
 
 
@@ -316,10 +293,9 @@ def test_a_planar_vehicle_is_drawn_on_solids(climb_file: Path) -> None:
     assert_allclose(scene.ground.mesh.vertices[:, 2].max() + scene.origin[2], 0.09)
 
 
-def refused(*words: str) -> str:
-    done = CliRunner().invoke(app, ["show", *words, "--no-browser"])
-    assert done.exit_code == 2
-    return str(done.stderr)
+def unseen(*words: object) -> str:
+    """Return the error of a command that refuses to show a result."""
+    return refused("show", *words, "--no-browser")
 
 
 def test_what_cannot_be_shown_is_refused(
@@ -329,9 +305,9 @@ def test_what_cannot_be_shown_is_refused(
     bare = tmp_path / "bare.nc"
     attributes = {name: words for name, words in run.attributes.items() if name != "problem"}
     netcdf.write(bare, replace(run, attributes=attributes))
-    assert "expected a result that contains its problem, found none" in refused(str(bare))
+    assert "expected a result that contains its problem, found none" in unseen(bare)
     text = PROBLEM.replace("[terrain]\n", '[terrain]\nfile = "hills.npz"\n')
-    text = text[: text.index("[terrain.synthetic]")] + text[text.index("[vehicle]") :]
+    text = text[: text.index("[terrain.synthetic]")]
     named = tmp_path / "named.nc"
     data = file.parent / "data"
     data.mkdir()
@@ -341,16 +317,16 @@ def test_what_cannot_be_shown_is_refused(
     told = {**run.attributes, "problem": text, STORED: stored.model_dump_json()}
     netcdf.write(named, replace(run, attributes={**told, STORED: "{}"}))
     monkeypatch.chdir(tmp_path)
-    assert "a result that contains its vehicle and digests of its maps" in refused(str(named))
+    assert "a result that contains its vehicle and digests of its maps" in unseen(named)
     netcdf.write(named, replace(run, attributes=told))
-    words = refused(str(named))
+    words = unseen(named)
     assert "expected the input file hills.npz of its problem" in words
     assert "--folder DIR" in words
     assert_allclose(shown(named, "named", data).terrain.grid.z, grid.z)
     old = {**run.attributes, "problem": PROBLEM.replace("speed", "pace")}
     netcdf.write(bare, replace(run, attributes=old))
-    assert "correct these errors and run the problem again:\nhills.toml:" in refused(str(bare))
-    assert "expected a separate file, found the input" in refused(str(file), "--html", str(file))
+    assert "correct these errors and run the problem again:\nhills.toml:" in unseen(bare)
+    assert "expected a separate file, found the input" in unseen(file, "--html", file)
 
 
 @pytest.fixture(scope="module")
@@ -373,10 +349,10 @@ def test_files_are_looked_for_where_the_problem_was(
     lost = tmp_path / "lost.nc"
     kept = {name: words for name, words in run.attributes.items() if name != "problem_folder"}
     netcdf.write(lost, replace(run, attributes=kept))
-    words = refused(str(lost))
+    words = unseen(lost)
     assert f"in {tmp_path} or {named.parent}, found no such file; give" in words
     monkeypatch.chdir(tmp_path)
-    assert f"in {tmp_path}, found no such file; give" in refused("lost.nc")
+    assert f"in {tmp_path}, found no such file; give" in unseen("lost.nc")
     told = {**kept, "problem_folder": str(named.parent.parent)}
     netcdf.write(lost, replace(run, attributes=told))
     assert isinstance(shown(lost, "lost"), Driven)
@@ -387,7 +363,7 @@ def test_a_changed_ground_is_refused(named: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "trike.toml", tmp_path)
     with np.load(folder / "hills.npz") as grid:
         np.savez(tmp_path / "hills.npz", x=grid["x"], y=grid["y"], z=grid["z"] + 0.01)
-    words = refused(str(named), "--folder", str(tmp_path))
+    words = unseen(named, "--folder", tmp_path)
     assert (
         "expected the ground with which the result was computed, found a different one (hills.npz)"
         in words
@@ -411,7 +387,7 @@ def test_a_changed_vehicle_is_refused(
     changed = tmp_path / "changed.nc"
     attributes = {**run.attributes, STORED: stored.replace(old, new)}
     netcdf.write(changed, replace(run, attributes=attributes))
-    assert said in refused(str(changed), "--folder", str(named.parent.parent))
+    assert said in unseen(changed, "--folder", named.parent.parent)
 
 
 def test_the_vehicle_file_is_not_read_again(named: Path, tmp_path: Path) -> None:
@@ -427,8 +403,7 @@ def test_the_vehicle_file_is_not_read_again(named: Path, tmp_path: Path) -> None
 def test_films(file: Path, climb_file: Path, tmp_path: Path) -> None:
     for each, count in ((file, 21), (climb_file, 3)):
         out = tmp_path / f"{each.stem}.gif"
-        done = CliRunner().invoke(app, ["show", str(each), "--animation", str(out)])
-        assert done.exit_code == 0, done.output
+        invoke("show", each, "--animation", out, code=0)
         with Image.open(out) as film:
             assert film.n_frames == count
             first = np.asarray(film.convert("RGB"), dtype=int)
@@ -450,7 +425,7 @@ def test_places_are_checked_before_anything_is_drawn(
         ("--html", "a.gif", "expected a name that ends in .html"),
         ("--html", "d.html", "expected the name of a file to write, found a folder"),
     ):
-        assert said in refused(str(file), option, name)
+        assert said in unseen(file, option, name)
     assert {path.name for path in tmp_path.iterdir()} == {"d.html"}
 
 
@@ -467,8 +442,7 @@ def test_an_interrupted_film_leaves_nothing(
             raise KeyboardInterrupt
 
     monkeypatch.setattr("slipfree.show.film.Film.show", show)
-    done = CliRunner().invoke(app, ["show", str(file), "--animation", str(out)])
-    assert done.exit_code == 130
+    invoke("show", file, "--animation", out, code=130)
     assert out.read_bytes() == b"the film before"
     assert list(tmp_path.iterdir()) == [out]
 

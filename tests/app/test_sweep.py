@@ -29,9 +29,9 @@ from helpers.sweep_cases import (
 )
 from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
-from slipfree.core.facts import Swept, Varied
 from slipfree.files import netcdf
 from slipfree.show import sweep_figures as show
+from slipfree.show.swept import Swept, Varied
 from slipfree.sweep import pools
 from slipfree.sweep.grid import axis_of, sweep_of
 from slipfree.sweep.log import RunLog, RunRow, RunTask

@@ -9,44 +9,27 @@ from typer.testing import CliRunner
 from slipfree.cli import app
 from slipfree.files.netcdf import read
 
+pytestmark = pytest.mark.slow
+
 PROBLEM = """\
 verb = "plan"
+vehicle = { catalog = "three_wheeler", axle = "fixed" }
+start = {}
+inputs = { right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0 }
+time = { duration = 4.0, step = 0.2 }
 
 [terrain.synthetic]
 x = [-3, 3]
 y = [-3, 3]
 spacing = 0.5
-
-[terrain.synthetic.power_law]
-rms = 0.05
-hurst = 0.9
-longest = 4.0
-shortest = 2.0
-seed = 1
-
-[vehicle]
-catalog = "three_wheeler"
-axle = "fixed"
-
-[start]
-
-[inputs]
-right_rate = 0.5
-left_rate = 0.5
-steer_rate = 0.0
-
-[time]
-duration = 4.0
-step = 0.2
+power_law = { rms = 0.05, hurst = 0.9, longest = 4.0, shortest = 2.0, seed = 1 }
 """
 PLAN = """
 [goal]
 y = 0.8
-
 [costs]
 slip = 1e3
 effort = 0.01
-
 [plan]
 intervals = 8
 smooth = 0.002
@@ -71,7 +54,6 @@ def called(*words: object, code: int = 0) -> str:
     return result.stdout if code == 0 else result.stderr
 
 
-@pytest.mark.slow
 def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
     settings = [word for each in CHANGES for word in ("--set", each)]
     out = folder / "t.nc"
@@ -89,7 +71,6 @@ def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
     assert read(out).t[-1] == pytest.approx(4.0)
 
 
-@pytest.mark.slow
 def test_a_plan_is_driven_with_forces_and_with_inertia(folder: Path) -> None:
     settings = ["--set", "terrain.friction=0.8", "--period", "2", "--json"]
     found = json.loads(called("track", folder / "p.nc", *settings))["facts"]
@@ -99,7 +80,6 @@ def test_a_plan_is_driven_with_forces_and_with_inertia(folder: Path) -> None:
     assert "rms slip" in found["dynamics"]
 
 
-@pytest.mark.slow
 def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
     """The changed map ends before the front wheel reaches its place at the goal."""
     window = ["--set", "terrain.synthetic.y=[-2.5,1.5]", "--set", "terrain.synthetic.spacing=0.5"]
@@ -108,7 +88,6 @@ def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
     assert "leaves the map" in result.stdout
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -20,10 +20,9 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import binary_erosion
-from typer.testing import CliRunner
 
 from helpers.chromium import headless_chromium
-from slipfree.cli import app
+from helpers.commands import invoke, refused, sets
 
 if TYPE_CHECKING:
     from slipfree.show.scene import Scene
@@ -55,18 +54,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     found = []
     for axle, x in (("tilting", 0), ("fixed", 3)):  # apart: faces in one place flicker
         found.append(folder / f"{axle}.nc")
-        words = [
-            "run",
-            str(folder / "p.toml"),
-            "-o",
-            str(found[-1]),
-            "--no-draw",
-            "--set",
-            f"vehicle.axle={axle}",
-            "--set",
-            f"start.x={x}",
-        ]
-        assert CliRunner().invoke(app, words).exit_code == 0
+        settings = sets(f"vehicle.axle={axle}", f"start.x={x}")
+        invoke("run", folder / "p.toml", "-o", found[-1], "--no-draw", *settings, code=0)
     return found
 
 
@@ -243,9 +232,7 @@ def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
 @pytest.mark.slow
 def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
-    words = ["show", *map(str, files), "--html", str(out)]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
+    done = invoke("show", *files, "--html", out, code=0)
     assert done.stdout == f"wrote {out}, {len(out.read_text(encoding='utf-8')) / 1e6:.1f} MB\n"
     browser.get("about:blank")  # ends the other page, whose server is gone
     asked(browser), complaints(browser)  # those of the other page
@@ -274,15 +261,13 @@ def test_a_quiet_page_says_where_it_is(files: list[Path], monkeypatch: pytest.Mo
         words[-1]("http://127.0.0.1:1")
 
     monkeypatch.setattr(viewer, "serve", serve)
-    done = CliRunner().invoke(app, ["show", str(files[0]), "--no-browser", "--quiet"])
-    assert done.exit_code == 0
+    done = invoke("show", files[0], "--no-browser", "--quiet", code=0)
     assert done.stderr == "http://127.0.0.1:1 shows the motions; Ctrl-C ends the server\n"
 
 
 def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "page.html"
-    words = ["show", str(files[0]), "--html", str(out), "--color", "slope"]
-    assert CliRunner().invoke(app, words).exit_code == 0
+    invoke("show", files[0], "--html", out, "--color", "slope", code=0)
     assert "slope: 0 to" in out.read_text(encoding="utf-8")
 
 
@@ -296,14 +281,19 @@ def server() -> Iterator[Any]:
     local_server.stop(found)
 
 
+def controls(server: Any, scene: Scene) -> Any:
+    from slipfree.show import viewer
+
+    stage = viewer.Stage(server, scene, "height")
+    return viewer._Controls(server, stage, scene, "title", "height")
+
+
 @pytest.mark.slow
 def test_what_follows_keeps_the_vehicle_where_it_is_seen(files: list[Path], server: Any) -> None:
     from slipfree.show import viewer
 
     scene = scene_of(files)
-    panel = viewer._Controls(
-        server, viewer.Stage(server, scene, "height"), scene, "title", "height"
-    )
+    panel = controls(server, scene)
     world = server.scene.get_handle_by_name("/world")
     origins = scene.actors[0].bodies[0].origins
     panel.stage.show(4.0)
@@ -328,10 +318,9 @@ def test_without_viser_it_says_what_to_install(
     files: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    done = CliRunner().invoke(app, ["show", str(files[0]), "--no-browser"])
-    assert done.exit_code == 2
-    assert "expected the package 'viser', found that it is not installed" in done.stderr
-    assert "python -m pip install '.[view]'" in done.stderr
+    told = refused("show", files[0], "--no-browser")
+    assert "expected the package 'viser', found that it is not installed" in told
+    assert "python -m pip install '.[view]'" in told
 
 
 def test_a_port_that_is_taken_is_refused(files: list[Path]) -> None:
@@ -341,19 +330,13 @@ def test_a_port_that_is_taken_is_refused(files: list[Path]) -> None:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        words = ["show", str(files[0]), "--no-browser", "--port", str(port)]
-        done = CliRunner().invoke(app, words)
-    assert done.exit_code == 2
-    assert f"--port: expected a free port, found {port} in use" in done.stderr
+        told = refused("show", files[0], "--no-browser", "--port", port)
+    assert f"--port: expected a free port, found {port} in use" in told
 
 
 def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) -> None:
-    from slipfree.show import viewer
-
     scene = scene_of(files[:1])
-    panel = viewer._Controls(
-        server, viewer.Stage(server, scene, "height"), scene, "title", "height"
-    )
+    panel = controls(server, scene)
     panel.advance(0.5)
     assert panel.time.value == 0
     panel.playing.value = True
@@ -375,12 +358,7 @@ def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) 
 
 
 def test_keys_step_through_the_time_and_change_the_speed(files: list[Path], server: Any) -> None:
-    from slipfree.show import viewer
-
-    scene = scene_of(files[:1])
-    panel = viewer._Controls(
-        server, viewer.Stage(server, scene, "height"), scene, "title", "height"
-    )
+    panel = controls(server, scene_of(files[:1]))
     by_key = {each.key: each.act for each in panel._actions()}
     by_key["arrowright"]()
     assert panel.time.value == pytest.approx(0.08)

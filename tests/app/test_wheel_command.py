@@ -33,7 +33,6 @@ terrain.synthetic = { x = [-3.0, 3.0], y = [-3.0, 3.0], spacing = 0.2 }
 vehicle = { catalog = "skid_steer" }
 start = { x = 0.0, y = 0.0, heading = 0.0 }
 time = { duration = 0.2, step = 0.1 }
-
 [inputs]
 front_right_rate = 1.0
 front_left_rate = 1.0

@@ -65,34 +65,22 @@ def test_a_motion_on_a_map_in_degrees(tmp_path):
     assert found["pitch"]["coordinates"] == b"time longitude latitude z"
 
 
-@pytest.mark.parametrize(
-    ("code", "expected"),
-    [
-        (
-            32633,
-            {
-                "grid_mapping_name": "transverse_mercator",
-                "latitude_of_projection_origin": 0,
-                "longitude_of_central_meridian": 15,
-                "scale_factor_at_central_meridian": 0.9996,
-                "false_easting": 500000,
-                "false_northing": 0,
-            },
-        ),
-        (
-            2154,
-            {
-                "grid_mapping_name": "lambert_conformal_conic",
-                "latitude_of_projection_origin": 46.5,
-                "longitude_of_central_meridian": 3,
-                "false_easting": 700000,
-                "false_northing": 6600000,
-                "standard_parallel": (49, 44),
-            },
-        ),
-        (3857, {}),  # the conventions have no name for it: WKT alone
-    ],
-)
+PROJECTIONS = {
+    32633: {
+        "grid_mapping_name": "transverse_mercator",
+        "latitude_of_projection_origin": 0, "longitude_of_central_meridian": 15,
+        "scale_factor_at_central_meridian": 0.9996, "false_easting": 500000, "false_northing": 0,
+    },
+    2154: {
+        "grid_mapping_name": "lambert_conformal_conic", "standard_parallel": (49, 44),
+        "latitude_of_projection_origin": 46.5, "longitude_of_central_meridian": 3,
+        "false_easting": 700000, "false_northing": 6600000,
+    },
+    3857: {},  # the conventions have no name for it: WKT alone
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("code", "expected"), PROJECTIONS.items())
 def test_projections_have_the_names_of_the_conventions(code, expected):
     found = grid_mapping(f"EPSG:{code}")
     assert {k: v for k, v in found.items() if k not in ("crs_wkt", "spatial_ref")} == expected

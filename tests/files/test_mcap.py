@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -19,16 +18,14 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from helpers.cases import DATA
+from helpers.commands import invoke, refused
 from helpers.urdf import adam_model
 from slipfree.catalog.rovers import rocky7
-from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.files import netcdf
-from slipfree.files.mcap_reader import read_joint_commands, read_mcap
-from slipfree.files.mcap_writer import DEFINITIONS
+from slipfree.files.mcap import DEFINITIONS, read_joint_commands, read_mcap
 from slipfree.files.tables import read_columns, read_names
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import export_mcap, run_problem
@@ -224,12 +221,10 @@ def test_links_and_joints_of_a_urdf_are_those_of_adam(forward, tmp_path):
 
 def test_the_command(drive, tmp_path):
     folder, _ = drive
-    out = str(tmp_path / "a.mcap")
-    found = CliRunner().invoke(app, ["export", str(folder / "out.nc"), "--mcap", out])
-    assert (found.exit_code, Path(out).read_bytes()[:5]) == (0, b"\x89MCAP")
-    found = CliRunner().invoke(app, ["export", str(folder / "out.nc"), "--mcap", "a.csv"])
-    assert found.exit_code == 2
-    assert "ends in .mcap" in found.output
+    out = tmp_path / "a.mcap"
+    invoke("export", folder / "out.nc", "--mcap", out, code=0)
+    assert out.read_bytes()[:5] == b"\x89MCAP"
+    assert "ends in .mcap" in refused("export", folder / "out.nc", "--mcap", "a.csv")
 
 
 def test_without_the_package(drive, tmp_path, monkeypatch):

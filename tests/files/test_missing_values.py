@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import rasterio
 import scipy
-from rasterio.transform import Affine
 
+from helpers.rasters import from_origin, geotiff
 from slipfree import DataError
 from slipfree.files.maps import missing_values
 from slipfree.files.maps.elevation import jacksboro, read_map
@@ -21,15 +21,8 @@ MARKERS = (-9999, -32768, -32767, 32767, -99999, 65535, 9999, -500, -1, 0, -999.
 HUGE = (-3.4028234663852886e38, 1e30, 1e20, -1.7976931348623157e308)
 
 
-def _geotiff(path, z, **options):
-    options = {"driver": "GTiff", "dtype": "float64", "crs": "EPSG:32633"} | options
-    transform = Affine(1, 0, 5e5, 0, -1, 5e6)
-    width, height = z.shape
-    with rasterio.open(
-        path, "w", width=width, height=height, count=1, transform=transform, **options
-    ) as file:
-        file.write(z[:, ::-1].T.astype(options["dtype"]), 1)
-    return path
+def _geotiff(path, z, dtype="float64", **options):
+    return geotiff(path, z[:, ::-1].T, from_origin(5e5, 5e6, 1), dtype=dtype, **options)
 
 
 def _marked(z, value):

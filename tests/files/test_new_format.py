@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import printed, sets
 from slipfree.core.errors import DataError
 from slipfree.files.maps import elevation
 from slipfree.files.maps.elevation import READERS, MapReader, read_map
@@ -43,10 +42,8 @@ def test_a_problem_drives_on_a_map_of_the_new_format(file, tmp_path):
     begin, end = text.index("[terrain.synthetic]"), text.index("[vehicle]")
     problem = tmp_path / "p.toml"
     problem.write_text(f'{text[:begin]}[terrain]\nfile = "{file.name}"\n\n{text[end:]}')
-    words = ["run", str(problem), "-o", str(tmp_path / "r.nc"), "--no-draw"]
-    result = CliRunner().invoke(app, [*words, "--set", "time.duration=0.2"])
-    assert result.exit_code == 0, result.output
-    assert "JSON" in result.output
+    words = ("run", problem, "-o", tmp_path / "r.nc", "--no-draw", *sets("time.duration=0.2"))
+    assert "JSON" in printed(*words)
 
 
 def test_keys_of_other_formats_are_refused(file):

@@ -23,8 +23,13 @@ def plane(x, y):
     return 30 + 0.2 * (x - WEST) - 0.1 * (y - SOUTH)
 
 
-def cloud(path, places, z, *, kind=None, crs="EPSG:32633", keys=()):
-    """Write points with millimetres as LAS 1.4, or as LAS 1.2 with GeoTIFF keys."""
+def cloud(path, places=None, z=None, *, kind=None, crs="EPSG:32633", keys=()):
+    """Write points with millimetres as LAS 1.4, or as LAS 1.2 with GeoTIFF keys.
+
+    By default, they are scattered and lie on the plane.
+    """
+    places = scattered() if places is None else places
+    z = plane(*places.T) if z is None else z
     modern = not keys
     header = laspy.LasHeader(point_format=6 if modern else 1, version="1.4" if modern else "1.2")
     header.scales, header.offsets = [1e-3] * 3, [WEST, SOUTH, 0]
@@ -50,17 +55,22 @@ def scattered(count=4000, size=20.0):
     return places[~within] + [WEST, SOUTH]
 
 
+def assert_plane(grid, atol=1e-3):
+    """Assert that the heights are those of the plane, which is written in millimetres."""
+    x, y = np.meshgrid(grid.x, grid.y, indexing="ij")
+    whole = ~grid.holes
+    assert_allclose(grid.z[whole], plane(x, y)[whole], rtol=0, atol=atol)
+
+
 @pytest.mark.parametrize("ending", ["las", "LAZ"])
 def test_a_plane_is_exact_and_cells_without_points_are_holes(tmp_path, ending):
     places = scattered()
-    found = read_map(cloud(tmp_path / f"a.{ending}", places, plane(*places.T)), spacing=1.0)
+    found = read_map(cloud(tmp_path / f"a.{ending}", places), spacing=1.0)
     grid = found.grid
     assert_allclose(grid.x, WEST + np.arange(21), rtol=0, atol=1e-8)
     assert_allclose(grid.y, SOUTH + np.arange(21), rtol=0, atol=1e-8)
     assert found.crs == "EPSG:32633"
-    whole = ~grid.holes
-    x, y = np.meshgrid(grid.x, grid.y, indexing="ij")
-    assert_allclose(grid.z[whole], plane(x, y)[whole], rtol=0, atol=1e-3)  # written in millimetres
+    assert_plane(grid)
     assert grid.holes[9:12, 9:12].all()  # cells about nodes from 9 m to 11 m are empty
     inner = grid.holes[1:-1, 1:-1]
     assert np.count_nonzero(inner) == 9
@@ -71,9 +81,7 @@ def test_a_plane_is_exact_and_cells_without_points_are_holes(tmp_path, ending):
 
 
 def test_the_mean_density_gives_the_width_of_cells(tmp_path):
-    places = scattered()
-    path = cloud(tmp_path / "a.las", places, plane(*places.T))
-    found = read_map(path)
+    found = read_map(cloud(tmp_path / "a.las"))
     words = dict(found.facts)["ground points"]
     density = float(re.search(r"([\d.]+) per m2", words)[1])
     assert_allclose(density, 10, rtol=0.05)  # the square without points does not count
@@ -101,9 +109,7 @@ def test_ground_points_are_preferred_and_noise_is_left_out(tmp_path):
     kind = np.random.default_rng(2).choice(np.array([2, 5, 7], np.uint8), len(places))
     z = plane(*places.T) + np.where(kind == 2, 0.0, 15.0)
     found = read_map(cloud(tmp_path / "a.las", places, z, kind=kind), spacing=2.0)
-    x, y = np.meshgrid(found.grid.x, found.grid.y, indexing="ij")
-    whole = ~found.grid.holes
-    assert_allclose(found.grid.z[whole], plane(x, y)[whole], rtol=0, atol=1e-3)
+    assert_plane(found.grid)
     counts = np.bincount(kind)
     words = f"{counts[2]} classified as ground, of {counts[2] + counts[5]} points"
     assert dict(found.facts)["ground points"].startswith(words)
@@ -125,14 +131,11 @@ def test_the_unit_of_heights_is_that_of_the_file(tmp_path, crs, keys, length, wo
     found = read_map(path, spacing=1.0)
     assert found.crs == "EPSG:32633"
     assert words in dict(found.facts)["ground map heights"]
-    x, y = np.meshgrid(found.grid.x, found.grid.y, indexing="ij")
-    whole = ~found.grid.holes
-    assert_allclose(found.grid.z[whole], plane(x, y)[whole], rtol=0, atol=2e-3)
+    assert_plane(found.grid, 2e-3)
 
 
 def test_a_file_without_a_system_has_none(tmp_path):
-    places = scattered()
-    found = read_map(cloud(tmp_path / "a.las", places, plane(*places.T), crs=None), spacing=1.0)
+    found = read_map(cloud(tmp_path / "a.las", crs=None), spacing=1.0)
     assert found.crs == ""
     assert dict(found.facts)["ground map"] == "LAS 1.4 point cloud, CRS not given"
 
@@ -145,15 +148,14 @@ def test_a_file_without_a_system_has_none(tmp_path):
     ],
 )
 def test_other_units_are_refused(tmp_path, options, words):
-    places = scattered()
-    path = cloud(tmp_path / "a.las", places, plane(*places.T), **options)
+    path = cloud(tmp_path / "a.las", **options)
     with pytest.raises(DataError, match=rf"a\.las: expected .*{words}"):
         read_map(path, spacing=1.0)
 
 
 def test_too_few_points_and_lines_are_refused(tmp_path):
     places = scattered()
-    path = cloud(tmp_path / "a.las", places[:2], plane(*places[:2].T))
+    path = cloud(tmp_path / "a.las", places[:2])
     with pytest.raises(DataError, match="expected at least 3 points, found 2; use another file"):
         read_map(path)
     path = cloud(tmp_path / "a.las", places * [0, 1] + [WEST, 0], plane(*places.T))
@@ -164,8 +166,7 @@ def test_too_few_points_and_lines_are_refused(tmp_path):
 @pytest.mark.parametrize("ending", ["las", "laz"])
 @pytest.mark.bounded
 def test_damaged_files_are_read_or_refused(tmp_path, ending):
-    places = scattered(100)
-    raw = cloud(tmp_path / f"a.{ending}", places, plane(*places.T)).read_bytes()
+    raw = cloud(tmp_path / f"a.{ending}", scattered(100)).read_bytes()
     path, rng, refused = tmp_path / f"b.{ending}", Random(4), []
     for _ in range(4):
         data = bytearray(raw)
@@ -182,8 +183,7 @@ def test_damaged_files_are_read_or_refused(tmp_path, ending):
 
 @pytest.mark.bounded
 def test_a_file_that_aborts_its_reader_is_refused(tmp_path):
-    places = scattered(100)
-    path = cloud(tmp_path / "a.laz", places, plane(*places.T))
+    path = cloud(tmp_path / "a.laz", scattered(100))
     data = bytearray(path.read_bytes())
     points = int.from_bytes(data[96:100], "little")
     table = int.from_bytes(data[points : points + 8], "little")
@@ -194,8 +194,7 @@ def test_a_file_that_aborts_its_reader_is_refused(tmp_path):
 
 
 def test_a_header_with_too_many_records_is_refused_at_once(tmp_path):
-    places = scattered(100)
-    path = cloud(tmp_path / "a.las", places, plane(*places.T))
+    path = cloud(tmp_path / "a.las", scattered(100))
     data = bytearray(path.read_bytes())
     data[100:104] = b"\xff" * 4  # number of records before the points
     path.write_bytes(data)

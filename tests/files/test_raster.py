@@ -19,6 +19,8 @@ from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
 from rasterio.warp import transform
 
+from helpers import rasters
+from helpers.rasters import from_origin
 from slipfree import DataError
 from slipfree.files.maps.elevation import read_map
 
@@ -32,19 +34,11 @@ ROWS = (
 )
 
 
-def from_origin(west, north, cell):
-    return Affine(cell, 0, west, 0, -cell, north)
-
-
-def geotiff(path, rows=ROWS, *, transform=None, crs=UTM, dtype="float32", tags=None, **options):
-    transform = transform or from_origin(WEST, NORTH, CELL)
-    bands = np.atleast_3d(np.asarray(rows, dtype).T).T
-    count, height, width = bands.shape
-    profile = {"width": width, "height": height, "count": count, "dtype": dtype, "crs": crs}
-    profile |= {"driver": "GTiff", "transform": transform} | options
-    with rasterio.open(path, "w", **profile) as file:
-        file.write(bands)
-        file.update_tags(**(tags or {}))
+def geotiff(path, rows=ROWS, *, transform=None, tags=None, **options):
+    rasters.geotiff(path, rows, transform or from_origin(WEST, NORTH, CELL), **options)
+    if tags:
+        with rasterio.open(path, "r+") as file:
+            file.update_tags(**tags)
     return path
 
 
@@ -75,18 +69,11 @@ def test_nodes_are_the_middles_of_pixels_whatever_their_registration(tmp_path):
 
 
 def test_one_ground_from_every_file(tmp_path):
-    """Registered by corner and by centre, compressed in three ways."""
-    asc = [
-        f"ncols 40\nnrows 32\nxll{where} {WEST + shift}\nyll{where} {NORTH - 8 + shift}\n"
-        f"cellsize {CELL}\n" + "\n".join(" ".join(map(repr, row)) for row in ROWS.tolist())
-        for where, shift in (("corner", 0.0), ("center", CELL / 2))
-    ]
-    files = [tmp_path / "corner.asc", tmp_path / "centre.asc", tmp_path / "nodes.npz"]
-    for file, text in zip(files, asc, strict=False):
-        file.write_text(text)
+    """Of nodes, and of pixels that are compressed, or whose rows begin in the south."""
     x, y = WEST + CELL * (np.arange(40) + 0.5), NORTH - 8 + CELL * (np.arange(32) + 0.5)
-    np.savez(files[2], x=x, y=y, z=ROWS[::-1].T)
-    files += [
+    np.savez(tmp_path / "nodes.npz", x=x, y=y, z=ROWS[::-1].T)
+    files = [
+        tmp_path / "nodes.npz",
         geotiff(tmp_path / "lzw.tif", compress="lzw"),
         geotiff(tmp_path / "deflate.tif", compress="deflate", tags={"AREA_OR_POINT": "Point"}),
         geotiff(tmp_path / "double.tif", dtype="float64", compress="lzw"),
@@ -259,8 +246,7 @@ def test_tiles_in_degrees(tmp_path):
     half = 1 / 240
     tile = heights[:121, :121].astype("int16")
     place = {"crs": "EPSG:4326", "transform": from_origin(6 - half, 46 + half, 2 * half)}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         rasterio.shutil.copy(
             geotiff(tmp_path / "map.tif", tile, dtype="int16", **place),
             tmp_path / "map.dt0",
@@ -382,17 +368,9 @@ def test_more_geotiffs_refused(tmp_path):
 def test_damaged_tiffs_lead_to_one_error(tmp_path):
     path = geotiff(tmp_path / "map.tif", compress="deflate")
     whole = path.read_bytes()
-    refused = 0
     for content in (b"", b"no TIFF", whole[:100], whole[:-900]):
         path.write_bytes(content)
         refuses(path, r"map.tif: expected a readable GeoTIFF, .*damaged")
-    for at in range(0, 500, 3):
-        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5A]) + whole[at + 1 :])
-        try:
-            read_map(path)
-        except DataError:
-            refused += 1
-    assert refused > 20  # some bytes do not matter; no damage leads to another error
 
 
 def test_a_picture_needs_cell_and_registration(tmp_path):
@@ -517,8 +495,7 @@ def test_rasters_that_are_one_file(tmp_path, driver, ending, dtype, options):
     written.rename(path)
     found = read_map(path)
     assert found.crs in ("", UTM)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         dataset = rasterio.open(path)
     with dataset:
         heights = dataset.read(1)
@@ -550,15 +527,12 @@ def test_formats_that_refer_to_other_files_are_not_opened(tmp_path):
 )
 def test_gray_levels_are_told_from_heights(tmp_path, dtype, options, gray):
     """Gray levels have 8 bits, or are unsigned without a position: as PNGs that were converted."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         path = geotiff(tmp_path / "map.tif", np.round(100 * ROWS), dtype=dtype, **options)
     keys = {"cell": 1.0, "registration": "area"} if "transform" in options else {}
     assert read_map(path, **keys).gray is gray
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with rasterio.open(path, "r+") as file:
-            file.scales = (0.1,)
+    with warnings.catch_warnings(action="ignore"), rasterio.open(path, "r+") as file:
+        file.scales = (0.1,)
     assert not read_map(path, **keys).gray
 
 

@@ -40,11 +40,6 @@ def motion(rng):
     )
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(2)
-
-
 def _assert_same(found, motion):
     np.testing.assert_array_equal(found.t, motion.t)
     assert list(found.columns) == list(motion.columns)
@@ -135,19 +130,6 @@ def test_csv(motion, tmp_path):
     table = np.array(rows, dtype=float)
     expected = np.column_stack([motion.t, motion["x"], motion["slip"], motion["pitch"]])
     np.testing.assert_array_equal(table, expected)
-
-
-def test_an_old_file_survives_a_failure(motion, tmp_path, monkeypatch):
-    netcdf.write(tmp_path / "a.nc", motion)
-
-    def fail(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(netcdf, "_write_values", fail)
-    with pytest.raises(DataError, match=r"a\.nc: cannot be written \(No space left"):
-        netcdf.write(tmp_path / "a.nc", motion.part(slice(2)))
-    _assert_same(netcdf.read(tmp_path / "a.nc"), motion)
-    assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
 def test_names_that_cannot_be_used(motion, tmp_path):

@@ -58,13 +58,10 @@ def test_further_columns_are_ignored(tmp_path, text):
     np.savetxt(tmp_path / "q.xyz", np.hstack(columns), delimiter=separator, fmt="%.3f")
     (tmp_path / "p.xyz").write_text(text.format((tmp_path / "q.xyz").read_text()))
     found = read_map(tmp_path / "p.xyz", spacing=1.0)
-    assert_array_equal(found.grid.z, read_grid_spaced(written(tmp_path / "a.xyz", points)).z)
+    plain = read_map(written(tmp_path / "a.xyz", points), spacing=1.0)
+    assert_array_equal(found.grid.z, plain.grid.z)
     is_guessed = text in ("{}", "400\n{}")
     assert ("x, y, z are the first 3 of 4" in dict(found.facts)["ground points"]) == is_guessed
-
-
-def read_grid_spaced(path):
-    return read_map(path, spacing=1.0).grid
 
 
 def test_points_on_a_grid_keep_their_values(tmp_path):

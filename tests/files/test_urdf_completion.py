@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from helpers.commands import invoke
 from helpers.urdf import FOUR, ROUND, joint, link, wheel, written
 from slipfree import Motor
-from slipfree.cli import app
 from slipfree.contact.closure import has_exact_closure
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 
@@ -132,7 +131,7 @@ def test_axles_along_x_tell_that_y_is_forward(axis, forward, tmp_path):
     assert note.startswith(f"guessed forward along {forward}: signs of the wheels' axes")
     assert not any("opposite to the sign" in note for note in vehicle.notes)
     out = tmp_path / "full.toml"
-    CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])
+    invoke("vehicle", file, "--write", out, code=0)
     assert f'forward = "{forward}"' in out.read_text()
     assert read_vehicle(out).wheels == vehicle.wheels
 

@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from helpers.commands import invoke, refused
 from helpers.urdf import FOUR, MASS, MESH, ROUND, TWO, joint, link, rocker_bogie, wheel, written
 from slipfree import Analytic, direct_kinematics, settle, simulate
-from slipfree.cli import app
 from slipfree.control.path_following import straight
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.sections import Omni
@@ -146,8 +145,7 @@ def test_the_written_completion_has_all_guesses(parts, tmp_path):
     file = written(tmp_path, parts)
     guessed = read_vehicle(file)
     out = tmp_path / "full.toml"
-    found = CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])
-    assert found.exit_code == 0, found.output
+    invoke("vehicle", file, "--write", out, code=0)
     again = read_vehicle(out)
     assert (again.wheels, again.coordinates, again.joints) == (
         guessed.wheels,
@@ -156,9 +154,7 @@ def test_the_written_completion_has_all_guesses(parts, tmp_path):
     )
     assert not notes(again)
     assert "{  }" not in out.read_text()
-    refused = CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])
-    assert refused.exit_code == 2
-    assert "--force" in refused.stderr
+    assert "--force" in refused("vehicle", file, "--write", out)
 
 
 def test_steering_hinges_with_turned_frames_steer(tmp_path):

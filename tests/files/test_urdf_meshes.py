@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from typer.testing import CliRunner
 
+from helpers.commands import invoke
 from helpers.urdf import FOUR, WHEEL, wheel, written
-from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.sections import Disc, Sphere, Torus
@@ -189,7 +188,6 @@ def test_the_written_completion_has_radius_and_tube_of_the_meshes(tmp_path):
     (tmp_path / "tyre.stl").write_bytes(exported(TYRE, "tyre.stl"))
     file = written(tmp_path, tricycle(mesh("tyre.stl", f'{TURN} xyz="0 0.03 0"')))
     out = tmp_path / "full.toml"
-    found = CliRunner().invoke(app, ["vehicle", str(file), "--write", str(out)])
-    assert found.exit_code == 0, found.output
+    invoke("vehicle", file, "--write", out, code=0)
     assert read_vehicle(out).wheels == read_vehicle(file).wheels
     assert "radius = 0.3" in out.read_text()

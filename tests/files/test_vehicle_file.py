@@ -79,8 +79,7 @@ def driven(vehicle, **start):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "frame"),
-    [("rocky7", "paper"), *((n, "rep103") for n in CATALOG if n not in UNFIT)],
+    ("name", "frame"), [("rocky7", "paper"), *((n, "rep103") for n in CATALOG if n not in UNFIT)]
 )
 def test_twins_of_the_catalogue_move_alike(name, frame, tmp_path):
     """A positive rate of a wheel drives forward in both frames, of a joint as its axis says."""

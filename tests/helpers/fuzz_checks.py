@@ -16,7 +16,7 @@ from helpers.fuzz_damage import Case
 from slipfree.cli import app
 from slipfree.core.errors import SlipfreeError
 from slipfree.files.maps.elevation import read_map
-from slipfree.files.mcap_reader import read_joint_commands, read_mcap
+from slipfree.files.mcap import read_joint_commands, read_mcap
 from slipfree.files.netcdf import read_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import describe
@@ -31,16 +31,7 @@ ADDRESS = re.compile(r" at 0x[0-9a-f]{6}|Traceback \(most")
 
 
 class Verdict(NamedTuple):
-    """What became of a case.
-
-    Attributes
-    ----------
-    name : str
-        ``"read"``, ``"refused"`` by a clear error, or what is wrong: ``"traceback"``,
-        ``"warning"``, ``"unclear"``.
-    words : str
-        The error, or where it came from.
-    """
+    """Outcome of a case: `READ`, `REFUSED` by a clear error, or what is wrong, and the error."""
 
     name: str
     words: str = ""

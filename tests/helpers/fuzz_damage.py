@@ -15,114 +15,30 @@ from random import Random
 from typing import Any, NamedTuple
 
 NUMBERS: tuple[Any, ...] = (
-    0,
-    1,
-    -1,
-    2,
-    3,
-    7,
-    0.0,
-    -0.0,
-    0.1,
-    -0.5,
-    0.3,
-    1.5,
-    10.0,
-    1e-9,
-    1e9,
-    1e-300,
-    1e300,
-    -1e308,
-    5e-324,
-    math.nan,
-    math.inf,
-    -math.inf,
-    2**31,
-    2**63,
-    -(2**64),
-    10**30,
-    10**400,
-    True,
-    False,
-)
+    0, 1, -1, 2, 3, 7, 0.0, -0.0, 0.1, -0.5, 0.3, 1.5, 10.0, 1e-9, 1e9, 1e-300, 1e300, -1e308,
+    5e-324, math.nan, math.inf, -math.inf, 2**31, 2**63, -(2**64), 10**30, 10**400, True, False,
+)  # fmt: skip
 WORDS = (
-    "30 deg",
-    "5 deg/s",
-    "1e3 rad/s2",
-    "3 dog",
-    "",
-    " ",
-    "x",
-    "y",
-    "t",
-    "wheel",
-    "right_rate",
-    "steer",
-    "front",
-    "platform",
-    "swing",
-    "ground.asc",
-    "way.csv",
-    "solids.csv",
-    "vehicle.toml",
-    "..",
-    "/",
-    "/dev/null",
-    "../../../etc/passwd",
-    "a\0b.asc",
-    "é😀",
-    "\u202e",
-    "A" * 300 + ".asc",
-    "nan",
-    "1e400",
-    "0.1*sin(t)",
-    "9**9**9",
-    "t**t**t",
-    "1/0",
-    "not " * 200 + "t",
-    "t" + ".a" * 400,
-    "(" * 200 + "t",
-    "-" * 900 + "t",
-    "__import__('os').abort()",
-    "1if t else 2",
-    "'\\d'",
-    "0x" + "f" * 400,
-    "lambda: t",
-    "[t for t in t]",
-    "sin(*t)",
-    "{t}",
-    "%s%n",
-)
-ODD = (  # a link to itself, to another that leads back, or to what is no file on a disk
-    "pipe",
-    "folder",
-    "loop",
-    "loop of two",
-    "missing",
-    "/dev/null",
-    "/dev/zero",
-    "/dev/full",
-    "/dev/stdin",
-    "/dev/random",
-    "/proc/self/environ",
-    "/proc/self/mem",
-)
+    "30 deg", "5 deg/s", "1e3 rad/s2", "3 dog", "", " ", "x", "y", "t", "wheel", "right_rate",
+    "steer", "front", "platform", "swing", "ground.asc", "way.csv", "solids.csv", "vehicle.toml",
+    "..", "/", "/dev/null", "../../../etc/passwd", "a\0b.asc", "é😀", "\u202e", "A" * 300 + ".asc",
+    "nan", "1e400", "0.1*sin(t)", "9**9**9", "t**t**t", "1/0", "not " * 200 + "t", "t" + ".a" * 400,
+    "(" * 200 + "t", "-" * 900 + "t", "__import__('os').abort()", "1if t else 2", "'\\d'",
+    "0x" + "f" * 400, "lambda: t", "[t for t in t]", "sin(*t)", "{t}", "%s%n",
+)  # fmt: skip
+# a link to itself, to another that leads back, or to what is no file on a disk
+ODD = (
+    "pipe", "folder", "loop", "loop of two", "missing", "/dev/null", "/dev/zero", "/dev/full",
+    "/dev/stdin", "/dev/random", "/proc/self/environ", "/proc/self/mem",
+)  # fmt: skip
 SIZES = (0, 1, 3, 7, 2**16, 2**31 - 1, 2**31, 2**32 - 1)
 
 
 class Case(NamedTuple):
     """Files of a folder, and the one that is read.
 
-    Attributes
-    ----------
-    kind : str
-        One of `fuzz_files.KINDS`.
-    files : mapping of str to bytes
-        What they hold, by name.
-    main : str
-        The name of the one that is read.
-    odd : mapping of str to str
-        What stands in the place of a file, by name: one of `ODD`.
+    The kind is one of `fuzz_files.KINDS`. Contents of files, and what of `ODD` stands in their
+    place, are mapped by the names of the files; ``main`` is the name of the one that is read.
     """
 
     kind: str
@@ -172,23 +88,9 @@ def _flipped(data: bytes, rng: Random) -> bytes:
 def _inserted(data: bytes, rng: Random) -> bytes:
     at = rng.randint(0, len(data))
     junk = (
-        b"\0",
-        b"\n",
-        b"\xff\xfe",
-        b"\xed\xa0\x80",
-        b"\r",
-        b'"',
-        b"[",
-        b"A" * 10_000,
-        b"1" * 5000,
-        b"\0" * 64,
-        "\u2028".encode(),
-        b"-",
-        b"e",
-        b".",
-        b"#",
-        b"=",
-    )
+        b"\0", b"\n", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b'"', b"[", b"A" * 10_000, b"1" * 5000,
+        b"\0" * 64, "\u2028".encode(), b"-", b"e", b".", b"#", b"=",
+    )  # fmt: skip
     return data[:at] + rng.choice(junk) + data[at:]
 
 
@@ -238,27 +140,8 @@ def shuffled(text: str, rng: Random, of: str = r"\S") -> str:
             parts[k] = parts[rng.choice(places)]
         else:
             junk = (
-                "0",
-                "-1",
-                '"0"',
-                '"1 0 0"',
-                '"-1"',
-                '"x"',
-                '"1e9"',
-                '"nan"',
-                '""',
-                "nan",
-                "inf",
-                "1e400",
-                "1e9",
-                "[]",
-                "{}",
-                "true",
-                "\0",
-                "é",
-                "1979-05-27",
-                "07:32:00",
-                "9" * 5000,
-            )
+                "0", "-1", '"0"', '"1 0 0"', '"-1"', '"x"', '"1e9"', '"nan"', '""', "nan", "inf",
+                "1e400", "1e9", "[]", "{}", "true", "\0", "é", "1979-05-27", "07:32:00", "9" * 5000,
+            )  # fmt: skip
             parts[k] = rng.choice(junk)
     return "".join(parts)

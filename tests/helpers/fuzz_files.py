@@ -123,33 +123,10 @@ def _tables(value: Any) -> list[Table]:
 
 
 NAMES = (
-    "x",
-    "y",
-    "heading",
-    "steer",
-    "right_rate",
-    "left_rate",
-    "steer_rate",
-    "slip",
-    "effort",
-    "z",
-    "velocity_x",
-    "velocity_y",
-    "heading_rate",
-    "tilt_right",
-    "utilisation",
-    "swing",
-    "caster",
-    "forward",
-    "yaw_rate",
-    "duration",
-    "hitch",
-    "left",
-    "right",
-    "platform",
-    "0",
-    "swing*2",
-)
+    "x", "y", "heading", "steer", "right_rate", "left_rate", "steer_rate", "slip", "effort", "z",
+    "velocity_x", "velocity_y", "heading_rate", "tilt_right", "utilisation", "swing", "caster",
+    "forward", "yaw_rate", "duration", "hitch", "left", "right", "platform", "0", "swing*2",
+)  # fmt: skip
 
 
 def made(model: type[BaseModel], rng: Random) -> Table:
@@ -421,22 +398,17 @@ def results() -> tuple[bytes, ...]:
             statistics={"steps": 1.0},
             attributes={"problem": "x = 1"},
         )
-        netcdf.write(
-            file,
-            odd,
-            {
-                f"plan_{name}": np.array([3.0, 1e18, 2, 2, 1])
-                for name in (
-                    "ends",
-                    "sizes",
-                    "unknowns",
-                    "bound_multipliers",
-                    "row_multipliers",
-                    "shift",
-                    "model",
-                )
-            },
+        names = (
+            "ends",
+            "sizes",
+            "unknowns",
+            "bound_multipliers",
+            "row_multipliers",
+            "shift",
+            "model",
         )
+        arrays = {f"plan_{name}": np.array([3.0, 1e18, 2, 2, 1]) for name in names}
+        netcdf.write(file, odd, arrays)
         found.append(file.read_bytes())
     return tuple(found)
 

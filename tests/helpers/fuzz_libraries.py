@@ -84,7 +84,7 @@ def _logs() -> tuple[bytes, ...]:
     from mcap.writer import CompressionType
     from mcap_ros2.writer import Writer
 
-    from slipfree.files.mcap_writer import definition
+    from slipfree.files.mcap import definition
 
     found = []
     for kind, message in MESSAGES.items():

@@ -71,23 +71,11 @@ def archive(kind: str, rng: Random) -> Case:
     arrays: dict[str, Any] = {"x": x, "y": y, "z": np.zeros((x.size, y.size))}
     if how < 0.4:
         odd = (
-            x[::-1],
-            x.astype(complex),
-            x.astype("S3"),
-            np.array(3.0),
-            np.zeros((2, 2, 2)),
-            x * np.nan,
-            x > 1,
-            x.astype("f2"),
-            x.astype("M8[s]"),
-            np.array([{}], object),
-            x**3,
-            x * 1e300,
-            np.zeros(0),
-            np.zeros((0, 5)),
-            np.array([("a", 1)], "U1,i4"),
+            x[::-1], x.astype(complex), x.astype("S3"), np.array(3.0), np.zeros((2, 2, 2)),
+            x * np.nan, x > 1, x.astype("f2"), x.astype("M8[s]"), np.array([{}], object), x**3,
+            x * 1e300, np.zeros(0), np.zeros((0, 5)), np.array([("a", 1)], "U1,i4"),
             x.astype(">i8"),
-        )
+        )  # fmt: skip
         arrays[rng.choice("xyzw")] = rng.choice(odd)
         if rng.random() < 0.3:
             del arrays[rng.choice([*arrays])]
@@ -157,8 +145,7 @@ def pictures(kind: str) -> tuple[bytes, ...]:
 
 def _placed_pictures(kind: str) -> list[bytes]:
     """Return rasters in metres, in degrees and, of GeoTIFF, a sparse one of a giant size."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what rasterio is made of
+    with warnings.catch_warnings(action="ignore"):  # of what rasterio is made of
         rasterio = __import__("rasterio")
 
     found = []

@@ -15,17 +15,20 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from functools import cache
+from itertools import product
 from pathlib import Path
 from random import Random
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import rasterio.shutil
 
 from helpers.cases import DATA
 from helpers.fuzz_checks import Verdict, judged
 from helpers.fuzz_damage import NUMBERS, WORDS, Case, damaged
 from helpers.fuzz_maps import archive
+from helpers.rasters import from_origin, geotiff
 
 LIMIT = 60  # for the four readings of one file; most take milliseconds [s]
 PRINTABLE = re.compile(r"[^\x00-\x08\x0b\x0c\x0e-\x1f\x80-\uffff]*")
@@ -161,35 +164,15 @@ RASTERS: dict[str, tuple[str, str, list[dict[str, Any]]]] = {  # driver, type of
 @cache
 def _rasters() -> tuple[tuple[str, bytes], ...]:
     """Return small sound rasters with their endings, in metres and in degrees."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what rasterio is made of
-        rasterio = __import__("rasterio")
-        shutil = __import__("rasterio.shutil").shutil
-    heights = np.random.default_rng(3).uniform(1, 4, (12, 10))
-    found = []
+    heights, found = np.random.default_rng(3).uniform(1, 4, (12, 10)), []
+    places = {"EPSG:32633": from_origin(5e5, 5e6, 2), "EPSG:4326": from_origin(15, 45, 1e-4)}
     for ending, (driver, dtype, options) in RASTERS.items():
-        for option in options:
-            for crs, west, north, cell in (
-                ("EPSG:32633", 5e5, 5e6, 2),
-                ("EPSG:4326", 15, 45, 1e-4),
-            ):
-                with (
-                    tempfile.TemporaryDirectory() as folder,
-                    warnings.catch_warnings(),
-                ):
-                    warnings.simplefilter("ignore")
-                    whole, copy = f"{folder}/whole.tif", f"{folder}/copy{ending}"
-                    place = {
-                        "crs": crs,
-                        "transform": rasterio.Affine(cell, 0, west, 0, -cell, north),
-                    }
-                    size = {"width": 10, "height": 12, "count": 1, "dtype": dtype}
-                    with rasterio.open(
-                        whole, "w", driver="GTiff", nodata=0, **place, **size
-                    ) as file:
-                        file.write(heights.astype(dtype), 1)
-                    shutil.copy(whole, copy, driver=driver, **option)
-                    found.append((ending, Path(copy).read_bytes()))
+        for option, (crs, place) in product(options, places.items()):
+            with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(action="ignore"):
+                whole, copy = Path(folder, "whole.tif"), Path(folder, f"copy{ending}")
+                geotiff(whole, heights, place, crs=crs, dtype=dtype, nodata=0)
+                rasterio.shutil.copy(whole, copy, driver=driver, **option)
+                found.append((ending, copy.read_bytes()))
     return tuple(found)
 
 

@@ -383,10 +383,7 @@ def test_a_search_that_ends_where_a_wheel_lifts_off_is_refused() -> None:
         estimate(dae, catalog.skid_steer(), Coulomb(0.1), unknowns, beyond, "linear")
 
 
-RATES = {
-    "left": lambda t: 4 + 3 * np.sin(2 * t),
-    "right": lambda t: 3 + 4 * np.cos(1.7 * t + 1),
-}
+RATES = {"left": lambda t: 4 + 3 * np.sin(2 * t), "right": lambda t: 3 + 4 * np.cos(1.7 * t + 1)}
 
 
 @cache

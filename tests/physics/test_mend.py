@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
-from typer.testing import CliRunner
 
 from helpers.cases import function_of
+from helpers.commands import invoke
 from helpers.problem_files import FILE, _read
 from slipfree import Grid
-from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.files import netcdf
@@ -52,13 +51,7 @@ def holed(grid, *holes):
 def test_holes_in_a_plane_are_filled_exactly_and_counted():
     grid = plane()
     found = fill_holes(
-        holed(
-            grid,
-            (slice(3, 9), slice(4, 8)),
-            (12, 5),
-            (13, 6),
-            (slice(20, 22), slice(10, 20)),
-        )
+        holed(grid, (slice(3, 9), slice(4, 8)), (12, 5), (13, 6), (slice(20, 22), slice(10, 20)))
     )
     assert_allclose(found.z, grid.z, atol=1e-13)
     assert (found.nodes, found.holes) == (24 + 2 + 20, 3)  # touching by a corner is one hole
@@ -290,7 +283,7 @@ def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> 
     assert float(found[2]) == pytest.approx(1.25, abs=step)
     assert int(found[1]) * step == pytest.approx(1.25, abs=2 * step)
     netcdf.write(tmp_path / "run.nc", motion)
-    told = CliRunner().invoke(app, ["info", str(tmp_path / "run.nc")]).stdout
+    told = invoke("info", tmp_path / "run.nc").stdout
     assert told.count("interpolated heights") == 1
     away = run_problem(_read(tmp_path, FILE, *settings, "start.x=2")).trajectory
     assert away.facts["filled_samples"].value == 0

@@ -9,36 +9,29 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import hills
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    ModelError,
-    SolverError,
-    direct_kinematics,
-    settle,
-    simulate,
-)
 from slipfree.catalog import differential_drive, three_wheeler
 from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, replan, track_plan
 from slipfree.plan.plan import plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.terrain.grid_ops import disturbed
 
+pytestmark = pytest.mark.slow
+
 GOAL, DURATION, COUNT = {"x": 0.2, "y": 0.9}, 8.0, 12
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
 VEHICLE = three_wheeler(axle="fixed")
 AXIS = np.arange(-3.0, 4.0, 0.25)
-GRID = Grid(AXIS, AXIS, Analytic(hills).elevation(*np.meshgrid(AXIS, AXIS, indexing="ij")))
+GRID = sf.Grid(AXIS, AXIS, sf.Analytic(hills).elevation(*np.meshgrid(AXIS, AXIS, indexing="ij")))
 
 
 @pytest.fixture(scope="module")
 def found():
-    dae = direct_kinematics(VEHICLE, Bicubic(GRID))
-    start = settle(dae)
+    dae = sf.direct_kinematics(VEHICLE, sf.Bicubic(GRID))
+    start = sf.settle(dae)
     rates = dae.inputs(right_rate=0.4, left_rate=0.4, steer_rate=0.0)
-    guess = simulate(dae, start, rates, np.linspace(0, DURATION, 30))
+    guess = sf.simulate(dae, start, rates, np.linspace(0, DURATION, 30))
     return plan(
         dae,
         start,
@@ -61,10 +54,10 @@ def window(found):
 def traverse(found, window, **start):
     """Drive to the end of the plan, one cycle an interval; return the way's end and all cycles."""
     dae, cycle = found.program.task.dae, first_cycle(window)
-    here, cycles, times = settle(dae, **start), [], found.motion.ends
+    here, cycles, times = sf.settle(dae, **start), [], found.motion.ends
     for t, end in pairwise(times):
         cycle = replan(window, cycle, t, dae.rows("x", here, -1))
-        here = simulate(dae, here, *cycle_inputs(window, cycle, t, end))
+        here = sf.simulate(dae, here, *cycle_inputs(window, cycle, t, end))
         cycles.append(cycle)
     return here, cycles
 
@@ -73,7 +66,6 @@ def away(run):
     return float(np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]))
 
 
-@pytest.mark.slow
 def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
     first, count = first_cycle(window), found.motion.layout.duration
@@ -84,7 +76,6 @@ def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
         assert one.violation < 1e-9
 
 
-@pytest.mark.slow
 def test_steps_converge(found):
     """From a start beside the plan, without moving: to what many iterations find at once."""
     window, many = (
@@ -101,7 +92,6 @@ def test_steps_converge(found):
     assert cycle.violation < 1e-6
 
 
-@pytest.mark.slow
 def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found, window):
     many = horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=50)
     off = {"x": 0.02, "y": -0.02, "heading": 0.03}
@@ -112,7 +102,6 @@ def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found, window):
     assert cycles[-1] is cycles[-2]  # what is left of the last one that decides is driven on
 
 
-@pytest.mark.slow
 def test_inputs_keep_to_their_bounds(found, window):
     start = found.program.task.start.copy()
     start[1] -= 0.5  # metres behind
@@ -123,11 +112,10 @@ def test_inputs_keep_to_their_bounds(found, window):
     assert np.abs(rates).max() <= 2.0 + 1e-6
 
 
-@pytest.mark.slow
 def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, window):
     """The last part is as long as what is left."""
     dae, times = found.program.task.dae, []
-    tracked = track_plan(window, dae, settle(dae), period=0.7, progress=times.append)
+    tracked = track_plan(window, dae, sf.settle(dae), period=0.7, progress=times.append)
     assert (tracked.cycles, tracked.failures) == (11, 0)
     assert_allclose(times, np.arange(11) * 0.7)
     assert away(tracked.run) < 1e-4
@@ -135,27 +123,24 @@ def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, wind
     assert (np.diff(tracked.run.t) > 0).all()
 
 
-@pytest.mark.slow
 def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
-    world = direct_kinematics(VEHICLE, Bicubic(disturbed(GRID, 0.02, 1.0, 1)))
-    start = settle(world, x=0.04, y=-0.03, heading=0.03)
+    world = sf.direct_kinematics(VEHICLE, sf.Bicubic(disturbed(GRID, 0.02, 1.0, 1)))
+    start = sf.settle(world, x=0.04, y=-0.03, heading=0.03)
     alone = simulate_plan(world, start, window.plan, step=0.2)
     tracked = track_plan(window, world, start, period=0.4)
     assert away(tracked.run) < away(alone) / 5
 
 
-@pytest.mark.slow
 def test_a_limit_of_the_world_ends_the_motion(window):
     part = slice(7, 18)
-    grid = Grid(AXIS[part], AXIS[part], np.ascontiguousarray(GRID.z[part, part]))
-    world = direct_kinematics(VEHICLE, Bicubic(grid))
-    tracked = track_plan(window, world, settle(world), period=0.8)
+    grid = sf.Grid(AXIS[part], AXIS[part], np.ascontiguousarray(GRID.z[part, part]))
+    world = sf.direct_kinematics(VEHICLE, sf.Bicubic(grid))
+    tracked = track_plan(window, world, sf.settle(world), period=0.8)
     assert tracked.run.stop.name.startswith("map_margin")
     assert tracked.run.stop.t == pytest.approx(tracked.run.t[-1])
     assert tracked.run.t[-1] < DURATION
 
 
-@pytest.mark.slow
 def test_what_is_no_window_period_world_or_state_is_refused(found, window):
     task, first = found.program.task, first_cycle(window)
     start = task.start
@@ -164,28 +149,28 @@ def test_what_is_no_window_period_world_or_state_is_refused(found, window):
         ({"span": 4.0, "intervals": 0}, "intervals: expected 1 or more, found 0"),
         ({"span": 4.0, "iterations": -1}, "iterations: expected 1 or more, found -1"),
     ):
-        with pytest.raises(ModelError, match=words):
+        with pytest.raises(sf.ModelError, match=words):
             horizon(found, **given)
     # a window counts time from its own beginning
     cost = task.costs[0]._replace(expression=task.costs[0].expression * task.dae.t)
     late = replace(found.program, task=replace(task, costs=(cost,)))
-    with pytest.raises(ModelError, match="a goal that do not depend on time"):
+    with pytest.raises(sf.ModelError, match="a goal that do not depend on time"):
         horizon(replace(found, program=late), span=4.0)
     words = "period: expected a period above 0 and at most 8 s, the duration"
-    with pytest.raises(ModelError, match=words):
-        track_plan(window, task.dae, settle(task.dae), period=0.0)
-    other = direct_kinematics(differential_drive(), Bicubic(GRID))
-    with pytest.raises(ModelError, match="world: expected the states and inputs of the plan's"):
-        track_plan(window, other, settle(other), period=0.8)
-    with pytest.raises(ModelError, match=r"expected 'begin' from 0 to below 4 s"):
+    with pytest.raises(sf.ModelError, match=words):
+        track_plan(window, task.dae, sf.settle(task.dae), period=0.0)
+    other = sf.direct_kinematics(differential_drive(), sf.Bicubic(GRID))
+    with pytest.raises(sf.ModelError, match="world: expected the states and inputs of the plan's"):
+        track_plan(window, other, sf.settle(other), period=0.8)
+    with pytest.raises(sf.ModelError, match=r"expected 'begin' from 0 to below 4 s"):
         cycle_inputs(window, first, 8.5, 9.0)
     for state in (start[:-1], start * np.nan, start[0]):
-        with pytest.raises(ModelError, match="expected a time and 4 states, all finite"):
+        with pytest.raises(sf.ModelError, match="expected a time and 4 states, all finite"):
             replan(window, first, 0.0, state)
-    with pytest.raises(ModelError, match="found t = nan"):
+    with pytest.raises(sf.ModelError, match="found t = nan"):
         replan(window, first, np.nan, start)
-    with pytest.raises(ModelError, match="expected a time t of at least 1 s"):
+    with pytest.raises(sf.ModelError, match="expected a time t of at least 1 s"):
         replan(window, first._replace(t=1.0), 0.5, start)
-    with pytest.raises(SolverError, match="the inputs of the previous cycle may still be used"):
+    with pytest.raises(sf.SolverError, match="the inputs of the previous cycle may still be used"):
         replan(window, first, 0.0, start + np.array([0, 1e308, 0, 0]))
     assert replan(window, first, 0.0, start).violation < 1e-6

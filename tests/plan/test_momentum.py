@@ -6,22 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from slipfree import (
-    Analytic,
-    Coulomb,
-    LinearCreep,
-    ModelError,
-    SolverOptions,
-    Torque,
-    catalog,
-    direct_kinematics,
-    dynamics,
-    plan,
-    quasi_statics,
-    rigid_dynamics,
-    settle,
-    simulate,
-)
+import slipfree as sf
 from slipfree.core.records import leaves
 from slipfree.files.toml.source import ProblemError
 from slipfree.models.rigid_dynamics import dynamic_guess
@@ -32,31 +17,31 @@ CLOSE = {"rtol": 1e-6, "atol": 1e-9}
 
 
 def with_torques(vehicle):
-    wheels = tuple(replace(wheel, drive=Torque()) for wheel in vehicle.wheels)
+    wheels = tuple(replace(wheel, drive=sf.Torque()) for wheel in vehicle.wheels)
     return replace(vehicle, wheels=wheels)
 
 
 def car():
     return with_torques(
-        catalog.skid_steer(wheelbase=0.7, mass=40.0, center_of_mass=(0.0, 0.0, 0.07))
+        sf.catalog.skid_steer(wheelbase=0.7, mass=40.0, center_of_mass=(0.0, 0.0, 0.07))
     )
 
 
 def ridge(height):
-    return Analytic(lambda x, y: height * ca.exp(-(((y - 0.9) / 0.2) ** 2)) + 0 * x, mu=0.8)
+    return sf.Analytic(lambda x, y: height * ca.exp(-(((y - 0.9) / 0.2) ** 2)) + 0 * x, mu=0.8)
 
 
 def straight_guess(model, vehicle, ground, speed, duration):
-    start, still = settle(model), direct_kinematics(vehicle, ground)
+    start, still = sf.settle(model), sf.direct_kinematics(vehicle, ground)
     rates = {label.full: speed / RADIUS for label in still.labels.u.wheels}
-    times, options = np.linspace(0, duration, 21), SolverOptions(tolerance=1e-5)
-    run = simulate(still, settle(still), still.inputs(**rates), times, options=options)
+    times, options = np.linspace(0, duration, 21), sf.SolverOptions(tolerance=1e-5)
+    run = sf.simulate(still, sf.settle(still), still.inputs(**rates), times, options=options)
     return dynamic_guess(model, vehicle, start, run), start
 
 
 def assert_planned(model, guess, start, most, **options):
     """Plan to go 1.5 m in least time with limited torques; the simulation agrees."""
-    found = plan(
+    found = sf.plan(
         model,
         start,
         guess,
@@ -81,15 +66,15 @@ def assert_planned(model, guess, start, most, **options):
 def crossing():
     """Return ground, vehicle, model, initial guess and start of a drive over a ridge."""
     ground, vehicle = ridge(0.12), car()
-    model = rigid_dynamics(vehicle, ground)
+    model = sf.rigid_dynamics(vehicle, ground)
     return ground, vehicle, model, *straight_guess(model, vehicle, ground, 0.9, 1.7)
 
 
 @pytest.mark.slow
 def test_states_and_accelerations_at_rest_are_those_of_compliant_dynamics():
-    ground = Analytic(lambda x, y: 0.2 * y + 0.1 * x, mu=0.8)
-    rigid, compliant = rigid_dynamics(car(), ground), dynamics(car(), ground)
-    here, there = settle(rigid), settle(compliant)
+    ground = sf.Analytic(lambda x, y: 0.2 * y + 0.1 * x, mu=0.8)
+    rigid, compliant = sf.rigid_dynamics(car(), ground), sf.dynamics(car(), ground)
+    here, there = sf.settle(rigid), sf.settle(compliant)
     for label in leaves(compliant.labels.x):
         np.testing.assert_allclose(here.of(label), there.of(label), **CLOSE)
     np.testing.assert_allclose(here["depth"], there["depth"], rtol=1e-6)
@@ -100,9 +85,11 @@ def test_states_and_accelerations_at_rest_are_those_of_compliant_dynamics():
 def test_acceleration_on_level_ground():
     """Torques T on all wheels: (m + 4 I / R^2) a = 4 T / R."""
     vehicle = car()
-    model = rigid_dynamics(vehicle, Analytic(lambda x, y: 0 * x * y, mu=0.8), law=LinearCreep(1e-5))
+    model = sf.rigid_dynamics(
+        vehicle, sf.Analytic(lambda x, y: 0 * x * y, mu=0.8), law=sf.LinearCreep(1e-5)
+    )
     inputs = model.inputs(**{label.full: 3.0 for label in model.labels.u.wheels})
-    run = simulate(model, settle(model), inputs, np.linspace(0, 0.5, 6))
+    run = sf.simulate(model, sf.settle(model), inputs, np.linspace(0, 0.5, 6))
     axial = sum(wheel.mass * RADIUS**2 / 2 for wheel in vehicle.wheels)
     expected = 4 * 3.0 / RADIUS / (vehicle.mass + axial / RADIUS**2)
     # the static depth R / 250 shortens no lever: the contact point is on the wheel's surface
@@ -111,12 +98,12 @@ def test_acceleration_on_level_ground():
 
 
 def test_linear_creep_is_coulomb_friction_at_small_slip():
-    ground = Analytic(lambda x, y: 0.1 * x + 0.05 * y, mu=0.8)
+    ground = sf.Analytic(lambda x, y: 0.1 * x + 0.05 * y, mu=0.8)
     runs = []
-    for law in (LinearCreep(1e-3), Coulomb(1e-3)):
-        model = quasi_statics(catalog.three_wheeler(axle="fixed"), ground, law=law)
+    for law in (sf.LinearCreep(1e-3), sf.Coulomb(1e-3)):
+        model = sf.quasi_statics(sf.catalog.three_wheeler(axle="fixed"), ground, law=law)
         inputs = model.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
-        runs.append(simulate(model, settle(model), inputs, np.linspace(0, 1, 3)))
+        runs.append(sf.simulate(model, sf.settle(model), inputs, np.linspace(0, 1, 3)))
     linear, coulomb = (run["force_along"] for run in runs)
     # p sqrt(s^2 + eps^2) = eps p sqrt(1 + (s / eps)^2): relative difference below p^2
     used = runs[0]["utilisation"].max()
@@ -124,14 +111,14 @@ def test_linear_creep_is_coulomb_friction_at_small_slip():
 
 
 def test_model_refuses_what_it_cannot_plan():
-    ground = Analytic(lambda x, y: 0 * x * y, mu=0.8)
-    two = replace(catalog.rigid_skid_steer(), wheels=catalog.rigid_skid_steer().wheels[:2])
-    with pytest.raises(ModelError, match="expected at least 3 wheels, found 2"):
-        rigid_dynamics(two, ground)
-    with pytest.raises(ModelError, match="linear creep: expected a ground with a coefficient"):
-        LinearCreep().check(car(), Analytic(lambda x, y: 0 * x * y))
-    with pytest.raises(ModelError, match="expected a ground with a coefficient of friction"):
-        rigid_dynamics(car(), Analytic(lambda x, y: 0 * x * y))
+    ground = sf.Analytic(lambda x, y: 0 * x * y, mu=0.8)
+    two = replace(sf.catalog.rigid_skid_steer(), wheels=sf.catalog.rigid_skid_steer().wheels[:2])
+    with pytest.raises(sf.ModelError, match="expected at least 3 wheels, found 2"):
+        sf.rigid_dynamics(two, ground)
+    with pytest.raises(sf.ModelError, match="linear creep: expected a ground with a coefficient"):
+        sf.LinearCreep().check(car(), sf.Analytic(lambda x, y: 0 * x * y))
+    with pytest.raises(sf.ModelError, match="expected a ground with a coefficient of friction"):
+        sf.rigid_dynamics(car(), sf.Analytic(lambda x, y: 0 * x * y))
 
 
 @pytest.mark.slow
@@ -151,10 +138,10 @@ def test_guess_follows_the_kinematic_motion(crossing):
 def test_plan_with_momentum_agrees_with_compliant_contact(crossing):
     """Torques too small for slow driving over the ridge carry the car over it with momentum."""
     ground, vehicle, model, guess, start = crossing
-    most, slow = 3.0, quasi_statics(vehicle, ground)
+    most, slow = 3.0, sf.quasi_statics(vehicle, ground)
     rates = {label.full: 0.6 / RADIUS for label in slow.labels.u.wheels}
-    t, options = np.linspace(0, 2, 81), SolverOptions(tolerance=1e-5)
-    run = simulate(slow, settle(slow), slow.inputs(**rates), t, options=options)
+    t, options = np.linspace(0, 2, 81), sf.SolverOptions(tolerance=1e-5)
+    run = sf.simulate(slow, sf.settle(slow), slow.inputs(**rates), t, options=options)
     assert run["drive_torque"].sum(axis=1).max() > 4 * most
     found = assert_planned(model, guess, start, most, limits={"force_normal": (5.0, 1e4)})
     assert found.run["force_normal"].min() > 5 - 1e-6
@@ -166,12 +153,13 @@ def test_plan_with_momentum_agrees_with_compliant_contact(crossing):
 @pytest.mark.slow
 def test_rigid_four_wheeler_stands_on_soft_contacts():
     """At the same depths, loads of the soft contact follow from those of the compliant one."""
-    vehicle = catalog.rigid_skid_steer()
+    vehicle = sf.catalog.rigid_skid_steer()
     share = vehicle.weight / 4
     for slope in (0.0, 0.1):
-        ground = Analytic(lambda x, y, s=slope: s * (x + y), mu=0.8)
+        ground = sf.Analytic(lambda x, y, s=slope: s * (x + y), mu=0.8)
         loads, compliant = (
-            settle(make(vehicle, ground))["force_normal"] for make in (rigid_dynamics, dynamics)
+            sf.settle(make(vehicle, ground))["force_normal"]
+            for make in (sf.rigid_dynamics, sf.dynamics)
         )
         pressed = compliant / share - 1 / 4
         np.testing.assert_allclose(loads, share * (pressed + np.hypot(pressed, 1)) / 2, rtol=1e-3)
@@ -179,8 +167,8 @@ def test_rigid_four_wheeler_stands_on_soft_contacts():
 
 @pytest.mark.slow
 def test_plan_of_a_rigid_four_wheeler_with_momentum():
-    vehicle, ground = with_torques(catalog.rigid_skid_steer()), ridge(0.06)
-    model = rigid_dynamics(vehicle, ground)
+    vehicle, ground = with_torques(sf.catalog.rigid_skid_steer()), ridge(0.06)
+    model = sf.rigid_dynamics(vehicle, ground)
     assert_planned(model, *straight_guess(model, vehicle, ground, 0.9, 1.9), 4.0)
 
 

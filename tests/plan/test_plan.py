@@ -152,23 +152,6 @@ def test_what_is_wrong_is_said(options, words):
         asked(**options)
 
 
-@pytest.mark.slow
-def test_a_stopped_search_keeps_its_iterate():
-    seen = []
-
-    def stop(words, iterate):
-        seen.append((words, iterate.number, iterate.violation))
-        return len(seen) < 4
-
-    _, _, found = asked(progress=stop, intervals=10)
-    assert not found.success
-    assert found.run.stop.name == "plan"
-    assert found.run.outcome is Outcome.INTERRUPTED
-    assert "User_Requested_Stop" in found.run.stop.words
-    assert len(seen) == 4
-    assert np.isfinite(found.run["x"]).all()
-
-
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

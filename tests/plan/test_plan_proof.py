@@ -8,16 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import hills
-from slipfree import (
-    Analytic,
-    ModelError,
-    SolverOptions,
-    direct_kinematics,
-    quasi_statics,
-    settle,
-    simulate,
-)
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
@@ -34,14 +26,14 @@ VEHICLE = three_wheeler(axle="fixed")
 
 @pytest.fixture(scope="module")
 def model():
-    dae = direct_kinematics(VEHICLE, Analytic(hills))
-    return dae, settle(dae)
+    dae = sf.direct_kinematics(VEHICLE, sf.Analytic(hills))
+    return dae, sf.settle(dae)
 
 
 def guess(model, rate=0.45, turn=0.0, duration=10.0):
     dae, start = model
     inputs = dae.inputs(right_rate=rate + turn, left_rate=rate - turn, steer_rate=0.0)
-    return simulate(dae, start, inputs, np.linspace(0, duration, 31))
+    return sf.simulate(dae, start, inputs, np.linspace(0, duration, 31))
 
 
 def asked(model, *guesses, goal=(0.1, 1.3), **options):
@@ -95,7 +87,7 @@ def test_inputs_are_constant_or_linear_on_every_interval_and_so_simulated(model,
 @pytest.mark.slow
 def test_a_mesh_is_refined_until_the_simulation_agrees(model):
     """The simulation is so exact that the difference is the collocation's error."""
-    options = {"intervals": 4, "degree": 2, "options": SolverOptions(tolerance=1e-11)}
+    options = {"intervals": 4, "degree": 2, "options": sf.SolverOptions(tolerance=1e-11)}
     coarse = asked(model, **options)
     wanted = max(coarse.difference.values()) / 10
     found = asked(model, **options, accuracy=wanted)
@@ -154,7 +146,7 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
         "intervals": 3,
         "degree": 2,
         "costs": {"effort": 1.0},
-        "options": SolverOptions(tolerance=1e-6),
+        "options": sf.SolverOptions(tolerance=1e-6),
     }
     found = asked(model, **options, accuracy=1.0)
     assert found.success
@@ -199,15 +191,15 @@ def test_a_plan_starts_from_itself_and_from_others(model, coarse):
     assert moved.success
     assert iterations(moved) <= iterations(coarse) / 2
     assert asked(model, resume=coarse.saved, intervals=13, degree=4).success
-    ground = Analytic(lambda x, y: hills(x, y) + 0.01 * x)
-    dae = direct_kinematics(VEHICLE, ground)
-    assert asked((dae, settle(dae)), resume=coarse.saved).success
+    ground = sf.Analytic(lambda x, y: hills(x, y) + 0.01 * x)
+    dae = sf.direct_kinematics(VEHICLE, ground)
+    assert asked((dae, sf.settle(dae)), resume=coarse.saved).success
 
 
 @pytest.mark.slow
 def test_limits_on_which_a_plan_rests_are_there_when_it_is_resumed():
-    dae = direct_kinematics(three_wheeler(tilt_stop=0.04), Analytic(hills))
-    tilting = dae, settle(dae)
+    dae = sf.direct_kinematics(three_wheeler(tilt_stop=0.04), sf.Analytic(hills))
+    tilting = dae, sf.settle(dae)
     first = guess(tilting, duration=8.0)
     options = {"goal": (0.1, 1.0), "duration": 8.0, "costs": {"effort": 1.0}}
     found = asked(tilting, first, **options)
@@ -230,9 +222,9 @@ def test_unknowns_are_carried_to_a_finer_mesh(coarse):
 
 
 def test_another_model_runs_under_the_inputs_of_a_plan(coarse):
-    dae = quasi_statics(VEHICLE, Analytic(hills, mu=0.6))
+    dae = sf.quasi_statics(VEHICLE, sf.Analytic(hills, mu=0.6))
     run = simulate_plan(
-        dae, settle(dae), coarse.motion, step=0.25, options=SolverOptions(tolerance=1e-6)
+        dae, sf.settle(dae), coarse.motion, step=0.25, options=sf.SolverOptions(tolerance=1e-6)
     )
     assert run.stop is None
     assert abs(run["y"][-1] - coarse.replay["y"][-1]) < 5e-3
@@ -255,8 +247,8 @@ def test_a_stopped_refinement_leaves_the_plan_before_it(model, coarse):
 def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
     """Half the way later, on a model whose local coordinates begin there."""
     half = coarse.motion.states(np.array([0.5]))[:, 0]
-    dae = direct_kinematics(VEHICLE, Analytic(hills))
-    start = settle(dae, **dict(zip(("x", "y", "heading", "steer"), half, strict=True)))
+    dae = sf.direct_kinematics(VEHICLE, sf.Analytic(hills))
+    start = sf.settle(dae, **dict(zip(("x", "y", "heading", "steer"), half, strict=True)))
     found = asked((dae, start), duration=5.0, resume=coarse.saved)
     assert found.success
     cold = asked((dae, start), guess((dae, start), duration=5.0), duration=5.0)
@@ -265,9 +257,9 @@ def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
 
 
 def test_the_plan_of_another_vehicle_is_refused(coarse):
-    dae = direct_kinematics(three_wheeler(), Analytic(hills))
-    with pytest.raises(ModelError, match="expected a saved plan with the states, unknowns"):
-        asked((dae, settle(dae)), guess((dae, settle(dae))), resume=coarse.saved)
+    dae = sf.direct_kinematics(three_wheeler(), sf.Analytic(hills))
+    with pytest.raises(sf.ModelError, match="expected a saved plan with the states, unknowns"):
+        asked((dae, sf.settle(dae)), guess((dae, sf.settle(dae))), resume=coarse.saved)
 
 
 @pytest.mark.slow

@@ -11,17 +11,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
-from slipfree import (
-    Analytic,
-    ModelError,
-    direct_kinematics,
-    follow,
-    load_problem,
-    run_problem,
-    settle,
-    simulate,
-)
-from slipfree import Path as WayPoints
+import slipfree as sf
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.core.dae import Limit
@@ -33,6 +23,8 @@ from slipfree.plan import plan as planning
 from slipfree.plan.plan import plan
 from slipfree.plan.search import count_distinct, distances, further_guesses
 from slipfree.plan.verification import verify_plan
+
+pytestmark = pytest.mark.slow
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 FEW = ("plan.intervals=7", "plan.starts=2")
@@ -47,16 +39,16 @@ def bump(x, y):
 @pytest.fixture(scope="module")
 def model():
     vehicle = three_wheeler(axle="fixed")
-    dae = direct_kinematics(vehicle, Analytic(bump))
-    return vehicle, dae, settle(dae)
+    dae = sf.direct_kinematics(vehicle, sf.Analytic(bump))
+    return vehicle, dae, sf.settle(dae)
 
 
 def led(model, side):
     """Return the motion past the hill on a side."""
     vehicle, dae, start = model
-    way = WayPoints(np.array([[0.0, 0.0], [0.5 * side, 0.8], [0.9 * side, 1.5], [0.0, 3.0]]))
-    law = follow(dae, vehicle, way, speed=0.25)
-    return simulate(dae, start, law, np.linspace(0, way.length / 0.25, 41))
+    way = sf.Path(np.array([[0.0, 0.0], [0.5 * side, 0.8], [0.9 * side, 1.5], [0.0, 3.0]]))
+    law = sf.follow(dae, vehicle, way, speed=0.25)
+    return sf.simulate(dae, start, law, np.linspace(0, way.length / 0.25, 41))
 
 
 def planned(model, guess, **options):
@@ -79,7 +71,6 @@ def planned(model, guess, **options):
     )
 
 
-@pytest.mark.slow
 def test_both_sides_of_a_hill_are_local_optima_and_the_cheaper_one_is_returned(model):
     both = planned(model, [led(model, -1), led(model, 1)])
     assert both.success
@@ -89,7 +80,6 @@ def test_both_sides_of_a_hill_are_local_optima_and_the_cheaper_one_is_returned(m
     assert count_distinct(both.optima) == 2
 
 
-@pytest.mark.slow
 def test_the_best_verified_plan_counts(model, monkeypatch):
     """The simulation of the cheapest plan is made to miss it."""
     calls = []
@@ -108,11 +98,10 @@ def test_the_best_verified_plan_counts(model, monkeypatch):
     assert both.solution.cost == both.optima[0].cost
 
 
-@pytest.mark.slow
 def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
     _, dae, start = model
     inputs = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
-    guess = simulate(dae, start, inputs, np.linspace(0, 4, 21))
+    guess = sf.simulate(dae, start, inputs, np.linspace(0, 4, 21))
 
     def rates(bounds=FREE, seed=0):
         found = further_guesses(dae, start, guess, bounds, 3, seed)
@@ -132,19 +121,18 @@ def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
     assert values.max() <= 0.55
 
 
-@pytest.mark.slow
 def test_no_starts_and_starts_that_cannot_be_simulated_are_an_error(model, monkeypatch):
-    with pytest.raises(ModelError, match="starts: expected 1 or more, found 0"):
+    with pytest.raises(sf.ModelError, match="starts: expected 1 or more, found 0"):
         planned(model, led(model, 1), starts=0)
     monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
 
     def fail(*_args, **_options):
-        raise ModelError("no guess")
+        raise sf.ModelError("no guess")
 
-    problem = load_problem(PROBLEM, FEW)
+    problem = sf.load_problem(PROBLEM, FEW)
     monkeypatch.setattr("slipfree.problem.verbs.plan_search.find_plan", fail)
     with pytest.raises(ProblemError, match="guess 1 failed: no guess"):
-        run_problem(problem)
+        sf.run_problem(problem)
 
 
 def table(run):
@@ -152,7 +140,6 @@ def table(run):
     return [{**row, "seconds": 0.0} for row in run.facts["plan_starts"].value]
 
 
-@pytest.mark.slow
 def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
     out = tmp_path / "p.nc"
     words = [word for each in FEW for word in ("--set", each)]
@@ -162,12 +149,11 @@ def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
     assert re.search(r"^  inputs +verified, cost 0\.\d+ \(slip ", result.stdout, re.MULTILINE)
     stored = netcdf.read(out)
     monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
-    alone = run_problem(load_problem(PROBLEM, FEW)).trajectory
+    alone = sf.run_problem(sf.load_problem(PROBLEM, FEW)).trajectory
     assert table(stored) == table(alone)
     assert_array_equal(stored["x"], alone["x"])
 
 
-@pytest.mark.slow
 def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
     monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
 
@@ -175,7 +161,7 @@ def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
         if phase == "starts" and "1 of 2" in line:
             raise KeyboardInterrupt
 
-    found = run_problem(load_problem(PROBLEM, FEW), tell=interrupt)
+    found = sf.run_problem(sf.load_problem(PROBLEM, FEW), tell=interrupt)
     assert found.outcome is Outcome.INTERRUPTED
     assert len(found.trajectory.facts["plan_starts"].value) == 1
     assert found.trajectory["y"][-1] == pytest.approx(2.6, abs=1e-3)

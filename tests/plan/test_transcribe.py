@@ -12,13 +12,7 @@ from slipfree.core.records import Label
 from slipfree.plan.constraints import conflicts
 from slipfree.plan.explanation import violations
 from slipfree.plan.ipopt import solve_program
-from slipfree.plan.transcription import (
-    CollocationMesh,
-    Cost,
-    TimedCondition,
-    completed,
-    transcribe,
-)
+from slipfree.plan.transcription import CollocationMesh, Cost, TimedCondition, completed, transcribe
 
 
 def at_end(*values):

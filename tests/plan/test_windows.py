@@ -9,19 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import hills
-from slipfree import (
-    Analytic,
-    ModelError,
-    Outcome,
-    Path,
-    SolverOptions,
-    direct_kinematics,
-    follow,
-    plan,
-    settle,
-    simulate,
-)
 from slipfree.catalog import three_wheeler
 from slipfree.plan.polynomial_motion import first_intervals, joined_motions
 from slipfree.plan.verification import simulate_plan
@@ -39,10 +28,10 @@ COMMON = {
 @pytest.fixture(scope="module")
 def case():
     vehicle = three_wheeler(axle="fixed")
-    dae = direct_kinematics(vehicle, Analytic(hills))
-    start = settle(dae)
-    route = Path(np.array([[0.0, 0.0], [0.2, 1.5], [0.35, 3.0], [GOAL["x"], GOAL["y"]]]))
-    return dae, partial(follow, dae, vehicle, speed=SPEED), start, route
+    dae = sf.direct_kinematics(vehicle, sf.Analytic(hills))
+    start = sf.settle(dae)
+    route = sf.Path(np.array([[0.0, 0.0], [0.2, 1.5], [0.35, 3.0], [GOAL["x"], GOAL["y"]]]))
+    return dae, partial(sf.follow, dae, vehicle, speed=SPEED), start, route
 
 
 def windows(case, **options):
@@ -65,7 +54,7 @@ def assert_continuous(found, t):
 def assert_repeated(case, found):
     """One simulation of the joined inputs repeats the motion."""
     dae, _, start, _ = case
-    options = SolverOptions(tolerance=1e-9)
+    options = sf.SolverOptions(tolerance=1e-9)
     again = simulate_plan(dae, start, found.motion, step=0.25, options=options)
     for name in ("x", "y", "heading", "steer"):
         assert_allclose(again[name][-1], found.replay[name][-1], atol=1e-5)
@@ -92,8 +81,8 @@ def test_the_goal_is_reached_in_several_accurate_windows(case, found):
 @pytest.mark.slow
 def test_windows_cost_little_more_than_one_plan(case, found):
     dae, law, start, route = case
-    guess = simulate(dae, start, law(route), np.linspace(0, route.length / SPEED, 61))
-    whole = plan(
+    guess = sf.simulate(dae, start, law(route), np.linspace(0, route.length / SPEED, 61))
+    whole = sf.plan(
         dae, start, guess, goal=GOAL, duration=found.motion.duration, intervals=36, **COMMON
     )
     assert whole.success
@@ -108,7 +97,7 @@ def test_windows_cost_little_more_than_one_plan(case, found):
 @pytest.mark.slow
 def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
     kept = windows(case, progress=lambda words, _iterate: not words.startswith("2 to"))
-    assert kept.replay.outcome is Outcome.INTERRUPTED
+    assert kept.replay.outcome is sf.Outcome.INTERRUPTED
     assert not kept.success
     assert 1 <= len(kept.windows) < len(found.windows)
     assert kept.replay.t[-1] == pytest.approx(kept.motion.duration)
@@ -150,20 +139,22 @@ def test_lengths_and_speeds_that_do_not_fit_are_refused(case):
         ({"overlap": 0.0}, "overlap shorter than the window"),
         ({"speed": 0.0}, "expected a positive speed, found 0 m/s"),
     ):
-        with pytest.raises(ModelError, match=words):
+        with pytest.raises(sf.ModelError, match=words):
             windows(case, **change)
 
 
 @pytest.mark.slow
 def test_initial_inputs_of_a_plan(case):
     dae, law, start, route = case
-    guess = simulate(dae, start, law(route), np.linspace(0, 3, 13))
+    guess = sf.simulate(dae, start, law(route), np.linspace(0, 3, 13))
     goal = {"y": float(guess["y"][-1])}
     still = {"right_rate": 0.0, "left_rate": 0.0, "steer_rate": 0.0}
-    found = plan(
+    found = sf.plan(
         dae, start, guess, goal=goal, duration=4.0, intervals=8, initial_inputs=still, **COMMON
     )
     assert found.success
     assert_allclose(found.motion.inputs(np.array([0.0])), 0.0, atol=1e-9)
-    with pytest.raises(ModelError, match="initial value of 'left_rate'"):
-        plan(dae, start, guess, goal=goal, duration=4.0, initial_inputs={"left_rate": 3}, **COMMON)
+    with pytest.raises(sf.ModelError, match="initial value of 'left_rate'"):
+        sf.plan(
+            dae, start, guess, goal=goal, duration=4.0, initial_inputs={"left_rate": 3}, **COMMON
+        )

@@ -26,7 +26,7 @@ from slipfree.core.errors import DataError
 from slipfree.system.interrupt import check_interrupt, held_interrupt
 
 if TYPE_CHECKING:
-    from slipfree.core.facts import Swept
+    from slipfree.show.swept import Swept
     from slipfree.sweep.grid import Sweep
     from slipfree.sweep.log import Rows
     from slipfree.sweep.pools import Pool

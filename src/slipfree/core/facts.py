@@ -8,11 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
+from typing import Any, NamedTuple
 
 
 class Fact(NamedTuple):
@@ -63,45 +59,3 @@ def starting_with(prefix: str, facts: Facts) -> dict[str, Fact]:
     return {
         name.removeprefix(prefix): fact for name, fact in facts.items() if name.startswith(prefix)
     }
-
-
-class Varied(NamedTuple):
-    """Key that a sweep varies, with its values.
-
-    Attributes
-    ----------
-    name : str
-        Dotted name of the key.
-    unit : str
-        Unit of the values, as in ``m s-1``; empty if unknown.
-    values : tuple of str
-        Values as TOML text, or words without quotes.
-    numbers : tuple of float or None
-        The values as numbers; None if they are not numbers.
-    """
-
-    name: str
-    unit: str
-    values: tuple[str, ...]
-    numbers: tuple[float, ...] | None
-
-
-class Swept(NamedTuple):
-    """A metric over the varied keys.
-
-    Attributes
-    ----------
-    name : str
-        Name of the metric.
-    unit : str
-        Unit of the metric, as in ``m s-1``; empty if unknown.
-    axes : tuple of Varied
-        Varied keys.
-    values : ndarray, shape (n_1, ..., n_repeat)
-        One dimension per axis, and one for repetitions; NaN without a value.
-    """
-
-    name: str
-    unit: str
-    axes: tuple[Varied, ...]
-    values: npt.NDArray[np.float64]

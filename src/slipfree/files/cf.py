@@ -54,24 +54,12 @@ UNITS = {"degree", "metre", "unity"}  # units of CF attributes
 
 
 class MapCoordinate(NamedTuple):
-    """A coordinate of the map file as a linear function of a coordinate of the motion.
+    """A coordinate of the map file as a linear function of a coordinate of the motion."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the map coordinate: ``"x"``, ``"y"``, ``"z"``, ``"longitude"`` or ``"latitude"``.
-    offset : float
-        Value of the map coordinate at the origin of the motion's coordinates. [m] or [deg]
-    factor : float
-        Change of the map coordinate per metre of the motion. [1] or [deg/m]
-    axis : str
-        Coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``.
-    """
-
-    name: str
-    offset: float
-    factor: float
-    axis: str
+    name: str  # ``"x"``, ``"y"``, ``"z"``, ``"longitude"`` or ``"latitude"``
+    offset: float  # value at the origin of the motion's coordinates [m] or [deg]
+    factor: float  # change per metre of the motion [1] or [deg/m]
+    axis: str  # coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``
 
 
 def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
@@ -80,10 +68,7 @@ def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
 
 
 def map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
-    """Return units and values, shape (n,), of the map coordinates by name.
-
-    Without a transform in the attributes, they are the coordinates of the motion.
-    """
+    """Return units and values, shape (n,), of the map coordinates by name."""
     text = run.attributes.get(MAP_TRANSFORM)
     coordinates = [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
     try:
@@ -106,49 +91,37 @@ def is_trajectory(run: Trajectory) -> bool:
 
 
 def position_columns(run: Trajectory) -> dict[str, Column]:
-    """Return columns with the horizontal position in the reference system of the map, by name.
-
-    The result is empty for a motion without positions, or without a reference system; in the latter
-    case, the columns x, y, z contain the position.
-    """
+    """Return columns with the position in the reference system of the map; empty without either."""
     crs = run.attributes.get(MAP_CRS)
     if not crs or not is_trajectory(run):
         return {}
-    found = {}
+    columns = {}
     for name, (unit, values) in map_positions(run).items():
         if name != "z":
             known = name if name in DEGREES else f"map_{name}"
             unit = {"longitude": "degrees_east", "latitude": "degrees_north"}.get(name, unit)
             label = Label(known, unit, f"{name} of the platform's centre in {crs}")
-            found[known] = Column(label, values)
-    return found
+            columns[known] = Column(label, values)
+    return columns
 
 
 def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> dict[str, str]:
-    """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping.
-
-    ``on_map`` are the names of the columns that `position_columns` returns.
-    """
-    found = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
+    """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping."""
+    attributes = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
     if not is_trajectory(run):
-        return found
+        return attributes
     axes = dict(zip([*on_map, "z"], "XYZ" if on_map else "Z", strict=True))
     if name in axes:
-        return found | {"axis": axes[name]} | ({"positive": "up"} if name == "z" else {})
+        return attributes | {"axis": axes[name]} | ({"positive": "up"} if name == "z" else {})
     horizontal = on_map or "xy"  # without an axis, since CF reserves X for longitude and map_x
     if name in horizontal:
-        return found
-    found["coordinates"] = " ".join(["time", *horizontal, "z"])
-    return found | ({"grid_mapping": CRS} if on_map else {})
+        return attributes
+    attributes["coordinates"] = " ".join(["time", *horizontal, "z"])
+    return attributes | ({"grid_mapping": CRS} if on_map else {})
 
 
 def grid_mapping(crs: str) -> dict[str, Any]:
-    """Return the attributes of the variable ``crs`` for a reference system.
-
-    They are its WKT in ``crs_wkt``, for the CF conventions, and in ``spatial_ref``, for GDAL, and
-    the CF name and parameters of the projection if the conventions define them. ``crs`` is an EPSG
-    code or WKT; DataError is raised if it is unknown.
-    """
+    """Return the attributes of the variable ``crs``: WKT for CF and GDAL, and the CF projection."""
     import rasterio.crs
     from rasterio.errors import CRSError
 
@@ -175,9 +148,9 @@ def _projection(system: dict[str, Any]) -> dict[str, Any]:
         return {}
     name, longitude = METHODS[code]
     known = {**PARAMETERS, LONGITUDE: longitude}
-    found: dict[str, Any] = {
+    parameters: dict[str, Any] = {
         known[key]: float(value) for key, value in values.items() if key in known
     }
     if PARALLELS[0] in values:
-        found["standard_parallel"] = tuple(float(values[key]) for key in PARALLELS)
-    return {"grid_mapping_name": name, **found}
+        parameters["standard_parallel"] = tuple(float(values[key]) for key in PARALLELS)
+    return {"grid_mapping_name": name, **parameters}

@@ -165,14 +165,7 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the arrays that `write` stored in addition to the trajectory, by name.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, is not netCDF-3, is incomplete or damaged, or was not written by
-        ``write``.
-    """
+    """Return the arrays that `write` stored in addition to the trajectory, by name."""
     file = _open(Path(path))
     names = [k for k, each in file.variables.items() if each.dimensions == (f"{k}{SIZE}",)]
     with file.stream:
@@ -205,10 +198,7 @@ def _check(run: Trajectory) -> None:
 
 
 def _define(file: Any, run: Trajectory, on_map: Mapping[str, Column]) -> None:
-    """Write a trajectory to an open netCDF file, without the values of its quantities.
-
-    ``on_map`` are the columns of `position_columns`.
-    """
+    """Write a trajectory to an open netCDF file, without the values of its quantities."""
     _annotate(file, _attributes(run))
     file.createDimension("time", run.t.size)
     time = file.createVariable("time", "f8", ("time",))
@@ -344,13 +334,13 @@ def _open(path: Path) -> _File:
     return _File(path, path.open("rb"), attributes, variables)
 
 
-def _variable(found: Any) -> _Variable:
+def _variable(variable: Any) -> _Variable:
     """Return the header of a variable that scipy has read."""
-    data = root = found.data
+    data = root = variable.data
     while isinstance(root.base, np.ndarray):
         root = root.base
     start = data.ctypes.data - root.ctypes.data
-    return _Variable(found.dimensions, data.shape, data.dtype, start, _attributes_of(found))
+    return _Variable(variable.dimensions, data.shape, data.dtype, start, _attributes_of(variable))
 
 
 def _attributes_of(node: Any) -> dict[str, Attribute]:
@@ -365,8 +355,8 @@ def _attributes_of(node: Any) -> dict[str, Attribute]:
 
 def _trajectory(file: _File) -> Trajectory:
     """Return the trajectory in an open result file; its quantities are read on access."""
-    found, variables = file.attributes, file.variables
-    order = str(found.get(ORDER, "")).split()
+    stored, variables = file.attributes, file.variables
+    order = str(stored.get(ORDER, "")).split()
     missing = {"time", *order} - set(variables)
     if missing:
         raise _fault(file.path, f"no variable {min(missing)!r}")
@@ -385,12 +375,12 @@ def _trajectory(file: _File) -> Trajectory:
     # the last order is that of version 0.1
     sizes = {("time",): (n,), ("wheel", "time"): (k, n), ("time", "wheel"): (n, k)}
     stop = None
-    if set(STOP) <= set(found):
-        name, words = (str(found[key]) for key in (STOP[0], STOP[2]))
+    if set(STOP) <= set(stored):
+        name, words = (str(stored[key]) for key in (STOP[0], STOP[2]))
         stop = Stop(name, file.number(STOP[1]), words, _outcome(file))
     attributes = {
         name: str(value)
-        for name, value in found.items()
+        for name, value in stored.items()
         if name not in RESERVED and not name.startswith(STATISTICS)
     }
     return Trajectory(
@@ -398,7 +388,7 @@ def _trajectory(file: _File) -> Trajectory:
         _Columns(file, {name: _label(file, name, sizes) for name in order}),
         names,
         stop,
-        {k.removeprefix(STATISTICS): file.number(k) for k in found if k.startswith(STATISTICS)},
+        {k.removeprefix(STATISTICS): file.number(k) for k in stored if k.startswith(STATISTICS)},
         attributes,
         _facts(file),
     )
@@ -446,11 +436,11 @@ class _Columns(Mapping[str, Column]):
 
     def __getitem__(self, name: str) -> Column:
         label = self._labels[name]
-        found = self._file.values(name)
-        found = found.T if self._file.variables[name].dimensions[0] == "wheel" else found
-        values = np.empty(found.shape)
-        for k in range(0, len(found), BLOCK):
-            values[k : k + BLOCK] = block = found[k : k + BLOCK]
+        stored = self._file.values(name)
+        stored = stored.T if self._file.variables[name].dimensions[0] == "wheel" else stored
+        values = np.empty(stored.shape)
+        for k in range(0, len(stored), BLOCK):
+            values[k : k + BLOCK] = block = stored[k : k + BLOCK]
             if (np.abs(block[np.isfinite(block)]) > MAX_VALUE).any():
                 raise _fault(
                     self._file.path, f"absolute values above {MAX_VALUE:g} in the variable {name!r}"

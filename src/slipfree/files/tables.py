@@ -1,6 +1,6 @@
 """Tables of numbers in text files: separators, comments, names and units of columns.
 
-Tables of paths and commands are also read from MCAP files (`slipfree.files.mcap_reader`).
+Tables of paths and commands are also read from MCAP files (`slipfree.files.mcap`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents, check_ending
-from slipfree.files.mcap_reader import is_mcap, read_mcap
+from slipfree.files.mcap import is_mcap, read_mcap
 from slipfree.system.regular_files import read_bytes, replace_file
 
 SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
@@ -99,18 +99,10 @@ class _Layout(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Columns of a table, in SI units.
+    """Columns of a table, in SI units."""
 
-    Attributes
-    ----------
-    values : dict of str and ndarray, shape (n,)
-        Values by requested name.
-    notes : tuple of str
-        Conversions and choices that were made.
-    """
-
-    values: dict[str, Array]
-    notes: tuple[str, ...] = ()
+    values: dict[str, Array]  # shape (n,): values by requested name
+    notes: tuple[str, ...] = ()  # conversions and choices that were made
 
     def rows(self) -> list[tuple[float, ...]]:
         """Return the rows of the table."""
@@ -118,22 +110,7 @@ class Columns(NamedTuple):
 
 
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a table of comma-separated values; an existing file is replaced when it is complete.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    names : sequence of str
-        Names of the columns, written as the first line.
-    rows : iterable of sequence
-        Values of each line.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be written.
-    """
+    """Write a table of comma-separated values; an existing file is replaced when it is complete."""
 
     def fill(part: Path) -> None:
         with part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
@@ -145,26 +122,7 @@ def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]
 
 
 def read_names(path: Path, expected: str) -> list[str]:
-    """Return the names of the columns of a table without their units; ``t`` for the time.
-
-    Parameters
-    ----------
-    path : Path
-        The table. For an MCAP file, the names are those of its commands
-        (`slipfree.files.mcap_reader.read_mcap`).
-    expected : str
-        Description of the expected contents in messages, such as ``"way-points"``.
-
-    Returns
-    -------
-    list of str
-        Names; ``"1"``, ``"2"``, ... if the file has none.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, or is an MCAP file without commands.
-    """
+    """Return the names of a table's columns without units; ``"1"``, ``"2"``, ... if it has none."""
     if is_mcap(path):
         return [*read_mcap(path, "v_x")]
     layout = _table_layout(path, _opened(path, expected))
@@ -182,31 +140,9 @@ def read_columns(
 ) -> Columns:
     """Return columns of a table of numbers, in SI units.
 
-    Parameters
-    ----------
-    path : Path
-        The table: columns separated by commas, semicolons, tabs, bars or blanks, with decimal
-        points, or commas if these are no separators. ``#``, ``%`` and ``//`` begin comments. A line
-        before the numbers, also a comment, may contain the names of the columns, with or without
-        units: ``t [ms]``, ``yaw_deg``.
-    columns : sequence of str, or mapping of str to str
-        Names of the requested columns. If the table has no names, it must have exactly these
-        columns in this order. A mapping has the name in the file of each name in the result: it may
-        have a unit, which replaces that of the file, and may be the number of the column if the
-        table has no names.
-    expected : str
-        Description of the expected contents in messages.
-    where : str
-        Place of the names in messages.
-    others : bool
-        Whether a table without these names may have further columns after the requested ones.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, if a column is missing or ambiguous, if the number of values in
-        a line differs from the number of columns, if a value is not a finite number, if times are
-        probably not in seconds, or if an MCAP file has no such table.
+    A mapping ``columns`` has the name in the file of each name in the result: it may have a unit,
+    which replaces that of the file, and may be the number of the column if the table has no names.
+    Without names, the table must have exactly these columns, or more if ``others``.
     """
     names = dict(columns) if isinstance(columns, Mapping) else {name: name for name in columns}
     if is_mcap(path):

@@ -33,26 +33,13 @@ Value = float | bool | str | Mapping[str, Any]  # of a key in a vehicle file
 
 
 class Guess(NamedTuple):
-    """A guess of a property that a file does not contain; a vehicle file can override it.
+    """A guess of a property that a file does not contain; a vehicle file can override it."""
 
-    Attributes
-    ----------
-    table, name : str
-        Table of the vehicle file, ``"wheels"`` or ``"joints"``, and the name of a joint; or an
-        empty table and the name of a top-level key.
-    values : mapping of str to float, bool, str or mapping
-        Keys in the table of the joint, or the top-level key, and their guessed values.
-    reason : str
-        Guessed property, and the reason for the guessed values.
-    other : str
-        Line of the vehicle file, at its top level, that states the other choice.
-    """
-
-    table: str
-    name: str
-    values: Mapping[str, Value]
-    reason: str
-    other: str
+    table: str  # ``"wheels"`` or ``"joints"`` of the vehicle file, empty for its top level
+    name: str  # of the joint, or of the top-level key
+    values: Mapping[str, Value]  # guessed values by key
+    reason: str  # guessed property, and the reason for the guessed values
+    other: str  # line of the vehicle file, at its top level, that states the other choice
 
     @property
     def toml(self) -> str:
@@ -84,17 +71,7 @@ def toml_line(table: str, name: str, **values: Value) -> str:
 
 @dataclass(frozen=True)
 class Draft:
-    """Parts of a vehicle read from a file, not yet validated as a vehicle.
-
-    Attributes
-    ----------
-    name, coordinates, joints, wheels, body, notes
-        Fields of `slipfree.vehicle.tree.Vehicle` with the same names and types.
-    guesses : tuple of Guess
-        Guesses that the reader made.
-    planar : bool
-        Whether the vehicle is locked to a plane.
-    """
+    """Parts of a vehicle read from a file, not yet validated as a vehicle."""
 
     name: str
     coordinates: tuple[Coordinate, ...]
@@ -102,8 +79,8 @@ class Draft:
     wheels: tuple[Wheel, ...]
     body: Body = NO_BODY
     notes: tuple[str, ...] = ()
-    guesses: tuple[Guess, ...] = ()
-    planar: bool = False
+    guesses: tuple[Guess, ...] = ()  # guesses that the reader made
+    planar: bool = False  # whether the vehicle is locked to a plane
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
         """Return the coordinates of a given kind, in the order of the file."""
@@ -137,7 +114,7 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     With springs at all suspension coordinates, any number of them is valid, since the springs
     determine the pose of the vehicle.
     """
-    count, given = len(draft.wheels), [c.name for c in draft.of("suspension")]
+    count, names = len(draft.wheels), [c.name for c in draft.of("suspension")]
     if draft.planar:
         return
     if count < 3:
@@ -146,14 +123,14 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     if all(c.stiffness for c in draft.of("suspension")):
         return
     most = count - 3
-    if (more := len(given) - most) > 0:
+    if (more := len(names) - most) > 0:
         remove, whose, stiffen = f"{more} of them", f"the kind of {more} of them", "each"
-        if len(given) == 1:
+        if len(names) == 1:
             remove, whose, stiffen = "it", "its kind", "it"
         yield (
             f"at most {most} suspension coordinate{'s' * (most != 1)} for {count} wheels, one for "
             "each wheel beyond three",
-            f"{len(given)} ({', '.join(given)}); remove {remove}, set {whose} to 'passive' or "
+            f"{len(names)} ({', '.join(names)}); remove {remove}, set {whose} to 'passive' or "
             f"'commanded', add {more} wheel{'s' * (more > 1)}, or give {stiffen} a stiffness",
         )
 
@@ -173,20 +150,14 @@ def length_words(value: float) -> str:
 
 
 def degrees_words(angle: float) -> str:
-    """Return a hint for an angle in radians beyond a full turn, which may be degrees.
-
-    The result is empty for smaller angles.
-    """
+    """Return a hint for an angle beyond a full turn, which may be degrees; empty for others."""
     if abs(angle) <= FULL_TURN:
         return ""
     return f"did you mean {angle:.6g} degrees? write {math.radians(angle):.6g}"
 
 
 def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of a tree with parents before children, and those not connected to the root.
-
-    ``parents`` is the parent of each name; the root itself is in none of the results.
-    """
+    """Return the names of a tree, parents first, and the names not connected to the root."""
     done, left = {root}, list(parents)
     ordered: list[str] = []
     while ready := [name for name in left if parents[name] in done]:
@@ -197,10 +168,7 @@ def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tu
 
 
 def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the loop that repeated steps from a name to its parent reach; empty without a loop.
-
-    Each name in the result is followed by its parent.
-    """
+    """Return the loop that repeated steps from a name to its parent reach; empty without a loop."""
     chain = [name]
     while parents.get(chain[-1]) not in (None, *chain):
         chain.append(parents[chain[-1]])
@@ -270,11 +238,7 @@ def rotation_of(turned: Vector) -> Array:
 
 
 def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
-    """Return the text of a vehicle file, from which `read_vehicle` returns the vehicle.
-
-    Notes of the vehicle are left out; ``comments`` are lines at the beginning. ModelError is raised
-    if a wheel has a section without a name in files.
-    """
+    """Return the text of a vehicle file, without the vehicle's notes and with leading comments."""
     document = tomlkit.document()
     for line in comments:
         document.add(tomlkit.comment(line))

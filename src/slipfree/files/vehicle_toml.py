@@ -10,13 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    ValidationError,
-)
+from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, ValidationError
 
 from slipfree.core.errors import ModelError
 from slipfree.files.toml.source import (
@@ -289,10 +283,7 @@ def _element_lines(text: str, start: int) -> Iterator[int]:
 
 
 def validated(model: type[Record], file: File) -> Any:
-    """Return the contents of a file as a record of type ``model``.
-
-    VehicleError is raised if values are invalid; its message has a line for each.
-    """
+    """Return the contents of a file as a record of type ``model``, or raise VehicleError."""
     try:
         table = model.model_validate(file.data)
     except ValidationError as error:
@@ -314,14 +305,7 @@ def _worded(model: type[Record], data: dict[str, Any], error: dict[str, Any]) ->
 
 
 def read_toml(file: File) -> Draft:
-    """Return the draft of the vehicle in a TOML file, checked to form a vehicle.
-
-    Raises
-    ------
-    VehicleError
-        If the file has errors; the exception contains a message for each of them, and a draft if
-        all single values are valid.
-    """
+    """Return the draft of a vehicle in a TOML file; a VehicleError has all messages and a draft."""
     table: VehicleTable = validated(VehicleTable, file)
     faults = [
         *_name_errors(table),
@@ -496,10 +480,7 @@ def _names_in(formula: str) -> frozenset[str]:
 
 
 def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
-    """Return the draft of the valid parts, and the errors of coordinates and inertias.
-
-    Other errors are found by the checks of names, parents and values.
-    """
+    """Return the draft of the valid parts, and the errors of coordinates and inertias."""
     faults: list[Fault] = []
 
     def build(part: str, make: Callable[[Any], T]) -> tuple[T, ...]:
@@ -512,8 +493,8 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
         return tuple(made)
 
     def coordinate(table: CoordinateTable) -> Coordinate:
-        given = {key: value for key, value in table if value is not None}
-        return Coordinate(**{"words": table.name.replace("_", " "), **given})
+        keys = {key: value for key, value in table if value is not None}
+        return Coordinate(**{"words": table.name.replace("_", " "), **keys})
 
     def joint(table: JointTable) -> Joint:
         keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia"})
@@ -542,9 +523,9 @@ def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
     """Return the wheel that a table describes; its axle is ``sideways`` by default."""
-    given = table.model_dump(include={field.name for field in fields(Wheel)})
+    keys = table.model_dump(include={field.name for field in fields(Wheel)})
     axle = sideways if table.axle is None else table.axle
-    return Wheel(**given | {"section": _section_of(table), "axle": axle, "drive": table.drive})
+    return Wheel(**keys | {"section": _section_of(table), "axle": axle, "drive": table.drive})
 
 
 def _section_of(table: AnyWheelTable) -> Section:

@@ -44,93 +44,36 @@ class MotionError(ModelError):
 
 
 class BodyMotion(NamedTuple):
-    """A model on level ground as a function of inputs, joints and parameters.
+    """A model on level ground as a function of inputs, joints and parameters."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the given quantities: inputs, then values of the joints that are states.
-    inputs : int
-        Number of inputs.
-    parameters : tuple of str
-        Names of the parameters. If the model has a continuation parameter that is none of them, it
-        is the last argument ``p``, without a name.
-    pose : int
-        Number of unknowns of the pose; they are the first ones.
-    relaxing : int
-        Number of unknowns of the pose that follow from equilibrium, the first ones of it; their
-        rates are the last equations.
-    scale : ndarray, shape (n_z,)
-        Typical sizes of the unknowns.
-    size : float
-        Unit of length of the model. [m]
-    newton : casadi Function
-        ``(z, given, p) -> (residual, its Jacobian by z)``.
-    slopes : casadi Function
-        ``(z, given, p) -> (residual by p, velocity, velocity by z, velocity by p)``.
-    guess : casadi Function
-        ``(given, p) -> z``.
-    limits : tuple of Limit
-        Limits of the model that the unknowns may violate.
-    limited : casadi Function
-        ``(z, given, p) -> values of the limits``.
-    stages : tuple of float
-        Values of the continuation parameter, in the order of solution; empty for none.
-    stage : int
-        Index of the continuation parameter in ``p``.
-    """
-
-    names: tuple[str, ...]
-    inputs: int
-    parameters: tuple[str, ...]
-    pose: int
-    relaxing: int
-    scale: Array
-    size: float
-    newton: ca.Function
-    slopes: ca.Function
-    guess: ca.Function
-    limits: tuple[Limit, ...]
-    limited: ca.Function
-    stages: tuple[float, ...]
-    stage: int
+    names: tuple[str, ...]  # of the inputs, then of the joints that are states
+    inputs: int  # number of inputs
+    parameters: tuple[str, ...]  # a continuation parameter may be the last ``p``, without name
+    pose: int  # number of unknowns of the pose; they are the first ones
+    relaxing: int  # number of first pose unknowns with rates, which are the last equations
+    scale: Array  # shape (n_z,): typical sizes of the unknowns
+    size: float  # unit of length of the model [m]
+    newton: ca.Function  # ``(z, given, p) -> (residual, its Jacobian by z)``
+    slopes: ca.Function  # ``(z, given, p) -> (residual_p, velocity, velocity_z, velocity_p)``
+    guess: ca.Function  # ``(given, p) -> z``
+    limits: tuple[Limit, ...]  # limits of the model that the unknowns may violate
+    limited: ca.Function  # ``(z, given, p) -> values of the limits``
+    stages: tuple[float, ...]  # values of the continuation parameter in order; else empty
+    stage: int  # index of the continuation parameter in ``p``
 
 
 class Velocities(NamedTuple):
-    """Velocities of the platform's centre at n samples.
+    """Velocities of the platform's centre at n samples."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (n, 3)
-        Velocity to the right and forward [m/s], and yaw rate [rad/s].
-    slopes : ndarray, shape (n, 3, n_p)
-        Derivatives with respect to the parameters of the model.
-    p : ndarray, shape (n_p,)
-        Values of the parameters.
-    z, z_slopes : ndarray, shape (n, n_z) and (n, n_z, n_p)
-        Unknowns of the model, and their derivatives with respect to the parameters.
-    """
-
-    values: Array
-    slopes: Array
-    p: Array
-    z: Array
-    z_slopes: Array
+    values: Array  # shape (n, 3): velocity to the right and forward [m/s], and yaw rate [rad/s]
+    slopes: Array  # shape (n, 3, n_p): derivatives with respect to the parameters of the model
+    p: Array  # shape (n_p,): values of the parameters
+    z: Array  # shape (n, n_z): unknowns of the model
+    z_slopes: Array  # shape (n, n_z, n_p): their derivatives
 
 
 def body_motion(dae: Dae) -> BodyMotion:
-    """Return the body motion of a kinematic or quasi-static model on level ground.
-
-    Parameters
-    ----------
-    dae : Dae
-        Model with parameters ``p``.
-
-    Raises
-    ------
-    ModelError
-        If the model has inertia.
-    """
+    """Return the body motion of a kinematic or quasi-static model on level ground."""
     if dae.standing is not None:
         raise ModelError(
             "expected a kinematic or quasi-static model, found one with inertia; use model = "
@@ -198,10 +141,7 @@ def _limits_of_unknowns(dae: Dae, first: int, count: int) -> tuple[Limit, ...]:
 
 
 def _parameters(dae: Dae) -> tuple[list[ca.SX], tuple[float, ...], int]:
-    """Return the symbols of the parameters, stages of the continuation, and index of its symbol.
-
-    The symbol of the continuation is appended if it is no parameter; without one, the index is -1.
-    """
+    """Return parameter symbols, stages of the continuation, and index of its symbol or -1."""
     symbols = [each.symbol for each in dae.p]
     if dae.continuation is None:
         return symbols, (), -1
@@ -225,50 +165,33 @@ def _motion_size(dae: Dae) -> int:
 def velocities(
     motion: BodyMotion, given: Array, p: Array, near: Velocities | None = None
 ) -> Velocities:
-    """Return the velocities of a vehicle and their derivatives.
+    """Return the velocities of a vehicle and their derivatives; MotionError if there is no motion.
 
-    Parameters
-    ----------
-    motion : BodyMotion
-        The model.
-    given : ndarray, shape (n, n_given)
-        Inputs and joints at n samples. [rad/s, m/s, rad, m]
-    p : ndarray, shape (n_p,)
-        Values of the parameters, in their units.
-    near : Velocities, optional
-        Result at the same samples for other parameters, from which the rates start.
-
-    Raises
-    ------
-    MotionError
-        If the vehicle has no stable pose or violates a limit of the model, or its equations have no
-        solution at a sample.
+    ``given`` are inputs and joints, shape (n, n_given); ``near``, a result at the same samples for
+    other parameters, is the initial guess of the rates.
     """
     guess = None if near is None else near.z + near.z_slopes @ (p - near.p)
     full = p if motion.stage < len(motion.parameters) else np.append(p, motion.stages[-1])
     pose = _standing_poses(motion, given, full)
-    found = list[tuple[Array, ...]]()
+    blocks = list[tuple[Array, ...]]()
     for k in range(0, len(given), BATCHES[-1]):
         part = slice(k, k + BATCHES[-1])
         at = (given[part], full, pose[part], None if guess is None else guess[part])
         try:
-            found.append(_velocities(motion, *at))
+            blocks.append(_velocities(motion, *at))
         except MotionError as error:
             raise MotionError(str(error), k + error.sample) from error
-    values, slopes, z, z_slopes = (np.concatenate(each) for each in zip(*found, strict=True))
+    values, slopes, z, z_slopes = (np.concatenate(each) for each in zip(*blocks, strict=True))
     return Velocities(values, slopes, p, z, z_slopes)
 
 
 def _standing_poses(motion: BodyMotion, given: Array, p: Array) -> Array:
-    """Return the unknowns of the vehicle at rest with the joints of each sample, shape (n, n_z).
-
-    Raises MotionError if the relaxation does not converge, or the equilibrium is not stable.
-    """
+    """Return the unknowns of the vehicle at rest with the joints of each sample, shape (n, n_z)."""
     joints, first, inverse = np.unique(
         given[:, motion.inputs :], axis=0, return_index=True, return_inverse=True
     )
     still = np.concatenate([np.zeros((len(joints), motion.inputs)), joints], axis=1)
-    found = np.empty((len(joints), motion.scale.size))
+    unknowns = np.empty((len(joints), motion.scale.size))
     for k in range(0, len(joints), BATCHES[-1]):
         part = slice(k, k + BATCHES[-1])
         here, many = still[part], _repeated(p, len(still[part]))
@@ -276,8 +199,8 @@ def _standing_poses(motion: BodyMotion, given: Array, p: Array) -> Array:
         _check(solved, first[part], "the vehicle has no pose in which it stands on level ground")
         words = "the vehicle would fall from the pose in which its wheels bear it"
         _check(_is_stable(jac, motion.relaxing), first[part], words)
-        found[part] = z
-    return found[inverse.ravel()]
+        unknowns[part] = z
+    return unknowns[inverse.ravel()]
 
 
 def _relax(motion: BodyMotion, given: Array, p: Array) -> tuple[Array, Array, Mask]:
@@ -387,21 +310,17 @@ def _solve_cold(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[A
 def _solve_stage(
     motion: BodyMotion, given: Array, p: Array, z: Array, pair: tuple[Array, Array], depth: int
 ) -> tuple[Array, Array, Mask]:
-    """Return the result of `_solve` at the second value of the continuation parameter.
-
-    Where Newton's method fails, the stage is divided at the geometric mean of its two values,
-    recursively at most ``depth`` times.
-    """
-    found, jac, good = _solve(motion, given, _with_stage(motion, p, pair[1]), z)
+    """Return the result of `_solve` at the end of a stage, divided at most ``depth`` times."""
+    solved, jac, good = _solve(motion, given, _with_stage(motion, p, pair[1]), z)
     if depth and not good.all():
         bad = ~good
         begin, end = (each[bad] for each in pair)
         at = motion, given[bad], p[bad]
         middle = np.sqrt(begin * end)
-        parts = _solve_stage(*at, z[bad], (begin, middle), depth - 1)
-        if parts[2].all():
-            found[bad], jac[bad], good[bad] = _solve_stage(*at, parts[0], (middle, end), depth - 1)
-    return found, jac, good
+        half = _solve_stage(*at, z[bad], (begin, middle), depth - 1)
+        if half[2].all():
+            solved[bad], jac[bad], good[bad] = _solve_stage(*at, half[0], (middle, end), depth - 1)
+    return solved, jac, good
 
 
 def _with_stage(motion: BodyMotion, p: Array, values: Array) -> Array:
@@ -412,10 +331,7 @@ def _with_stage(motion: BodyMotion, p: Array, values: Array) -> Array:
 
 
 def _solve(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[Array, Array, Mask]:
-    """Return unknowns and Jacobians after Newton's method, and the mask of solved samples.
-
-    A step that does not reduce the largest residual is halved.
-    """
+    """Return unknowns and Jacobians after damped Newton steps, and the mask of solved samples."""
     z = z.copy()
     residual, jac = (each.copy() for each in evaluate(motion.newton, z, given, p))
     size = _size(residual)
@@ -454,17 +370,14 @@ def _size(residual: Array) -> Array:
 
 
 def evaluate(function: ca.Function, *arguments: Array) -> tuple[Array, ...]:
-    """Return the results of a function at n samples, each of shape (n, rows, columns).
-
-    Arguments have one row per sample. A buffer avoids CasADi's slow conversion of matrices.
-    """
+    """Return the results of a function at n samples, each of shape (n, rows, columns)."""
     count = len(arguments[0])
     if count > BATCHES[-1]:
         starts = range(0, count, BATCHES[-1])
-        parts = [
+        blocks = [
             evaluate(function, *(each[k : k + BATCHES[-1]] for each in arguments)) for k in starts
         ]
-        return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
+        return tuple(np.concatenate(each) for each in zip(*blocks, strict=True))
     size = next(each for each in BATCHES if each >= count)
     buffer: Any
     buffer, run = _mapped(function, size).buffer()

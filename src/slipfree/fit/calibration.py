@@ -19,34 +19,18 @@ RESAMPLES = 2000  # of a bootstrap
 
 
 class EndErrors(NamedTuple):
-    """Predicted minus measured end poses of n windows.
+    """Predicted minus measured end poses of n windows."""
 
-    Attributes
-    ----------
-    measured : ndarray, shape (n, 3)
-        Measured end poses, as ``Windows.end``. [m, m, rad]
-    nominal, fitted : ndarray, shape (n, 3)
-        Errors before and after the fit. [m, m, rad]
-    """
-
-    measured: Array
-    nominal: Array
+    measured: Array  # shape (n, 3): measured end poses, as ``Windows.end`` [m, m, rad]
+    nominal: Array  # shape (n, 3): errors before and after the fit [m, m, rad]
     fitted: Array
 
 
 class Calibration(NamedTuple):
-    """Result of a calibration.
+    """Result of a calibration."""
 
-    Attributes
-    ----------
-    estimate : Estimate
-        Estimates from the windows for training.
-    train, test : EndErrors
-        Errors in the windows for training and in those for testing.
-    """
-
-    estimate: Estimate
-    train: EndErrors
+    estimate: Estimate  # estimates from the windows for training
+    train: EndErrors  # errors in the windows for training and in those for testing
     test: EndErrors
 
 
@@ -69,30 +53,7 @@ def calibrate(
     seed: int = 0,
     loss: Loss = "soft_l1",
 ) -> Calibration:
-    """Fit unknowns to a random part of the windows, and predict the others.
-
-    Parameters
-    ----------
-    build : callable
-        ``build(vehicle, law)`` returns a kinematic or quasi-static model.
-    vehicle, law : Vehicle and SlipLaw or GroundLaw
-        Nominal values.
-    unknowns : sequence of Unknown
-        The unknowns.
-    windows : Windows
-        The windows; their quantities are the names of `slipfree.fit.body_motion.body_motion`.
-    train : float
-        Share of the windows for training, between 0 and 1.
-    seed : int
-        Seed of the random choice.
-    loss : {"soft_l1", "linear"}
-        Loss of the residuals, see `slipfree.fit.estimate.estimate`.
-
-    Raises
-    ------
-    ModelError
-        If there are too few windows, a number is out of range, or the model has no motion.
-    """
+    """Fit unknowns to a random part of the windows, a share ``train``, and predict the others."""
     if not 0 < train < 1:
         raise ModelError(f"calibrate: train: expected a share between 0 and 1, found {train:g}")
     order = np.random.default_rng(seed).permutation(len(windows.end))
@@ -104,15 +65,15 @@ def calibrate(
         )
     dae = parametric_model(build, vehicle, law, unknowns)
     learnt, other = windows.take(np.sort(order[:count])), windows.take(np.sort(order[count:]))
-    found = estimate(dae, vehicle, law, unknowns, learnt, loss)
-    errors = [_errors(dae, unknowns, part, found) for part in (learnt, other)]
-    return Calibration(found, *errors)
+    fitted = estimate(dae, vehicle, law, unknowns, learnt, loss)
+    errors = [_errors(dae, unknowns, part, fitted) for part in (learnt, other)]
+    return Calibration(fitted, *errors)
 
 
-def _errors(dae: Dae, unknowns: Sequence[Unknown], windows: Windows, found: Estimate) -> EndErrors:
+def _errors(dae: Dae, unknowns: Sequence[Unknown], windows: Windows, fitted: Estimate) -> EndErrors:
     """Return the errors of end poses with nominal and with fitted values."""
     predict = Predictor(dae, unknowns, windows)
-    errors = [predict(values).end - windows.end for values in (found.nominal, found.values)]
+    errors = [predict(values).end - windows.end for values in (fitted.nominal, fitted.values)]
     return EndErrors(windows.end, *errors)
 
 
@@ -137,15 +98,7 @@ def heading_median(errors: Array) -> float:
 
 
 def bootstrap(errors: Array, statistic: Callable[[Array], float]) -> Interval:
-    """Return a statistic of errors, with its 95 % interval by resampling windows (percentiles).
-
-    Parameters
-    ----------
-    errors : ndarray, shape (n, ...)
-        One row per window.
-    statistic : callable
-        Function of such an array.
-    """
+    """Return a statistic of errors, shape (n, ...), with its 95 % interval by resampling rows."""
     rng = np.random.default_rng(0)
     values = [
         statistic(errors[rng.integers(0, len(errors), len(errors))]) for _ in range(RESAMPLES)

@@ -21,13 +21,7 @@ import scipy  # its parts are imported when they are used, since this takes 0.2 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label, Mask
-from slipfree.fit.body_motion import (
-    BodyMotion,
-    MotionError,
-    Velocities,
-    body_motion,
-    velocities,
-)
+from slipfree.fit.body_motion import BodyMotion, MotionError, Velocities, body_motion, velocities
 from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
 from slipfree.fit.windows import Windows, end_poses
 from slipfree.system.interrupt import check_interrupt, interrupt_requested
@@ -48,59 +42,26 @@ AT_BOUND = 1e-3  # distance from a bound that counts as zero [scales]
 
 
 class Direction(NamedTuple):
-    """A combination of unknowns, with its standard deviation.
+    """A combination of unknowns, with its standard deviation."""
 
-    Attributes
-    ----------
-    deviation : float
-        Standard deviation relative to the scales of the unknowns; infinite if it is undetermined.
-    weights : ndarray, shape (n,)
-        Components in units of the scales; a unit vector.
-    """
-
-    deviation: float
-    weights: Array
+    deviation: float  # relative to the scales of the unknowns; infinite if undetermined
+    weights: Array  # shape (n,): components in units of the scales; a unit vector
 
 
 class Estimate(NamedTuple):
-    """Result of a calibration with n unknowns.
+    """Result of a calibration with n unknowns."""
 
-    Attributes
-    ----------
-    labels : tuple of Label
-        Names, units and descriptions of the unknowns.
-    nominal, values : ndarray, shape (n,)
-        Values before and after the fit, in the unit of each label.
-    covariance : ndarray, shape (n, n)
-        Covariance of the estimates; infinite for undetermined unknowns, zero for those at a bound.
-    intervals : ndarray, shape (n, 2)
-        95 % confidence intervals.
-    scales : ndarray, shape (n,)
-        Sizes of the unknowns: deviation of the prior, or nominal value.
-    at_bound : tuple of bool
-        Whether the estimate is at a bound; its interval is then that value.
-    directions : tuple of Direction
-        Principal directions of the covariance, best determined first.
-    deviations : ndarray, shape (3,)
-        Standard deviations of the residuals: two of position [m], and heading [rad].
-    evaluations : int
-        Number of evaluations of the predictions.
-    is_interrupted : bool
-        Whether Ctrl-C, held back by `held_interrupt`, ended the search; the values are then those
-        of its last accepted step.
-    """
-
-    labels: tuple[Label, ...]
-    nominal: Array
+    labels: tuple[Label, ...]  # names, units and descriptions of the unknowns
+    nominal: Array  # shape (n,): values before and after the fit, in the unit of each label
     values: Array
-    covariance: Array
-    intervals: Array
-    scales: Array
-    at_bound: tuple[bool, ...]
-    directions: tuple[Direction, ...]
-    deviations: Array
-    evaluations: int
-    is_interrupted: bool = False
+    covariance: Array  # shape (n, n): infinite if undetermined, zero at a bound
+    intervals: Array  # shape (n, 2): 95 % confidence intervals
+    scales: Array  # shape (n,): sizes of the unknowns: deviation of the prior, or nominal value
+    at_bound: tuple[bool, ...]  # whether it is at a bound; its interval is then that value
+    directions: tuple[Direction, ...]  # principal, of the covariance, best determined first
+    deviations: Array  # of the residuals: two of position [m], and heading [rad]
+    evaluations: int  # number of evaluations of the predictions
+    is_interrupted: bool = False  # by Ctrl-C: values of the last accepted step
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -112,33 +73,16 @@ class Estimate(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """Predicted end poses of windows, and their derivatives.
+    """Predicted end poses of windows, and their derivatives."""
 
-    Attributes
-    ----------
-    end : ndarray, shape (n, 3)
-        As ``Windows.end``. [m, m, rad]
-    slopes : ndarray, shape (n, 3, n_unknowns)
-        Derivatives with respect to the unknowns.
-    """
-
-    end: Array
-    slopes: Array
+    end: Array  # shape (n, 3): as ``Windows.end`` [m, m, rad]
+    slopes: Array  # shape (n, 3, n_unknowns): derivatives with respect to the unknowns
 
 
 class Predictor:
-    """Predictions of a model over windows, as a function of the unknowns.
+    """Predictions of a parametric model over windows, as a function of the unknowns.
 
     Each prediction starts from the accepted one; others do not influence it.
-
-    Parameters
-    ----------
-    dae : Dae
-        Model with parameters, from `slipfree.fit.unknowns.parametric_model`.
-    unknowns : sequence of Unknown
-        Unknowns of the model and of the sensor.
-    windows : Windows
-        The windows; their quantities are those of ``names``.
     """
 
     def __init__(self, dae: Dae, unknowns: Sequence[Unknown], windows: Windows) -> None:
@@ -157,38 +101,34 @@ class Predictor:
         self.evaluations = 0
 
     def __call__(self, values: Array) -> Prediction:
-        """Return the prediction for values of the unknowns, in their units.
-
-        Raises MotionError if the vehicle has no stable pose, or the model has no motion at a
-        sample.
-        """
+        """Return the prediction for values of the unknowns; MotionError if there is no motion."""
         if self._last is not None and np.array_equal(self._last[0], values):
             return self._last[1]
         self.evaluations += 1
         try:
-            found = velocities(self.motion, self._given, values[self._of_model], self._near)
+            motion = velocities(self.motion, self._given, values[self._of_model], self._near)
         except MotionError as error:
             raise MotionError(self._message(error, values), error.sample) from error
         sensor = np.zeros(3)
         sensor[self._axes] = values[self._of_sensor]
         at = self._inverse.ravel()
-        velocity = found.values[at].reshape(self._shape)
+        velocity = motion.values[at].reshape(self._shape)
         end, by_velocity, by_sensor = end_poses(self.windows, velocity, sensor)
         slopes = np.zeros((*end.shape, values.size))
-        by_model = found.slopes[at].reshape(*self._shape, -1)
+        by_model = motion.slopes[at].reshape(*self._shape, -1)
         slopes[..., self._of_model] = np.einsum(
             "nikj,nkjp->nip", by_velocity, by_model, optimize=True
         )
         slopes[..., self._of_sensor] = by_sensor[..., self._axes]
-        self._last = values.copy(), Prediction(end, slopes), found
+        self._last = values.copy(), Prediction(end, slopes), motion
         return self._last[1]
 
     def accept(self, values: Array) -> Prediction:
         """Return the prediction for values, from which the following ones start."""
-        found = self(values)
+        prediction = self(values)
         if self._last is not None:
             self._near = self._last[2]
-        return found
+        return prediction
 
     def _message(self, error: MotionError, values: Array) -> str:
         """Return the message of a sample without motion: reason, window, time, rates, values."""
@@ -210,29 +150,10 @@ def estimate(
     windows: Windows,
     loss: Loss = "soft_l1",
 ) -> Estimate:
-    """Fit unknowns to windows of a log.
+    """Fit unknowns to windows of a log, with a loss of each residual.
 
-    Parameters
-    ----------
-    dae : Dae
-        Model with parameters, from `slipfree.fit.unknowns.parametric_model`.
-    vehicle, law : Vehicle and SlipLaw or GroundLaw
-        Nominal values.
-    unknowns : sequence of Unknown
-        The unknowns, at least one.
-    windows : Windows
-        The windows, more than unknowns.
-    loss : {"soft_l1", "linear"}
-        Loss of a residual ``r``: ``2 sqrt(1 + r^2) - 2``, which limits the influence of outliers,
-        or ``r^2``.
-
-    Raises
-    ------
-    ModelError
-        If there are no unknowns or too few windows, if a nominal value is outside its bounds, if
-        the model has no motion at a sample with the nominal values, or if the search does not
-        converge, or ends at the edge of the values with a motion or at an extremum of the
-        prediction.
+    ModelError is raised if the problem is not determined, the nominal values have no motion, or the
+    search does not converge or ends at an edge or extremum of the prediction.
     """
     labels = tuple(label_of(each, law) for each in unknowns)
     nominal = np.array([value_of(each, vehicle, law) for each in unknowns])
@@ -253,7 +174,7 @@ def estimate(
         deviations = _deviations(predict(values).end - windows.end)
         search = _Estimation(predict, windows, deviations, priors)
         try:
-            found = scipy.optimize.least_squares(
+            result = scipy.optimize.least_squares(
                 search.residual,
                 values,
                 search.jacobian,
@@ -267,7 +188,7 @@ def estimate(
                 raise
             values, is_interrupted = [values, *search.accepted][-1], True
             break
-        values = np.asarray(found.x)
+        values = np.asarray(result.x)
     prediction = predict(values)
     edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
     at_bound = edges < AT_BOUND * scales
@@ -275,7 +196,7 @@ def estimate(
         prediction, windows, deviations, priors, scales, ~at_bound, loss
     )
     if not is_interrupted:
-        search.check(found, scales)
+        search.check(result, scales)
         for k in np.flatnonzero(np.sqrt(np.diag(covariance)) > scales).tolist():
             other = values.copy()
             other[k] = nominal[k]
@@ -308,7 +229,6 @@ def _check_extremum(
     """Raise ModelError if the predicted motion has an extremum at the estimate of an unknown.
 
     The log then favours a motion beyond all those of the model, which biases the other estimates.
-    The second prediction is that at the nominal value of the unknown.
     """
     here, there = (float(np.linalg.norm(each.slopes[:, :, k])) for each in predictions)
     if not here < EXTREMUM * there:
@@ -359,10 +279,7 @@ def _scales(
 def _bounds(
     unknowns: Sequence[Unknown], limits: Array, nominal: Array, scales: Array
 ) -> tuple[Array, Array]:
-    """Return lower and upper bounds, which leave out the ends of intervals.
-
-    Raises ModelError if there are no unknowns, or a nominal value is not within its bounds.
-    """
+    """Return lower and upper bounds, which leave out the ends of intervals."""
     if not unknowns:
         raise ModelError("estimate: expected at least one unknown, found none; add one")
     for unknown, value, (low, high) in zip(unknowns, nominal, limits, strict=True):
@@ -416,17 +333,17 @@ class _Estimation:
         rows[np.arange(self._priors.rows.size), self._priors.rows] = 1 / self._priors.deviation
         return np.concatenate([slopes.reshape(-1, values.size), rows])
 
-    def check(self, found: Any, scales: Array) -> None:
+    def check(self, result: Any, scales: Array) -> None:
         """Raise ModelError if a search ended beside rejected values, or did not converge."""
         for values, error in self._rejected:
-            if np.abs((values - found.x) / scales).max() < AT_BOUND:
+            if np.abs((values - result.x) / scales).max() < AT_BOUND:
                 raise ModelError(
                     "estimate: expected estimates within the range in which the vehicle can move, "
                     f"found that the log favours values beyond it: {error}"
                 ) from error
-        if not found.status:
+        if not result.status:
             raise ModelError(
-                f"estimate: expected convergence, found none after {found.nfev} evaluations; give "
+                f"estimate: expected convergence, found none after {result.nfev} evaluations; give "
                 "bounds or priors of the unknowns, or fit fewer of them"
             )
 
@@ -474,11 +391,11 @@ def _directions(scaled: Array, vectors: Array, lost: Mask) -> tuple[Direction, .
     """Return the principal directions of a covariance, and those that are undetermined."""
     kept = vectors[:, ~lost]
     values, axes = np.linalg.eigh(kept.T @ scaled @ kept)
-    found = [
+    known = [
         Direction(float(np.sqrt(max(value, 0.0))), _signed(kept @ axis))
         for value, axis in zip(values, axes.T, strict=True)
     ]
-    return (*found, *(Direction(np.inf, _signed(vector)) for vector in vectors[:, lost].T))
+    return (*known, *(Direction(np.inf, _signed(vector)) for vector in vectors[:, lost].T))
 
 
 def _signed(vector: Array) -> Array:

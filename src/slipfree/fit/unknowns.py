@@ -70,22 +70,12 @@ class Unknown:
 
 
 class Quantity(NamedTuple):
-    """A number of a vehicle.
+    """A number of a vehicle."""
 
-    Attributes
-    ----------
-    unit, words : str
-        Unit and description.
-    read : callable
-        ``read(vehicle, wheels)`` returns the value of a vehicle, for the named wheels.
-    set : callable
-        ``set(vehicle, wheels, value)`` returns the vehicle with another value.
-    """
-
-    unit: str
+    unit: str  # unit and description
     words: str
-    read: Callable[[Vehicle, Sequence[str]], float]
-    set: Callable[[Vehicle, Sequence[str], Any], Vehicle]
+    read: Callable[[Vehicle, Sequence[str]], float]  # ``read(vehicle, wheels)``
+    set: Callable[[Vehicle, Sequence[str], Any], Vehicle]  # ``set(vehicle, wheels, value)``
 
 
 def _on_wheels(
@@ -184,13 +174,10 @@ SENSOR: dict[str, Label] = {
 
 
 def label_of(unknown: Unknown, law: Any) -> Label:
-    """Return name, unit and description of an unknown.
-
-    Raises ModelError if the quantity is unknown.
-    """
+    """Return name, unit and description of an unknown."""
     if unknown.quantity in QUANTITIES:
-        found = QUANTITIES[unknown.quantity]
-        return Label(unknown.name, found.unit, found.words)
+        quantity = QUANTITIES[unknown.quantity]
+        return Label(unknown.name, quantity.unit, quantity.words)
     if unknown.quantity in SENSOR:
         return replace(SENSOR[unknown.quantity], name=unknown.name)
     constants = law_constants(law)
@@ -204,10 +191,7 @@ def label_of(unknown: Unknown, law: Any) -> Label:
 
 
 def limits_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> tuple[float, float]:
-    """Return the bounds of an unknown within which the vehicle and the law are valid.
-
-    A bound of zero of a positive quantity is excluded.
-    """
+    """Return the bounds of an unknown within which the vehicle and the law are valid."""
     least, most = unknown.lower, unknown.upper
     if unknown.quantity == "radius":
         names = _wheels(unknown, vehicle)
@@ -225,13 +209,13 @@ def limits_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> tuple[float, floa
 
 def law_constants(law: Any) -> dict[str, Label]:
     """Return the constants of a law, by name, from the annotations of its dataclass."""
-    hints, found = get_type_hints(type(law), include_extras=True), {}
+    hints, constants = get_type_hints(type(law), include_extras=True), {}
     for each in fields(law):
         metadata = getattr(hints[each.name], "__metadata__", ())
         unit = next((m.unit for m in metadata if isinstance(m, Unit)), "1")
         words = next((m.documentation for m in metadata if isinstance(m, DocInfo)), "")
-        found[each.name] = Label(each.name, unit, words)
-    return found
+        constants[each.name] = Label(each.name, unit, words)
+    return constants
 
 
 def value_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> float:
@@ -242,19 +226,15 @@ def value_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> float:
 
 
 def with_unknowns(vehicle: Vehicle, unknowns: Sequence[Unknown], values: Sequence[Any]) -> Vehicle:
-    """Return a vehicle with other values of its unknowns, numbers or expressions.
-
-    Unknowns of the law and of the sensor are ignored. Raises ModelError if a wheel is unknown, or
-    its section has no radius.
-    """
-    found = vehicle
+    """Return a vehicle with other values of its unknowns, numbers or expressions."""
+    changed = vehicle
     for unknown, value in zip(unknowns, values, strict=True):
         if unknown.quantity in QUANTITIES:
             quantity = QUANTITIES[unknown.quantity]
-            found = quantity.set(found, _wheels(unknown, vehicle), value)
+            changed = quantity.set(changed, _wheels(unknown, vehicle), value)
             if isinstance(value, ca.SX):
-                found = replace(found, nominal=vehicle)
-    return found
+                changed = replace(changed, nominal=vehicle)
+    return changed
 
 
 def law_with_unknowns(law: Any, unknowns: Sequence[Unknown], values: Sequence[Any]) -> Any:
@@ -267,24 +247,7 @@ def law_with_unknowns(law: Any, unknowns: Sequence[Unknown], values: Sequence[An
 def parametric_model(
     build: Callable[[Vehicle, Any], Dae], vehicle: Vehicle, law: Any, unknowns: Sequence[Unknown]
 ) -> Dae:
-    """Return a model whose unknowns are parameters.
-
-    Parameters
-    ----------
-    build : callable
-        ``build(vehicle, law)`` returns the model.
-    vehicle : Vehicle
-        The vehicle, with nominal values.
-    law : SlipLaw or GroundLaw
-        The law, with nominal values.
-    unknowns : sequence of Unknown
-        The unknowns; those of the sensor are not part of the model.
-
-    Raises
-    ------
-    ModelError
-        If a quantity or a wheel is unknown, or the model does not have that quantity.
-    """
+    """Return a model in which the fitted quantities are parameters."""
     labels = [label_of(each, law) for each in unknowns]
     symbols = [ca.SX.sym(label.name) for label in labels]
     values = [value_of(each, vehicle, law) for each in unknowns]
@@ -296,7 +259,7 @@ def parametric_model(
     symbolic = with_unknowns(vehicle, *zip(*others, strict=True)) if others else vehicle
     new_law = law_with_unknowns(law, *zip(*others, strict=True)) if others else law
     model = build(symbolic, new_law)
-    found = list[Parameter]()
+    parameters = list[Parameter]()
     for unknown, label, symbol, value in zip(unknowns, labels, symbols, values, strict=True):
         if unknown.quantity in SENSOR:
             continue
@@ -304,8 +267,8 @@ def parametric_model(
             if model.continuation is None:
                 raise ModelError(f"unknown {unknown.name!r}: the law has no creep speed to fit")
             symbol = model.continuation.symbol
-        found.append(Parameter(label, symbol, value))
-    return replace(model, p=tuple(found))
+        parameters.append(Parameter(label, symbol, value))
+    return replace(model, p=tuple(parameters))
 
 
 def _wheels(unknown: Unknown, vehicle: Vehicle) -> tuple[str, ...]:

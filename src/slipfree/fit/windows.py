@@ -18,25 +18,14 @@ MAX_SAMPLES = 1_000_000  # windows times samples of the longest one; an estimate
 
 
 class Windows(NamedTuple):
-    """Windows of a log, with at most k + 1 samples each.
+    """Windows of a log, with at most k + 1 samples each."""
 
-    Attributes
-    ----------
-    number, start : ndarray, shape (n,)
-        Number of each window in the log, and time of its first sample [s].
-    dt : ndarray, shape (n, k)
-        Times between samples; zero after the end of a shorter window. [s]
-    given : ndarray, shape (n, k + 1, n_given)
-        Inputs and joints at the samples. [rad/s, m/s, rad, m]
-    end : ndarray, shape (n, 3)
-        Measured pose of the sensor at the last sample, relative to the first one: to the right and
-        forward [m], and change of heading, counter-clockwise and continuous over turns [rad].
-    """
-
-    number: Array
+    number: Array  # shape (n,): number of each window in the log, and time of its first sample [s]
     start: Array
-    dt: Array
-    given: Array
+    dt: Array  # shape (n, k): times between samples; zero after the end of a shorter window [s]
+    given: Array  # shape (n, k + 1, n_given): inputs and joints at the samples [rad/s, m/s, rad, m]
+    # shape (n, 3): measured pose of the sensor at the last sample, relative to the first one: to
+    # the right and forward [m], and change of heading, continuous over turns [rad]
     end: Array
 
     def take(self, rows: npt.NDArray[np.int64] | Mask) -> Windows:
@@ -45,59 +34,41 @@ class Windows(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A log of rates and poses.
+    """A log of rates and poses."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times, not decreasing within a window. [s]
-    given : ndarray, shape (n, n_given)
-        Inputs and joints. [rad/s, m/s, rad, m]
-    pose : ndarray, shape (n, 3)
-        Position in axes of which the second points along heading zero [m], and heading,
-        counter-clockwise, which changes by less than half a turn between samples [rad].
-    window : ndarray of int, shape (n,)
-        Number of the window of each sample, constant over consecutive samples.
-    """
-
-    t: Array
-    given: Array
+    t: Array  # shape (n,): times, not decreasing within a window [s]
+    given: Array  # shape (n, n_given): inputs and joints [rad/s, m/s, rad, m]
+    # shape (n, 3): position in axes of which the second points along heading zero [m], and heading,
+    # which changes by less than half a turn between samples [rad]
     pose: Array
-    window: Array | npt.NDArray[np.int64]
+    window: Array | npt.NDArray[np.int64]  # shape (n,): number of each sample's window
 
 
 def cut(log: Log) -> Windows:
-    """Return the windows of a log; those with fewer than two samples are left out.
-
-    Raises
-    ------
-    ModelError
-        If there is no window of two samples, there are too many samples, or times decrease within a
-        window.
-    """
+    """Return the windows of a log; those with fewer than two samples are left out."""
     starts = np.flatnonzero(np.append(True, np.diff(log.window) != 0))
-    parts = [
+    spans = [
         slice(a, b) for a, b in zip(starts, [*starts[1:], len(log.t)], strict=True) if b - a > 1
     ]
-    if not parts:
+    if not spans:
         raise ModelError(
             "windows: expected at least one window with two samples, found none: samples are "
             f"{np.median(np.diff(log.t)) if len(log.t) > 1 else 0:.3g} s apart (median); correct "
             "the unit of the times if they are not in seconds, or use longer windows"
         )
-    longest = max(part.stop - part.start for part in parts)
-    if longest * len(parts) > MAX_SAMPLES:
+    longest = max(part.stop - part.start for part in spans)
+    if longest * len(spans) > MAX_SAMPLES:
         raise ModelError(
             f"windows: expected at most {MAX_SAMPLES} samples (windows times samples of the "
-            f"longest one), found {len(parts)} windows of up to {longest} samples; use a part of "
+            f"longest one), found {len(spans)} windows of up to {longest} samples; use a part of "
             "the log, windows of similar length, or fewer samples per second"
         )
     dt, given = (
-        np.zeros((len(parts), longest - 1)),
-        np.zeros((len(parts), longest, log.given.shape[1])),
+        np.zeros((len(spans), longest - 1)),
+        np.zeros((len(spans), longest, log.given.shape[1])),
     )
-    end = np.zeros((len(parts), 3))
-    for k, part in enumerate(parts):
+    end = np.zeros((len(spans), 3))
+    for k, part in enumerate(spans):
         steps, count = np.diff(log.t[part]), part.stop - part.start
         if steps.min() < 0:
             raise ModelError(
@@ -108,7 +79,7 @@ def cut(log: Log) -> Windows:
         given[k, :count], given[k, count:] = log.given[part], log.given[part.stop - 1]
         x, y, heading = log.pose[part].T
         end[k] = _relative(np.column_stack([x, y, np.unwrap(heading)]))
-    first = [part.start for part in parts]
+    first = [part.start for part in spans]
     return Windows(log.window[first].astype(float), log.t[first], dt, given, end)
 
 
@@ -120,29 +91,11 @@ def _relative(poses: Array) -> Array:
 
 
 def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, Array, Array]:
-    """Return the predicted end poses of windows, and their derivatives.
+    """Return the predicted end poses of windows, and their derivatives by velocities and sensor.
 
-    Between two samples, the velocity in the platform's axes is linear in time. The heading is then
-    quadratic in time, and the position is integrated by Gauss quadrature.
-
-    Parameters
-    ----------
-    windows : Windows
-        The windows, n of them.
-    velocity : ndarray, shape (n, k + 1, 3)
-        Velocity to the right and forward [m/s], and yaw rate [rad/s], at the samples.
-    sensor : ndarray, shape (3,)
-        Position of the sensor to the right and ahead of the platform's centre [m], and its
-        orientation relative to the platform [rad].
-
-    Returns
-    -------
-    end : ndarray, shape (n, 3)
-        As ``Windows.end``.
-    by_velocity : ndarray, shape (n, 3, k + 1, 3)
-        Derivatives with respect to the velocities.
-    by_sensor : ndarray, shape (n, 3, 3)
-        Derivatives with respect to the sensor's pose.
+    Between two samples, the velocity (right, forward, yaw rate) is linear in time. The heading is
+    then quadratic in time, and the position is integrated by Gauss quadrature. Shapes (n, 3), (n,
+    3, k + 1, 3) and (n, 3, 3).
     """
     count, samples, _ = velocity.shape
     pairs = np.concatenate([velocity[:, :-1], velocity[:, 1:]], axis=2).reshape(-1, 6)
@@ -159,11 +112,7 @@ def end_poses(windows: Windows, velocity: Array, sensor: Array) -> tuple[Array, 
 
 
 def _compose_steps(steps: Array) -> tuple[Array, Array]:
-    """Return pose changes over several intervals, and their derivatives with respect to each.
-
-    The change ``(right, ahead, turn)`` over an interval, shape (n, k, 3), is in the axes at its
-    beginning; the result, shapes (n, 3) and (n, k, 3, 3), in those at the first one.
-    """
+    """Return pose changes over several intervals, and their derivatives with respect to each."""
     ahead = np.cumsum(steps[..., 2], axis=1)
     before = ahead - steps[..., 2]
     c, s = np.cos(before), np.sin(before)

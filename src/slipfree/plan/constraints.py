@@ -13,7 +13,15 @@ import numpy as np
 from slipfree.core.dae import Limit
 from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.plan.transcription import Index, PlanTask, Program, RowBlock, TimedCondition
+from slipfree.plan.transcription import (
+    Index,
+    PlanTask,
+    Program,
+    RowBlock,
+    TimedCondition,
+    rate_of,
+    variable_of,
+)
 
 VIOLATION_TOLERANCE = 1e-6  # smaller violations count as rounding, in the unit of the quantity
 EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"
@@ -34,64 +42,29 @@ REMEDIES = {
 
 
 class Violation(NamedTuple):
-    """Largest violation of a constraint.
+    """Largest violation of a constraint."""
 
-    Attributes
-    ----------
-    label : Label
-        Label of the constrained quantity, with its wheel.
-    t : float
-        Time of the violation. [s]
-    interval : int
-        Index of the mesh interval that contains this time.
-    size : float
-        Size of the violation, in the label's unit.
-    bound, value : float
-        Violated bound and value of the quantity as reported (`Dae.reported`), in the label's unit.
-    role : str
-        Kind of constraint: ``"equation"``, ``"limit"``, ``"input"``, ``"cost"``, ``"goal"``, or for
-        a way-point its name, for example ``"way-point at 0.5"``.
-    """
-
-    label: Label
-    t: float
-    interval: int
-    size: float
-    bound: float
-    value: float
-    role: str
+    label: Label  # label of the constrained quantity, with its wheel
+    t: float  # time of the violation [s]
+    interval: int  # index of the mesh interval that contains this time
+    size: float  # size of the violation, in the label's unit
+    bound: float  # violated bound as reported (`Dae.reported`), in the label's unit
+    value: float  # value of the quantity, likewise
+    role: str  # "equation", "limit", "input", "cost", "goal" or name of a way-point
 
 
 class ConstraintGroup(NamedTuple):
-    """One constraint of a program: its rows (constraint functions) or unknowns at all n points.
+    """One constraint of a program: its rows (constraint functions) or unknowns at all n points."""
 
-    Attributes
-    ----------
-    label, role : Label, str
-        Constrained quantity and kind of constraint, as in `Violation`.
-    where : ndarray, shape (n,)
-        Indices into the column of all rows followed by all unknowns.
-    intervals : ndarray, shape (n,)
-        Index of the mesh interval of each point.
-    parts : ndarray, shape (n,)
-        Time of each point as a fraction of the duration, 0 to 1.
-    lower, upper : float
-        Bounds, in the label's unit and in local coordinates.
-    shift : float
-        Reported value minus local value; zero for quantities that are not coordinates.
-    typical : float
-        Typical size of the terms of an equation, in the label's unit; zero for other roles.
-    """
-
-    label: Label
+    label: Label  # constrained quantity and kind of constraint, as in `Violation`
     role: str
-    where: Index
-    intervals: Index
-    parts: Array
-    lower: float
+    where: Index  # shape (n,): indices into the column of all rows followed by all unknowns
+    intervals: Index  # shape (n,): index of the mesh interval of each point
+    parts: Array  # shape (n,): time of each point as a fraction of the duration, 0 to 1
+    lower: float  # bounds, in the label's unit and in local coordinates
     upper: float
-    shift: float
-    typical: float = 0.0
+    shift: float  # reported value minus local value; zero for quantities that are not coordinates
+    typical: float = 0.0  # of the terms of an equation, in the label's unit; else zero
 
 
 def constraint_groups(program: Program) -> Iterator[ConstraintGroup]:
@@ -192,10 +165,7 @@ def _interval_groups(program: Program, row_block: RowBlock) -> Iterator[Constrai
 
 
 def worst_violations(program: Program, values: Array) -> Iterator[tuple[float, Violation]]:
-    """Yield the largest violation of each violated bound, with its relative size first.
-
-    ``values`` are those of the rows, then of the unknowns, not scaled, shape (n_g + n_w,).
-    """
+    """Yield the largest violation of each violated bound, with its relative size first."""
     duration = values[program.g_lower.size + program.layout.duration]
     for group in constraint_groups(program):
         size = size_of(group, values)
@@ -242,18 +212,6 @@ def size_of(group: ConstraintGroup, values: Array) -> float:
     return float(max(1.0, one_sided))
 
 
-def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
-    """Return the record (``"x"`` or ``"z"``) and the index of a state or unknown.
-
-    The result is None for an expression that is not a single state or unknown.
-    """
-    for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
-        for k, symbol in enumerate(leaves(symbols)):
-            if ca.is_equal(expression, symbol):
-                return record, k
-    return None
-
-
 def shift_of(task: PlanTask, expression: ca.SX) -> float:
     """Return reported minus local value of a state or unknown, zero for other expressions."""
     plain = variable_of(task, expression)
@@ -275,16 +233,8 @@ def quantity_label(label: Label) -> Label:
     return replace(label, name=label.name.removesuffix("_limit"))
 
 
-def rate_of(label: Label) -> Label:
-    """Return the label of the rate of an input, in 1/s2."""
-    return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
-
-
 def subject(label: Label, role: str) -> str:
-    """Return a text for a constrained quantity, such as ``input right_rate``.
-
-    ``role`` is the kind of constraint, as in `slipfree.plan.constraints.Violation`.
-    """
+    """Return a text for a constrained quantity, such as ``input right_rate``."""
     whose = "the vehicle" if label.wheel is None else f"wheel {label.wheel}"
     if role == INPUT:
         return f"input {label.full}"
@@ -305,10 +255,7 @@ def number(label: Label, value: float) -> str:
 
 
 def missed_words(sizes: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """Return violations as text, such as ``x at the goal by 3.1e-04 m``.
-
-    ``sizes`` and ``units`` are the violations and their units by name.
-    """
+    """Return violations as text, such as ``x at the goal by 3.1e-04 m``."""
     return ", ".join(
         f"{name} by {size:.1e} {unit_words(units[name])}".rstrip() for name, size in sizes.items()
     )
@@ -342,8 +289,8 @@ def unit_words(unit: str) -> str:
 class _Bounds(NamedTuple):
     """Bounds of an expression before transcription: ``lower <= expression <= upper``.
 
-    ``fraction`` is the time at which the bounds apply as a fraction of the duration, nan if they
-    apply at all times. ``shift`` is the reported value minus the local value.
+    ``fraction`` of the duration is nan if they apply at all times; ``shift`` is the reported minus
+    the local value.
     """
 
     label: Label
@@ -356,21 +303,17 @@ class _Bounds(NamedTuple):
 
 
 def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
-    """Return one sentence for each pair of contradictory bounds.
-
-    Without a start the algebraic unknowns there are not known, and only bounds on functions of the
-    states are compared with the start.
-    """
+    """Return one sentence for each pair of contradictory bounds; without a start only of states."""
     asked = list(_all_bounds(task))
     along = [bounds for bounds in asked if np.isnan(bounds.fraction)]
     begin = np.full(len(task.dae.scale), np.nan) if start is None else task.dae.rows("z", start, -1)
-    found = [
+    sentences = [
         *_input_conflicts(task),
         *_value_conflicts(task, along, "start", np.append(task.start, begin)),
     ]
     for condition in task.conditions:
         formulas = [bounds for bounds in along if variable_of(task, bounds.expression) is None]
-        found += _value_conflicts(
+        sentences += _value_conflicts(
             task, formulas, role_of(condition.fraction), _condition_values(task, condition)
         )
     for one, other in combinations(asked, 2):
@@ -378,8 +321,9 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
         together = np.isnan([one.fraction, other.fraction]).any() or one.fraction == other.fraction
         if apart > BOUND_TOLERANCE and together and ca.is_equal(one.expression, other.expression):
             remedies = dict.fromkeys([_remedy_words(one.role), _remedy_words(other.role)])
-            found.append(f"{_bound_words(one)}, but {_bound_words(other)}: {' or '.join(remedies)}")
-    return found
+            both = f"{_bound_words(one)}, but {_bound_words(other)}"
+            sentences.append(f"{both}: {' or '.join(remedies)}")
+    return sentences
 
 
 def _all_bounds(task: PlanTask) -> Iterator[_Bounds]:
@@ -446,10 +390,7 @@ def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
 def _value_conflicts(
     task: PlanTask, along: list[_Bounds], role: str, known: Array
 ) -> Iterator[str]:
-    """Yield a message for each bound that known values of states and algebraic unknowns violate.
-
-    ``known`` contains these values, and NaN where none is known, shape (n_x + n_z,).
-    """
+    """Yield a message for each bound that ``known`` values of x and z violate; NaN if not known."""
     x, z, u = task.dae.columns()
     xz = ca.vertcat(x, z)
     unknown = ca.vertcat(task.dae.t, u, xz[np.flatnonzero(np.isnan(known)).tolist()])

@@ -35,51 +35,25 @@ MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
 
 
 class OpposingBound(NamedTuple):
-    """Bound that was not relaxed and conflicts with the relaxed bounds.
+    """Bound that was not relaxed and conflicts with the relaxed bounds."""
 
-    Attributes
-    ----------
-    label, role : Label, str
-        Bounded quantity and kind of constraint, as in `Violation`; the role may also be
-        ``"duration"``.
-    bound : float
-        Value of the bound, in the label's unit and in map coordinates.
-    side : str
-        ``"at least"`` or ``"at most"``; empty if lower and upper bound are equal.
-    share : float
-        Decrease of the sum of all relative relaxations per unit of the label by which this bound is
-        relaxed; for the duration, per relative change of the duration.
-    """
-
-    label: Label
-    role: str
-    bound: float
-    side: str
+    label: Label  # bounded quantity
+    role: str  # as in `Violation`, or ``"duration"``
+    bound: float  # value of the bound, in the label's unit and in map coordinates
+    side: str  # ``"at least"`` or ``"at most"``; empty if lower and upper bound are equal
+    # decrease of the sum of all relative relaxations per unit of the label by which this bound is
+    # relaxed; for the duration, per relative change of it
     share: float
 
 
 class Relaxation(NamedTuple):
-    """Relaxed bounds with which the equations of motion have a solution.
+    """Relaxed bounds with which the equations of motion have a solution."""
 
-    Attributes
-    ----------
-    solution : ndarray, shape (n_w,)
-        Unknowns, not scaled, that satisfy the equations and the relaxed bounds.
-    relaxed : list of Violation
-        Largest violation of each relaxed bound, the largest relative violation first.
-    opposing : list of OpposingBound
-        Bounds that were not relaxed and conflict with the relaxed bounds, the largest share first.
-    success : bool
-        Whether the search for the smallest relaxation converged.
-    status : str
-        IPOPT's return status of this search.
-    """
-
-    solution: Array
-    relaxed: list[Violation]
-    opposing: list[OpposingBound]
-    success: bool
-    status: str
+    solution: Array  # shape (n_w,): unknowns that satisfy the relaxed bounds
+    relaxed: list[Violation]  # largest violation of each relaxed bound, relatively sorted
+    opposing: list[OpposingBound]  # conflicting bounds, the largest share first
+    success: bool  # whether the search for the smallest relaxation converged
+    status: str  # IPOPT's return status of this search
 
 
 def relax(program: Program, first: Array) -> Relaxation:
@@ -87,10 +61,8 @@ def relax(program: Program, first: Array) -> Relaxation:
 
     The equations, the start and the bounds of the duration are kept. Each other bound is relaxed by
     a slack that is the same at all times. The sum of the slacks, each relative to the size of its
-    bound (`size_of`), is minimised; most slacks are then zero. This is a local minimum: other
-    initial guesses ``first``, not scaled, may lead to smaller sums. Among the motions with these
-    slacks, a second search minimises the cost; if it fails, the motion of the first search is
-    returned.
+    bound (`size_of`), is minimised; most slacks are then zero. This is a local minimum. Among the
+    motions with these slacks, a second search minimises the cost, if it succeeds.
     """
     weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
     first = completed(program, first)
@@ -109,64 +81,61 @@ def relax(program: Program, first: Array) -> Relaxation:
     ]
     elastic = _elastic_program(program, soft, sizes)
     most, begin = MAX_RELAXATION_ITERATIONS, np.append(first, over)
-    found = solve_program(elastic, 0 * weights, begin, iterations=most)
-    unknowns = _least_cost(elastic, found, weights, len(soft))[: first.size]
+    solution = solve_program(elastic, 0 * weights, begin, iterations=most)
+    unknowns = _least_cost(elastic, solution, weights, len(soft))[: first.size]
     values = np.append(_row_values(program, unknowns, weights), unknowns)
     relaxed = sorted(worst_violations(program, values), key=lambda pair: -pair[0])
     gave = {(each.role, each.label.full) for _, each in relaxed}
     opposing = [
         each
-        for each in _opposing_bounds(program, soft, found)
+        for each in _opposing_bounds(program, soft, solution)
         if each.share > MIN_SHARE and (each.role, each.label.full) not in gave
     ]
     return Relaxation(
         unknowns,
         [each for _, each in relaxed],
         sorted(opposing, key=lambda each: -each.share) if relaxed else [],
-        found.success,
-        found.status,
+        solution.success,
+        solution.status,
     )
 
 
-def _least_cost(elastic: Program, found: NlpSolution, weights: Array, count: int) -> Array:
-    """Return the unknowns of least cost with the slacks of ``found``.
-
-    If the search fails, return the unknowns of ``found``.
-    """
-    if not found.success:
-        return found.unknowns
+def _least_cost(elastic: Program, solution: NlpSolution, weights: Array, count: int) -> Array:
+    """Return the unknowns of least cost with the slacks of a solution, or its own on failure."""
+    if not solution.success:
+        return solution.unknowns
     upper = elastic.upper.copy()
-    upper[-count:] = np.maximum(found.unknowns[-count:], 0.0) + VIOLATION_TOLERANCE / 2
-    cost = abs(float(elastic.gradient(found.unknowns / elastic.scale, weights)[0]))
+    upper[-count:] = np.maximum(solution.unknowns[-count:], 0.0) + VIOLATION_TOLERANCE / 2
+    cost = abs(float(elastic.gradient(solution.unknowns / elastic.scale, weights)[0]))
     again = solve_program(
         replace(elastic, upper=upper),
         weights / max(1.0, cost),
-        found.unknowns,
+        solution.unknowns,
         iterations=MAX_RELAXATION_ITERATIONS,
     )
-    return again.unknowns if again.success else found.unknowns
+    return again.unknowns if again.success else solution.unknowns
 
 
 def _opposing_bounds(
-    program: Program, soft: list[tuple[ConstraintGroup, float]], found: NlpSolution
+    program: Program, soft: list[tuple[ConstraintGroup, float]], solution: NlpSolution
 ) -> Iterator[OpposingBound]:
     """Yield each relaxable bound and the duration, with shares computed from multipliers."""
     counts = [group.where.size for group, _ in soft]
-    prices = found.row_multipliers[found.rows.size - sum(counts) :]
-    parts = np.split(prices, np.cumsum(counts)[:-1])
+    prices = solution.row_multipliers[solution.rows.size - sum(counts) :]
+    prices_by_bound = np.split(prices, np.cumsum(counts)[:-1])
     for k, (group, sign) in enumerate(soft):
-        equal, price, side = group.lower == group.upper, parts[k], SIDE_WORDS[sign]
+        equal, price, side = group.lower == group.upper, prices_by_bound[k], SIDE_WORDS[sign]
         if equal and sign < 0:
             continue
         if equal:
             # Multipliers of the two equal bounds have opposite signs.
-            price, side = price + parts[k + 1], ""
+            price, side = price + prices_by_bound[k + 1], ""
         share = float(np.abs(price).sum())
         yield OpposingBound(
             group.label, group.role, bound_of(group, sign) + group.shift, side, share
         )
     at = program.layout.duration
-    cost, duration = float(found.bound_multipliers[at]), float(found.unknowns[at])
+    cost, duration = float(solution.bound_multipliers[at]), float(solution.unknowns[at])
     label = Label(DURATION, "s", "duration of the plan")
     # Multipliers of upper bounds are positive.
     yield OpposingBound(
@@ -177,11 +146,7 @@ def _opposing_bounds(
 def _elastic_program(
     program: Program, soft: list[tuple[ConstraintGroup, float]], sizes: Array
 ) -> Program:
-    """Return the program with a slack for each bound in ``soft``, appended to the unknowns.
-
-    The slacks are scaled by ``sizes``. The cost is the sum of the scaled slacks plus the cost of
-    the original program with its weights.
-    """
+    """Return the program with a scaled slack for each bound in ``soft``, whose sum is a cost."""
     hard = np.concatenate(
         [group.where for group in constraint_groups(program) if group.role == EQUATION]
     )
@@ -266,28 +231,14 @@ def _row_values(program: Program, unknowns: Array, weights: Array) -> Array:
 
 
 class Explanation(NamedTuple):
-    """Outcome of a search without a plan, and its explanation.
+    """Outcome of a search without a plan, and its explanation."""
 
-    Attributes
-    ----------
-    outcome : Outcome
-        ``INTERRUPTED`` if the search was stopped; ``INFEASIBLE`` if a motion was found only with
-        relaxed bounds, or if no relaxation was found and IPOPT reports an infeasible problem;
-        otherwise ``SOLVER_FAILURE``.
-    words : str
-        Explanation, several lines of text.
-    """
-
-    outcome: Outcome
-    words: str
+    outcome: Outcome  # infeasible only if a relaxation or IPOPT confirms it
+    words: str  # explanation, several lines of text
 
 
 def violations(program: Program, solution: NlpSolution) -> list[Violation]:
-    """Return the largest violation of each violated constraint, the worst constraint first.
-
-    Violations are sorted by their size relative to the range of the bounds or to a typical size of
-    the quantity (`size_of`).
-    """
+    """Return the largest violation of each violated constraint, by relative size (`size_of`)."""
     worst: dict[tuple[str, str], tuple[float, Violation]] = {}
     values = np.concatenate([solution.rows, solution.unknowns])
     for size, violation in worst_violations(program, values):
@@ -308,21 +259,18 @@ def violation_words(violation: Violation) -> str:
 
 
 def explanation(program: Program, solution: NlpSolution, first: Array) -> Explanation:
-    """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax.
-
-    ``first`` is the initial guess of the search, not scaled.
-    """
-    found = violations(program, solution)
+    """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax."""
+    missed = violations(program, solution)
     is_infeasible = solution.status == INFEASIBLE_STATUS
-    if found:
+    if missed:
         kept = "the last iterate" if is_infeasible else "the iterate of least violation"
     else:
         kept = "a motion that meets all constraints but is not optimal"
     words = ipopt_words(solution.status)
     lines = [f"{words} after {solution.iterations} iterations; the result is {kept}"]
-    if found:
-        lines.append(f"largest violations of this result ({len(found)} in all):")
-        lines += [f"  {violation_words(each)}" for each in found[:MAX_NAMED_VIOLATIONS]]
+    if missed:
+        lines.append(f"largest violations of this result ({len(missed)} in all):")
+        lines += [f"  {violation_words(each)}" for each in missed[:MAX_NAMED_VIOLATIONS]]
     if solution.status == STOPPED_STATUS:  # no further search after an interruption
         return Explanation(Outcome.INTERRUPTED, "\n".join(lines))
     relaxation = relax(program, first)

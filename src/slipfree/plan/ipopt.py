@@ -34,34 +34,28 @@ WARM_OPTIONS: dict[str, Any] = {
     "warm_start_bound_frac": WARM_PUSH,
     "warm_start_slack_bound_frac": WARM_PUSH,
 }
-QUASI_DENSE_ORDERING = (
-    6  # of MUMPS: suits matrices with a few dense rows, such as that of a free duration
-)
+QUASI_DENSE_ORDERING = 6  # of MUMPS: for a few dense rows, such as that of a free duration
+QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "record_time": True}
+IPOPT_OPTIONS: dict[str, Any] = {
+    "print_level": 0,
+    "sb": "yes",
+    "tol": IPOPT_TOLERANCE,
+    "mumps_permuting_scaling": 0,
+}
 IterateCallback = Callable[["Iterate"], bool]
 
 
 class Convergence(NamedTuple):
     """Values of IPOPT at every iterate of a search, from the initial guess on.
 
-    Violation and dual infeasibility are those of the scaled program, which IPOPT's tolerance
-    refers to.
-
-    Attributes
-    ----------
-    cost : ndarray, shape (n,)
-        Cost, the sum of all weighted terms.
-    violation : ndarray, shape (n,)
-        Largest violation of a constraint.
-    dual_infeasibility : ndarray, shape (n,)
-        Largest component of the gradient of the Lagrangian.
-    barrier : ndarray, shape (n,)
-        Barrier parameter.
+    Violation and dual infeasibility are those of the scaled program, which IPOPT's tolerance refers
+    to.
     """
 
-    cost: Array
-    violation: Array
-    dual_infeasibility: Array
-    barrier: Array
+    cost: Array  # shape (n,): cost, the sum of all weighted terms
+    violation: Array  # shape (n,): largest violation of a constraint
+    dual_infeasibility: Array  # shape (n,): largest component of the gradient of the Lagrangian
+    barrier: Array  # shape (n,): barrier parameter
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -77,18 +71,15 @@ def convergence_of(stats: Mapping[str, Any]) -> Convergence:
 
 
 def convergence_arrays(searches: Sequence[Convergence]) -> dict[str, Array]:
-    """Return consecutive searches as arrays for a file, by name; empty without iterates.
-
-    The array ``convergence_search`` has the index of the search of every iterate.
-    """
+    """Return consecutive searches as arrays for a file, by name; empty without iterates."""
     if not any(each.cost.size for each in searches):
         return {}
-    found = {
+    fields = {
         f"{PREFIX}{name}": np.concatenate([getattr(each, name) for each in searches])
         for name in Convergence._fields
     }
     numbers = [np.full(each.cost.size, float(k)) for k, each in enumerate(searches)]
-    return {**found, f"{PREFIX}search": np.concatenate(numbers)}
+    return {**fields, f"{PREFIX}search": np.concatenate(numbers)}
 
 
 def convergence_from(arrays: Mapping[str, Array]) -> dict[int, Convergence]:
@@ -102,67 +93,28 @@ def convergence_from(arrays: Mapping[str, Array]) -> dict[int, Convergence]:
 
 
 class Iterate(NamedTuple):
-    """Iterate of IPOPT.
+    """Iterate of IPOPT."""
 
-    Attributes
-    ----------
-    number : int
-        Number of the iteration; zero for the initial guess.
-    cost : float
-        Cost, the sum of all weighted terms.
-    violation : float
-        Largest violation of the bounds of a row (constraint function), in the unit of the row.
-    unknowns : ndarray, shape (n_w,)
-        Unknowns, not scaled.
-    program : Program
-        The nonlinear program.
-    """
-
-    number: int
-    cost: float
-    violation: float
-    unknowns: Array
-    program: Program
+    number: int  # number of the iteration; zero for the initial guess
+    cost: float  # cost, the sum of all weighted terms
+    violation: float  # largest violation of the bounds of a row, in its unit
+    unknowns: Array  # shape (n_w,): unknowns, not scaled
+    program: Program  # the nonlinear program
 
 
 class NlpSolution(NamedTuple):
-    """Solution of a nonlinear program; if the search failed, its best or last iterate.
+    """Solution of a nonlinear program; if the search failed, its best or last iterate."""
 
-    Attributes
-    ----------
-    unknowns : ndarray, shape (n_w,)
-        Unknowns, not scaled.
-    rows : ndarray, shape (n_g,)
-        Values of all rows (constraint functions).
-    cost : float
-        Cost, the sum of all weighted terms.
-    row_multipliers : ndarray, shape (n_g,)
-        Lagrange multipliers of the rows.
-    bound_multipliers : ndarray, shape (n_w,)
-        Lagrange multipliers of the bounds of the scaled unknowns.
-    status : str
-        Return status of IPOPT.
-    success : bool
-        Whether IPOPT reports a solution.
-    iterations : int
-        Number of iterations.
-    seconds : dict of str to float
-        Wall time: ``"total"``, ``"functions"`` (evaluation of functions and derivatives) and
-        ``"rest"`` (linear solver and overhead). [s]
-    convergence : Convergence
-        Cost, violation and barrier parameter of every iterate; empty if not known.
-    """
-
-    unknowns: Array
-    rows: Array
-    cost: float
-    row_multipliers: Array
-    bound_multipliers: Array
-    status: str
-    success: bool
-    iterations: int
-    seconds: dict[str, float]
-    convergence: Convergence = NO_CONVERGENCE
+    unknowns: Array  # shape (n_w,): unknowns, not scaled
+    rows: Array  # shape (n_g,): values of all rows (constraint functions)
+    cost: float  # cost, the sum of all weighted terms
+    row_multipliers: Array  # shape (n_g,): lagrange multipliers of the rows
+    bound_multipliers: Array  # shape (n_w,): of the bounds of the scaled unknowns
+    status: str  # return status of IPOPT
+    success: bool  # whether IPOPT reports a solution
+    iterations: int  # number of iterations
+    seconds: dict[str, float]  # wall time: total, functions (evaluation) and rest [s]
+    convergence: Convergence = NO_CONVERGENCE  # every iterate; empty if not known
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -205,9 +157,8 @@ class _IterateWatcher(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Record and report an iterate; return ``[1.0]`` to stop IPOPT, otherwise ``[0.0]``."""
         try:
-            return [
-                0.0 if self.guard.call(self.on_iterate, self._record_iterate(arguments)) else 1.0
-            ]
+            goes_on = self.guard.call(self.on_iterate, self._record_iterate(arguments))
+            return [0.0 if goes_on else 1.0]
         except BaseException as error:
             self.guard.keep(error)
             return [1.0]
@@ -241,31 +192,13 @@ def solve_program(
     on_iterate: IterateCallback | None = None,
     growth: float = MAX_VIOLATION_GROWTH,
 ) -> NlpSolution:
-    """Return the solution of a nonlinear program.
+    """Return the solution of a nonlinear program, warm-started by the multipliers of ``warm``.
 
-    If IPOPT fails, return the iterate with the smallest constraint violation. If IPOPT reports an
-    infeasible problem, return its last iterate.
-
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    weights : ndarray, shape (n_costs + 1,)
-        Weights of the costs; the last one is the weight of the smoothness.
-    first : ndarray, shape (n_w,)
-        Initial guess, not scaled. Roots of squared cost terms (see `stage_functions`) are ignored
-        and recomputed from the other unknowns.
-    warm : NlpSolution, optional
-        Solution whose multipliers are used for a warm start.
-    iterations : int
-        Maximum number of iterations.
-    on_iterate : callable, optional
-        Function called with every iterate; IPOPT stops if it returns False.
-    growth : float
-        Upper bound of the constraint violation, divided by the larger of 1 and the violation of
-        the initial guess (option ``theta_max_fact`` of IPOPT).
+    If IPOPT fails, return the iterate with the smallest constraint violation; if it reports an
+    infeasible problem, its last iterate. Roots of squared cost terms (`stage_functions`) in
+    ``first`` are computed from the other unknowns. ``growth`` is IPOPT's ``theta_max_fact``.
     """
-    given = {
+    arguments = {
         "x0": completed(program, first) / program.scale,
         "p": weights,
         "lbx": program.lower / program.scale,
@@ -274,7 +207,7 @@ def solve_program(
         "ubg": program.g_upper,
     }
     if warm is not None:
-        given |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
+        arguments |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
     ipopt = ({} if warm is None else WARM_OPTIONS) | {
         "max_iter": iterations,
         "theta_max_fact": growth,
@@ -284,7 +217,7 @@ def solve_program(
     with InterruptGuard() as guard:
         watch = _IterateWatcher(program, on_iterate or (lambda _: True), guard)
         solver = _ipopt_solver(program, ipopt, {"iteration_callback": watch})
-        solution = _to_solution(program, solver(**given), solver.stats())
+        solution = _to_solution(program.scale, solver(**arguments), solver.stats())
     if solution.success or solution.status == INFEASIBLE_STATUS or watch.best is None:
         return solution
     best, rows = watch.best
@@ -294,11 +227,7 @@ def solve_program(
 
 
 def warm_solver(program: Program, iterations: int) -> ca.Function:
-    """Return an IPOPT solver for a warm start near a solution, with full Newton steps.
-
-    The function has the arguments and results of ``casadi.nlpsol``, with unknowns and their bounds
-    divided by their scale. It makes at most the given number of iterations.
-    """
+    """Return an IPOPT solver for a warm start near a solution, with full Newton steps."""
     ipopt = WARM_OPTIONS | {
         "max_iter": iterations,
         "mu_strategy": "monotone",
@@ -310,22 +239,16 @@ def warm_solver(program: Program, iterations: int) -> ca.Function:
 
 def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
     """Return the ``casadi.nlpsol`` function of a program, with options for IPOPT and for CasADi."""
-    quiet: dict[str, Any] = {
-        "print_level": 0,
-        "sb": "yes",
-        "tol": IPOPT_TOLERANCE,
+    own: dict[str, Any] = {
         # Contact forces as unknowns require the monotone strategy (docs/decisions.md).
         "mu_strategy": "monotone" if program.task.dae.replay else "adaptive",
         "honor_original_bounds": "yes",
-        "mumps_permuting_scaling": 0,
         "mumps_pivot_order": QUASI_DENSE_ORDERING,
         "theta_max_fact": MAX_VIOLATION_GROWTH,
     }
-    every: dict[str, Any] = {
-        "ipopt": quiet | ipopt,
-        "print_time": False,
-        "error_on_fail": False,
-        "record_time": True,
+    exact: dict[str, Any] = {
+        **QUIET,
+        "ipopt": IPOPT_OPTIONS | own | ipopt,
         "grad_f": program.gradient,
         "jac_g": program.jacobian,
         "hess_lag": program.hessian,
@@ -333,19 +256,19 @@ def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, An
         "calc_lam_p": False,
         "show_eval_warnings": False,
     }
-    return ca.nlpsol("plan", "ipopt", program.problem, every | options)
+    return ca.nlpsol("plan", "ipopt", program.problem, exact | options)
 
 
-def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> NlpSolution:
+def _to_solution(scale: Array, results: dict[str, Any], stats: dict[str, Any]) -> NlpSolution:
     times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
     total = times.get("t_wall_total", 0.0)
     functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
     return NlpSolution(
-        np.array(found["x"]).ravel() * program.scale,
-        np.array(found["g"]).ravel(),
-        float(found["f"]),
-        np.array(found["lam_g"]).ravel(),
-        np.array(found["lam_x"]).ravel(),
+        np.array(results["x"]).ravel() * scale,
+        np.array(results["g"]).ravel(),
+        float(results["f"]),
+        np.array(results["lam_g"]).ravel(),
+        np.array(results["lam_x"]).ravel(),
         str(stats["return_status"]),
         bool(stats["success"]),
         int(stats["iter_count"]),
@@ -356,54 +279,22 @@ def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any])
 
 @with_interrupt_guard
 def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> NlpSolution:
-    """Return the solution of a nonlinear program, found by IPOPT with exact derivatives.
-
-    Cost and rows of the program are functions of the scaled unknowns; the result has the unknowns
-    in their units. Raises SolverError if IPOPT finds no solution.
-    """
-    options: dict[str, Any] = {
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": IPOPT_TOLERANCE,
-            "max_iter": iterations,
-            "mu_strategy": "adaptive",
-            "mumps_permuting_scaling": 0,
-        },
-        "print_time": False,
-        "error_on_fail": False,
-        "record_time": True,
-    }
-    solver = ca.nlpsol("nlp", "ipopt", {"x": nlp.x, "f": nlp.f, "g": nlp.g}, options)
-    found = solver(
+    """Return the solution of a nonlinear program, or raise SolverError."""
+    ipopt = IPOPT_OPTIONS | {"max_iter": iterations, "mu_strategy": "adaptive"}
+    problem = {"x": nlp.x, "f": nlp.f, "g": nlp.g}
+    solver = ca.nlpsol("nlp", "ipopt", problem, {**QUIET, "ipopt": ipopt})
+    results = solver(
         x0=nlp.guess / nlp.scale,
         lbx=nlp.lower / nlp.scale,
         ubx=nlp.upper / nlp.scale,
         lbg=nlp.g_lower,
         ubg=nlp.g_upper,
     )
-    stats = solver.stats()
-    status, count = str(stats["return_status"]), int(stats["iter_count"])
-    if not stats["success"]:
+    solution = _to_solution(nlp.scale, results, solver.stats())
+    if not solution.success:
         raise SolverError(
-            f"no solution of the nonlinear program was found: {ipopt_words(status)} after "
-            f"{count} iterations; widen limits that may contradict each other, or change the "
-            "number of nodes or the initial guess"
+            f"no solution of the nonlinear program was found: {ipopt_words(solution.status)} after "
+            f"{solution.iterations} iterations; widen limits that may contradict each other, or "
+            "change the number of nodes or the initial guess"
         )
-    times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
-    functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
-    total = times.get("t_wall_total", 0.0)
-    x, rows, row_multipliers, bound_multipliers = (
-        np.array(found[name]).ravel() for name in ("x", "g", "lam_g", "lam_x")
-    )
-    return NlpSolution(
-        x * nlp.scale,
-        rows,
-        float(found["f"]),
-        row_multipliers,
-        bound_multipliers,
-        status,
-        True,
-        count,
-        {"total": total, "functions": functions, "rest": total - functions},
-    )
+    return solution

@@ -25,7 +25,12 @@ from slipfree.core.records import Array, Record, field_overview, leaves
 from slipfree.core.trajectory import SolverError, Trajectory, joined
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
-from slipfree.plan.polynomial_motion import PolynomialMotion, motion_of
+from slipfree.plan.polynomial_motion import (
+    PolynomialMotion,
+    input_fractions,
+    motion_of,
+    unknowns_of,
+)
 from slipfree.plan.transcription import (
     CollocationMesh,
     Index,
@@ -34,10 +39,10 @@ from slipfree.plan.transcription import (
     completed,
     transcribe,
 )
-from slipfree.plan.verification import inputs_along
+from slipfree.plan.verification import inputs_along, simulate_to_failure
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import same_turn
-from slipfree.solve.simulate import interrupted_at, simulate
+from slipfree.solve.simulate import interrupted_at
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import interrupt_requested, with_interrupt_guard
 
@@ -48,60 +53,28 @@ MIN_WINDOW_FRACTION = 0.25  # shorter windows, at the end of a plan, are not upd
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """Moving window of a plan, with its nonlinear program and solver.
+    """Moving window of a plan, with its nonlinear program and solver."""
 
-    Attributes
-    ----------
-    program : Program
-        Nonlinear program of the window.
-    plan : PolynomialMotion
-        Planned motion that the window follows.
-    targets : casadi Function
-        Function ``(x, z, u) ->`` quantities that the goal constrains.
-    span : float
-        Length of the window. [s]
-    weights : ndarray, shape (n_costs + 1,)
-        Weights of the costs; the last one is the weight of the smoothness.
-    rows : casadi Function
-        Function ``(w, p) ->`` rows of the program, of scaled unknowns and weights.
-    solver : casadi Function
-        Solver that makes the iterations of one cycle, from `warm_solver`.
-    """
-
-    program: Program
-    plan: PolynomialMotion
-    targets: ca.Function
-    span: float
-    weights: Array
-    rows: ca.Function
-    solver: ca.Function
+    program: Program  # nonlinear program of the window
+    plan: PolynomialMotion  # planned motion that the window follows
+    targets: ca.Function  # function ``(x, z, u) ->`` quantities that the goal constrains
+    span: float  # length of the window [s]
+    weights: Array  # shape (n_costs + 1,): of the costs and, last, the smoothness
+    rows: ca.Function  # function ``(w, p) ->`` rows of the program, of scaled unknowns and weights
+    solver: ca.Function  # solver that makes the iterations of one cycle, from `warm_solver`
 
     def __repr__(self) -> str:
         return field_overview(self)
 
 
 class Cycle(NamedTuple):
-    """Solution of one cycle, the initial guess of the next cycle.
+    """Solution of one cycle, the initial guess of the next cycle."""
 
-    Attributes
-    ----------
-    t : float
-        Time of the cycle since the beginning of the plan. [s]
-    motion : PolynomialMotion
-        Planned motion from this time to the end of the window.
-    row_multipliers : ndarray, shape (n_g,)
-        Lagrange multipliers of the rows.
-    bound_multipliers : ndarray, shape (n_w,)
-        Lagrange multipliers of the bounds of the scaled unknowns.
-    violation : float
-        Largest violation of an equation or limit that is a row of the program, in its unit.
-    """
-
-    t: float
-    motion: PolynomialMotion
-    row_multipliers: Array
-    bound_multipliers: Array
-    violation: float
+    t: float  # time of the cycle since the beginning of the plan [s]
+    motion: PolynomialMotion  # planned motion from this time to the end of the window
+    row_multipliers: Array  # shape (n_g,): lagrange multipliers of the rows
+    bound_multipliers: Array  # shape (n_w,): of the bounds of the scaled unknowns
+    violation: float  # largest violation of a row of the program, in its unit
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -281,7 +254,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     lower[program.layout.duration] = upper[program.layout.duration] = span
     g_lower, g_upper = _row_bounds(window, t + span)
     rows, bounds = _shift_multipliers(program, former, t, span)
-    found = window.solver(
+    results = window.solver(
         x0=first / scale,
         p=window.weights,
         lbx=lower / scale,
@@ -293,13 +266,13 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     )
     status = str(window.solver.stats()["return_status"])
     # The rows that IPOPT returns may belong to another iterate than the unknowns.
-    g = np.array(window.rows(found["x"], window.weights)).ravel()
+    g = np.array(window.rows(results["x"], window.weights)).ravel()
     if status not in USABLE_STATUSES or not np.isfinite(g).all():
         raise SolverError(
             f"replan: the iterations failed at t = {t:g} s, state {x}: {ipopt_words(status)}; "
             "the inputs of the previous cycle may still be used"
         )
-    unknowns, rows, bounds = (np.array(found[name]).ravel() for name in ("x", "lam_g", "lam_x"))
+    unknowns, rows, bounds = (np.array(results[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     asked = replace(program, g_lower=g_lower, g_upper=g_upper)
     return Cycle(t, motion_of(program, unknowns * scale), rows, bounds, largest_violation(asked, g))
 
@@ -345,34 +318,16 @@ def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tup
 def _sample_motions(
     window: Horizon, motions: list[tuple[PolynomialMotion, float]], t: float, span: float
 ) -> Array:
-    """Return unknowns of the window at time ``t``, sampled from motions, for `completed`.
-
-    At each time the first motion that has not ended yet is used. ``motions`` are pairs of a motion
-    and its start time. [s]
-    """
-    program = window.program
-    mesh, layout = program.mesh, program.layout
-    unknowns = np.zeros(program.scale.size)
-    unknowns[layout.duration] = span
-    nodes, n_z = t + span * mesh.nodes, layout.unknowns.shape[2]
-    ends = t + span * (
-        mesh.ends if len(layout.inputs) == mesh.ends.size else (mesh.ends[1:] + mesh.ends[:-1]) / 2
-    )
-    states = _join_values(motions, nodes, PolynomialMotion.states)
-    unknown = _join_values(motions, nodes, PolynomialMotion.algebraic)
-    inputs = _join_values(motions, ends, PolynomialMotion.inputs)
-    unknowns[layout.first] = states[:, 0]
-    unknowns[layout.states] = states[:, 1:].T.reshape(layout.states.shape)
-    unknowns[layout.unknowns] = unknown[:n_z, 1:].T.reshape(layout.unknowns.shape)
-    unknowns[layout.inputs] = inputs.T
-    return unknowns
+    """Return unknowns of the window at time ``t``, of the first motion that has not ended yet."""
+    nodes, ends = t + span * window.program.mesh.nodes, t + span * input_fractions(window.program)
+    x = _join_values(motions, nodes, PolynomialMotion.states)
+    z = _join_values(motions, nodes, PolynomialMotion.algebraic)
+    u = _join_values(motions, ends, PolynomialMotion.inputs)
+    return unknowns_of(window.program, x, z, u, span)
 
 
 def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
-    """Return values at times ``at``, each of the first motion that has not ended yet.
-
-    ``read`` takes a motion and fractions of its duration.
-    """
+    """Return values at times, each of the first motion that has not ended yet."""
     values = read(motions[-1][0], _to_fractions(motions[-1], at))
     for motion in reversed(motions[:-1]):
         inside = at <= motion[1] + motion[0].duration
@@ -386,10 +341,7 @@ def _to_fractions(motion: tuple[PolynomialMotion, float], at: Array) -> Array:
 
 
 def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
-    """Return bounds of the rows for a window that ends at time ``end``.
-
-    If the window ends before the plan, the goal is replaced by the values of the plan at ``end``.
-    """
+    """Return bounds of the rows; at ``end`` the plan's values replace the goal of later windows."""
     program, plan = window.program, window.plan
     lower, upper = program.g_lower.copy(), program.g_upper.copy()
     if end < plan.duration - TIME_TOLERANCE:
@@ -403,10 +355,7 @@ def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
 def _shift_multipliers(
     program: Program, former: Cycle, t: float, span: float
 ) -> tuple[Array, Array]:
-    """Return the multipliers of the rows and of the bounds, shifted to the next window.
-
-    The window begins at time ``t`` and has the length ``span`` [s].
-    """
+    """Return the multipliers of the rows and of the bounds, shifted to the next window."""
     ends, layout = program.mesh.ends, program.layout
     middles = (t - former.t + span * (ends[1:] + ends[:-1]) / 2) / former.motion.duration
     which: Index = np.clip(np.searchsorted(ends, middles) - 1, 0, ends.size - 2)
@@ -421,22 +370,11 @@ def _shift_multipliers(
 
 
 class TrackedMotion(NamedTuple):
-    """Motion of a vehicle that follows a plan in closed loop.
+    """Motion of a vehicle that follows a plan in closed loop."""
 
-    Attributes
-    ----------
-    run : Trajectory
-        The simulated motion, with times since the beginning of the plan.
-    cycles : int
-        Number of simulated cycles.
-    failures : int
-        Number of cycles whose optimisation failed; in these the vehicle used the inputs of the last
-        successful cycle.
-    """
-
-    run: Trajectory
-    cycles: int
-    failures: int
+    run: Trajectory  # the simulated motion, with times since the beginning of the plan
+    cycles: int  # number of simulated cycles
+    failures: int  # cycles without solution, which used the inputs of the last solved one
 
 
 @computing
@@ -490,13 +428,13 @@ def track_plan(
             f"plan, found {period:g} s; choose a period in this range"
         )
     for record in ("x", "u"):
-        found, expected = (
+        own, expected = (
             [label.full for label in leaves(getattr(each.labels, record))] for each in (world, dae)
         )
-        if found != expected:
+        if own != expected:
             raise ModelError(
                 "world: expected the states and inputs of the plan's model, "
-                f"{', '.join(expected)}, found {', '.join(found)}; use a vehicle with the same "
+                f"{', '.join(expected)}, found {', '.join(own)}; use a vehicle with the same "
                 "joints and wheels (its parameters may differ)"
             )
     times = np.append(np.arange(0.0, duration - 0.5 * period, period), duration)
@@ -532,11 +470,6 @@ def _drive(
 ) -> Trajectory:
     """Return the motion under the inputs of a cycle, with times since the beginning of the plan."""
     inputs, times = cycle_inputs(window, cycle, *span)
-    try:
-        run = simulate(world, here, inputs, times, options=options)
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        run = error.trajectory
+    run = simulate_to_failure(world, here, inputs, times, options)
     stop = run.stop and run.stop._replace(t=run.stop.t + cycle.t)
     return replace(run, t=run.t + cycle.t, stop=stop)

@@ -50,20 +50,11 @@ AT_MOST, AT_LEAST, VALUE = "at most", "at least", "value"
 
 
 class ActiveSet(NamedTuple):
-    """Active constraints of a solution.
+    """Active constraints of a solution."""
 
-    Attributes
-    ----------
-    rows, bounds : ndarray of bool, shapes (n_g,) and (n_w,)
-        True for rows and unknowns whose bound is active, including equations and fixed unknowns.
-    weak : int
-        Number of inequalities without strict complementarity: the distance from the bound and the
-        multiplier are both near zero.
-    """
-
-    rows: Mask
-    bounds: Mask
-    weak: int
+    rows: Mask  # whether a bound of the row is active, as of all equations
+    bounds: Mask  # whether a bound of the unknown is active
+    weak: int  # number of inequalities whose distance and multiplier are both near zero
 
 
 class Optimality(NamedTuple):
@@ -117,7 +108,7 @@ def active_set(program: Program, solution: NlpSolution) -> ActiveSet:
     multiplier is the larger of the two.
     """
     size = max(abs(solution.cost), IPOPT_TOLERANCE)
-    found, weak = [], 0
+    masks, weak = [], 0
     for values, low, high, multipliers in (
         (solution.rows, program.g_lower, program.g_upper, solution.row_multipliers),
         (
@@ -131,16 +122,13 @@ def active_set(program: Program, solution: NlpSolution) -> ActiveSet:
         pull = np.abs(multipliers) / size
         is_equation = low == high
         is_weak = ~is_equation & (np.maximum(distance, pull) < WEAK)
-        found.append(is_equation | ((pull > distance) & ~is_weak))
+        masks.append(is_equation | ((pull > distance) & ~is_weak))
         weak += int(is_weak.sum())
-    return ActiveSet(found[0], found[1], weak)
+    return ActiveSet(masks[0], masks[1], weak)
 
 
 def check_optimality(program: Program, solution: NlpSolution, weights: Array) -> Optimality:
-    """Check the second-order sufficient conditions at a solution.
-
-    ``weights`` are those of the costs and, last, of the smoothness.
-    """
+    """Check the second-order sufficient conditions at a solution."""
     active = active_set(program, solution)
     free = ~active.bounds
     hessian, jacobian = _derivatives(program, solution, weights)
@@ -164,8 +152,8 @@ def check_optimality(program: Program, solution: NlpSolution, weights: Array) ->
     def inverse(v: Array) -> Array:
         full = np.zeros(n)
         full[inputs] = v
-        found: Array = solve(full)[inputs]
-        return found
+        product: Array = solve(full)[inputs]
+        return product
 
     # With the identity as Hessian, the block is the projection onto the null space.
     project = _kkt_solver(scipy.sparse.identity(n), a)
@@ -196,18 +184,15 @@ def _sparse(matrix: ca.DM) -> scipy.sparse.csc_matrix:
 
 
 def _kkt_solver(h: scipy.sparse.spmatrix, a: scipy.sparse.spmatrix) -> Operator:
-    """Return a function that multiplies by the upper left block of the inverse KKT matrix.
-
-    The KKT matrix has the Hessian ``h`` and the Jacobian ``a`` of the active constraints.
-    """
+    """Return a function that multiplies by the upper left block of the inverse KKT matrix."""
     n, m = h.shape[0], a.shape[0]
     below = -REGULARISATION * scipy.sparse.identity(m)
     # LU, since SciPy has no sparse factorisation of symmetric indefinite matrices.
     factors = scipy.sparse.linalg.splu(scipy.sparse.bmat([[h, a.T], [a, below]]).tocsc())
 
     def solve(v: Array) -> Array:
-        found: Array = factors.solve(np.append(v, np.zeros(m)))[:n]
-        return found
+        product: Array = factors.solve(np.append(v, np.zeros(m)))[:n]
+        return product
 
     return solve
 
@@ -292,18 +277,10 @@ class Price(NamedTuple):
 
 
 def limit_prices(program: Program, solution: NlpSolution) -> tuple[Price, ...]:
-    """Return the shadow prices of the active limits of a solution, largest saving per step first.
-
-    Parameters
-    ----------
-    program : Program
-        From `transcribe`.
-    solution : NlpSolution
-        Solution of the program; shares are relative to its cost.
-    """
+    """Return the shadow prices of the active limits of a solution, largest saving first."""
     multipliers = np.append(solution.row_multipliers, solution.bound_multipliers / program.scale)
     active = np.append(*active_set(program, solution)[:2])
-    found: dict[tuple[str, ...], Price] = {}
+    prices: dict[tuple[str, ...], Price] = {}
     for group in _limit_groups(program):
         for side, bound, where in _sides(program, group, multipliers):
             count = int(active[where].sum())
@@ -314,13 +291,13 @@ def limit_prices(program: Program, solution: NlpSolution) -> tuple[Price, ...]:
             share = rate / max(abs(solution.cost), IPOPT_TOLERANCE)
             new = Price(label, group.role, side, bound + group.shift, rate, share, count)
             key = group.role, label.name, side, f"{bound}"
-            old = found.get(key)
+            old = prices.get(key)
             if old is not None:
                 new = new._replace(
                     rate=old.rate + rate, share=old.share + share, active=old.active + count
                 )
-            found[key] = new
-    return tuple(sorted(found.values(), key=lambda price: -abs(price.share) * price.step))
+            prices[key] = new
+    return tuple(sorted(prices.values(), key=lambda price: -abs(price.share) * price.step))
 
 
 def price_rows(prices: Sequence[Price]) -> list[dict[str, Any]]:
@@ -336,10 +313,7 @@ def price_rows(prices: Sequence[Price]) -> list[dict[str, Any]]:
 
 
 def prices_words(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return a text with the largest prices in a table, at most five, and the number of the others.
-
-    Prices are omitted if a small change of the bound saves less than 0.01 % of the cost.
-    """
+    """Return a text with at most five of the prices that save at least 0.01 % of the cost."""
     prices = [
         Price(Label(row["quantity"], row["unit"], ""), *(row[name] for name in Price._fields[1:]))
         for row in rows
@@ -365,10 +339,7 @@ def _limit_groups(program: Program) -> Iterator[ConstraintGroup]:
 def _sides(
     program: Program, group: ConstraintGroup, multipliers: Array
 ) -> Iterator[tuple[str, float, Index]]:
-    """Yield side, bound and indices into rows and unknowns for each side of a limit.
-
-    Points at which the program has a narrower bound are omitted.
-    """
+    """Yield side, bound and indices into rows and unknowns, except where others are narrower."""
     lower = np.append(program.g_lower, program.lower)[group.where]
     upper = np.append(program.g_upper, program.upper)[group.where]
     prices = multipliers[group.where]

@@ -22,35 +22,16 @@ MARGIN = 1e-3  # smallest relative gain of a point that dominates another
 
 
 class FrontPoint(NamedTuple):
-    """Point of a Pareto front: minimum of the first objective for a bound on the second one.
+    """Point of a Pareto front: minimum of the first objective for a bound on the second one."""
 
-    Attributes
-    ----------
-    bound : float
-        Bound on the second objective.
-    first, second : float
-        Objectives of the solution; NaN without a solution.
-    slope : float
-        Derivative of the first objective with respect to the bound; NaN if unknown.
-    outcome : Outcome
-        ``COMPLETE`` for a verified solution.
-    words : str
-        Reason of another outcome.
-    solution : object
-        Solution, from which others start.
-    is_dominated : bool
-        Whether another point has a smaller first and no larger second objective. The solution is
-        then a local optimum, but not a global one.
-    """
-
-    bound: float
-    first: float = np.nan
+    bound: float  # bound on the second objective
+    first: float = np.nan  # objectives of the solution; NaN without a solution
     second: float = np.nan
-    slope: float = np.nan
-    outcome: Outcome = Outcome.INTERRUPTED
-    words: str = ""
-    solution: Any = None
-    is_dominated: bool = False
+    slope: float = np.nan  # of the first objective with respect to the bound; or NaN
+    outcome: Outcome = Outcome.INTERRUPTED  # ``COMPLETE`` for a verified solution
+    words: str = ""  # reason of another outcome
+    solution: Any = None  # solution, from which others start
+    is_dominated: bool = False  # a local optimum, but not a global one
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -62,21 +43,11 @@ class FrontPoint(NamedTuple):
 
 
 class FrontTask(NamedTuple):
-    """Minimisation of the first objective for one point of a front.
+    """Minimisation of the first objective for one point of a front."""
 
-    Attributes
-    ----------
-    number : int
-        Index of the point, from 0 at the smallest bound.
-    bound : float
-        Bound on the second objective.
-    start : FrontPoint
-        Solved point as initial guess.
-    """
-
-    number: int
-    bound: float
-    start: FrontPoint
+    number: int  # index of the point, from 0 at the smallest bound
+    bound: float  # bound on the second objective
+    start: FrontPoint  # solved point as initial guess
 
 
 def pareto_front(
@@ -87,30 +58,9 @@ def pareto_front(
 ) -> tuple[FrontPoint, ...]:
     """Return the points of a Pareto front, by increasing bound on the second objective.
 
-    The bounds have equal ratios. Each point is solved from the nearest solved points on both sides,
-    and points that are dominated once more from the dominating point, since a search may end in a
-    local optimum; the best solution is kept.
-
-    Parameters
-    ----------
-    solve : callable
-        ``solve(tasks)`` returns the points of tasks, which are independent of each other.
-    least, best : FrontPoint
-        Solutions of least second objective, and of least first objective. The second one is the
-        last point of the front; the first point has a bound 1 % above the least second objective.
-    count : int
-        Number of points; only ``best`` is returned if its second objective is within this 1 %.
-
-    Returns
-    -------
-    tuple of FrontPoint
-        Solved, dominated and unsolved points.
-
-    Raises
-    ------
-    ModelError
-        If fewer than two points are requested, or ``least`` or ``best`` is not solved or has a
-        second objective that is not positive.
+    The bounds have equal ratios, from 1 % above that of ``least`` to that of ``best``. Each point
+    is solved from the nearest solved points on both sides, and dominated points once more from the
+    dominating point, since a search may end in a local optimum; the best solution is kept.
     """
     check_count(count)
     for name, point in (("second", least), ("first", best)):
@@ -129,21 +79,21 @@ def pareto_front(
     if lowest >= best.second:
         return (best,)
     bounds = np.geomspace(lowest, best.second, count)
-    found = {-1: least, count - 1: best}
+    known = {-1: least, count - 1: best}
     for batch in _batches(count):
         tasks = [
-            FrontTask(k, float(bounds[k]), start) for k in batch for start in _neighbours(found, k)
+            FrontTask(k, float(bounds[k]), start) for k in batch for start in _neighbours(known, k)
         ]
-        _keep_better(found, tasks, solve(tasks))
-    points = [found[k] for k in range(count)]
+        _keep_better(known, tasks, solve(tasks))
+    points = [known[k] for k in range(count)]
     dominating = [_dominating(point, points) for point in points]
     again = [
         FrontTask(k, point.bound, start)
         for k, (point, start) in enumerate(zip(points, dominating, strict=True))
         if start is not None
     ]
-    _keep_better(found, again, solve(again))
-    points = [found[k] for k in range(count)]
+    _keep_better(known, again, solve(again))
+    points = [known[k] for k in range(count)]
     return tuple(
         point._replace(is_dominated=_dominating(point, points) is not None) for point in points
     )
@@ -171,21 +121,21 @@ def _batches(count: int) -> Iterator[list[int]]:
         known = sorted([*known, *batch])
 
 
-def _neighbours(found: dict[int, FrontPoint], k: int) -> Iterator[FrontPoint]:
+def _neighbours(points: dict[int, FrontPoint], k: int) -> Iterator[FrontPoint]:
     """Yield the nearest solved points below and above point ``k``; only below for the first one."""
-    solved = [j for j, point in found.items() if point.is_solved]
-    yield found[max(j for j in solved if j < k)]
+    solved = [j for j, point in points.items() if point.is_solved]
+    yield points[max(j for j in solved if j < k)]
     if k:
-        yield found[min(j for j in solved if j > k)]
+        yield points[min(j for j in solved if j > k)]
 
 
 def _keep_better(
-    found: dict[int, FrontPoint], tasks: Sequence[FrontTask], points: Sequence[FrontPoint]
+    known: dict[int, FrontPoint], tasks: Sequence[FrontTask], points: Sequence[FrontPoint]
 ) -> None:
-    """Store the points of tasks in ``found`` where they are better than the stored points."""
+    """Store the points of tasks in ``known`` where they are better than the stored points."""
     for task, point in zip(tasks, points, strict=True):
-        if is_better(point, found.setdefault(task.number, point)):
-            found[task.number] = point
+        if is_better(point, known.setdefault(task.number, point)):
+            known[task.number] = point
 
 
 def _dominating(point: FrontPoint, points: Sequence[FrontPoint]) -> FrontPoint | None:

@@ -21,10 +21,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record, leaves, overview
 from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory
 from slipfree.plan.explanation import explanation
-from slipfree.plan.ipopt import (
-    STOPPED_STATUS,
-    NlpSolution,
-)
+from slipfree.plan.ipopt import STOPPED_STATUS, NlpSolution
 from slipfree.plan.optimality import Optimality, Price, check_optimality, limit_prices
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
@@ -49,11 +46,7 @@ from slipfree.plan.search import (
 )
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
-from slipfree.plan.verification import (
-    Verification,
-    inputs_along,
-    verify_plan,
-)
+from slipfree.plan.verification import Verification, inputs_along, verify_plan
 from slipfree.solve.options import SolverOptions
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import with_interrupt_guard
@@ -306,10 +299,10 @@ def plan(
             raise ModelError(f"plan: {name}: expected 1 or more, found {number}; increase it")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
     mesh = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
-    given = [guess] if isinstance(guess, Trajectory) else list(guess)
-    task = _with_near_conditions(task, given, resume)
+    motions = [guess] if isinstance(guess, Trajectory) else list(guess)
+    task = _with_near_conditions(task, motions, resume)
     if resume is None:
-        guesses = named_guesses(task, start, given, starts, seed)
+        guesses = named_guesses(task, start, motions, starts, seed)
         searches = solve_guesses(transcribe(task, mesh, options), guesses, progress)
     else:
         searches = [solve_resumed(task, mesh, resume, options, progress)]
@@ -354,22 +347,22 @@ def _with_near_conditions(
 
 
 def _to_plan(search: SearchState, verification: Verification) -> Plan:
-    program, found, first, _, run, *_ = search
-    run = sample_plan(program, found.unknowns) if run is None else run
-    if not found.success:
-        why = explanation(program, found, first)
+    program, solution, first, _, run, *_ = search
+    run = sample_plan(program, solution.unknowns) if run is None else run
+    if not solution.success:
+        why = explanation(program, solution, first)
         run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, why.outcome))
     return _as_plan(search, run, verification)
 
 
 def _unverified(search: SearchState) -> Plan:
     """Return a plan without verification; its stop says so."""
-    program, found = search.program, search.found
-    run = sample_plan(program, found.unknowns) if search.run is None else search.run
+    program, solution = search.program, search.found
+    run = sample_plan(program, solution.unknowns) if search.run is None else search.run
     name, words = PLAN, "the search for a plan was interrupted"
-    if found.status == STOPPED_STATUS:
-        words = explanation(program, found, search.first).words
-    elif found.success:
+    if solution.status == STOPPED_STATUS:
+        words = explanation(program, solution, search.first).words
+    elif solution.success:
         name = PLAN_UNVERIFIED
         words = "the plan is solved, but the simulation that verifies it did not end"
     run = replace(run, stop=Stop(name, float(run.t[-1]), words, Outcome.INTERRUPTED))
@@ -380,8 +373,8 @@ def _unverified(search: SearchState) -> Plan:
 
 def _as_plan(search: SearchState, run: Trajectory, verification: Verification) -> Plan:
     """Return the plan of a search with its samples ``run`` and its verification."""
-    program, found, stages = search.program, search.found, search.stages
-    motion = motion_of(program, found.unknowns)
+    program, solution, stages = search.program, search.found, search.stages
+    motion = motion_of(program, solution.unknowns)
     return Plan(
         run,
         inputs_along(program.task.dae, motion, motion.ends),
@@ -390,11 +383,11 @@ def _as_plan(search: SearchState, run: Trajectory, verification: Verification) -
         verification.difference,
         verification.violation,
         verification.units,
-        cost_terms(program, found.unknowns),
-        found.success,
+        cost_terms(program, solution.unknowns),
+        solution.success,
         verification.accurate,
         program,
-        found,
+        solution,
         stages,
-        save_plan(program, found),
+        save_plan(program, solution),
     )

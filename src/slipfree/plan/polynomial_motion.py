@@ -33,21 +33,11 @@ ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays in a file
 
 
 class PolynomialMotion(NamedTuple):
-    """Motion as polynomials of time on the intervals of a mesh, in local coordinates.
+    """Motion as polynomials of time on the intervals of a mesh, in local coordinates."""
 
-    Attributes
-    ----------
-    mesh : CollocationMesh
-        Mesh of the polynomials.
-    layout : VariableLayout
-        Indices of states, inputs, algebraic unknowns and duration among the unknowns.
-    unknowns : ndarray, shape (n_w,)
-        Unknowns of a program, not scaled.
-    """
-
-    mesh: CollocationMesh
-    layout: VariableLayout
-    unknowns: Array
+    mesh: CollocationMesh  # mesh of the polynomials
+    layout: VariableLayout  # indices among the unknowns
+    unknowns: Array  # shape (n_w,): unknowns of a program, not scaled
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -92,10 +82,7 @@ class PolynomialMotion(NamedTuple):
         return len(self.layout.inputs) == self.mesh.ends.size
 
     def _where(self, at: Array) -> tuple[Index, Array]:
-        """Return interval indices and positions on these intervals, 0 to 1, for fractions ``at``.
-
-        The end of an interval belongs to this interval, not to the next one.
-        """
+        """Return indices and positions on intervals, 0 to 1; their ends belong to them."""
         ends = self.mesh.ends
         k = np.clip(np.searchsorted(ends, at - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
         return k, (at - ends[k]) / np.diff(ends)[k]
@@ -123,11 +110,7 @@ def first_intervals(motion: PolynomialMotion, count: int) -> PolynomialMotion:
 
 
 def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
-    """Return consecutive motions of one model as one motion.
-
-    All motions must have the same degree and the same kind of inputs. At a junction, states and
-    continuous inputs are those of the earlier motion.
-    """
+    """Return consecutive motions of one model as one; junctions have the earlier one's values."""
     times = np.cumsum([0.0, *(each.duration for each in motions)])
     ends = [t + each.ends[1:] for t, each in zip(times, motions, strict=False)]
     mesh = CollocationMesh(np.concatenate([[0.0], *ends]) / times[-1], motions[0].mesh.degree)
@@ -148,51 +131,54 @@ def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
 
 
 def transfer_motion(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:
-    """Return unknowns of a program, not scaled, sampled from a motion of another program.
+    """Return unknowns of a program, sampled from the part of another's motion after a fraction.
 
-    Mesh, goal and ground of the programs may differ. Only the part of the given motion after the
-    fraction ``after`` of its duration is used. Algebraic unknowns that the given motion lacks
-    are computed from the equations of the model.
+    Algebraic unknowns that the motion lacks are computed from the equations of the model.
     """
-    task, layout = program.task, program.layout
+    task, need = program.task, program.layout.unknowns.shape[2]
     nodes = after + (1 - after) * program.mesh.nodes
-    count, degree = len(layout.states), program.mesh.degree
-    unknowns = np.zeros(program.scale.size)
-    unknowns[layout.first] = task.start
-    unknowns[layout.duration] = np.clip((1 - after) * former.duration, *task.duration)
     x, u, z = former.states(nodes), former.inputs(nodes), former.algebraic(nodes)
-    unknowns[layout.states] = x[:, 1:].T.reshape(count, degree, -1)
-    have, need = len(z), layout.unknowns.shape[2]
-    if have < need:
+    if len(z) < need:
         t = nodes * former.duration
-        z = _complete_unknowns(program, Samples(t, x, z, np.zeros((0, t.size)), u)).z[:need]
-    unknowns[layout.unknowns] = z[:need, 1:].T.reshape(count, degree, -1)
-    _transfer_inputs(program, unknowns, former, after)
-    return completed(program, unknowns)
+        full = np.full((task.dae.scale.size, t.size), np.nan)
+        full[: len(z)] = z
+        samples = Samples(t, x, full, np.zeros((0, t.size)), u)
+        z = complete_samples(numeric_system(program), samples)[0].z
+    inputs = former.inputs(after + (1 - after) * input_fractions(program))
+    unknowns = unknowns_of(program, x, z, inputs, (1 - after) * former.duration)
+    return completed(program, _within_task(program, unknowns))
 
 
-def _transfer_inputs(
-    program: Program, unknowns: Array, former: PolynomialMotion, after: float
-) -> None:
-    ends, where = after + (1 - after) * program.mesh.ends, program.layout.inputs
-    at = ends if len(where) == ends.size else (ends[1:] + ends[:-1]) / 2
-    bounds = program.task.inputs
-    unknowns[where] = np.clip(former.inputs(at).T, bounds[:, 0], bounds[:, 1])
+def input_fractions(program: Program) -> Array:
+    """Return the fractions of the duration to which the inputs of a program belong."""
+    ends = program.mesh.ends
+    is_continuous = len(program.layout.inputs) == ends.size
+    return ends if is_continuous else (ends[1:] + ends[:-1]) / 2
 
 
-def _complete_unknowns(program: Program, samples: Samples) -> Samples:
-    """Return samples with the missing algebraic unknowns computed from the model."""
-    dae = program.task.dae
-    z = np.full((dae.scale.size, samples.t.size), np.nan)
-    z[: len(samples.z)] = samples.z
-    return complete_samples(numeric_system(program), samples._replace(z=z))[0]
+def unknowns_of(program: Program, x: Array, z: Array, u: Array, duration: float) -> Array:
+    """Return unknowns for states and algebraic unknowns at the nodes, inputs and duration [s]."""
+    layout = program.layout
+    unknowns = np.zeros(program.scale.size)
+    unknowns[layout.first] = x[:, 0]
+    unknowns[layout.states] = x[:, 1:].T.reshape(layout.states.shape)
+    unknowns[layout.unknowns] = z[: layout.unknowns.shape[2], 1:].T.reshape(layout.unknowns.shape)
+    unknowns[layout.inputs] = u.T
+    unknowns[layout.duration] = duration
+    return unknowns
+
+
+def _within_task(program: Program, unknowns: Array) -> Array:
+    """Set the start of the task, and clip inputs and duration to their bounds."""
+    task, layout = program.task, program.layout
+    unknowns[layout.first] = task.start
+    unknowns[layout.inputs] = np.clip(unknowns[layout.inputs], *task.inputs.T)
+    unknowns[layout.duration] = np.clip(unknowns[layout.duration], *task.duration)
+    return unknowns
 
 
 def nearest_fraction(former: PolynomialMotion, start: Array) -> float:
-    """Return the fraction of the duration at which a motion is nearest to a state.
-
-    The result is zero if the motion begins at the state.
-    """
+    """Return the fraction of the duration at which a motion is nearest to a state."""
     nodes = former.mesh.nodes
     away = np.linalg.norm(former.states(nodes) - start[:, None], axis=0)
     return (
@@ -208,45 +194,34 @@ def numeric_system(program: Program) -> Any:
 
 
 def guess_unknowns(program: Program, guess: Trajectory) -> Array:
-    """Return unknowns of a program, not scaled, interpolated from a guess.
+    """Return unknowns of a program from a guess, scaled to the duration and clipped to bounds."""
+    dae, mesh, layout = program.task.dae, program.mesh, program.layout
 
-    The time of the guess is scaled to the mesh; inputs and duration are clipped to their bounds.
-    """
-    task, layout = program.task, program.layout
-    dae, mesh = task.dae, program.mesh
-    unknowns = np.zeros(program.scale.size)
-
-    def at(record: str, count: int, parts: Array) -> Array:
+    def at(record: str, count: int, fractions: Array) -> Array:
         labels = list(leaves(getattr(dae.labels, record)))[:count]
-        t = guess.t[0] + parts * (guess.t[-1] - guess.t[0])
+        t = guess.t[0] + fractions * (guess.t[-1] - guess.t[0])
         return np.array([np.interp(t, guess.t, guess.of(label)) for label in labels])
 
     n_z = layout.unknowns.shape[2]
     x, z = at("x", layout.first.size, mesh.nodes), at("z", n_z, mesh.nodes)
     x, z = x - dae.shift[0][:, None], z - dae.shift[1][:n_z, None]
-    count = len(layout.states)
-    unknowns[layout.first] = task.start
-    unknowns[layout.states] = x[:, 1:].T.reshape(count, mesh.degree, -1)
-    unknowns[layout.unknowns] = z[:, 1:].T.reshape(count, mesh.degree, -1)
     n_u = layout.inputs.shape[1]
     if len(layout.inputs) == mesh.ends.size:
-        u = at("u", n_u, mesh.ends).T
+        u = at("u", n_u, mesh.ends)
     else:
-        u = at("u", n_u, mesh.nodes)[:, 1:].reshape(-1, count, mesh.degree).mean(axis=2).T
-    unknowns[layout.inputs] = np.clip(u, task.inputs[:, 0], task.inputs[:, 1])
-    unknowns[layout.duration] = np.clip(guess.t[-1] - guess.t[0], *task.duration)
-    return unknowns
+        u = at("u", n_u, mesh.nodes)[:, 1:].reshape(n_u, -1, mesh.degree).mean(axis=2)
+    return _within_task(program, unknowns_of(program, x, z, u, guess.t[-1] - guess.t[0]))
 
 
 def sample_plan(program: Program, unknowns: Array) -> Trajectory:
     """Return the motion of a program, sampled at the beginning and all collocation points."""
-    found, system = motion_of(program, unknowns), numeric_system(program)
+    motion, system = motion_of(program, unknowns), numeric_system(program)
     nodes, n_z = program.mesh.nodes, program.layout.unknowns.shape[2]
     inner = unknowns[program.layout.unknowns].reshape(-1, n_z).T
     z = np.full((program.task.dae.scale.size, nodes.size), np.nan)
     z[:n_z] = np.column_stack([inner[:, :1], inner])
-    x, u = found.states(nodes), found.inputs(nodes)
-    t = nodes * found.duration
+    x, u = motion.states(nodes), motion.inputs(nodes)
+    t = nodes * motion.duration
     # The program has no unknowns at the beginning; without a solution, the next point's are kept.
     with suppress(ModelError):
         z[:, 0] = solve_initial_conditions(system, 0.0, x[:, 0], z[:, 1], u[:, 0])
@@ -255,21 +230,18 @@ def sample_plan(program: Program, unknowns: Array) -> Trajectory:
         rates = np.array(watch(t[None], x, z[: system.motion_size], u)[0])[:, 1:]
     except RuntimeError:  # for a failed iterate, forces may have no solution
         rates = np.full((program.task.dae.quad.numel(), t.size - 1), np.nan)
-    q = _integrate(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(found.ends))
+    q = _integrate(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(motion.ends))
     samples, report = complete_samples(system, Samples(t, x, z, q, u))
     return to_trajectory(system, samples, report)
 
 
 def _integrate(rates: Array, lengths: Array) -> Array:
-    """Return integrals from the beginning to all collocation points, shape (n_q, 1 + n degree).
-
-    ``rates`` at the points have the shape (n_q, n, degree), ``lengths`` of intervals are in s.
-    """
+    """Return integrals from the beginning to all collocation points, shape (n_q, 1 + n degree)."""
     count, degree = rates.shape[1:]
     inside = radau_basis(degree).integrals(radau_basis(degree).points)
-    parts = np.einsum("pj,qij->qip", inside, rates) * lengths[:, None]
-    before = np.cumsum(parts[:, :, -1], axis=1) - parts[:, :, -1]
-    total = (parts + before[:, :, None]).reshape(len(rates), count * degree)
+    gains = np.einsum("pj,qij->qip", inside, rates) * lengths[:, None]
+    before = np.cumsum(gains[:, :, -1], axis=1) - gains[:, :, -1]
+    total = (gains + before[:, :, None]).reshape(len(rates), count * degree)
     return np.column_stack([np.zeros(len(rates)), total])
 
 
@@ -322,11 +294,11 @@ class SavedPlan(NamedTuple):
         }
 
 
-def save_plan(program: Program, found: NlpSolution) -> SavedPlan:
+def save_plan(program: Program, solution: NlpSolution) -> SavedPlan:
     """Return the arrays of a solution for a later warm start."""
-    motion = motion_of(program, found.unknowns)
+    motion = motion_of(program, solution.unknowns)
     return save_motion(motion, program.task.dae)._replace(
-        bound_multipliers=found.bound_multipliers, row_multipliers=found.row_multipliers
+        bound_multipliers=solution.bound_multipliers, row_multipliers=solution.row_multipliers
     )
 
 
@@ -359,36 +331,28 @@ def _model_number(dae: Dae) -> Array:
 
 
 def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
-    """Return a saved motion in the local coordinates of a model.
-
-    Raises ModelError if the model and the saved plan have different states, algebraic unknowns or
-    inputs.
-    """
+    """Return a saved motion in the local coordinates of a model, which must be the same."""
     if not np.array_equal(former.model, _model_number(dae)):
         raise ModelError(
             "plan: expected a saved plan with the states, unknowns and inputs of this model, found "
             "others (of another vehicle, model or law); restore the vehicle, model and law of the "
             "saved plan, or plan without the saved plan"
         )
-    found, away = former.motion, former.shift - np.concatenate(dae.shift)
-    unknowns, n_x = found.unknowns.copy(), dae.shift[0].size
-    count = found.layout.unknowns.shape[2]
-    unknowns[found.layout.first] += away[:n_x]
-    unknowns[found.layout.states] += away[:n_x]
-    unknowns[found.layout.unknowns] += away[n_x : n_x + count]
-    return found._replace(unknowns=unknowns)
+    motion, away = former.motion, former.shift - np.concatenate(dae.shift)
+    unknowns, layout, n_x = motion.unknowns.copy(), motion.layout, dae.shift[0].size
+    unknowns[layout.first] += away[:n_x]
+    unknowns[layout.states] += away[:n_x]
+    unknowns[layout.unknowns] += away[n_x : n_x + layout.unknowns.shape[2]]
+    return motion._replace(unknowns=unknowns)
 
 
 def from_arrays(arrays: Mapping[str, Array], where: str) -> SavedPlan:
-    """Return the saved plan in the arrays of a file; ``where`` names the file in error messages.
-
-    Raises DataError if an array of a plan is missing.
-    """
+    """Return the saved plan in the arrays of a file; ``where`` names the file in error messages."""
     multipliers = {"bound_multipliers", "row_multipliers"}
-    found = {name: arrays.get(f"{ARRAY_PREFIX}{name}") for name in SavedPlan._fields}
-    if any(value is None for name, value in found.items() if name not in multipliers):
+    fields = {name: arrays.get(f"{ARRAY_PREFIX}{name}") for name in SavedPlan._fields}
+    if any(value is None for name, value in fields.items() if name not in multipliers):
         raise DataError(
             f"{where}: expected the result of a plan, found no plan in it; give a file that "
             'slipfree run wrote for a problem with verb = "plan"'
         )
-    return SavedPlan(*(np.zeros(0) if value is None else value for value in found.values()))
+    return SavedPlan(*(np.zeros(0) if value is None else value for value in fields.values()))

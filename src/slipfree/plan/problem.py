@@ -24,10 +24,7 @@ ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bo
 
 
 def duration_of(value: float | Range) -> Range:
-    """Return the smallest and the largest duration in s, from a number or a range.
-
-    Raises ModelError if a duration is not positive and finite, or the range descends.
-    """
+    """Return the smallest and the largest duration in s, from a number or a range."""
     low, high = (value, value) if isinstance(value, int | float) else value
     if not 0 < low <= high < np.inf:
         raise ModelError(
@@ -37,35 +34,28 @@ def duration_of(value: float | Range) -> Range:
     return float(low), float(high)
 
 
-def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
-    """Return the terms of the cost from weights by name, or the given terms unchanged.
-
-    Raises ModelError if a name is unknown, or a weight is negative or not a number.
-    """
-    if not isinstance(given, Mapping):
-        return tuple(given)
-    costs = []
-    for name, weight in given.items():
+def costs_of(dae: Dae, costs: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
+    """Return the terms of the cost from weights by name, or terms unchanged."""
+    if not isinstance(costs, Mapping):
+        return tuple(costs)
+    terms = []
+    for name, weight in costs.items():
         if not weight >= 0:
             raise ModelError(
                 f"plan: costs: expected a weight of at least 0 for {name!r}, found {weight}; "
                 "correct it"
             )
-        costs.append(_cost_term(dae, name)._replace(weight=weight))
-    return tuple(costs)
+        terms.append(_cost_term(dae, name)._replace(weight=weight))
+    return tuple(terms)
 
 
 def cost_limits_of(
-    dae: Dae, costs: Sequence[Cost], given: Mapping[str, float]
+    dae: Dae, costs: Sequence[Cost], highest_of: Mapping[str, float]
 ) -> tuple[tuple[Cost, ...], tuple[tuple[int, float], ...]]:
-    """Return the terms of the cost and the limits of their integrals, by index of the term.
-
-    Limited terms that are not among the costs are added with weight 0. Raises ModelError if a name
-    is unknown or a limit is not positive and finite.
-    """
+    """Return the terms of the cost, with weight 0 if only limited, and the limits by index."""
     names, terms = [cost.name for cost in costs], list(costs)
     limits = []
-    for name, highest in given.items():
+    for name, highest in highest_of.items():
         if not 0 < highest < np.inf:
             raise ModelError(
                 f"plan: cost_limits: expected a positive, finite limit of {name!r}, found "
@@ -87,20 +77,19 @@ def _cost_term(dae: Dae, name: str) -> Cost:
         unit = "N2 m2 s" if units & {"N m", "N"} else "rad2 s-1"
         return Cost(name, ca.sumsqr(ca.vertcat(*leaves(dae.u))), unit, "squared inputs")
     if name == "slip":
-        parts = [*dae.named("slip_along"), *dae.named("slip_across")]
-        slip = ca.sumsqr(ca.vertcat(*parts))
+        slip = ca.sumsqr(ca.vertcat(*dae.named("slip_along"), *dae.named("slip_across")))
         return Cost(name, slip, "m2 s-1", "squared slip of all wheels")
     if name == "energy":
         return Cost(name, _driving_power(dae), "J", "work of the drives, without braking")
     away = dae.reported.get(name, 0.0)
     terms = (each + away if away else each for each in dae.named(name))
     squares = ca.SX(sum(_squared(each) for each in terms))
-    words = f"squared {name}, integrated over time"
-    return Cost(name, squares, _squared_unit(dae, name), words)
+    meaning = f"squared {name}, integrated over time"
+    return Cost(name, squares, _squared_unit(dae, name), meaning)
 
 
 def _driving_power(dae: Dae) -> ca.SX:
-    """Return the sum of the positive drive powers in W, smooth where a power changes sign.
+    """Return the sum of the positive drive powers [W], smooth where a power changes sign.
 
     A power ``p`` contributes ``(p + sqrt(p^2 + e^2) - e) / 2`` with ``e`` = `BLENDED_POWER`.
     """
@@ -127,29 +116,18 @@ def _squared_unit(dae: Dae, name: str) -> str:
     return "s" if unit == "1" else f"({unit})2 s"
 
 
-def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
-    """Return limits from ranges by name, in map coordinates, or the given limits unchanged.
-
-    Raises ModelError if a name is unknown or a range descends.
-    """
-    if not isinstance(given, Mapping):
-        return tuple(given)
-    return tuple(
-        limit for name, bounds in given.items() for limit in _conditions(dae, name, bounds)
-    )
+def limits_of(dae: Dae, limits: Mapping[str, float | Range] | Sequence[Limit]) -> tuple[Limit, ...]:
+    """Return limits from values or ranges by name, in map coordinates, or limits unchanged."""
+    if not isinstance(limits, Mapping):
+        return tuple(limits)
+    return tuple(limit for name, value in limits.items() for limit in _conditions(dae, name, value))
 
 
 def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
-    """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities.
-
-    Raises ModelError if the name is unknown or the range descends.
-    """
+    """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities."""
     low, high = (bounds, bounds) if isinstance(bounds, int | float) else bounds
-    if not low <= high:
-        raise ModelError(
-            f"plan: expected ascending bounds of {name!r}, found {low} to {high}; exchange them"
-        )
-    found = False
+    _check_ascending(name, low, high)
+    is_known = False
     for record, shift in (("x", dae.shift[0]), ("z", dae.shift[1]), ("u", None), ("y", None)):
         labels = list(leaves(getattr(dae.labels, record)))
         for k, (label, expression) in enumerate(
@@ -158,16 +136,23 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
             if name in (label.name, label.full):
                 away = dae.reported.get(label.full, 0.0)
                 away += 0.0 if shift is None else float(shift[k])
-                words = f"{label.words}{LIMITED_SUFFIX}"
-                own = replace(label, name=f"{label.name}_limit", words=words)
+                meaning = f"{label.words}{LIMITED_SUFFIX}"
+                own = replace(label, name=f"{label.name}_limit", words=meaning)
                 yield _smooth_limit(Limit(own, expression, low - away, high - away))
-                found = True
+                is_known = True
     for limit in dae.limits:
         if name in (limit.label.name, limit.label.full):
             yield limit._replace(lower=max(low, limit.lower), upper=min(high, limit.upper))
-            found = True
-    if not found:
+            is_known = True
+    if not is_known:
         dae.named(name)  # raises an error with the known names
+
+
+def _check_ascending(name: str, low: float, high: float) -> None:
+    if not low <= high:
+        raise ModelError(
+            f"plan: expected ascending bounds of {name!r}, found {low} to {high}; exchange them"
+        )
 
 
 def _smooth_limit(limit: Limit) -> Limit:
@@ -188,60 +173,39 @@ def timed_conditions(
     goal: Mapping[str, float | Range] | Sequence[Limit],
     way_points: Mapping[float, Mapping[str, float | Range] | Sequence[Limit]],
 ) -> Iterator[TimedCondition]:
-    """Yield the conditions at the way-points in order of time, then those at the goal.
-
-    Raises ModelError if a fraction is not above 0 and below 1, a name is unknown, or a range
-    descends.
-    """
+    """Yield the conditions at the way-points in order of time, then those at the goal."""
     for fraction, wanted in sorted(way_points.items()):
         if not 0 < fraction < 1:
             raise ModelError(
                 "plan: way_points: expected fractions of the duration above 0 and below 1, found "
                 f"{fraction:g}; correct it, or use the goal for conditions at the end"
             )
-        yield TimedCondition(fraction, _to_limits(dae, wanted))
-    yield TimedCondition(1.0, _to_limits(dae, goal))
+        yield TimedCondition(fraction, limits_of(dae, wanted))
+    yield TimedCondition(1.0, limits_of(dae, goal))
 
 
-def _to_limits(
-    dae: Dae, wanted: Mapping[str, float | Range] | Sequence[Limit]
-) -> tuple[Limit, ...]:
-    if not isinstance(wanted, Mapping):
-        return tuple(wanted)
-    return tuple(limit for name, value in wanted.items() for limit in _conditions(dae, name, value))
-
-
-def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
-    """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2).
-
-    Raises ModelError if a name is unknown or a range descends.
-    """
+def bounds_of(dae: Dae, ranges: Mapping[str, Range]) -> Array:
+    """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
-    for name, (low, high) in given.items():
+    for name, (low, high) in ranges.items():
         if name not in names:
             raise ModelError(
                 f"plan: bounds of inputs: expected one of {', '.join(names)}, found {name!r}; "
                 "correct the name"
             )
-        if not low <= high:
-            raise ModelError(
-                f"plan: expected ascending bounds of {name!r}, found {low} to {high}; exchange them"
-            )
+        _check_ascending(name, low, high)
         bounds[names.index(name)] = low, high
     return bounds
 
 
-def _initial_bounds(dae: Dae, given: Mapping[str, Range], initial: Mapping[str, float]) -> Array:
-    """Return the bounds of all inputs at the beginning, equal for given values, shape (n_u, 2).
-
-    Raises ModelError if a name is unknown, or a value is outside the bounds of its input.
-    """
-    bounds = bounds_of(dae, given)
+def _initial_bounds(dae: Dae, ranges: Mapping[str, Range], initial: Mapping[str, float]) -> Array:
+    """Return the bounds of all inputs at the beginning, equal for given values, shape (n_u, 2)."""
+    bounds = bounds_of(dae, ranges)
     values = bounds_of(dae, {name: (value, value) for name, value in initial.items()})
     fixed = np.clip(values, bounds[:, :1], bounds[:, 1:])
     for name, value in initial.items():
-        low, high = given.get(name, (-np.inf, np.inf))
+        low, high = ranges.get(name, (-np.inf, np.inf))
         if not low <= value <= high:
             raise ModelError(
                 f"plan: initial_inputs: expected an initial value of {name!r} from {low:g} to "
@@ -267,11 +231,7 @@ def task_of(
     cost_limits: Mapping[str, float] | None = None,
     initial_inputs: Mapping[str, float] | None = None,
 ) -> PlanTask:
-    """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`.
-
-    Raises ModelError if a name is unknown, the goal is empty, a number is out of range, or start,
-    goal and limits contradict each other.
-    """
+    """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`."""
     if not goal:
         raise ModelError(
             "plan: goal: expected values or ranges by name, found none; give at least one"
@@ -308,11 +268,10 @@ def near_conditions(
     """Return conditions with whole turns added to values and ranges of periodic states.
 
     A condition is kept if it is within half a turn of one of the motions, or if its range is a turn
-    or more; otherwise it gets the turns that bring it nearest to the first motion. Motions are
-    functions that return the states at a fraction of the duration, shape (n_x,).
+    or more; otherwise it gets the turns that bring it nearest to the first motion.
     """
     symbols = [(k, x) for k, x in enumerate(leaves(dae.x)) if periodic[k]]
-    found = []
+    near_ones = []
     for condition in conditions:
         states = [motion(condition.fraction) for motion in motions]
         limits = []
@@ -320,8 +279,8 @@ def near_conditions(
             k = next((k for k, x in symbols if ca.is_equal(limit.expression, x)), None)
             near = [] if k is None else [float(each[k]) for each in states]
             limits.append(_near_limit(limit, near))
-        found.append(condition._replace(limits=tuple(limits)))
-    return tuple(found)
+        near_ones.append(condition._replace(limits=tuple(limits)))
+    return tuple(near_ones)
 
 
 def _near_limit(limit: Limit, values: Sequence[float]) -> Limit:

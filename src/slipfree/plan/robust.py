@@ -35,19 +35,10 @@ FINAL = 0  # random stream of the draws for the reported shares only
 
 
 class Bound(NamedTuple):
-    """A bound of a limit, goal or way-point, or the requirement that the motion reaches its end.
+    """A bound of a limit, goal or way-point, or the requirement that the motion reaches its end."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the limited quantity, such as ``"utilisation[left]"`` or ``"y at the goal"``;
-        otherwise a description, such as ``"motion ends early (roll)"``.
-    side : str
-        ``"lower"`` or ``"upper"``; empty for the requirement that the motion reaches its end.
-    """
-
-    name: str
-    side: str = ""
+    name: str  # such as "utilisation[left]", "y at the goal", "motion ends early (roll)"
+    side: str = ""  # ``"lower"``, ``"upper"``, or empty for an early end
 
     def __str__(self) -> str:
         return f"{self.side} bound of {self.name}" if self.side else self.name
@@ -57,21 +48,12 @@ Tightening = Mapping[Bound, float]
 
 
 class DisturbedRun(NamedTuple):
-    """Simulation of a plan in a drawn world, compared with the bounds.
+    """Simulation of a plan in a drawn world, compared with the bounds."""
 
-    Attributes
-    ----------
-    excess : dict of Bound to float
-        Largest value beyond each bound and its tolerance, in the unit of the quantity: positive if
-        the bound is violated, infinite if tightening cannot help. If the motion ends early at a
-        limit of the model, distance of the plan from this limit.
-    distance : float
-        Distance of the end of the motion from that of the plan in x and y; NaN if the motion ends
-        early. [m]
-    """
-
+    # largest value beyond each bound and its tolerance, in the unit of the quantity: positive if
+    # violated, infinite if tightening cannot help
     excess: dict[Bound, float]
-    distance: float
+    distance: float  # of its end from that of the plan in x and y, or NaN [m]
 
     @property
     def holds(self) -> bool:
@@ -80,15 +62,9 @@ class DisturbedRun(NamedTuple):
 
 
 class Replays(NamedTuple):
-    """Simulations of a plan in drawn worlds.
+    """Simulations of a plan in drawn worlds."""
 
-    Attributes
-    ----------
-    each : tuple of DisturbedRun
-        One simulation for each draw.
-    """
-
-    each: tuple[DisturbedRun, ...]
+    each: tuple[DisturbedRun, ...]  # one simulation for each draw
 
     def __repr__(self) -> str:
         return f"Replays: {self.held} of {self.draws} satisfy all bounds"
@@ -126,35 +102,19 @@ class Replays(NamedTuple):
 
     def distances(self, *levels: float) -> list[float]:
         """Return quantiles in m of the distance from the planned end; NaN if all end early."""
-        found = [replay.distance for replay in self.each if np.isfinite(replay.distance)]
-        return [float(np.quantile(found, level)) if found else np.nan for level in levels]
+        finite = [replay.distance for replay in self.each if np.isfinite(replay.distance)]
+        return [float(np.quantile(finite, level)) if finite else np.nan for level in levels]
 
 
 class RobustPlan(NamedTuple, Generic[P]):
-    """A plan with tightened limits, and its simulations in drawn worlds.
+    """A plan with tightened limits, and its simulations in drawn worlds."""
 
-    Attributes
-    ----------
-    plan : P
-        The plan with the tightest limits that were solved.
-    before, after : Replays
-        Simulations of the first plan and of this one for the same draws. The tightening does not
-        depend on these draws.
-    tightening : dict of Bound to float
-        Distance of each tightened bound from the given one, in the unit of the quantity.
-    rounds : int
-        Number of times that the limits were tightened.
-    failure : str
-        Reason why the last round could not tighten the limits as far as intended; empty if it
-        could, or if no round was needed.
-    """
-
-    plan: P
-    before: Replays
-    after: Replays
-    tightening: dict[Bound, float]
-    rounds: int
-    failure: str
+    plan: P  # the plan with the tightest limits that were solved
+    before: Replays  # simulations of the first plan for the final draws
+    after: Replays  # simulations of this plan for the same draws
+    tightening: dict[Bound, float]  # distance from the given bound, in its unit
+    rounds: int  # number of times that the limits were tightened
+    failure: str  # why the last round could not tighten the limits as far as intended
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -176,35 +136,12 @@ def robust_plan(
     missed, the limits of the next plan are tightened by quantiles of these violations, chosen such
     that only half as many of these draws would fail as the share allows: few draws are an uncertain
     sample. If the next plan is not solved, the limits are tightened in smaller steps, as far as
-    possible.
-
-    Parameters
-    ----------
-    first : P
-        The plan with the limits as given.
-    solve : callable
-        Function of the tightening of the bounds and of the previous plan, for a warm start;
-        returns a plan, or raises SlipfreeError if there is none.
-    replay : callable
-        Function of plans and of draws; returns the simulations of each plan.
-    share : float
-        Required share of simulations that satisfy all bounds. [1]
-    draws, final_draws : int
-        Number of draws of a round, and of the final test.
-    seed : int
-        Seed of all draws.
-
-    Returns
-    -------
-    RobustPlan
-        Last solved plan, with its simulations for the draws of the final test. They may still miss
-        the share after five rounds, if no plan with tighter limits is found, or if tightening
-        cannot help.
+    possible. The result, with simulations of the final draws, may miss the share.
     """
     now, tightening, rounds, failure = first, dict[Bound, float](), 0, ""
     for stream in range(FINAL + 1, FINAL + 1 + MAX_ROUNDS):
-        (found,) = replay([now], _draws(seed, stream, draws))
-        added = {} if found.share >= share else added_tightening(found, (1 + share) / 2)
+        (replays,) = replay([now], _draws(seed, stream, draws))
+        added = {} if replays.share >= share else added_tightening(replays, (1 + share) / 2)
         if not added:  # the share is reached, or the motions fail for another reason
             break
         now, done, failure = _tighten_gradually(solve, now, tightening, added)
@@ -219,10 +156,7 @@ def robust_plan(
 def _tighten_gradually(
     solve: Callable[[Tightening, P], P], now: P, tightening: Tightening, added: Tightening
 ) -> tuple[P, float, str]:
-    """Return the plan with tightened limits, the fraction reached, and the reason if it is below 1.
-
-    Steps that are not solved are halved; later steps start from the last solved plan.
-    """
+    """Return the plan with tightened limits, the fraction reached, and the reason if below 1."""
     done, step, failure = 0.0, 1.0, ""
     while done < 1 and step >= MIN_STEP:
         further = min(done + step, 1.0)
@@ -256,27 +190,23 @@ def added_tightening(replays: Replays, share: float) -> dict[Bound, float]:
     ranks = scipy.stats.rankdata(sizes, method="max", axis=0).astype(int)
     needed = min(math.ceil(share * replays.draws), len(finite))
     level = np.sort(ranks.max(axis=1))[needed - 1]
-    found = np.sort(sizes, axis=0)[level - 1].tolist()
-    return {bound: size for bound, size in zip(bounds, found, strict=True) if size > 0}
+    quantiles = np.sort(sizes, axis=0)[level - 1].tolist()
+    return {bound: size for bound, size in zip(bounds, quantiles, strict=True) if size > 0}
 
 
 def tightened_arguments(
     dae: Dae, arguments: Mapping[str, Any], tightening: Tightening
 ) -> dict[str, Any]:
-    """Return arguments of `plan` with tightened limits, goal and way-points.
-
-    Equal bounds are not changed. Limits of the model whose bounds are tightened are added. Raises
-    ModelError if tightened bounds of a quantity exclude each other.
-    """
+    """Return arguments of `plan` with tightened limits, goal and way-points; equal bounds stay."""
     way_points = {
-        fraction: tuple(_tightened(limits_of(dae, given), tightening, role_of(fraction)))
-        for fraction, given in arguments["way_points"].items()
+        fraction: tuple(_tightened(limits_of(dae, limits), tightening, role_of(fraction)))
+        for fraction, limits in arguments["way_points"].items()
     }
-    given, tight = arguments["limits"], {bound.name for bound in tightening}
-    own = [limit for limit in _model_limits(dae, given) if limit_name(limit) in tight]
+    limits, tight = arguments["limits"], {bound.name for bound in tightening}
+    own = [limit for limit in _model_limits(dae, limits) if limit_name(limit) in tight]
     return {
         **arguments,
-        "limits": tuple(_tightened((*given, *own), tightening, "")),
+        "limits": tuple(_tightened((*limits, *own), tightening, "")),
         "goal": tuple(_tightened(limits_of(dae, arguments["goal"]), tightening, role_of(1.0))),
         "way_points": way_points,
     }
@@ -314,54 +244,42 @@ def replay_of(
 ) -> DisturbedRun:
     """Compare a simulation in a drawn world with the bounds of the plan and of its model.
 
-    Parameters
-    ----------
-    dae : Dae
-        Model of the drawn world.
-    arguments : mapping
-        Arguments of `plan` for this model: ``limits``, ``goal`` and ``way_points``.
-    planned : tuple of Dae and PolynomialMotion
-        Model of the plan, and the plan.
-    run : Trajectory
-        Simulation of the planned inputs in the drawn world.
-    accuracy : float
-        Tolerated violation, in the unit of each quantity.
-    goal : float or None
-        Tolerance of conditions with equal bounds, in their units; without it they are ignored.
+    ``accuracy`` is the tolerated violation, ``goal`` the tolerance of conditions with equal bounds,
+    which are ignored without it.
     """
-    found = planned[1]
+    plan = planned[1]
     samples = run.t, *(local_rows(dae, record, run) for record in "xzu")
     limits = (*arguments["limits"], *_model_limits(dae, arguments["limits"]))
     excess = [*_excess(dae, limits, samples, "", accuracy, None)]
     if run.stop is not None:
         excess.append(_excess_at_stop(*planned, run))
         return DisturbedRun(_largest(excess), np.nan)
-    parts = run.t / found.duration
+    fractions = run.t / plan.duration
     periodic = periodic_states(dae, samples[1][:, 0], limits)
-    given = timed_conditions(dae, arguments["goal"], arguments["way_points"])
-    states = [lambda fraction: found.states(np.array([fraction]))[:, 0]]
+    conditions = timed_conditions(dae, arguments["goal"], arguments["way_points"])
+    states = [lambda fraction: plan.states(np.array([fraction]))[:, 0]]
     samples = (
         run.t,
-        same_turn(samples[1], found.states(np.minimum(parts, 1.0)), periodic),
+        same_turn(samples[1], plan.states(np.minimum(fractions, 1.0)), periodic),
         *samples[2:],
     )
-    for condition in near_conditions(dae, [*given], periodic, states):
-        k = int(np.abs(parts - condition.fraction).argmin())
+    for condition in near_conditions(dae, [*conditions], periodic, states):
+        k = int(np.abs(fractions - condition.fraction).argmin())
         at, role = tuple(rows[..., k : k + 1] for rows in samples), role_of(condition.fraction)
         excess += _excess(dae, condition.limits, at, role, accuracy, goal)
     names = [label.full for label in leaves(dae.labels.x)]
     rows = [names.index(name) for name in "xy"]
-    gaps = samples[1][rows, -1] - found.states(np.ones(1))[rows, 0]
+    gaps = samples[1][rows, -1] - plan.states(np.ones(1))[rows, 0]
     return DisturbedRun(_largest(excess), float(np.hypot(*gaps)))
 
 
-def _model_limits(dae: Dae, given: Sequence[Limit]) -> Iterator[Limit]:
+def _model_limits(dae: Dae, own: Sequence[Limit]) -> Iterator[Limit]:
     """Yield the limits of a model, which end simulations, except the given ones."""
-    names = {limit_name(limit) for limit in given}
+    names = {limit_name(limit) for limit in own}
     yield from (limit for limit in dae.limits if limit_name(limit) not in names)
 
 
-def _excess_at_stop(dae: Dae, found: PolynomialMotion, run: Trajectory) -> tuple[Bound, float]:
+def _excess_at_stop(dae: Dae, plan: PolynomialMotion, run: Trajectory) -> tuple[Bound, float]:
     """Return the bound at which a simulation of a plan ended, and an estimate of the excess.
 
     The simulation does not show by how much the bound would have been violated. The excess is the
@@ -370,8 +288,8 @@ def _excess_at_stop(dae: Dae, found: PolynomialMotion, run: Trajectory) -> tuple
     """
     for limit in dae.limits:
         if run.stop is not None and limit.label.full == run.stop.name:
-            part = np.minimum(run.t[-1:] / found.duration, 1.0)
-            sample = run.t[-1:], found.states(part), found.algebraic(part), found.inputs(part)
+            part = np.minimum(run.t[-1:] / plan.duration, 1.0)
+            sample = run.t[-1:], plan.states(part), plan.algebraic(part), plan.inputs(part)
             value = float(limit_values(dae, (limit,), sample)[0, 0])
             side, away = min(
                 (LOWER, value - limit.lower), (UPPER, limit.upper - value), key=itemgetter(1)
@@ -383,10 +301,10 @@ def _excess_at_stop(dae: Dae, found: PolynomialMotion, run: Trajectory) -> tuple
 
 def _largest(excess: Iterable[tuple[Bound, float]]) -> dict[Bound, float]:
     """Return the largest excess of each bound."""
-    found: dict[Bound, float] = {}
+    sizes: dict[Bound, float] = {}
     for bound, size in excess:
-        found[bound] = max(found.get(bound, -np.inf), size)
-    return found
+        sizes[bound] = max(sizes.get(bound, -np.inf), size)
+    return sizes
 
 
 def _excess(
@@ -397,11 +315,7 @@ def _excess(
     accuracy: float,
     tolerance: float | None,
 ) -> Iterator[tuple[Bound, float]]:
-    """Yield every finite bound of limits, and its largest violation.
-
-    Violations up to `tolerated_excess` are tolerated, for conditions with equal bounds up to
-    ``tolerance`` if it is larger; without it these conditions are ignored.
-    """
+    """Yield every finite bound of limits, and its largest violation beyond `tolerated_excess`."""
     values, tolerated = limit_values(dae, limits, samples), tolerated_excess(limits, accuracy)
     for limit, row, least in zip(limits, values, tolerated, strict=True):
         is_point = bool(role) and limit.lower == limit.upper

@@ -14,7 +14,7 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview, leaves
-from slipfree.core.trajectory import SolverError, Trajectory
+from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.ipopt import (
     OTHER_VIOLATION_GROWTH,
@@ -40,9 +40,9 @@ from slipfree.plan.verification import (
     Verification,
     largest_error,
     refine_mesh,
+    simulate_to_failure,
 )
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.simulate import simulate
 
 PERTURBATION = 0.3  # standard deviation of a perturbation, relative to the rms of the input
 MODES = 4  # number of cosines in a perturbation
@@ -108,25 +108,8 @@ def further_guesses(
 ) -> Iterator[tuple[str, Trajectory]]:
     """Yield names and motions of further guesses: reversed inputs, then perturbed inputs.
 
-    Parameters
-    ----------
-    dae, start : Dae, Trajectory
-        Model, and trajectory whose last sample is the start.
-    guess : Trajectory
-        Motion whose inputs are changed.
-    bounds : ndarray, shape (n_u, 2)
-        Bounds of the inputs. The reversed guess is left out if the bounds of an input that is not
-        zero exclude positive or negative values.
-    count : int
-        Largest number of guesses. A perturbed guess is left out if its motion ends before half of
-        the duration, even with the perturbation halved four times.
-    seed : int
-        Seed of the random perturbations.
-
-    Raises
-    ------
-    SolverError
-        If a simulation fails before its first sample.
+    A reversed guess beyond the bounds is left out, and a perturbed one if its motion ends before
+    half of the duration, even with the perturbation halved four times.
     """
     t = guess.t - guess.t[0]
     inputs = np.array([guess.of(label) for label in leaves(dae.labels.u)])
@@ -156,14 +139,8 @@ def _simulated(dae: Dae, start: Trajectory, inputs: Array, t: Array) -> Trajecto
     names = [label.full for label in leaves(dae.labels.u)]
     middles = (inputs[:, 1:] + inputs[:, :-1]) / 2
     rough = SolverOptions(tolerance=GUESS_TOLERANCE)
-    try:
-        return simulate(
-            dae, start, dae.inputs(**dict(zip(names, middles, strict=True))), t, options=rough
-        )
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        return error.trajectory
+    law = dae.inputs(**dict(zip(names, middles, strict=True)))
+    return simulate_to_failure(dae, start, law, t, rough)
 
 
 def count_distinct(optima: Sequence[LocalOptimum]) -> int:
@@ -183,41 +160,21 @@ def distances(optima: Sequence[LocalOptimum]) -> list[float]:
 
 
 class SolvedStage(NamedTuple):
-    """Program that was solved during a search for a plan.
+    """Program that was solved during a search for a plan."""
 
-    Attributes
-    ----------
-    words : str
-        Description of the program, such as ``"without slip cost"``.
-    iterations : int
-        Number of iterations.
-    status : str
-        Return status of IPOPT.
-    seconds : dict of str to float
-        Wall times: ``"total"``, ``"functions"`` (evaluations of the program) and ``"rest"``. [s]
-    cost : float
-        Final cost, with the weights of this stage.
-    convergence : Convergence
-        Cost, violation and barrier parameter of every iterate.
-    """
-
-    words: str
-    iterations: int
-    status: str
-    seconds: dict[str, float]
-    cost: float
-    convergence: Convergence
+    words: str  # description of the program, such as ``"without slip cost"``
+    iterations: int  # number of iterations
+    status: str  # return status of IPOPT
+    seconds: dict[str, float]  # wall times, as in `NlpSolution` [s]
+    cost: float  # final cost, with the weights of this stage
+    convergence: Convergence  # cost, violation and barrier parameter of every iterate
 
     def __repr__(self) -> str:
         return field_overview(self)
 
 
 class SearchState(NamedTuple):
-    """Last solved program of a search, its solution, its initial guess, and all stages so far.
-
-    ``run`` is the sampled solution, or None if it has not been sampled; ``name`` and ``number`` are
-    those of the initial guess.
-    """
+    """Last solved program of a search, its solution and initial guess, and all stages so far."""
 
     program: Program
     found: NlpSolution
@@ -229,34 +186,31 @@ class SearchState(NamedTuple):
 
 
 def named_guesses(
-    task: PlanTask, start: Trajectory, given: Sequence[Trajectory], starts: int, seed: int
+    task: PlanTask, start: Trajectory, guesses: Sequence[Trajectory], starts: int, seed: int
 ) -> list[tuple[str, Trajectory]]:
-    """Return names and motions of initial guesses: those given, then further ones up to ``starts``.
-
-    Raises ModelError if no guess is given.
-    """
-    if not given:
+    """Return names and motions of initial guesses: those given, then others up to ``starts``."""
+    if not guesses:
         raise ModelError(
             "plan: guess: expected at least one motion as initial guess, found none; give one, "
             "such as a simulated motion"
         )
-    named = [(f"guess {number}", each) for number, each in enumerate(given, 1)]
-    missing = max(starts - len(given), 0)
-    return [*named, *further_guesses(task.dae, start, given[0], task.inputs, missing, seed)]
+    named = [(f"guess {number}", each) for number, each in enumerate(guesses, 1)]
+    missing = max(starts - len(guesses), 0)
+    return [*named, *further_guesses(task.dae, start, guesses[0], task.inputs, missing, seed)]
 
 
 def solve_guesses(
     program: Program, guesses: Sequence[tuple[str, Trajectory]], progress: PlanProgress | None
 ) -> list[SearchState]:
     """Solve the program from each guess, and return the solutions, best first."""
-    found: list[SearchState] = []
+    searches: list[SearchState] = []
     for number, (name, guess) in enumerate(guesses, 1):
         of = f"guess {number} of {len(guesses)}, " if len(guesses) > 1 else ""
         search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
-        found.append(search._replace(name=name, number=number))
+        searches.append(search._replace(name=name, number=number))
         if search.found.status == STOPPED_STATUS:
             break
-    return sorted(found, key=partial(_rank, program))
+    return sorted(searches, key=partial(_rank, program))
 
 
 def best_verified(
@@ -294,16 +248,16 @@ def best_verified(
 
 def _local_optimum(search: SearchState, accurate: bool | None) -> LocalOptimum:
     """Return the row of a search in the table of optima; ``accurate`` is None if not simulated."""
-    program, found = search.program, search.found
+    program, solution = search.program, search.found
     outcomes = {None: SOLVED, True: VERIFIED, False: INACCURATE}
-    motion, names = motion_of(program, found.unknowns), ["x", "y"]
+    motion, names = motion_of(program, solution.unknowns), ["x", "y"]
     states = [label.full for label in leaves(program.task.dae.labels.x)]
     rows = [states.index(name) for name in names if name in states]
     return LocalOptimum(
         search.name,
-        outcomes[accurate] if found.success else NOT_SOLVED,
-        found.cost,
-        cost_terms(program, found.unknowns),
+        outcomes[accurate] if solution.success else NOT_SOLVED,
+        solution.cost,
+        cost_terms(program, solution.unknowns),
         motion.duration,
         sum(stage.seconds["total"] for stage in search.stages),
         motion.states(np.linspace(0, 1, PATH_SAMPLES))[rows],
@@ -312,19 +266,16 @@ def _local_optimum(search: SearchState, accurate: bool | None) -> LocalOptimum:
 
 def _rank(program: Program, search: SearchState) -> tuple[bool, float]:
     """Return the sort key of a search: solved programs by cost, then others by violation."""
-    found = search.found
-    return not found.success, found.cost if found.success else largest_violation(
-        program, found.rows
+    solution = search.found
+    return not solution.success, solution.cost if solution.success else largest_violation(
+        program, solution.rows
     )
 
 
 def _solve_in_stages(
     program: Program, first: Array, of: str, progress: PlanProgress | None
 ) -> SearchState:
-    """Solve the program; if slip is a cost, first solve the program without this cost.
-
-    The search with all costs starts from the solution without slip cost.
-    """
+    """Solve the program; if slip is a cost, start from the solution without this cost."""
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}without slip cost" if slips else f"{of}all costs"
     search = _solve_stage(program, first, words, SLIP_STAGES[0] if slips else 1.0, progress)
@@ -386,31 +337,22 @@ def _solve_stage(
     warm: NlpSolution | None = None,
 ) -> SearchState:
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
-    weights = cost_weights(program, part)
-    found = solve_program(program, weights, first, warm=warm, on_iterate=on_iterate)
-    stages = [_stage_of(words, found)]
-    if found.status in STUCK_STATUSES:  # rounding decides whether searches for long plans succeed
-        again = solve_program(
-            program,
-            weights,
-            first,
-            warm=warm,
-            on_iterate=on_iterate,
-            growth=OTHER_VIOLATION_GROWTH,
-        )
+    solve = partial(solve_program, program, cost_weights(program, part), first)
+    solution = solve(warm=warm, on_iterate=on_iterate)
+    stages = [_stage_of(words, solution)]
+    if solution.status in STUCK_STATUSES:  # rounding decides whether long searches succeed
+        again = solve(warm=warm, on_iterate=on_iterate, growth=OTHER_VIOLATION_GROWTH)
         words = f"{words}, again"
         stages.append(_stage_of(words, again))
-        if again.success or largest_violation(program, again.rows) < largest_violation(
-            program, found.rows
-        ):
-            found = again
-    return SearchState(program, found, first, tuple(stages))
+        missed = [largest_violation(program, each.rows) for each in (solution, again)]
+        if again.success or missed[1] < missed[0]:
+            solution = again
+    return SearchState(program, solution, first, tuple(stages))
 
 
-def _stage_of(words: str, found: NlpSolution) -> SolvedStage:
-    return SolvedStage(
-        words, found.iterations, found.status, found.seconds, found.cost, found.convergence
-    )
+def _stage_of(words: str, solution: NlpSolution) -> SolvedStage:
+    names = ("iterations", "status", "seconds", "cost", "convergence")
+    return SolvedStage(words, *(getattr(solution, name) for name in names))
 
 
 def cost_weights(program: Program, part: float) -> Array:
@@ -423,15 +365,12 @@ def cost_weights(program: Program, part: float) -> Array:
 
 
 def _add_limits(search: SearchState, progress: PlanProgress | None) -> SearchState:
-    """Add violated limits of the model to the program and solve it, until none is violated.
-
-    The program is solved again at most `MAX_LIMIT_ROUNDS` times.
-    """
+    """Add violated limits of the model and solve again, at most `MAX_LIMIT_ROUNDS` times."""
     for _ in range(MAX_LIMIT_ROUNDS):
-        program, found = search.program, search.found
-        if not found.success:
+        program, solution = search.program, search.found
+        if not solution.success:
             return search
-        run = sample_plan(program, found.unknowns)
+        run = sample_plan(program, solution.unknowns)
         missed = _violated_limits(program.task, run, VIOLATION_TOLERANCE)
         if not missed:
             return search._replace(run=run)
@@ -522,10 +461,7 @@ def _refine(
 
 
 def cost_terms(program: Program, unknowns: Array) -> dict[str, float]:
-    """Return the integrals of the terms of the cost by name, in their units.
-
-    The unknowns are not scaled.
-    """
+    """Return the integrals of the terms of the cost by name, in their units."""
     values = ca.Function("f", [program.problem["x"], program.problem["p"]], [program.problem["f"]])
     units = np.eye(program.problem["p"].numel())
     costs = {

@@ -28,19 +28,10 @@ Columns = Sequence[ca.MX]
 
 
 class BlockLookup(NamedTuple):
-    """Ground lookup of a block: a function, and the expression of its argument.
+    """Ground lookup of a block: a function, and the expression of its argument."""
 
-    Attributes
-    ----------
-    argument : casadi Function
-        Function ``(v, q, p, c) ->`` argument of the lookup; ``c`` are the results of the preceding
-        lookups of the block.
-    function : casadi Function
-        Function from the argument to the result of the lookup.
-    """
-
-    argument: ca.Function
-    function: ca.Function
+    argument: ca.Function  # function ``(v, q, p, c) ->``; ``c``: results of preceding lookups
+    function: ca.Function  # function from the argument to the result of the lookup
 
 
 class NlpBlock(NamedTuple):
@@ -48,38 +39,17 @@ class NlpBlock(NamedTuple):
 
     The arguments of all functions are unknowns ``v``, constants ``q``, parameters ``p`` and lookup
     results ``c``; derivatives are with respect to ``v``.
-
-    Attributes
-    ----------
-    cost : casadi Function
-        Function ``(v, q, p, c) -> cost``.
-    gradient : casadi Function
-        Function ``(v, q, p, c) -> (cost, gradient of the cost)``.
-    rows : casadi Function
-        Function ``(v, q, p, c) -> rows`` (constraint functions).
-    jacobian : casadi Function
-        Function ``(v, q, p, c) -> (rows, Jacobian of the rows)``.
-    hessian : casadi Function
-        Function ``(v, q, p, c, s, l) ->`` upper triangle of the Hessian of ``s cost + l' rows``.
-    lookups : tuple of BlockLookup
-        Lookups in the order of their evaluation.
-    variable_indices : ndarray, shape (n, n_v)
-        Indices of ``v`` among the unknowns of the program, for each point.
-    row_indices : ndarray, shape (n, n_rows)
-        Indices of the rows among all rows of the program, for each point.
-    constants : ndarray, shape (n, n_q)
-        Values of ``q`` for each point.
     """
 
-    cost: ca.Function
-    gradient: ca.Function
-    rows: ca.Function
-    jacobian: ca.Function
-    hessian: ca.Function
-    lookups: tuple[BlockLookup, ...]
-    variable_indices: Index
-    row_indices: Index
-    constants: Array
+    cost: ca.Function  # function ``(v, q, p, c) -> cost``
+    gradient: ca.Function  # function ``(v, q, p, c) -> (cost, gradient of the cost)``
+    rows: ca.Function  # function ``(v, q, p, c) -> rows`` (constraint functions)
+    jacobian: ca.Function  # function ``(v, q, p, c) -> (rows, Jacobian of the rows)``
+    hessian: ca.Function  # function ``(v, q, p, c, s, l) ->`` upper triangle
+    lookups: tuple[BlockLookup, ...]  # lookups in the order of their evaluation
+    variable_indices: Index  # shape (n, n_v): indices of ``v`` among the unknowns
+    row_indices: Index  # shape (n, n_rows): indices among all rows of the program
+    constants: Array  # shape (n, n_q): values of ``q`` for each point
 
 
 def nlp_block(
@@ -94,43 +64,25 @@ def nlp_block(
 ) -> NlpBlock:
     """Return a block of a program with its derivatives.
 
-    Parameters
-    ----------
-    symbols : tuple of three SX columns
-        Symbols of the unknowns, constants and parameters, ``v, q, p``.
-    cost : SX, shape (1, 1)
-        Cost at a point, in these symbols.
-    rows : SX, shape (n_rows, 1)
-        Constraint functions at a point, in these symbols.
-    lookups : sequence of Lookup
-        Lookups whose results ``cost`` and ``rows`` contain, with arguments in these symbols.
-    indices : tuple of two ndarrays
-        ``variable_indices`` and ``row_indices`` of `NlpBlock`.
-    constants : ndarray, shape (n, n_q)
-        Values of ``q`` for each point.
-    compiled : bool
-        Whether to compile the functions of the rows, their Jacobian and the Hessian.
-
-    Raises
-    ------
-    ModelError
-        If a lookup is exact only up to derivatives of an order below 4.
+    ``cost`` and ``rows`` at a point are expressions of ``symbols``, the unknowns, constants and
+    parameters ``v, q, p``, and of ``lookups``. ``indices`` are ``variable_indices`` and
+    ``row_indices`` of `NlpBlock`, ``constants`` the values of ``q`` for each point, shape (n, n_q).
     """
     lookups = needed_lookups(lookups, [cost, rows])
     check_order(lookups, DERIVATIVE_ORDER, "a plan")
-    v, given, shared = symbols[0], [*symbols, found_column(lookups)], {"cse": True}
+    v, arguments, shared = symbols[0], [*symbols, found_column(lookups)], {"cse": True}
     cost, rows = ca.densify(cost), ca.cse(ca.densify(rows))
 
     def large() -> list[ca.Function]:
         s, multipliers = ca.SX.sym("s"), ca.SX.sym("l", rows.numel())
         hessian = ca.triu(ca.hessian(s * cost + ca.dot(multipliers, rows), v)[0])
         return [
-            ca.Function("rows", given, [rows], shared),
-            ca.Function("jacobian", given, [rows, ca.jacobian(rows, v)], shared),
-            ca.Function("hessian", [*given, s, multipliers], [hessian], shared),
+            ca.Function("rows", arguments, [rows], shared),
+            ca.Function("jacobian", arguments, [rows, ca.jacobian(rows, v)], shared),
+            ca.Function("hessian", [*arguments, s, multipliers], [hessian], shared),
         ]
 
-    key = ca.Function("values", given, [cost, rows], shared)
+    key = ca.Function("values", arguments, [cost, rows], shared)
     block_lookups = tuple(
         BlockLookup(
             ca.Function("argument", [*symbols, found_column(lookups[:k])], [each.argument]),
@@ -141,8 +93,8 @@ def nlp_block(
     names = ("rows", "jacobian", "hessian")
     of_rows, jacobian, hessian = compiled_functions(key, names, large, compiled=compiled)
     return NlpBlock(
-        ca.Function("cost", given, [cost]),
-        ca.Function("gradient", given, [cost, ca.gradient(cost, v)]),
+        ca.Function("cost", arguments, [cost]),
+        ca.Function("gradient", arguments, [cost, ca.gradient(cost, v)]),
         of_rows,
         jacobian,
         hessian,
@@ -153,54 +105,19 @@ def nlp_block(
 
 
 class ProgramFunctions(NamedTuple):
-    """Cost ``f(w, p)`` and constraint functions ``g(w, p)`` of a program, with derivatives.
+    """Cost ``f(w, p)`` and constraint functions ``g(w, p)`` of a program, with derivatives."""
 
-    Attributes
-    ----------
-    w : MX, shape (n_w, 1)
-        Unknowns, divided by their scale.
-    p : MX, shape (n_p, 1)
-        Parameters.
-    f : MX, shape (1, 1)
-        Cost.
-    g : MX, shape (n_g, 1)
-        Rows (constraint functions).
-    gradient : casadi Function
-        Function ``(w, p) -> (f, gradient of f)``, derivatives with respect to ``w``.
-    jacobian : casadi Function
-        Function ``(w, p) -> (g, Jacobian of g)``.
-    hessian : casadi Function
-        Function ``(w, p, s, l) ->`` upper triangle of the Hessian of ``s f + l' g``.
-    """
-
-    w: ca.MX
-    p: ca.MX
-    f: ca.MX
-    g: ca.MX
-    gradient: ca.Function
-    jacobian: ca.Function
-    hessian: ca.Function
+    w: ca.MX  # shape (n_w, 1): unknowns, divided by their scale
+    p: ca.MX  # shape (n_p, 1): parameters
+    f: ca.MX  # shape (1, 1): cost
+    g: ca.MX  # shape (n_g, 1): rows (constraint functions)
+    gradient: ca.Function  # function ``(w, p) -> (f, gradient of f)``
+    jacobian: ca.Function  # function ``(w, p) -> (g, Jacobian of g)``
+    hessian: ca.Function  # function ``(w, p, s, l) ->`` upper triangle of ``s f + l' g``
 
 
 def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunctions:
-    """Return the program that consists of the given blocks.
-
-    Its cost is the sum of the costs of all blocks at all points.
-
-    Parameters
-    ----------
-    blocks : sequence of NlpBlock
-        Blocks; rows of blocks with the same index are added up to one row of the program.
-    scale : ndarray, shape (n_w,)
-        Scale of the unknowns; the blocks take the unknowns of the program times this scale.
-    n_p : int
-        Number of parameters.
-
-    Raises
-    ------
-    ModelError
-        If the argument of a ground lookup calls a function.
-    """
+    """Return the program of blocks, which take the unknowns times ``scale``; equal rows add up."""
     n_g = 1 + max(each.row_indices.max(initial=-1) for each in blocks)
     w, p = ca.MX.sym("w", scale.size), ca.MX.sym("p", n_p)
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", n_g)
@@ -222,43 +139,25 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
 
 
 def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
-    """Return the arguments ``v, q, p, c`` of the functions of a block; ``c`` are lookup results.
-
-    Each argument has one row per point, except ``p``, which has one row for all points.
-    """
+    """Return the arguments ``v, q, p, c`` of the functions of a block; ``c`` are lookup results."""
     count = len(each.variable_indices)
-    given, found = (
+    own, lookups = (
         [_gather(v, each.variable_indices), ca.MX(ca.DM(each.constants)), p.T],
         ca.MX(count, 0),
     )
     for argument, function in each.lookups:
         asked = _repeat_constants(
-            _evaluate_by_columns(argument, [*map(_split_columns, [*given, found])]), count
+            _evaluate_by_columns(argument, [*map(_split_columns, [*own, lookups])]), count
         )[0]
         results = function.map(count)(ca.reshape(asked, count, -1).T)
-        found = ca.horzcat(found, results.T)
-    return [*given, found]
+        lookups = ca.horzcat(lookups, results.T)
+    return [*own, lookups]
 
 
 def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
-    """Evaluate an SX function by applying its operations to columns of numbers.
+    """Evaluate an SX function by applying its operations to columns of numbers, one per point.
 
-    Parameters
-    ----------
-    function : casadi Function
-        SX function without calls of other functions.
-    arguments : sequence of sequences of MX
-        Entries of each argument, each a column with one number per point or a scalar.
-
-    Returns
-    -------
-    list of lists of MX
-        Structurally nonzero entries of each result, each a column or a scalar.
-
-    Raises
-    ------
-    ModelError
-        If the function calls another function.
+    Entries of arguments and structurally nonzero entries of results are MX columns or scalars.
     """
     if function.find_functions():
         name = function.find_functions()[0].name()
@@ -294,17 +193,14 @@ def _split_columns(rows: ca.MX) -> Columns:
 
 
 def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.MX]) -> list[ca.MX]:
-    """Return each result of a function of a block as a column with the values at all points.
-
-    The values of the first entry at all points come first, then those of the second entry.
-    """
+    """Return each result of a block's function as a column, the first entry at all points first."""
     count = len(each.variable_indices)
     if f.is_a("SXFunction") and not f.find_functions():
         # Ten times as fast as calling CasADi's interpreter point by point.
         return _repeat_constants(_evaluate_by_columns(f, [*map(_split_columns, arguments)]), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
-    found = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
-    return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in found]
+    results = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
+    return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in results]
 
 
 def _total_cost(blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX) -> ca.MX:
@@ -330,54 +226,55 @@ def _cost_and_gradient(
     """Return the cost of the program and its gradient with respect to scaled unknowns."""
     cost, values, entries, factors = ca.MX(0), [], [], []
     for each in blocks:
-        own, found = _evaluate_everywhere(each.gradient, each, _arguments(each, v, p))
+        own, gradient = _evaluate_everywhere(each.gradient, each, _arguments(each, v, p))
         which, _ = _row_column(each.gradient.sparsity_out(1))
         rows = each.variable_indices.T[which].ravel()
         cost += ca.sum1(own)
-        values.append(found)
+        values.append(gradient)
         entries.append((rows, np.zeros_like(rows)))
         factors.append(scale[rows])
     return cost, ca.densify(_sum_entries(values, entries, factors, (scale.size, 1)))
 
 
-def _sum_rows(blocks: Sequence[NlpBlock], parts: Sequence[ca.MX]) -> ca.MX:
+def _sum_rows(blocks: Sequence[NlpBlock], rows: Sequence[ca.MX]) -> ca.MX:
     """Return the rows of the program from the rows of all blocks."""
     where = np.concatenate([each.row_indices.T.ravel() for each in blocks])
     if np.unique(where).size == where.size:
-        return ca.vertcat(*parts)[np.argsort(where).tolist()]
+        return ca.vertcat(*rows)[np.argsort(where).tolist()]
     entries = [(where, np.zeros_like(where))]
     shape = (int(where.max()) + 1, 1)
-    return ca.densify(_sum_entries([ca.vertcat(*parts)], entries, [np.ones(where.size)], shape))
+    return ca.densify(_sum_entries([ca.vertcat(*rows)], entries, [np.ones(where.size)], shape))
 
 
 def _rows_and_jacobian(
     blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array
 ) -> tuple[ca.MX, ca.MX]:
     """Return the rows of the program and their Jacobian with respect to scaled unknowns."""
-    parts, values, entries, factors = [], [], [], []
+    own_rows, values, entries, factors = [], [], [], []
     for each in blocks:
-        own, found = _evaluate_everywhere(each.jacobian, each, _arguments(each, v, p))
+        own, jacobian = _evaluate_everywhere(each.jacobian, each, _arguments(each, v, p))
         row, column = _row_column(each.jacobian.sparsity_out(1))
         rows, columns = each.row_indices.T[row].ravel(), each.variable_indices.T[column].ravel()
-        parts.append(own)
-        values.append(found)
+        own_rows.append(own)
+        values.append(jacobian)
         entries.append((rows, columns))
         factors.append(scale[columns])
-    g = _sum_rows(blocks, parts)
+    g = _sum_rows(blocks, own_rows)
     return g, _sum_entries(values, entries, factors, (g.numel(), scale.size))
 
 
 def _lagrangian_hessian(
     blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array, multipliers: tuple[ca.MX, ca.MX]
 ) -> ca.MX:
-    """Return the upper triangle of the Hessian of the Lagrangian for scaled unknowns.
-
-    ``multipliers`` are the factor of the cost, and the multipliers of all rows.
-    """
+    """Return the upper triangle of the Hessian of the Lagrangian for scaled unknowns."""
     values, entries, factors = [], [], []
     for each in blocks:
-        given = [*_arguments(each, v, p), multipliers[0], _gather(multipliers[1], each.row_indices)]
-        (found,) = _evaluate_everywhere(each.hessian, each, given)
+        own = [
+            *_arguments(each, v, p),
+            multipliers[0],
+            _gather(multipliers[1], each.row_indices),
+        ]
+        (hessian,) = _evaluate_everywhere(each.hessian, each, own)
         row, column = _row_column(each.hessian.sparsity_out(0))
         rows, columns = (
             each.variable_indices.T[row].ravel(),
@@ -385,7 +282,7 @@ def _lagrangian_hessian(
         )
         # If two unknowns of a block are one unknown of the program, both triangles count.
         twice = np.repeat(row != column, len(each.variable_indices)) & (rows == columns)
-        values.append(found)
+        values.append(hessian)
         entries.append((np.minimum(rows, columns), np.maximum(rows, columns)))
         factors.append(scale[rows] * scale[columns] * (1 + twice))
     return _sum_entries(values, entries, factors, (scale.size, scale.size))
@@ -396,14 +293,14 @@ def _row_column(sparsity: ca.Sparsity) -> tuple[Index, Index]:
     return row, column
 
 
-def _repeat_constants(found: Sequence[Columns], count: int) -> list[ca.MX]:
+def _repeat_constants(results: Sequence[Columns], count: int) -> list[ca.MX]:
     """Return each result as one column, with scalar entries repeated for all ``count`` points."""
     return [
         ca.vertcat(
             ca.MX(0, 1),
             *(each if each.numel() == count else ca.repmat(each, count) for each in entries),
         )
-        for entries in found
+        for entries in results
     ]
 
 

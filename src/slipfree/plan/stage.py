@@ -62,35 +62,17 @@ class Cost(NamedTuple):
 
 
 class StageFunctions(NamedTuple):
-    """Equations, limits and costs of a model at one collocation point.
+    """Equations, limits and costs of a model at one collocation point."""
 
-    Attributes
-    ----------
-    function : casadi Function
-        Function ``(t, x, z, r, u, c) -> (rates of the states, rows, costs)`` of time, states,
-        algebraic unknowns on which the plan depends, roots, inputs, and lookup results.
-    symbols : tuple of SX
-        Symbols ``t, x, z, r, u``.
-    lookups : tuple of Lookup
-        Lookups whose results are ``c``, with arguments in these symbols.
-    sizes : tuple of 3 ints
-        Numbers of states, algebraic unknowns and inputs.
-    roots : int
-        Number of roots of squared cost terms.
-    labels : tuple of Label, length n_rows
-        Labels of the rows at a point: collocation equations of the states, equations of the model,
-        equations of the roots, limits.
-    lower, upper : ndarray, shape (n_rows,)
-        Bounds of these rows.
-    """
-
+    # ``(t, x, z, r, u, c) -> (rates of the states, rows, costs)`` of time, states, algebraic
+    # unknowns on which the plan depends, roots, inputs, and lookup results
     function: ca.Function
-    symbols: tuple[ca.SX, ...]
-    lookups: tuple[Lookup, ...]
-    sizes: tuple[int, int, int]
-    roots: int
-    labels: tuple[Label, ...]
-    lower: Array
+    symbols: tuple[ca.SX, ...]  # symbols ``t, x, z, r, u``
+    lookups: tuple[Lookup, ...]  # lookups whose results are ``c``, with arguments in these symbols
+    sizes: tuple[int, int, int]  # numbers of states, algebraic unknowns and inputs
+    roots: int  # number of roots of squared cost terms
+    labels: tuple[Label, ...]  # of collocation, equations, roots, limits
+    lower: Array  # shape (n_rows,): bounds of these rows
     upper: Array
 
 
@@ -99,20 +81,11 @@ def stage_functions(
 ) -> StageFunctions:
     """Return the equations, limits and costs at a collocation point.
 
-    Parameters
-    ----------
-    system : System
-        System of the model.
-    costs : sequence of Cost
-        Terms of the cost.
-    limits : sequence of Limit
-        Limits that become a row each, without bounds of single states and unknowns.
-    conditions : sequence of SX
-        Expressions of all limits, way-points and goal. If one of them or a cost contains dependent
-        unknowns of the model, these are unknowns of the plan too.
+    If ``conditions``, the expressions of limits, way-points and goal, or costs contain dependent
+    unknowns of the model, these are unknowns of the plan too.
     """
-    given = [*conditions, *(cost.expression for cost in costs)]
-    dae, blocks = system.dae, _needed_blocks(system, ca.vertcat(ca.SX(0, 1), *given))
+    wanted = [*conditions, *(cost.expression for cost in costs)]
+    dae, blocks = system.dae, _needed_blocks(system, ca.vertcat(ca.SX(0, 1), *wanted))
     x, z, u = dae.columns()
     z = z[: blocks[-1].span.stop]
     alg = ca.vertcat(*dae.alg[: len(blocks)])

@@ -23,93 +23,45 @@ from slipfree.plan.sparse_assembly import Index as Index
 from slipfree.plan.sparse_assembly import NlpBlock, ProgramFunctions, assemble, nlp_block
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.system import System, with_inputs
+from slipfree.solve.system import with_inputs
 
 ALLOWED_DEGREES = (1, 2, 3, 4, 5)
 
 
 class TimedCondition(NamedTuple):
-    """Conditions at one time: the goal at the end, or a way-point.
+    """Conditions at one time: the goal at the end, or a way-point."""
 
-    Attributes
-    ----------
-    fraction : float
-        Time as a fraction of the duration, 1 for the goal. The conditions are imposed at the
-        nearest end of a mesh interval.
-    limits : tuple of Limit
-        Bounds of expressions in the symbols of the model, local; equal bounds fix a value.
-    """
-
-    fraction: float
-    limits: tuple[Limit, ...]
+    fraction: float  # of the duration; the nearest end of a mesh interval is used
+    limits: tuple[Limit, ...]  # local; equal bounds fix a value
 
 
 @dataclass(frozen=True, eq=False)
 class PlanTask:
-    """Optimal control problem of a plan.
+    """Optimal control problem of a plan."""
 
-    Attributes
-    ----------
-    dae : Dae
-        Model of the vehicle on its ground.
-    start : ndarray, shape (n_x,)
-        States at the beginning, in local coordinates.
-    duration : tuple of 2 floats
-        Smallest and largest duration; equal for a fixed duration. [s]
-    costs : tuple of Cost
-        Terms of the cost; their weighted sum is minimised.
-    conditions : tuple of TimedCondition
-        Way-points, then the goal.
-    limits : tuple of Limit
-        Limits at all times, in local coordinates.
-    inputs : ndarray, shape (n_u, 2)
-        Smallest and largest value of each input, infinite without bounds.
-    accelerations : ndarray, shape (n_u, 2)
-        Smallest and largest rate of each input, infinite without limit. [1/s2]
-    smooth : float
-        Weight of the squared rates of the inputs, integrated over time.
-    continuous : bool
-        True for inputs that are continuous and linear on every interval; False for inputs that are
-        constant on every interval.
-    cost_limits : tuple of (int, float)
-        Indices of terms of the cost with a limit, and the largest values of their integrals.
-    initial_inputs : ndarray, shape (n_u, 2), optional
-        Smallest and largest value of each input at the beginning; by default those of ``inputs``.
-    periodic : ndarray of bool, shape (n_x,)
-        States that mean the same after a whole turn (`slipfree.solve.sampling`).
-    """
-
-    dae: Dae
-    start: Array
-    duration: tuple[float, float]
-    costs: tuple[Cost, ...]
-    conditions: tuple[TimedCondition, ...]
-    limits: tuple[Limit, ...]
-    inputs: Array
-    accelerations: Array
-    smooth: float
-    continuous: bool = False
-    cost_limits: tuple[tuple[int, float], ...] = ()
-    initial_inputs: Array | None = None
-    periodic: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    dae: Dae  # model of the vehicle on its ground
+    start: Array  # shape (n_x,): states at the beginning, in local coordinates
+    duration: tuple[float, float]  # smallest and largest duration; equal for a fixed duration [s]
+    costs: tuple[Cost, ...]  # terms of the cost; their weighted sum is minimised
+    conditions: tuple[TimedCondition, ...]  # way-points, then the goal
+    limits: tuple[Limit, ...]  # limits at all times, in local coordinates
+    inputs: Array  # shape (n_u, 2): smallest and largest values, may be infinite
+    accelerations: Array  # shape (n_u, 2): bounds of their rates [1/s2]
+    smooth: float  # weight of the squared rates of the inputs, integrated over time
+    continuous: bool = False  # linear on every interval; else constant
+    cost_limits: tuple[tuple[int, float], ...] = ()  # of their integrals, by index of the term
+    initial_inputs: Array | None = None  # shape (n_u, 2): at the beginning
+    periodic: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  # in whole turns
 
     def __repr__(self) -> str:
         return field_overview(self)
 
 
 class CollocationMesh(NamedTuple):
-    """Mesh of n intervals with the same number of Radau points each.
+    """Mesh of n intervals with the same number of Radau points each."""
 
-    Attributes
-    ----------
-    ends : ndarray, shape (n + 1,)
-        Ends of the intervals as fractions of the duration, from 0 to 1.
-    degree : int
-        Degree of the polynomials and number of points per interval.
-    """
-
-    ends: Array
-    degree: int
+    ends: Array  # shape (n + 1,): ends of the intervals as fractions of the duration, from 0 to 1
+    degree: int  # degree of the polynomials and number of points per interval
 
     @property
     def points(self) -> Array:
@@ -124,50 +76,23 @@ class CollocationMesh(NamedTuple):
 
 
 class RowBlock(NamedTuple):
-    """Rows (constraint functions) of the program, repeated ``count`` times: per interval, or once.
+    """Rows (constraint functions) of the program, repeated per interval, or once."""
 
-    Attributes
-    ----------
-    where : ndarray, shape (count, n_v)
-        Indices of the unknowns on which each repetition depends.
-    labels : tuple of Label, length n_rows
-        Labels of the rows.
-    lower, upper : ndarray, shape (n_rows,)
-        Bounds of the rows.
-    """
-
-    where: Index
+    where: Index  # shape (count, n_v): indices of the unknowns on which each repetition depends
     labels: tuple[Label, ...]
-    lower: Array
+    lower: Array  # shape (n_rows,): bounds of the rows
     upper: Array
 
 
 class VariableLayout(NamedTuple):
-    """Indices of states, inputs, algebraic unknowns, roots and duration among all unknowns.
+    """Indices of states, inputs, algebraic unknowns, roots and duration among all unknowns."""
 
-    Attributes
-    ----------
-    first : ndarray, shape (n_x,)
-        Indices of the states at the beginning.
-    inputs : ndarray, shape (n, n_u) or (n + 1, n_u)
-        Indices of the inputs of each interval, or of continuous inputs at the ends of intervals.
-    states : ndarray, shape (n, degree, n_x)
-        Indices of the states at all points.
-    unknowns : ndarray, shape (n, degree, n_z)
-        Indices of the algebraic unknowns at all points.
-    duration : int
-        Index of the duration, after all of these.
-    roots : ndarray, shape (n, degree, n_r)
-        Indices, after the duration, of the roots of squared cost terms (see `stage_functions`) at
-        all points.
-    """
-
-    first: Index
-    inputs: Index
-    states: Index
-    unknowns: Index
-    duration: int
-    roots: Index = np.zeros((0, 0, 0), dtype=np.intp)
+    first: Index  # shape (n_x,): indices of the states at the beginning
+    inputs: Index  # shape (n, n_u): of intervals or, if continuous, of their ends
+    states: Index  # shape (n, degree, n_x): indices of the states at all points
+    unknowns: Index  # shape (n, degree, n_z): indices of the algebraic unknowns at all points
+    duration: int  # index of the duration, after all of these
+    roots: Index = np.zeros((0, 0, 0), dtype=np.intp)  # shape (n, degree, n_r)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,49 +101,24 @@ class Program:
 
     The unknowns ``x`` are divided by ``scale``; the parameters ``p`` are the weights of the costs,
     with the weight of the smoothness last.
-
-    Attributes
-    ----------
-    task, mesh, layout : PlanTask, CollocationMesh, VariableLayout
-        Optimal control problem, mesh, and indices of the unknowns.
-    options : SolverOptions
-        Options for the construction of the functions and for the simulation of the solution.
-    row_blocks : tuple of RowBlock
-        Rows in their order: those of the intervals, then those of way-points and goal. The rows of
-        limited costs follow them.
-    problem : dict of str to MX
-        Symbols ``x``, ``p`` and expressions ``f``, ``g``, as ``casadi.nlpsol`` takes them.
-    gradient, jacobian, hessian : casadi Function
-        Exact derivatives, as the options ``grad_f``, ``jac_g`` and ``hess_lag`` take them.
-    scale : ndarray, shape (n_w,)
-        Typical sizes of the unknowns.
-    lower, upper : ndarray, shape (n_w,)
-        Bounds of the unknowns, not scaled.
-    g_lower, g_upper : ndarray, shape (n_g,)
-        Bounds of the rows.
-    roots : casadi Function
-        Function ``x ->`` roots of squared cost terms, from the other unknowns, in the order of the
-        layout.
-    compiled : bool
-        Whether the functions at the points are compiled; otherwise CasADi interprets them.
     """
 
-    task: PlanTask
+    task: PlanTask  # optimal control problem, mesh, and indices of the unknowns
     mesh: CollocationMesh
     layout: VariableLayout
-    options: SolverOptions
-    row_blocks: tuple[RowBlock, ...]
-    problem: dict[str, Any]
-    gradient: ca.Function
-    jacobian: ca.Function
-    hessian: ca.Function
-    scale: Array
-    lower: Array
+    options: SolverOptions  # of the functions and of the simulation
+    row_blocks: tuple[RowBlock, ...]  # of intervals, way-points and goal; limited costs follow
+    problem: dict[str, Any]  # as ``casadi.nlpsol`` takes it
+    gradient: ca.Function  # as ``casadi.nlpsol`` takes ``grad_f``
+    jacobian: ca.Function  # ``jac_g``
+    hessian: ca.Function  # ``hess_lag``
+    scale: Array  # shape (n_w,): typical sizes of the unknowns
+    lower: Array  # shape (n_w,): bounds of the unknowns, not scaled
     upper: Array
-    g_lower: Array
+    g_lower: Array  # shape (n_g,): bounds of the rows
     g_upper: Array
-    roots: ca.Function
-    compiled: bool
+    roots: ca.Function  # function ``x ->`` roots of squared cost terms
+    compiled: bool  # whether the functions at the points are compiled
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -227,30 +127,14 @@ class Program:
 def transcribe(
     task: PlanTask, mesh: CollocationMesh, options: SolverOptions = SolverOptions()
 ) -> Program:
-    """Return the nonlinear program of an optimal control problem on a mesh.
-
-    Parameters
-    ----------
-    task : PlanTask
-        Optimal control problem.
-    mesh : CollocationMesh
-        Intervals, and degree of the polynomials on them.
-    options : SolverOptions
-        Whether to compile the functions of the program.
-
-    Raises
-    ------
-    ModelError
-        If the degree of the mesh is not 1 to 5, or a lookup of the model is exact only up to
-        derivatives of an order below 4.
-    """
+    """Return the nonlinear program of an optimal control problem on a mesh."""
     if mesh.degree not in ALLOWED_DEGREES:
         raise ModelError(
             f"degree: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
         )
     rest = task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)})
     system = with_inputs(task.dae, rest, 0, options)
-    bounds, limits = _split(task, system)
+    bounds, limits = _split(task)
     conditions = [
         *task.limits,
         *(limit for condition in task.conditions for limit in condition.limits),
@@ -300,8 +184,8 @@ def transcribe(
 def completed(program: Program, unknowns: Array) -> Array:
     """Return unscaled unknowns with their roots recomputed from the other unknowns."""
     full, n_w = unknowns.copy(), program.roots.size1_in(0)
-    found = program.roots(unknowns[:n_w] / program.scale[:n_w])
-    full[program.layout.roots.ravel()] = np.array(found).ravel()
+    roots = program.roots(unknowns[:n_w] / program.scale[:n_w])
+    full[program.layout.roots.ravel()] = np.array(roots).ravel()
     return full
 
 
@@ -332,25 +216,33 @@ def variable_layout(
 
 
 def _split(
-    task: PlanTask, system: System
+    task: PlanTask,
 ) -> tuple[dict[tuple[str, int], tuple[float, float]], list[Limit]]:
     """Return bounds of single states and unknowns, by record and index, and all other limits."""
-    x, z, _ = system.dae.columns()
     simple: dict[tuple[str, int], tuple[float, float]] = {}
     rows = []
     for limit in task.limits:
-        found = [
-            (kind, k)
-            for kind, column in (("x", x), ("z", z))
-            for k in range(column.numel())
-            if ca.is_equal(limit.expression, column[k])
-        ]
-        if not found:
+        variable = variable_of(task, limit.expression)
+        if variable is None:
             rows.append(limit)
             continue
-        low, high = simple.get(found[0], (-np.inf, np.inf))
-        simple[found[0]] = max(low, limit.lower), min(high, limit.upper)
+        low, high = simple.get(variable, (-np.inf, np.inf))
+        simple[variable] = max(low, limit.lower), min(high, limit.upper)
     return simple, rows
+
+
+def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
+    """Return the record (``"x"`` or ``"z"``) and index of a state or unknown; None for others."""
+    for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
+        for k, symbol in enumerate(leaves(symbols)):
+            if ca.is_equal(expression, symbol):
+                return record, k
+    return None
+
+
+def rate_of(label: Label) -> Label:
+    """Return the label of the rate of an input, in 1/s2."""
+    return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
 
 
 def _with_roots(layout: VariableLayout, point: StageFunctions) -> VariableLayout:
@@ -363,9 +255,8 @@ def _interval_rows(
     task: PlanTask, point: StageFunctions, mesh: CollocationMesh, layout: VariableLayout
 ) -> RowBlock:
     """Return the rows of the intervals: those of the points, then the bounded input rates."""
-    names = [label.full for label in leaves(task.dae.labels.u)]
-    jumps = _bounded(task)
-    rates = [Label(f"{names[k]}_change", "s-2", f"rate of {names[k]}") for k in jumps]
+    inputs, jumps = list(leaves(task.dae.labels.u)), _bounded(task)
+    rates = [rate_of(inputs[k]) for k in jumps]
     low, high = (
         np.append(np.tile(bounds, mesh.degree), task.accelerations[jumps, side])
         for side, bounds in enumerate((point.lower, point.upper))
@@ -409,10 +300,7 @@ def _stage_block(
     *,
     compiled: bool,
 ) -> NlpBlock:
-    """Return the block of the collocation points: collocation, equations, limits and costs.
-
-    Limited costs are rows from the index ``first_limit`` on, to which all points contribute.
-    """
+    """Return the block of the collocation points; limited costs are rows from ``first_limit``."""
     n_x, n_z, n_u = point.sizes
     count, degree = mesh.ends.size - 1, mesh.degree
     nodes, x, z = (ca.SX.sym(*of) for of in (("nodes", n_x, 1 + degree), ("x", n_x), ("z", n_z)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -15,7 +15,13 @@ from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.plan.constraints import quantity_label, role_of, shift_of
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
-from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
+from slipfree.plan.transcription import (
+    CollocationMesh,
+    Index,
+    PlanTask,
+    Program,
+    TimedCondition,
+)
 from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.sampling import TURN, same_turn
 from slipfree.solve.simulate import simulate
@@ -57,49 +63,24 @@ class Verification(NamedTuple):
 
 
 def verify_plan(
-    program: Program,
-    unknowns: Array,
-    start: Trajectory,
-    *,
-    accuracy: float,
-    step: float,
+    program: Program, unknowns: Array, start: Trajectory, *, accuracy: float, step: float
 ) -> Verification:
     """Simulate the inputs of a plan and compare the simulation with the plan.
 
-    Parameters
-    ----------
-    program : Program
-        Nonlinear program of the plan.
-    unknowns : ndarray, shape (n_w,)
-        Solution of the program, not scaled.
-    start : Trajectory
-        Trajectory whose last sample is the start of the plan.
-    accuracy : float
-        Largest admissible difference and violation, each in its unit; for a limit at most 1 % of
-        its range (`tolerated_excess`).
-    step : float
-        Largest time between samples of the simulation. [s]
-
-    Raises
-    ------
-    SolverError
-        If the simulation fails before its first sample.
+    ``accuracy`` is the largest admissible difference and violation, each in its unit; for a limit
+    at most 1 % of its range (`tolerated_excess`).
     """
-    found = motion_of(program, unknowns)
+    motion = motion_of(program, unknowns)
     if program.task.dae.replay is not None:
-        return _verify_on_replay(program, found, start, accuracy=accuracy, step=step)
+        return _verify_on_replay(program, motion, start, accuracy=accuracy, step=step)
     dae, limits = program.task.dae, program.task.limits
-    replay = simulate_plan(dae, start, found, step=step, options=_precise(program))
-    parts = np.minimum(replay.t / found.duration, 1.0)
+    replay = simulate_plan(dae, start, motion, step=step, options=_precise(program))
+    fractions = np.minimum(replay.t / motion.duration, 1.0)
     x, z, u = (local_rows(dae, record, replay) for record in "xzu")
-    planned = found.states(parts)
-    x, gaps = _compare(x, planned, program.task.periodic, accuracy)
+    x, gaps = _compare(x, motion.states(fractions), program.task.periodic, accuracy)
     samples = replay.t, x, z, u
-    over, allowed = (
-        _limit_excess(dae, limits, samples),
-        tolerated_excess(limits, accuracy)[:, None],
-    )
-    where, count = _intervals(program, parts), program.mesh.ends.size - 1
+    over, allowed = _limit_excess(dae, limits, samples), tolerated_excess(limits, accuracy)[:, None]
+    where, count = _intervals(program, fractions), program.mesh.ends.size - 1
     worse = np.zeros(count, dtype=bool)
     if (over > allowed).any():  # refinement moves violations to neighbours
         worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
@@ -107,7 +88,16 @@ def verify_plan(
     if replay.stop is not None:
         # A finer mesh helps only if the simulation ended at a limit that the program contains.
         worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
-    missed = _condition_excess(program, samples, parts)
+    missed = dict[str, float]()
+    for condition, k in _met_conditions(program.task, fractions):
+        one = slice(k, k + 1)
+        at = replay.t[one], x[:, one], z[:, one], u[:, one]
+        missed |= {
+            f"{name} at the {role_of(condition.fraction)}": size
+            for name, size in _excess_by_name(
+                condition.limits, _limit_excess(dae, condition.limits, at)[:, 0]
+            ).items()
+        }
     violation = _excess_by_name(limits, over.max(axis=1)) | missed
     names = [label.full for label in leaves(dae.labels.x)]
     met = max(missed.values(), default=0.0) <= accuracy
@@ -147,7 +137,7 @@ def _precise(program: Program) -> SolverOptions:
 
 
 def _verify_on_replay(
-    program: Program, found: PolynomialMotion, start: Trajectory, *, accuracy: float, step: float
+    program: Program, motion: PolynomialMotion, start: Trajectory, *, accuracy: float, step: float
 ) -> Verification:
     """Compare a plan with the simulation of its inputs by another model, ``dae.replay``.
 
@@ -156,23 +146,16 @@ def _verify_on_replay(
     """
     task, dae = program.task, program.task.dae
     model = dae if dae.replay is None else dae.replay.model
-    replay = simulate_plan(model, start, found, step=step, options=_precise(program))
-    parts = np.minimum(replay.t / found.duration, 1.0)
-    planned = found.states(parts)
+    replay = simulate_plan(model, start, motion, step=step, options=_precise(program))
+    fractions = np.minimum(replay.t / motion.duration, 1.0)
+    planned = motion.states(fractions)
     x, gaps = _compare(local_rows(model, "x", replay), planned, task.periodic, accuracy)
     labels = list(leaves(dae.labels.x))
     placed = gaps[[label.unit in POSITION_UNITS for label in labels]]
-    violation = dict[str, float]()
-    for limit in task.limits:
-        excess = _replay_excess(task, limit, replay, x)
-        if excess > 0:
-            name = limit_name(limit)
-            violation[name] = max(violation.get(name, 0.0), excess)
+    over = np.array([_replay_excess(task, limit, replay, x) for limit in task.limits])
+    violation = _excess_by_name(task.limits, over)
     missed = dict[str, float]()
-    for condition in task.conditions:
-        k = int(np.abs(parts - condition.fraction).argmin())
-        if abs(parts[k] - condition.fraction) > 1e-6:  # the simulation ended before
-            continue
+    for condition, k in _met_conditions(task, fractions):
         for limit in condition.limits:
             excess = _replay_excess(task, limit, replay.part(slice(k, k + 1)), x[:, k : k + 1])
             if excess > 0:
@@ -182,16 +165,15 @@ def _verify_on_replay(
         dict(zip((label.full for label in labels), np.abs(gaps).max(axis=1).tolist(), strict=True)),
         violation | missed,
         _units(task),
-        _error_sources(placed, _intervals(program, parts), accuracy, program.mesh.ends.size - 1),
+        _error_sources(
+            placed, _intervals(program, fractions), accuracy, program.mesh.ends.size - 1
+        ),
         bool(np.abs(placed).max() <= accuracy) and replay.stop is None,
     )
 
 
 def largest_error(program: Program, verification: Verification) -> float:
-    """Return the largest difference from the simulation or violation, each in its unit.
-
-    Speeds are included only if the simulated model is that of the plan.
-    """
+    """Return the largest difference or violation, in its unit; speeds only of the plan's model."""
     is_same = program.task.dae.replay is None
     differences = (
         size
@@ -202,18 +184,17 @@ def largest_error(program: Program, verification: Verification) -> float:
     return max((*differences, *violations), default=0.0)
 
 
-def _intervals(program: Program, parts: Array) -> Index:
+def _intervals(program: Program, fractions: Array) -> Index:
     """Return the index of the mesh interval of each sample, at fractions of the duration."""
     ends = program.mesh.ends
-    where = np.searchsorted(ends, parts - FRACTION_TOLERANCE) - 1
+    where = np.searchsorted(ends, fractions - FRACTION_TOLERANCE) - 1
     return np.asarray(np.clip(where, 0, ends.size - 2))
 
 
 def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory, x: Array) -> float:
     """Return the largest violation of a limit in a simulation with another model, with states x.
 
-    A limit on unknowns of the planned model applies to the quantity of the same name of the other
-    model; it is omitted if there is none.
+    A limit on unknowns of the planned model applies to the quantity of the same name, if any.
     """
     dae, label = task.dae, quantity_label(limit.label)
     if not ca.depends_on(limit.expression, dae.columns()[1]):
@@ -248,37 +229,24 @@ def limit_name(limit: Limit) -> str:
 
 def _excess_by_name(limits: Sequence[Limit], most: Array) -> dict[str, float]:
     """Return the positive violations by name of the limit, the largest for each name."""
-    found: dict[str, float] = {}
+    sizes: dict[str, float] = {}
     for limit, size in zip(limits, most, strict=True):
         if size > 0:
             name = limit_name(limit)
-            found[name] = max(found.get(name, 0.0), float(size))
-    return found
+            sizes[name] = max(sizes.get(name, 0.0), float(size))
+    return sizes
 
 
-def _condition_excess(
-    program: Program, samples: tuple[Array, Array, Array, Array], parts: Array
-) -> dict[str, float]:
-    """Return the violations of goal and way-points by the simulation."""
-    found: dict[str, float] = {}
-    for condition in program.task.conditions:
-        k = int(np.abs(parts - condition.fraction).argmin())
-        if abs(parts[k] - condition.fraction) > 1e-6:  # the simulation ended before
-            continue
-        t, x, z, u = (rows[..., k : k + 1] for rows in samples)
-        over = _limit_excess(program.task.dae, condition.limits, (t, x, z, u))[:, 0]
-        found |= {
-            f"{name} at the {role_of(condition.fraction)}": size
-            for name, size in _excess_by_name(condition.limits, over).items()
-        }
-    return found
+def _met_conditions(task: PlanTask, fractions: Array) -> Iterator[tuple[TimedCondition, int]]:
+    """Yield the conditions whose time a simulation reaches, and the index of their sample."""
+    for condition in task.conditions:
+        k = int(np.abs(fractions - condition.fraction).argmin())
+        if abs(fractions[k] - condition.fraction) <= 1e-6:
+            yield condition, k
 
 
 def tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
-    """Return the tolerance of each limit: the smaller of ``accuracy`` and 1 % of its range.
-
-    For equal bounds it is ``accuracy``.
-    """
+    """Return the tolerance of each limit: the smaller of ``accuracy`` and 1 % of a range."""
     widths = np.array([limit.upper - limit.lower for limit in limits])
     return np.where(
         widths > 0, np.minimum(accuracy, LIMIT_WIDTH_FRACTION * np.abs(widths)), accuracy
@@ -337,15 +305,12 @@ def refine_mesh(mesh: CollocationMesh, worse: Mask) -> CollocationMesh:
     return mesh._replace(ends=np.sort(np.concatenate([mesh.ends, middles[worse]])))
 
 
-def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Record:
-    """Return the inputs of a plan for ``simulate`` at ``times``.
-
-    The times must include the ends of all intervals between the first and the last time.
-    """
+def inputs_along(dae: Dae, motion: PolynomialMotion, times: Array) -> Record:
+    """Return inputs of a plan for ``simulate`` at times, which include all ends of intervals."""
     names = [label.full for label in leaves(dae.labels.u)]
-    ends, values = found.ends, found.unknowns[found.layout.inputs].T
+    ends, values = motion.ends, motion.unknowns[motion.layout.inputs].T
     k = np.searchsorted(ends, (times[1:] + times[:-1]) / 2) - 1
-    if not found.continuous:
+    if not motion.continuous:
         return dae.inputs(**dict(zip(names, values[:, k], strict=True)))
     slopes = np.diff(values) / np.diff(ends)
     bases = values[:, :-1] - slopes * ends[:-1]
@@ -356,39 +321,27 @@ def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Record:
 def simulate_plan(
     dae: Dae,
     start: Trajectory,
-    found: PolynomialMotion,
+    motion: PolynomialMotion,
     *,
     step: float,
     options: SolverOptions = SolverOptions(),
 ) -> Trajectory:
-    """Simulate a model under the inputs of a plan, to its end or to the first failure.
-
-    Parameters
-    ----------
-    dae, start : Dae, Trajectory
-        Model, and trajectory whose last sample is the start.
-    found : PolynomialMotion
-        The plan.
-    step : float
-        Largest time between samples. [s]
-    options : SolverOptions
-        Options of the integrator.
-
-    Raises
-    ------
-    SolverError
-        If the simulation fails before its first sample.
-    """
+    """Simulate a model under the inputs of a plan, to its end or to the first failure."""
     # Limits are often violated just after kinks of the inputs: Chebyshev points are dense there.
-    lengths = np.diff(found.ends)
-    counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), MIN_INTERVAL_SAMPLES).astype(
-        int
-    )
+    lengths = np.diff(motion.ends)
+    counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), MIN_INTERVAL_SAMPLES)
     inside = [(1 - np.cos(np.pi * np.arange(n) / n)) / 2 for n in counts]
-    times = [a + h * part for a, h, part in zip(found.ends[:-1], lengths, inside, strict=True)]
-    t = np.append(np.concatenate(times), found.ends[-1])
+    times = [a + h * part for a, h, part in zip(motion.ends[:-1], lengths, inside, strict=True)]
+    t = np.append(np.concatenate(times), motion.ends[-1])
+    return simulate_to_failure(dae, start, inputs_along(dae, motion, t), t, options)
+
+
+def simulate_to_failure(
+    dae: Dae, start: Trajectory, inputs: Record, t: Array, options: SolverOptions
+) -> Trajectory:
+    """Simulate to the last time or to the first failure, which has samples before it."""
     try:
-        return simulate(dae, start, inputs_along(dae, found, t), t, options=options)
+        return simulate(dae, start, inputs, t, options=options)
     except SolverError as error:
         if error.trajectory is None:
             raise

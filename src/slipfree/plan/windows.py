@@ -49,31 +49,15 @@ GOAL_SUFFIX = " at the goal"  # of the violations of conditions at the end of a 
 
 
 class RouteWindow(NamedTuple):
-    """One window of a long plan.
+    """One window of a long plan."""
 
-    Attributes
-    ----------
-    begin, end : float
-        Arc lengths of the route between which the window was planned. [m]
-    t : float
-        Time at which the window begins. [s]
-    duration : float
-        Duration of the part before the hand-over. [s]
-    iterations : int
-        Number of iterations of all its programs, including those of attempts without solution.
-    seconds : float
-        Wall time of these programs. [s]
-    accurate : bool
-        Whether differences and violations of its simulation are within the accuracy.
-    """
-
-    begin: float
+    begin: float  # arc lengths of the route between which the window was planned [m]
     end: float
-    t: float
-    duration: float
-    iterations: int
-    seconds: float
-    accurate: bool
+    t: float  # time at which the window begins [s]
+    duration: float  # duration of the part before the hand-over [s]
+    iterations: int  # of all its programs, including those without solution
+    seconds: float  # wall time of these programs [s]
+    accurate: bool  # whether differences and violations of its simulation are within the accuracy
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -81,42 +65,21 @@ class RouteWindow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LongPlan:
-    """Plan of a long motion, composed of the parts of windows before their hand-overs.
+    """Plan of a long motion, composed of the parts of windows before their hand-overs."""
 
-    Attributes
-    ----------
-    motion : PolynomialMotion
-        Planned motion as polynomials of time. The states at a hand-over jump by the difference
-        between plan and simulation.
-    replay : Trajectory
-        Simulated motion under the planned inputs, up to the goal or to the last hand-over before a
-        window that was not solved.
-    windows : tuple of RouteWindow
-        Windows in order.
-    difference, violation, units, costs : dict
-        As for `Plan`: largest differences and violations of all windows, and total costs.
-    success, accurate : bool
-        Whether all windows were solved, and whether all of them are accurate.
-    stages : tuple of SolvedStage
-        Programs of all windows in order, including attempts at windows of other lengths.
-    compiled : bool
-        Whether the functions of the programs are compiled.
-    saved : SavedPlan
-        The motion, from which the search may continue or another one may start.
-    """
-
+    # The states at a hand-over jump by the difference between plan and simulation.
     motion: PolynomialMotion
-    replay: Trajectory
+    replay: Trajectory  # up to the goal or an unsolved window
     windows: tuple[RouteWindow, ...]
-    difference: dict[str, float]
+    difference: dict[str, float]  # as for `Plan`, largest of all windows
     violation: dict[str, float]
     units: dict[str, str]
-    costs: dict[str, float]
-    success: bool
+    costs: dict[str, float]  # as for `Plan`, total of all windows
+    success: bool  # whether all windows were solved, and whether all of them are accurate
     accurate: bool
-    stages: tuple[SolvedStage, ...]
-    compiled: bool
-    saved: SavedPlan
+    stages: tuple[SolvedStage, ...]  # in order, including windows of other lengths
+    compiled: bool  # whether the functions of the programs are compiled
+    saved: SavedPlan  # the motion, from which the search may continue or another one may start
 
     def __repr__(self) -> str:
         solved = "accurate" if self.accurate else "not accurate"
@@ -131,10 +94,7 @@ class LongPlan:
 
 
 class _Part(NamedTuple):
-    """Part of a window before its hand-over, or an earlier plan from which the search continues.
-
-    The last five values are those of `Plan`.
-    """
+    """Part of a window before its hand-over, or an earlier plan; the last fields are of `Plan`."""
 
     window: RouteWindow
     motion: PolynomialMotion
@@ -147,21 +107,11 @@ class _Part(NamedTuple):
 
 
 class _HandOver(NamedTuple):
-    """State in which a window begins.
+    """State in which a window begins."""
 
-    Attributes
-    ----------
-    run : Trajectory
-        Trajectory whose last sample is the state.
-    inputs : dict of str to float
-        Inputs at this state; empty if they may jump.
-    reached : float
-        Arc length of the nearest point of the route. [m]
-    """
-
-    run: Trajectory
-    inputs: dict[str, float]
-    reached: float
+    run: Trajectory  # trajectory whose last sample is the state
+    inputs: dict[str, float]  # inputs at this state; empty if they may jump
+    reached: float  # arc length of the nearest point of the route [m]
 
 
 class _WindowSearch(NamedTuple):
@@ -179,7 +129,7 @@ class _WindowSearch(NamedTuple):
     arguments: Mapping[str, Any]
 
     def solve(self, here: _HandOver) -> tuple[Plan, float, tuple[SolvedStage, ...]]:
-        """Return the plan of a window, the arc length at its end [m], and all solved programs.
+        """Return the plan of a window, the arc length at its end, and all programs.
 
         Other lengths are tried if the window has no solution. If none has, the plan is an iterate.
         """
@@ -187,11 +137,11 @@ class _WindowSearch(NamedTuple):
         for change in (0.0, *OTHER_LENGTHS):
             end = here.reached + self.length + change * self.overlap
             end = self.route.length if self.route.length - end < self.overlap else end
-            found = self.attempt(here, end)
-            stages += found.stages
-            if found.success or found.run.outcome is Outcome.INTERRUPTED:
+            attempt = self.attempt(here, end)
+            stages += attempt.stages
+            if attempt.success or attempt.run.outcome is Outcome.INTERRUPTED:
                 break
-        return found, end, stages
+        return attempt, end, stages
 
     def attempt(self, here: _HandOver, end: float) -> Plan:
         """Return the plan of a window from a hand-over to an arc length in m."""
@@ -205,15 +155,12 @@ class _WindowSearch(NamedTuple):
             duration=float(guess.t[-1]),
             initial_inputs=here.inputs,
             progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
-            keep=lambda found: self.keep(found, here, end),
+            keep=lambda unverified: self.keep(unverified, here, end),
             **self.arguments,
         )
 
     def guess(self, here: _HandOver, end: float) -> Trajectory:
-        """Return the motion along the route from a hand-over to an arc length in m.
-
-        A motion that begins beside the route approaches it over the length of an overlap.
-        """
+        """Return the motion along the route, and towards it, from a hand-over to an arc length."""
         s = np.linspace(here.reached, end, WINDOW_POINTS)
         at = self.route.at(s)
         points = np.column_stack([at.x, at.y])
@@ -231,10 +178,9 @@ class _WindowSearch(NamedTuple):
             return error.trajectory
 
     def gate(self, guess: Trajectory) -> tuple[Limit, Limit]:
-        """Return the conditions at the end of a window: the position is on a line segment.
+        """Return the conditions at a window's end: the position is on a line across the guess.
 
-        The segment crosses the end of the guess at a right angle to the heading there, and extends
-        by `ASIDE` times the overlap to either side.
+        The segment extends by `ASIDE` times the overlap to either side.
         """
         dae, half = self.dae, ASIDE * self.overlap
         x, y, heading = (float(guess[name][-1]) for name in ("x", "y", "heading"))
@@ -247,10 +193,7 @@ class _WindowSearch(NamedTuple):
         )
 
     def nearest(self, run: Trajectory, low: float, high: float) -> float:
-        """Return the arc length of the route at the point nearest to the end of a motion [m].
-
-        Only arc lengths from ``low`` to ``high`` are searched.
-        """
+        """Return the arc length, in a range, of the route nearest to a motion's end [m]."""
         x, y = (float(run[name][-1]) for name in "xy")
         s = np.linspace(low, high, int((high - low) * POINTS_PER_METRE) + 2)
         at = self.route.at(s)
@@ -277,55 +220,14 @@ def plan_windows(
 ) -> LongPlan:
     """Return a plan along a long route, planned in windows that overlap.
 
-    Parameters
-    ----------
-    dae : Dae
-        Model of the vehicle.
-    law : callable
-        Function that returns inputs which move the vehicle along a path from its beginning, for the
-        initial guesses, such as ``partial(follow, dae, vehicle, speed=speed)``.
-    start : Trajectory
-        Trajectory whose last sample is the start of the plan.
-    route : Path
-        Route from the start to the goal. Each window but the last ends on a line across the route,
-        at most a quarter of the overlap to its left or right. Between these lines the motion may
-        leave the route.
-    speed : float
-        Mean speed along the route. [m/s]
-    length, overlap : float
-        Length of a window, and length at its end that is planned again in the next window, along
-        the route. [m]
-    goal : mapping of str to float or (low, high)
-        Goal of the last window, as for `plan`.
-    step : float
-        Largest time between samples of the simulation. [s]
-    options : SolverOptions
-        As for `plan`.
-    resume : SavedPlan, optional
-        Earlier result of this function that ended before the goal; its motion is kept, and the
-        search continues at its end.
-    progress : callable, optional
-        As for `plan`; the description of each program begins with the position of the window.
-    keep : callable, optional
-        Called before each window with the plan up to its beginning, without costs, and before the
-        first window is verified with its plan.
-    **arguments
-        Further arguments of `plan`: ``costs`` and optionally ``limits``, ``inputs``, ``intervals``
-        (of a window) and others, but neither ``duration``, ``way_points`` nor ``cost_limits``.
+    Each window but the last ends on a line across the route, at most a quarter of the overlap to
+    its left or right. Between these lines the motion may leave the route. ``law`` returns inputs
+    that move the vehicle along a path, for guesses; ``length`` and ``overlap`` are along the route
+    [m]; ``resume`` is an earlier result that ended before the goal; ``keep`` is called with the
+    plan before each window; ``arguments`` are those of `plan` without ``duration``, ``way_points``
+    and ``cost_limits``.
 
-    Returns
-    -------
-    LongPlan
-        Plan up to the goal, or up to the last hand-over before a window without solution; the stop
-        of ``replay`` then names that window.
-
-    Raises
-    ------
-    ModelError
-        If speed or lengths are out of range, an argument of `plan` is not valid, or ``resume`` is
-        a plan of another model or cannot be simulated to its end.
-    SolverError
-        If no motion along the route can be simulated from the start.
+    If a window has no solution, the plan ends before it, and the stop of ``replay`` names it.
     """
     if not speed > 0:
         raise ModelError(
@@ -338,10 +240,10 @@ def plan_windows(
         )
     own = {"step": step, "options": options, **arguments}
 
-    def keep_first(found: Plan, here: _HandOver, end: float) -> None:
+    def keep_first(planned: Plan, here: _HandOver, end: float) -> None:
         if keep is not None and not parts:
-            part = _first_part(found, (0.0, end), 0.0, 0.0, found.stages)
-            keep(_join([part], None, _stop_of(found, here, end), dae, options))
+            part = _first_part(planned, (0.0, end), 0.0, 0.0, planned.stages)
+            keep(_join([part], None, _stop_of(planned, here, end), dae, options))
 
     search = _WindowSearch(dae, law, route, speed, length, overlap, goal, progress, keep_first, own)
     bounds = bounds_of(dae, arguments.get("inputs") or {})
@@ -355,21 +257,21 @@ def plan_windows(
         if keep is not None and parts:
             words = f"the plan from {here.reached:.4g} m of the route was interrupted"
             keep(_join(parts, None, Stop(PLAN, 0.0, words, Outcome.INTERRUPTED), dae, options))
-        found, end, stages = search.solve(here)
-        stop, task = _stop_of(found, here, end), found.program.task
-        if found.success or not parts:
+        planned, end, stages = search.solve(here)
+        stop, task = _stop_of(planned, here, end), planned.program.task
+        if planned.success or not parts:
             t = sum(part.window.duration for part in parts)
             rest = 0.0 if end == route.length or stop else overlap / speed
-            part = _first_part(found, (here.reached, end), t, rest, stages)
+            part = _first_part(planned, (here.reached, end), t, rest, stages)
             parts.append(part)
             reached = search.nearest(part.replay, here.reached, end) if rest else end
             here = _HandOver(part.replay, _end_inputs(dae, part.motion, bounds), reached)
     return _join(parts, task, stop, dae, options)
 
 
-def _stop_of(found: Plan, here: _HandOver, end: float) -> Stop | None:
+def _stop_of(planned: Plan, here: _HandOver, end: float) -> Stop | None:
     """Return the stop of a window that is not solved or whose simulation stops; otherwise None."""
-    stop = found.replay.stop if found.success else found.run.stop
+    stop = planned.replay.stop if planned.success else planned.run.stop
     if stop is None:
         return None
     words = f"the plan from {here.reached:.4g} to {end:.4g} m of the route: {stop.words}"
@@ -377,48 +279,30 @@ def _stop_of(found: Plan, here: _HandOver, end: float) -> Stop | None:
 
 
 def _first_part(
-    found: Plan,
-    span: tuple[float, float],
-    t: float,
-    rest: float,
-    stages: tuple[SolvedStage, ...],
+    planned: Plan, span: tuple[float, float], t: float, rest: float, stages: tuple[SolvedStage, ...]
 ) -> _Part:
-    """Return the part of a window before its hand-over.
-
-    Parameters
-    ----------
-    found : Plan
-        Plan of the window.
-    span : tuple of 2 floats
-        Arc lengths of the route at the beginning and at the end of the window. [m]
-    t : float
-        Time at the beginning of the window since the start. [s]
-    rest : float
-        Smallest duration of the motion after the hand-over. [s]
-    stages : tuple of SolvedStage
-        All programs that were solved for the window.
-    """
-    motion, run = found.motion, found.replay
+    """Return the part of a window before its hand-over, which leaves at least ``rest`` seconds."""
+    motion, run = planned.motion, planned.replay
     times = motion.ends
     count = max(int(np.searchsorted(times, times[-1] - rest + TIME_TOLERANCE)) - 1, 1)
     last = min(int(np.searchsorted(run.t, times[count] - TIME_TOLERANCE)), run.t.size - 1)
     own = run.part(slice(last + 1))
     violation = {
         name: size
-        for name, size in found.violation.items()
+        for name, size in planned.violation.items()
         if not (rest and name.endswith(GOAL_SUFFIX))
     }
     iterations = sum(stage.iterations for stage in stages)
     seconds = sum(stage.seconds["total"] for stage in stages)
     return _Part(
-        RouteWindow(*span, t, float(own.t[-1]), iterations, seconds, found.accurate),
+        RouteWindow(*span, t, float(own.t[-1]), iterations, seconds, planned.accurate),
         first_intervals(motion, count),
         own,
-        found.difference,
+        planned.difference,
         violation,
-        found.units,
+        planned.units,
         stages,
-        found.compiled,
+        planned.compiled,
     )
 
 
@@ -434,10 +318,7 @@ def _end_inputs(dae: Dae, motion: PolynomialMotion, bounds: Array) -> dict[str, 
 def _former_part(
     dae: Dae, start: Trajectory, saved: SavedPlan, step: float, options: SolverOptions
 ) -> _Part:
-    """Return an earlier plan as the first part of a long plan, simulated again.
-
-    Raises ModelError if it is a plan of another model, or its simulation ends early.
-    """
+    """Return an earlier plan as the first part of a long plan, simulated again."""
     motion = local_motion(saved, dae)
     replay = simulate_plan(dae, start, motion, step=step, options=options)
     if replay.stop is not None:
@@ -450,11 +331,7 @@ def _former_part(
 
 
 def _join(
-    parts: list[_Part],
-    task: PlanTask | None,
-    stop: Stop | None,
-    dae: Dae,
-    options: SolverOptions,
+    parts: list[_Part], task: PlanTask | None, stop: Stop | None, dae: Dae, options: SolverOptions
 ) -> LongPlan:
     """Return the plan composed of parts; ``task`` has the terms of its cost."""
     motion = joined_motions([part.motion for part in parts])
@@ -494,10 +371,10 @@ def _costs(task: PlanTask, motion: PolynomialMotion, options: SolverOptions) -> 
 
 def _largest(sizes: Iterable[dict[str, float]]) -> dict[str, float]:
     """Return the largest value of each name."""
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for each in sizes:
-        found |= {name: max(size, found.get(name, 0.0)) for name, size in each.items()}
-    return found
+        largest |= {name: max(size, largest.get(name, 0.0)) for name, size in each.items()}
+    return largest
 
 
 def _chained(runs: Sequence[Trajectory]) -> Trajectory:

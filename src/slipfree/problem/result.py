@@ -278,7 +278,7 @@ def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
         If the result cannot be read, is not a motion over terrain or contains no problem, if input
         files of its problem are missing or have changed, or if ``out`` cannot be written.
     """
-    from slipfree.files.mcap_writer import write_mcap
+    from slipfree.files.mcap import write_mcap
     from slipfree.problem.build_vehicle import read_robot
     from slipfree.problem.verbs.driving import vehicle_of
 

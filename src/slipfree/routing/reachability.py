@@ -33,59 +33,38 @@ Ends = tuple[tuple[int, int], tuple[int, int]]  # nodes
 
 
 class Objection(NamedTuple):
-    """Reason why a position cannot be part of a motion.
+    """Reason why a position cannot be part of a motion."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the position, such as ``"goal"``.
-    words : str
-        The reason with numbers, and a remedy.
-    sure : bool
-        Whether the position is an error: it is off the map, within reach of a keep-out region or
-        on a slope that friction cannot hold, or one of these two separates it from the start.
-        Otherwise only the search for a route fails, since it requires space for every heading and
-        ground that is not too steep, rough or concave for the footprint; a motion may still
-        exist.
-    """
-
-    name: str
-    words: str
+    name: str  # name of the position, such as ``"goal"``
+    words: str  # the reason with numbers, and a remedy
+    # whether the position is an error: off the map, within reach of a keep-out region or on a slope
+    # that friction cannot hold, or one of these two separates it from the start. Otherwise only the
+    # search for a route fails, since it requires space for every heading; a motion may still exist
     sure: bool
 
 
 def unreachable(
     layers: Traversability, positions: Sequence[tuple[str, float, float]]
 ) -> list[Objection]:
-    """Return the objections to named positions, of which the first is the start; empty if none.
-
-    Objections to single positions come first, then those to positions that cannot be reached from
-    the start.
-    """
-    found = [each for position in positions if (each := _position_objection(layers, *position))]
-    off = {each.name: each.sure for each in found}
+    """Return the objections to named positions, the first of which is the start."""
+    objections = [
+        each for position in positions if (each := _position_objection(layers, *position))
+    ]
+    off = {each.name: each.sure for each in objections}
     first, *others = positions
     if off.get(first[0], False):
-        return found
+        return objections
     for other in others:
         if not off.get(other[0], False):
             each = _separation_objection(
                 layers, first, other, is_judged=not {first[0], other[0]} & set(off)
             )
-            found += [each] if each else []
-    return found
+            objections += [each] if each else []
+    return objections
 
 
 def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
-    """Return the text of an error for a goal that cannot be reached.
-
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-    start, goal : ndarray, shape (2,)
-        Map coordinates. [m]
-    """
+    """Return the text of an error for a goal that cannot be reached."""
     regions = _labels(np.isfinite(layers.cost))
     i, j = np.nonzero(regions == regions[node_at(layers, *start)])
     gaps = np.hypot(layers.x[i] - goal[0], layers.y[j] - goal[1])
@@ -102,10 +81,7 @@ def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
 
 
 def _position_objection(layers: Traversability, name: str, x: float, y: float) -> Objection | None:
-    """Return the reason why the vehicle cannot be at a position; None if it can.
-
-    If the position itself is free, the nearest node of the map decides.
-    """
+    """Return the reason why the vehicle cannot be at a position or its nearest node, or None."""
     wrong = reasons_by_kind(layers, x, y)
     why = "; ".join(wrong.values()) or blocking_reasons(layers, x, y)
     if not why:
@@ -124,7 +100,7 @@ def _separation_objection(
     last: tuple[str, float, float],
     is_judged: bool,
 ) -> Objection | None:
-    """Return the reason why the position ``last`` cannot be reached from ``first``; None if it can.
+    """Return the reason why ``last`` cannot be reached from ``first``, or None.
 
     Keep-out regions and slopes that friction cannot hold are always considered, missing routes only
     if ``is_judged``.
@@ -153,10 +129,7 @@ def _separation_objection(
 
 
 def _keep_out_words(layers: Traversability, ends: Ends) -> str:
-    """Return a text about the keep-out regions that separate two nodes, with a remedy.
-
-    The text is empty if keep-out regions do not separate the nodes.
-    """
+    """Return a text about the keep-out regions that separate two nodes; empty if none do."""
     if _are_connected(~blocked_by(layers)["keep_out"], ends):
         return ""
     regions = layers.limits.keep_out
@@ -181,21 +154,14 @@ def _keep_out_words(layers: Traversability, ends: Ends) -> str:
     return f"several keep-out regions together separate them: {words}; make one smaller or move it"
 
 
-def _divides(
-    layers: Traversability,
-    regions: tuple[Region, ...],
-    ends: Ends,
-) -> bool:
+def _divides(layers: Traversability, regions: tuple[Region, ...], ends: Ends) -> bool:
     """Return whether keep-out regions separate two nodes."""
     limits = layers.limits._replace(keep_out=regions)
     return not _are_connected(~blocked_by(layers._replace(limits=limits))["keep_out"], ends)
 
 
 def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
-    """Return a text about the steepest slope on the easiest route, with a remedy.
-
-    The easiest route minimises the largest value of ``used``, the used fraction of the friction.
-    """
+    """Return a text about the steepest slope on the route of least largest ``used`` friction."""
     levels = np.unique(used[np.isfinite(used) & (used >= 1)])
     low, high = 0, levels.size - 1
     while low < high:
@@ -216,10 +182,7 @@ def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
 
 
 def _labels(free: Mask) -> Array:
-    """Return labels of the connected regions of free nodes, from 1; 0 for blocked nodes.
-
-    Neighbours along x or y are connected, diagonal neighbours are not.
-    """
+    """Return labels of the connected regions of free nodes, from 1; 0 for blocked nodes."""
     return np.asarray(scipy.ndimage.label(free)[0])
 
 

@@ -15,18 +15,10 @@ PlanarPose = tuple[float, float, float]
 
 
 class Arc(NamedTuple):
-    """Arc of a circle or straight line.
+    """Arc of a circle or straight line."""
 
-    Attributes
-    ----------
-    length : float
-        Length, negative if the vehicle drives backwards. [m]
-    curvature : float
-        Change of the heading per metre driven forwards, positive to the left. [1/m]
-    """
-
-    length: float
-    curvature: float
+    length: float  # length, negative if the vehicle drives backwards [m]
+    curvature: float  # change of the heading per metre driven forwards, positive to the left [1/m]
 
 
 def reeds_shepp(
@@ -37,46 +29,12 @@ def reeds_shepp(
 ) -> tuple[Arc, ...]:
     """Return the shortest path of a car between two poses, with cusps where it reverses.
 
-    The arcs are those of the middle of the rear axle.
+    Poses are x, y and heading of the car's centre, which is ``ahead`` of the rear axle; the arcs
+    are those of the middle of the rear axle. Without a final heading, the result is the shortest of
+    the paths to 24 evenly spaced ones.
 
-    Parameters
-    ----------
-    start : tuple of 3 floats
-        x, y and heading of the car's centre; the heading is measured from the y axis, positive to
-        the left. [m, m, rad]
-    goal : tuple of 3 floats
-        The same at the end. If the heading is None, the result is the shortest of the paths to 24
-        evenly spaced final headings, one of which is the heading of the start.
-    turning_radius : float
-        Turning radius of the middle of the rear axle. [m]
-    ahead : float
-        Distance of the centre ahead of the rear axle. [m]
-
-    Returns
-    -------
-    tuple of Arc
-        At most five arcs; none if both poses are equal.
-
-    Raises
-    ------
-    ModelError
-        If the turning radius is not positive and finite.
-
-    References
-    ----------
     J. A. Reeds and L. A. Shepp, "Optimal paths for a car that goes both forwards and backwards",
     Pacific Journal of Mathematics 145 (1990), 367-393.
-
-    Examples
-    --------
-    A car moves 2 m to its right:
-
-    >>> for arc in reeds_shepp((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), 1.0):
-    ...     print(f"{arc.length:.3f} m, curvature {arc.curvature:g} 1/m")
-    0.505 m, curvature 1 1/m
-    -1.318 m, curvature -1 1/m
-    -1.318 m, curvature 1 1/m
-    0.505 m, curvature -1 1/m
     """
     from rsplan import planner  # imported here: only this function uses the package
 

@@ -43,8 +43,7 @@ MAX_COST_RATIO = 2.0  # largest cost of an alternative, relative to the cheapest
 def obstacle_points(layers: Traversability) -> Array:
     """Return a point inside each obstacle, shape (n, 2), in map coordinates [m].
 
-    An obstacle is a connected set of blocked nodes. The result omits obstacles that reach the
-    border of the map, around which no route leads, and obstacles whose bounding box is smaller in
+    An obstacle is a connected set of blocked nodes, neither at the border of the map nor smaller in
     both directions than the diameter of the vehicle's circle.
     """
     labels, _ = scipy.ndimage.label(~np.isfinite(layers.cost), CORNERS)
@@ -61,28 +60,11 @@ def obstacle_points(layers: Traversability) -> Array:
 
 
 def homotopy_class(points: Array, obstacles: Array) -> tuple[int, ...]:
-    """Return the homotopy class of a path among paths with the same ends.
+    """Return the homotopy class of a path among paths with the same ends, as a reduced word.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 2)
-        Vertices of a polyline. [m]
-    obstacles : ndarray, shape (m, 2)
-        A point inside each obstacle. [m]
-
-    Returns
-    -------
-    tuple of int
-        Reduced word of the path. From each obstacle a ray runs in the positive y direction. A
-        crossing of the ray of obstacle ``k``, counted from 1, adds the letter ``k`` if the path
-        runs towards positive x there, otherwise ``-k``; neighbouring letters ``k`` and ``-k``
-        cancel. Two paths with the same ends that pass through no obstacle can be deformed into
-        each other without crossing an obstacle if and only if their words are equal.
-
-    References
-    ----------
-    S. Bhattacharya and R. Ghrist, "Path homotopy invariants and their application to optimal
-    trajectory planning", 2017, arXiv:1710.02871, section 2.
+    From each obstacle a ray runs in the positive y direction. A crossing of the ray of obstacle
+    ``k``, from 1, adds the letter ``k`` towards positive x, otherwise ``-k``; neighbouring letters
+    ``k`` and ``-k`` cancel (Bhattacharya and Ghrist 2017, arXiv:1710.02871, section 2).
     """
     x, y = points[:, :1], points[:, 1:]
     sides = (x >= obstacles[:, 0]).astype(int)  # a vertex on a ray counts as beyond it
@@ -160,32 +142,11 @@ class Route(NamedTuple):
 def route(
     layers: Traversability, start: Point, goal: Point, *, turning_radius: float = 0.0
 ) -> Array:
-    """Return the route of least cost from a start to a goal.
+    """Return way-points, shape (n, 2), of the route of least cost from a start to a goal [m].
 
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-    start, goal : tuple of 2 floats
-        Map coordinates. [m]
-    turning_radius : float
-        Smallest turning radius, kept where there is enough space. [m]
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Way-points from the start to the goal. The distance between them is half the side of the
-        footprint's square (`Limits.half`), or 1/2000 of the route's length if that is more. The
-        cubic spline through them (`Path`) avoids blocked nodes. If no smoothed route does so, the
-        way-points lie on the polyline that the search found, at this distance, half or a quarter of
-        it. If the spline still meets blocked nodes, the way-points are the vertices of the
-        polyline. [m]
-
-    Raises
-    ------
-    ModelError
-        If the start or the goal is not finite, blocked or off the map, if both are equal, if no
-        route connects them, or if the turning radius is negative or not finite.
+    Their distance is half the side of the footprint's square (`Limits.half`), or 1/2000 of the
+    route's length if that is more. The cubic spline through them (`Path`) avoids blocked nodes if
+    possible.
     """
     _check_ends(layers, start, goal, turning_radius)
     ends = np.asarray(start, float), np.asarray(goal, float)
@@ -196,12 +157,7 @@ def route(
 
 
 def routes(
-    layers: Traversability,
-    start: Point,
-    goal: Point,
-    count: int,
-    *,
-    turning_radius: float = 0.0,
+    layers: Traversability, start: Point, goal: Point, count: int, *, turning_radius: float = 0.0
 ) -> list[Route]:
     """Return several routes of different homotopy classes, in order of cost.
 
@@ -233,26 +189,26 @@ def routes(
     _check_ends(layers, start, goal, turning_radius)
     ends = np.asarray(start, float), np.asarray(goal, float)
     obstacles = obstacle_points(layers)
-    found: dict[tuple[int, ...], Route] = {}
+    by_class: dict[tuple[int, ...], Route] = {}
     pending: list[tuple[float, tuple[Ray, ...]]] = [(0.0, ())]
     for _ in range(MAX_SEARCHES * count):
-        if not pending or len(found) == count:
+        if not pending or len(by_class) == count:
             break
         _, closed = pending.pop(0)
         rough = _search(layers, close_rays(layers.cost, closed), *ends)
         if not len(rough):
-            if not found:
+            if not by_class:
                 raise ModelError(f"route: {no_route_words(layers, *ends)}")
             continue
         points = smooth(layers, rough, turning_radius)
         kind = homotopy_class(points, obstacles)
-        if kind not in found:
-            found[kind] = Route(points, _integral(layers, points), polyline_length(points))
+        if kind not in by_class:
+            by_class[kind] = Route(points, _integral(layers, points), polyline_length(points))
         further = crossed_rays(layers, rough, obstacles)
         pending += [(detour, (*closed, ray)) for detour, ray in further]
         pending.sort(key=itemgetter(0))
-    least = min(each.cost for each in found.values())
-    cheap = [each for each in found.values() if each.cost <= MAX_COST_RATIO * least]
+    least = min(each.cost for each in by_class.values())
+    cheap = [each for each in by_class.values() if each.cost <= MAX_COST_RATIO * least]
     return sorted(cheap, key=attrgetter("cost"))
 
 
@@ -287,10 +243,7 @@ def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radiu
 
 
 def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> Array:
-    """Return the points of the cheapest path on the grid, with start and goal, shape (n, 2) [m].
-
-    The result is empty if there is no path.
-    """
+    """Return the cheapest path on the grid with start and goal, shape (n, 2); empty without [m]."""
     first, last = (
         int(np.ravel_multi_index(node_at(layers, *point), cost.shape)) for point in (start, goal)
     )

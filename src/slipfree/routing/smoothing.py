@@ -28,66 +28,29 @@ MIDDLE, EDGE, BEND = np.array([0.5, 0.5]), np.array([-1.0, 1.0]), np.array([1.0,
 
 
 class _Field(NamedTuple):
-    """Part of the map around a route: finite cost, and distance to the nearest blocked node.
+    """Part of the map around a route: finite cost, and distance to the nearest blocked node."""
 
-    Attributes
-    ----------
-    cost, clearance : ndarray, shape (n_x, n_y)
-        Smoothed cost per metre [1], and distance to the nearest blocked node [m].
-    origin, spacing : ndarray, shape (2,)
-        Map coordinates of the first node, and distances between nodes. [m]
-    """
-
-    cost: Array
-    clearance: Array
-    origin: Array
+    cost: Array  # shape (n_x, n_y): smoothed cost per metre [1]
+    clearance: Array  # shape (n_x, n_y): distance to the nearest blocked node [m]
+    origin: Array  # shape (2,): map coordinates of the first node, and distances between nodes [m]
     spacing: Array
 
 
 class _Objective(NamedTuple):
-    """Weights and bounds of the smoothing objective.
+    """Weights and bounds of the smoothing objective."""
 
-    Attributes
-    ----------
-    stiff : float
-        Length that weights the curvature: the cost per metre contains half the square of ``stiff``
-        times the curvature. [m]
-    clear : float
-        Required clearance from blocked nodes. [m]
-    sharpest : float
-        Curvature above which a violation is penalised; infinite without a turning radius. [1/m]
-    weight : float
-        Weight of the violations of clearance and curvature. [1]
-    step : float
-        Mean distance between points. [m]
-    """
-
-    stiff: float
-    clear: float
-    sharpest: float
-    weight: float
-    step: float
+    stiff: float  # weight of the curvature, see `_objective` [m]
+    clear: float  # required clearance from blocked nodes [m]
+    sharpest: float  # curvature above which a violation is penalised, may be infinite [1/m]
+    weight: float  # weight of the violations of clearance and curvature [1]
+    step: float  # mean distance between points [m]
 
 
 def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array:
-    """Return a smooth route near the route that the search found.
+    """Return way-points, shape (m, 2), of a smooth route near the rough one that the search found.
 
-    If no smoothed route avoids all blocked nodes, the result is the route that the search found,
-    if possible with equally spaced points whose spline avoids them.
-
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-    rough : ndarray, shape (n, 2)
-        Points of the route that the search found, in map coordinates. [m]
-    turning_radius : float
-        Smallest turning radius, kept where there is enough space. [m]
-
-    Returns
-    -------
-    ndarray, shape (m, 2)
-        Way-points of the route, in map coordinates. [m]
+    If no smoothed route avoids all blocked nodes, the result is the rough route, if possible with
+    equally spaced points whose spline avoids them.
     """
     step = max(0.25 * layers.limits.half, polyline_length(rough) / MAX_POINTS)
     half = max(layers.limits.half, step)
@@ -148,10 +111,10 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
 
 def _nearest_free(free: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
     """Return the indices of the free node nearest to every node."""
-    found = scipy.ndimage.distance_transform_edt(
+    i, j = scipy.ndimage.distance_transform_edt(
         ~free, h, return_distances=False, return_indices=True
     )
-    return found[0], found[1]
+    return i, j
 
 
 def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
@@ -184,18 +147,13 @@ def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
 
 
 def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, Array]:
-    """Return the smoothing objective, its gradient and an approximation of its Hessian.
+    """Return the smoothing objective, its gradient, and an approximation of its Hessian.
 
-    The objective is the integral along the route of
-    ``cost + (stiff * curvature)**2 / 2 + 10 * weight * (a**2 + b**2) + d**2``, where ``a`` is the
-    relative lack of clearance, ``b`` the relative excess of curvature, and ``d`` the deviation of
-    the distance between two points from its mean, divided by ``step``.
-
-    Returns
-    -------
-    float, ndarray, shape (n, 2), ndarray, shape (6, 2 n - 4)
-        The objective [m], its gradient with respect to the points [1], and a positive definite
-        approximation of the Hessian with respect to the inner points, in upper banded form [1/m].
+    The objective is the integral along the route of ``cost + (stiff * curvature)**2 / 2 + 10 *
+    weight * (a**2 + b**2) + d**2``, where ``a`` is the relative lack of clearance, ``b`` the
+    relative excess of curvature, and ``d`` the deviation of the distance between two points from
+    its mean, divided by ``step``. The Hessian is positive definite, of the inner points, in upper
+    banded form.
     """
     edge = np.diff(p, axis=0)
     # Lengths and curvatures are divisors, hence never exactly zero.
@@ -238,23 +196,19 @@ def _squares(vectors: Array) -> Array:
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])
 
 
-def _gradient(parts: Iterable[tuple[Array, Array]], p: Array) -> Array:
-    """Return the gradient of an objective with respect to the points, shape (n, 2).
-
-    The objective depends on weighted sums of neighbouring points. Each part has the weights of a
-    sum, and the derivatives of the objective with respect to the sums, shape (m, 2).
-    """
+def _gradient(terms: Iterable[tuple[Array, Array]], p: Array) -> Array:
+    """Return the gradient with respect to the points, from those of weighted sums of neighbours."""
     gradient = np.zeros_like(p)
-    for weights, part in parts:
+    for weights, part in terms:
         for k, weight in enumerate(weights):
             gradient[k : k + len(part)] += weight * part
     return gradient
 
 
-def _banded(parts: Iterable[tuple[Array, Array]], count: int) -> Array:
+def _banded(terms: Iterable[tuple[Array, Array]], count: int) -> Array:
     """Return the Hessian of the inner points in upper banded form, shape (6, 2 count - 4)."""
     blocks = np.zeros((3, count, 2, 2))  # blocks[o, k] couples point k to point k + o
-    for weights, part in parts:
+    for weights, part in terms:
         for a in range(len(weights)):
             for b in range(a, len(weights)):
                 blocks[b - a, a : a + len(part)] += weights[a] * weights[b] * part

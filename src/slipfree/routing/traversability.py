@@ -37,10 +37,7 @@ MAX_SLOPE = math.radians(30)  # on ground without friction coefficient; loose so
 
 
 def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
-    """Return the axes of the cost grid; the axes of the ground if they have the given spacing.
-
-    Raises ModelError if the spacing is not positive or more than half the smaller side of the map.
-    """
+    """Return the axes of the cost grid; the axes of the ground if they have the given spacing."""
     extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
     if not spacing > 0:
         raise ModelError(
@@ -63,25 +60,7 @@ def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
 def ground_properties(
     grid: Grid, x: Array, y: Array, half: float, sharpest: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Return slope, roughness and concavity of the ground under the footprint at every node.
-
-    Parameters
-    ----------
-    grid : Grid
-        The ground.
-    x, y : ndarray, shape (n_x,) and (n_y,)
-        Axes of the map. [m]
-    half : float
-        Half the side of the square that represents the footprint. [m]
-    sharpest : float
-        Smallest curvature at which the ground counts as too concave. [1/m]
-
-    Returns
-    -------
-    four ndarrays, shape (n_x, n_y)
-        Slope [rad], roughness [m] and concavity [1/m] as in `Traversability`, and the fraction of
-        the footprint that is too concave [1].
-    """
+    """Return slope, roughness, concavity and concave fraction under the footprint at every node."""
     z = grid.z - grid.z.mean()
     p, q, r, s, t = _derivatives(z, grid.spacing)
     hollow = _largest_curvature(p, q, r, s, t)
@@ -121,11 +100,7 @@ def _derivatives(z: Array, h: tuple[float, float]) -> tuple[Array, Array, Array,
 
 
 def _largest_curvature(p: Array, q: Array, r: Array, s: Array, t: Array) -> Array:
-    """Return the larger principal curvature of a surface, positive if concave upward [1/m].
-
-    The arguments are the first derivatives z_x and z_y [1], and the second derivatives z_xx, z_xy
-    and z_yy [1/m].
-    """
+    """Return the larger principal curvature of a surface, positive if concave upward [1/m]."""
     w = np.sqrt(1 + p**2 + q**2)
     mean = ((1 + q**2) * r - 2 * p * q * s + (1 + p**2) * t) / (2 * w**3)
     total = (r * t - s**2) / w**4
@@ -215,39 +190,18 @@ class Limits(NamedTuple):
 
 
 class Traversability(NamedTuple):
-    """Cost of a map for a vehicle, and the layers from which it was computed.
+    """Cost of a map for a vehicle, and the layers from which it was computed."""
 
-    Attributes
-    ----------
-    x, y : ndarray, shape (n_x,) and (n_y,)
-        Axes in map coordinates. [m]
-    cost : ndarray, shape (n_x, n_y)
-        Cost per metre; infinite where the vehicle's centre must not be. [1]
-    slope : ndarray, shape (n_x, n_y)
-        Slope of the plane fitted to the ground under the footprint. [rad]
-    roughness : ndarray, shape (n_x, n_y)
-        Root mean square deviation of the ground from that plane. [m]
-    hollow : ndarray, shape (n_x, n_y)
-        Largest concavity of the ground in any direction; negative on a dome. [1/m]
-    friction : ndarray, shape (n_x, n_y), or None
-        Tangent of the slope, divided by the mean friction coefficient of the ground under the
-        footprint and by the largest ``grip`` of a wheel; None if the terrain has no friction
-        coefficient. [1]
-    to_hole : ndarray, shape (n_x, n_y)
-        Distance to the nearest cell of the ground with a missing height, negative inside; infinite
-        on a map without holes. [m]
-    limits : Limits
-        Limits of the vehicle.
-    """
-
-    x: Array
+    x: Array  # shape (n_x,): axes in map coordinates [m]
     y: Array
-    cost: Array
-    slope: Array
-    roughness: Array
-    hollow: Array
+    cost: Array  # shape (n_x, n_y): per metre; infinite where the centre must not be [1]
+    slope: Array  # shape (n_x, n_y): of the plane fitted under the footprint [rad]
+    roughness: Array  # shape (n_x, n_y): root mean square deviation from that plane [m]
+    hollow: Array  # shape (n_x, n_y): largest concavity; negative on a dome [1/m]
+    # shape (n_x, n_y): tangent of the slope, divided by the mean friction coefficient of the ground
+    # under the footprint and by the largest ``grip`` of a wheel [1]
     friction: Array | None
-    to_hole: Array
+    to_hole: Array  # shape (n_x, n_y): distance to a missing height, negative inside [m]
     limits: Limits
 
     @property
@@ -334,15 +288,7 @@ def traversability(
 
 
 def blocking_reasons(layers: Traversability, x: float, y: float) -> str:
-    """Return the reasons why a vehicle cannot be at a position, as text; empty if it can.
-
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-    x, y : float
-        Map coordinates. [m]
-    """
+    """Return the reasons why a vehicle cannot be at a position, as text; empty if it can."""
     off = to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
     i, j = node_at(layers, x, y)
     if not off and math.isfinite(layers.cost[i, j]):
@@ -355,7 +301,7 @@ def extents(vehicle: Vehicle) -> tuple[float, float, float]:
     """Return half the width and half the length of a vehicle, and the radius of its circle [m].
 
     The circle about the platform's centre encloses all wheels, each as a sphere, since a wheel may
-    be steered and tilted. Width and length are those with straight wheels.
+    be steered and tilted.
     """
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
@@ -394,20 +340,12 @@ def _formula(function: Formula, x: Array, y: Array) -> Array:
 
 
 def blocked_by(layers: Traversability) -> dict[str, Mask]:
-    """Return the masks of blocked nodes, by reason.
+    """Return the masks of blocked nodes, by reason; a node may have several.
 
-    Parameters
-    ----------
-    layers : Traversability
-        The map.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n_x, n_y)
-        True for blocked nodes, by reason; a node may have several. A wheel could reach over the
-        ``"edge"`` of the map, into a ``"hole"`` or into a ``"keep_out"`` region. The ground
-        has a ``"slope"`` that is too steep or that ``"friction"`` cannot hold, a ``"roughness"`` of
-        at least the wheel radius, or a ``"hollow"`` whose radius is at most the wheel radius.
+    A wheel could reach over the ``"edge"`` of the map, into a ``"hole"`` or into a ``"keep_out"``
+    region. The ground has a ``"slope"`` that is too steep or that ``"friction"`` cannot hold, a
+    ``"roughness"`` of at least the wheel radius, or a ``"hollow"`` whose radius is at most the
+    wheel radius.
     """
     x, y, limits = layers.x[:, None], layers.y[None, :], layers.limits
     keep_out = np.zeros(layers.cost.shape, dtype=bool)
@@ -447,11 +385,7 @@ def window(
 
 
 def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str]:
-    """Return the reasons why a vehicle cannot be at a position; keys as in `blocked_by`.
-
-    Edge and keep-out regions are evaluated at the position itself, the ground at the nearest node.
-    Off the map, the edge is the only reason.
-    """
+    """Return the reasons why a vehicle cannot be at a position; keys as in `blocked_by`."""
     limits, words = layers.limits, {}
     inside = float(to_edge(limits, np.asarray(x), np.asarray(y)))
     if inside < 0:

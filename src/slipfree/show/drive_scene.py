@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
-from slipfree.core.trajectory import Trajectory
+from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.files.urdf.tree import UrdfJoint
 from slipfree.geometry.mesh import Mesh
@@ -22,7 +22,6 @@ from slipfree.show.ground_drawing import Window
 from slipfree.show.meshes import Refined, clipped, extruded, joined, refined, rod, spokes
 from slipfree.show.scene import (
     BLOCKED,
-    PLAN,
     ROD,
     TYRE,
     Actor,
@@ -38,7 +37,6 @@ from slipfree.show.scene import (
     framed,
     layer,
     map_lines,
-    stopped,
 )
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
@@ -58,47 +56,21 @@ SAME = 1e-9  # smaller differences of grounds are rounding [m]
 
 
 class Driven(NamedTuple):
-    """A motion over terrain with its ground and vehicle.
-
-    Attributes
-    ----------
-    name : str
-        Displayed name.
-    run : Trajectory
-        The motion.
-    terrain : Bicubic
-        The ground.
-    vehicle : Vehicle
-        The vehicle.
-    keep_out : tuple of Region
-        Keep-out regions of a plan.
-    plan : Trajectory or None
-        The plan that the motion simulates, with poses and contact points; None without a plan.
-    prisms : tuple of Prism
-        Solids on the ground.
-    robot : Robot or None
-        URDF of the vehicle; None without one.
-    visuals : mapping of str to Mesh
-        Meshes of links of the URDF, in the frames of the links, by name; empty if unavailable.
-    """
+    """A motion over terrain with its ground and vehicle."""
 
     name: str
     run: Trajectory
     terrain: Bicubic
     vehicle: Vehicle
-    keep_out: tuple[Region, ...] = ()
-    plan: Trajectory | None = None
-    prisms: tuple[Prism, ...] = ()
-    robot: Robot | None = None
-    visuals: Mapping[str, Mesh] = {}
+    keep_out: tuple[Region, ...] = ()  # of a plan
+    plan: Trajectory | None = None  # the plan that the motion simulates, with contact points
+    prisms: tuple[Prism, ...] = ()  # solids on the ground
+    robot: Robot | None = None  # URDF of the vehicle; None without one
+    visuals: Mapping[str, Mesh] = {}  # of links of the URDF, in their frames, by name
 
 
 def drive_scene(drives: Sequence[Driven]) -> Scene:
-    """Return the scene of at least one motion, over the ground of the first.
-
-    Raises ModelError if a motion leaves this ground, or if its own ground differs from it by more
-    than a wheel radius.
-    """
+    """Return the scene of motions over the ground of the first; other grounds are a ModelError."""
     first, grid = drives[0], drives[0].terrain.grid
     reach = max(extents(drive.vehicle)[2] for drive in drives)
     window = _window(drives, grid, reach)
@@ -125,20 +97,17 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
 
 def actors_of(drives: Sequence[Driven], origin: Array) -> list[Actor]:
     """Return the actors of motions and of their plans, relative to the scene's origin [m]."""
-    found = []
+    actors = []
     for k, drive in enumerate(drives):
-        found.append(_actor(drive, drive.run, drive.name, k, origin))
+        actors.append(_actor(drive, drive.run, drive.name, k, origin))
         if drive.plan is not None:
             name = f"{drive.name}: plan"
-            found.append(_actor(drive, drive.plan, name, k + len(drives), origin, ghost=True))
-    return found
+            actors.append(_actor(drive, drive.plan, name, k + len(drives), origin, ghost=True))
+    return actors
 
 
 def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> Mesh:
-    """Return the mesh of a prism in the drawn part of the ground, relative to an origin.
-
-    ``bottom`` is the lowest drawn height. [m]
-    """
+    """Return the mesh of a prism above ``bottom``, relative to an origin, in the drawn part [m]."""
     west, east, south, north = window
     reach = np.hypot(east - west, north - south) / 2
     center = np.array([(west + east) / 2, (south + north) / 2, 0.0])
@@ -194,7 +163,7 @@ def _backdrop(
     def draw(ax: Axes) -> Axes:
         return ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))
 
-    return Backdrop(draw, PLAN, near, AROUND * reach, (28.0, -55.0))
+    return Backdrop(draw, near, AROUND * reach)
 
 
 def _runs(drives: Sequence[Driven]) -> list[Trajectory]:
@@ -216,10 +185,10 @@ def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
     ]
     low, high = slice(0, None, 2), slice(1, None, 2)
     whole = np.array(ground_drawing.whole(grid))
-    found = np.empty(4)
-    found[low] = np.maximum(np.minimum(around[low], least[low]), whole[low])
-    found[high] = np.minimum(np.maximum(around[high], least[high]), whole[high])
-    west, east, south, north = (float(each) for each in found)
+    ends = np.empty(4)
+    ends[low] = np.maximum(np.minimum(around[low], least[low]), whole[low])
+    ends[high] = np.minimum(np.maximum(around[high], least[high]), whole[high])
+    west, east, south, north = (float(each) for each in ends)
     return west, east, south, north
 
 
@@ -251,9 +220,9 @@ def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
     free = np.isfinite(cost)
     top = float(np.percentile(cost[free], 99)) if free.any() else 1.0
     legend = f"cost per metre of path, 1 to {top:.3g}; grey: blocked"
-    found = layer("traversability", np.where(free, cost, 1.0), legend, 1.0, top)
-    found.colors[~free] = BLOCKED
-    return found
+    coloured = layer("traversability", np.where(free, cost, 1.0), legend, 1.0, top)
+    coloured.colors[~free] = BLOCKED
+    return coloured
 
 
 def _actor(
@@ -275,15 +244,12 @@ def _actor(
         contacts - origin,
         tuple(a._replace(starts=a.starts - origin) for a in arrows),
         ghost,
-        stopped(run),
+        stop_words(run),
     )
 
 
 def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[SceneBody]:
-    """Return the bodies of a vehicle and its wheels, with their motion in map coordinates.
-
-    The motion has the platform's pose, every coordinate and the wheel angles.
-    """
+    """Return the bodies of a vehicle and its wheels, with their motion in map coordinates."""
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     return [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
 
@@ -291,10 +257,7 @@ def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[Scen
 def _part_bodies(
     vehicle: Vehicle, parts: FramePoses, wheels: FramePoses, color: Color
 ) -> Iterable[SceneBody]:
-    """Yield the bodies of platform and joints: rods to the joints and wheels that they carry.
-
-    The platform and each other half of the vehicle has a plate.
-    """
+    """Yield the bodies of platform and joints: plates, and rods to their joints and wheels."""
     radius = max(wheel.radius for wheel in vehicle.wheels)
     names = ["platform", *(joint.name for joint in vehicle.joints)]
     spans = _plate_spans(vehicle, parts, wheels)
@@ -324,9 +287,7 @@ def _plate_spans(
 ) -> dict[str, tuple[float, float]]:
     """Return the rear and the front end of the plates of platform and other halves, by part [m].
 
-    Another half of the vehicle carries wheels on both sides, all of them ahead of its joint or all
-    behind it by more than a radius. Its plate extends from the joint to the wheels; the plate of
-    the platform then does not extend to these wheels.
+    Another half carries wheels on both sides, all ahead of its joint or all behind it.
     """
     base = parts.rotations[0, 0]
     places, joints = ((each.origins[0] - parts.origins[0, 0]) @ base for each in (wheels, parts))
@@ -341,12 +302,12 @@ def _plate_spans(
             halves[carried] = number  # of several joints in a row, the last one
     own = ~np.any([*halves, (False,) * len(places)], axis=0)
     ends = np.append(places[own, 1], joints[list(halves.values()), 1])
-    found = {"platform": (float(ends.min()), float(ends.max()))}
+    spans = {"platform": (float(ends.min()), float(ends.max()))}
     for carried, number in halves.items():
         away = places[list(carried), 1] - joints[number, 1]
         span = float(away.min(initial=0)), float(away.max(initial=0))
-        found[vehicle.joints[number - 1].name] = span
-    return found
+        spans[vehicle.joints[number - 1].name] = span
+    return spans
 
 
 def _is_carried(part: str, by: str, parents: Mapping[str, str]) -> bool:
@@ -395,12 +356,12 @@ def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> li
     along = np.cross(normals, axles)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     frame = {"along": along, "across": np.cross(along, normals), "normal": normals}
-    found = []
+    arrows = []
     for name, directions in (("slip", ("along", "across")), ("force", tuple(frame))):
         if {f"{name}_{each}" for each in directions} <= run.columns.keys():
             vectors = sum(run[f"{name}_{each}"][..., None] * frame[each] for each in directions)
-            found.append(Arrows(name, contacts, np.asarray(vectors)))
-    return found
+            arrows.append(Arrows(name, contacts, np.asarray(vectors)))
+    return arrows
 
 
 def ground_normals(terrain: Bicubic, points: Array) -> Array:
@@ -429,10 +390,7 @@ def _cropped(grid: Grid, fine: Refined) -> str:
 
 
 def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]:
-    """Yield a note on the vertical distance of the drawn ground from the contact points.
-
-    There is no note for distances below ``least`` radii of the smallest wheel.
-    """
+    """Yield a note on the vertical distance of the drawn ground from the contact points."""
     off = max(
         float(np.abs(fine.height(x, y) - drive.terrain.elevation(x, y)).max())
         for drive in drives
@@ -445,10 +403,7 @@ def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]
 
 
 def _others(drives: Sequence[Driven]) -> Iterable[str]:
-    """Yield notes on differences between the drawn ground and the grounds of the other motions.
-
-    Raises ModelError if a ground differs by more than a wheel's radius along its motion.
-    """
+    """Yield notes on differences between the drawn ground and the grounds of the other motions."""
     first = drives[0]
     west, east, south, north = first.terrain.domain
     for drive in drives[1:]:

@@ -1,4 +1,4 @@
-"""Films of scenes: all paths in plan view or as a section, and a 3D view of the first vehicle."""
+"""Films of scenes: all paths in plan view, and a 3D view of the first vehicle."""
 
 from __future__ import annotations
 
@@ -19,32 +19,26 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.show import style
-from slipfree.show.scene import ARROWS, PLAN, Actor, Color, Scene, scale_words
+from slipfree.show.scene import ARROWS, Actor, Color, Scene, scale_words
 from slipfree.show.style import MM, PAGE, STYLE
 from slipfree.system.regular_files import replace_file
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")
 MOST = 400  # maximum number of frames of a film; longer motions are shown faster
-ROWS = {"height_ratios": (2, 5)}  # heights of the two axes in a film of a section, which is wide
-COLUMNS = {"width_ratios": (2, 3)}  # widths of the two axes in a film in plan view
-HEIGHTS = (135.0, 90.0)  # heights of a film of a section, and of one in plan view [mm]
+COLUMNS = {"width_ratios": (2, 3)}  # widths of the two axes
+FILM_HEIGHT = 90.0  # [mm]
 HEIGHT, ZOOM = 0.6, 1.55  # height of the 3D view, in widths, and its magnification
+CAMERA = 28.0, -55.0  # elevation and azimuth of the 3D view [deg]
 TITLE = 80  # number of characters in a line of the title
-HEAD = (
-    0.3,
-    0.4,
-)  # length of an arrow's head over the arrow's, and width of the head over its length
+HEAD = 0.3, 0.4  # length of an arrow's head over the arrow's, and its width over its length
 WIDTH = 150  # number of characters in a line below the film
 BELOW = {"fc": "white", "ec": "none", "pad": 1.5}  # behind the text below a film
 T = TypeVar("T")
 
 
 def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
-    """Return the writer of a ``.gif`` or ``.mp4`` file with ``rate`` frames per second.
-
-    Raises DataError if the ending is another one, or if ffmpeg, which ``.mp4`` needs, is missing.
-    """
+    """Return the writer of a ``.gif`` or ``.mp4`` file with ``rate`` frames per second."""
     if file.suffix not in ENDINGS:
         raise DataError(
             f"{file}: expected a name that ends in {' or '.join(ENDINGS)} for a film, found "
@@ -67,11 +61,7 @@ def write_film(
     show: Callable[[T], None],
     steps: Iterable[T],
 ) -> None:
-    """Write a film with one frame per step, drawn by ``show(step)``.
-
-    An existing file is replaced when the film is complete. Raises DataError if the file cannot be
-    written.
-    """
+    """Write a film with one frame per step, drawn by ``show(step)``."""
 
     def fill(part: Path) -> None:
         with writer.saving(figure, str(part), FILM_DPI):
@@ -90,16 +80,12 @@ def write_film(
 
 
 def animate(scene: Scene, file: str | Path, title: str = "") -> str:
-    """Write the motions of a scene as a ``.gif`` or ``.mp4`` film; return its speed in words.
-
-    The 3D view follows the first motion. Raises DataError if the ending is unknown, ffmpeg is
-    missing, or the file cannot be written.
-    """
+    """Write the motions of a scene as a ``.gif`` or ``.mp4`` film; return its speed in words."""
     writer, (first, last) = film_writer(Path(file), FRAMES), scene.span
     count = int(np.clip(np.ceil(FRAMES * (last - first)) + 1, 2, MOST))
     speed = max(1.0, FRAMES * (last - first) / count)
     with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
-        figure = style.figure(PAGE, HEIGHTS[scene.backdrop.axes == PLAN] * MM)
+        figure = style.figure(PAGE, FILM_HEIGHT * MM)
         FigureCanvasAgg(figure)
         film = Film(figure, scene, title, speed)
         figure.draw_without_rendering()
@@ -110,13 +96,10 @@ def animate(scene: Scene, file: str | Path, title: str = "") -> str:
 
 
 class Film:
-    """Artists of a film: positions in a plan or section, and a 3D view of the first vehicle."""
+    """Artists of a film: positions in plan view, and a 3D view of the first vehicle."""
 
     def __init__(self, figure: Figure, scene: Scene, title: str, speed: float) -> None:
-        is_plan = scene.backdrop.axes == PLAN
-        grid = (
-            figure.add_gridspec(1, 2, **COLUMNS) if is_plan else figure.add_gridspec(2, 1, **ROWS)
-        )
+        grid = figure.add_gridspec(1, 2, **COLUMNS)
         flat, space = figure.add_subplot(grid[0]), figure.add_subplot(grid[1], projection="3d")
         self.scene, self.space = scene, space
         self.markers = _draw_paths(flat, scene)
@@ -133,16 +116,14 @@ class Film:
         figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False, bbox=BELOW)
         space.set_axis_off()
         space.computed_zorder = False  # the vehicle is always in front of its ground
-        elevation, azimuth = scene.backdrop.camera
-        space.view_init(elev=elevation, azim=azimuth)
+        space.view_init(*CAMERA)
         self.drawn: list[Any] = []
 
     def show(self, t: float) -> None:
         """Show the scene at a time [s]."""
-        right, up = self.scene.backdrop.axes
         for actor, marker in zip(self.scene.actors, self.markers, strict=True):
-            at = actor.bodies[0].origins[_sample(actor, t)] + self.scene.origin
-            marker.set_data([at[right]], [at[up]])
+            x, y, _ = actor.bodies[0].origins[_sample(actor, t)] + self.scene.origin
+            marker.set_data([x], [y])
         for artist in self.drawn:
             artist.remove()
         actor = self.scene.actors[0]
@@ -157,10 +138,8 @@ class Film:
         self.clock.set(text=f"t = {t:.2f} s", y=self.head.get_position()[1])
 
     def _ground(self, faces: Iterable[Array]) -> Any:
-        shape = Poly3DCollection(
-            list(faces), facecolors="0.95", edgecolors="0.65", lw=0.2, shade=True, zorder=0
-        )
-        return self._add(shape)
+        look: dict[str, Any] = {"facecolors": "0.95", "edgecolors": "0.65", "lw": 0.2}
+        return self._add(Poly3DCollection(list(faces), shade=True, zorder=0, **look))
 
     def _add(self, shape: Any) -> Any:
         """Add a collection to the 3D view, also where it exceeds the square of the axes."""
@@ -180,8 +159,8 @@ class Film:
 
     def _arrows(self, actor: Actor, k: int) -> list[Any]:
         """Draw slip and forces at sample ``k`` as arrows from the contact points; return them."""
-        found = []
-        elevation, azimuth = np.radians(self.scene.backdrop.camera)
+        artists = []
+        elevation, azimuth = np.radians(CAMERA)
         sight = np.array([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)])
         for each in actor.arrows:
             lines = arrow_lines(
@@ -189,16 +168,12 @@ class Film:
             )
             if lines.size:
                 look: dict[str, Any] = {"colors": _shares(ARROWS[each.name]), "lw": 1.4}
-                found.append(self._add(Line3DCollection(lines, zorder=2, **look)))
-        return found
+                artists.append(self._add(Line3DCollection(lines, zorder=2, **look)))
+        return artists
 
 
 def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
-    """Return the shafts and the two sides of the heads of arrows, shape (m, 2, 3).
-
-    ``starts`` and ``vectors`` have the shape (n, 3) [m]; arrows with NaN and of length zero are
-    omitted. The heads are perpendicular to ``sight``, the direction to the camera.
-    """
+    """Return shafts and heads of arrows, shape (m, 2, 3), perpendicular to ``sight``."""
     drawn = np.isfinite(starts + vectors).all(axis=1) & (vectors != 0).any(axis=1)
     starts, vectors = starts[drawn], vectors[drawn]
     tips, back = starts + vectors, -HEAD[0] * vectors
@@ -217,12 +192,11 @@ def _sample(actor: Actor, t: float) -> int:
 def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
     """Draw the ground and the paths of all motions; return the markers of current positions."""
     scene.backdrop.draw(ax)
-    right, up = scene.backdrop.axes
     markers = []
     for actor in scene.actors:
         path, color = actor.bodies[0].origins + scene.origin, _shares(actor.color)
         look: dict[str, Any] = {"lw": 1, "ls": "--" if actor.ghost else "-", "zorder": 3}
-        ax.plot(path[:, right], path[:, up], color=color, label=actor.name, **look)
+        ax.plot(*path.T[:2], color=color, label=actor.name, **look)
         markers += ax.plot([], [], "o", mfc=color, mec="white", ms=5, zorder=4)
     for name in scene.scales:
         if scene.scales[name]:

@@ -24,38 +24,38 @@ ROW_HEIGHT = 55.0  # [mm]
 CIRCLE_POINTS = 100
 
 
-def fit_plot(name: str, found: Calibration) -> Plot:
+def fit_plot(name: str, calibration: Calibration) -> Plot:
     """Return the figure of a calibration, to be drawn later, with the name of its file."""
     words = (
         "Predicted over measured end poses of the windows that were not used for the fit, and 95 % "
         "confidence ellipses of the estimates with the strongest correlations."
     )
-    return Plot(name, words, partial(fit_figure, found))
+    return Plot(name, words, partial(fit_figure, calibration))
 
 
-def fit_figure(found: Calibration) -> Figure:
+def fit_figure(calibration: Calibration) -> Figure:
     """Return the figure of a calibration."""
-    pairs = _pairs(found.estimate)
+    pairs = _pairs(calibration.estimate)
     rows = 1 + -(-len(pairs) // COLUMNS)
     made = style.figure(PAGE, rows * ROW_HEIGHT * MM)
     axes = made.subplots(rows, COLUMNS, squeeze=False).ravel()
     for k, (words, factor) in enumerate(
         (("to the right [m]", 1.0), ("ahead [m]", 1.0), ("heading [deg]", np.rad2deg(1.0)))
     ):
-        _draw_ends(axes[k], found, k, words, float(factor))
+        _draw_ends(axes[k], calibration, k, words, float(factor))
     axes[0].legend()
     for ax, pair in zip(axes[COLUMNS:], pairs, strict=False):
-        _draw_ellipse(ax, found.estimate, *pair)
+        _draw_ellipse(ax, calibration.estimate, *pair)
     for ax in axes[COLUMNS + len(pairs) :]:
         ax.set_axis_off()
     return made
 
 
-def _draw_ends(ax: Axes, found: Calibration, axis: int, words: str, factor: float) -> None:
+def _draw_ends(ax: Axes, calibration: Calibration, axis: int, words: str, factor: float) -> None:
     """Draw one component of predicted over measured end poses."""
-    measured = factor * found.test.measured[:, axis]
+    measured = factor * calibration.test.measured[:, axis]
     for k, name in enumerate(("nominal", "fitted")):
-        predicted = measured + factor * getattr(found.test, name)[:, axis]
+        predicted = measured + factor * getattr(calibration.test, name)[:, axis]
         ax.plot(
             measured, predicted, "o", ms=2, mew=0, alpha=0.6, color=style.PALETTE[k], label=name
         )
@@ -65,28 +65,28 @@ def _draw_ends(ax: Axes, found: Calibration, axis: int, words: str, factor: floa
     ax.set_ylabel("predicted")
 
 
-def _pairs(found: Estimate) -> list[tuple[int, int]]:
+def _pairs(estimate: Estimate) -> list[tuple[int, int]]:
     """Return the pairs of determined unknowns, those with the strongest correlations first."""
-    spread = np.sqrt(np.diag(found.covariance))
+    spread = np.sqrt(np.diag(estimate.covariance))
     known = [k for k in range(spread.size) if 0 < spread[k] < np.inf]
 
     def correlation(pair: tuple[int, int]) -> float:
         i, j = pair
-        return -abs(float(found.covariance[i, j] / spread[i] / spread[j]))
+        return -abs(float(estimate.covariance[i, j] / spread[i] / spread[j]))
 
     return sorted(combinations(known, 2), key=correlation)[:MAX_ELLIPSES]
 
 
-def _draw_ellipse(ax: Axes, found: Estimate, i: int, j: int) -> None:
+def _draw_ellipse(ax: Axes, estimate: Estimate, i: int, j: int) -> None:
     """Draw the joint confidence ellipse of two estimates."""
-    part = found.covariance[np.ix_([i, j], [i, j])]
+    part = estimate.covariance[np.ix_([i, j], [i, j])]
     values, vectors = np.linalg.eigh(part)
     radii = np.sqrt(np.maximum(values, 0) * float(chi2.ppf(CONFIDENCE, 2)))
     angle = np.linspace(0, 2 * np.pi, CIRCLE_POINTS)
     ring: Array = vectors @ (radii[:, None] * np.array([np.cos(angle), np.sin(angle)]))
-    ax.plot(found.values[i] + ring[0], found.values[j] + ring[1], color=style.PALETTE[1])
-    ax.plot(found.values[i], found.values[j], "+", color="black", ms=4)
+    ax.plot(estimate.values[i] + ring[0], estimate.values[j] + ring[1], color=style.PALETTE[1])
+    ax.plot(estimate.values[i], estimate.values[j], "+", color="black", ms=4)
     for k, set_label in ((i, ax.set_xlabel), (j, ax.set_ylabel)):
-        label = found.labels[k]
+        label = estimate.labels[k]
         (ax.xaxis if k == i else ax.yaxis).set_major_locator(MaxNLocator(3))
         set_label(label.name if label.unit == "1" else f"{label.name} [{label.unit}]")

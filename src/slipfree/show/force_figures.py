@@ -59,11 +59,7 @@ def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
 
 
 def utilisation(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the utilisation of friction of every wheel over time, and its largest value.
-
-    Values above 3 are not drawn; a remark in the figure states this. On a ground without a friction
-    coefficient, the coefficient needed is drawn.
-    """
+    """Draw the utilisation of friction of every wheel over time, and its largest value."""
     values = run["utilisation"]
     style.by_wheel(run, _finite(values), ax)
     if "utilisation_best" in run:
@@ -90,11 +86,7 @@ def tip_over(run: Trajectory, ax: Axes) -> Axes:
 
 
 def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
-    """Draw the tracks of the contact points in plan view, coloured by utilisation, on grey ground.
-
-    The colour between two samples is that of the larger value. Where tracks cross, the track with
-    the larger value is on top. The aspect of the axes becomes equal.
-    """
+    """Draw the tracks of contact points in plan view, coloured by utilisation, on grey ground."""
     ground_drawing.muted(grid, ax, ground_drawing.around(run, grid, pad=0.15))
     x, y, values = run["contact_x"], run["contact_y"], run["utilisation"]
     ax.plot(x, y, lw=3, color=CASING, solid_capstyle="round")
@@ -260,10 +252,7 @@ def _finite(values: Array) -> Array:
 
 
 def _has_friction(run: Trajectory) -> bool:
-    """Return whether the ground has a friction coefficient.
-
-    Without one, ``utilisation`` is the coefficient needed.
-    """
+    """Return whether the ground has friction; else ``utilisation`` is the coefficient needed."""
     if "ground_friction" in run.attributes:
         return True
     return not np.array_equal(run["utilisation"], run["friction_needed"])

@@ -65,10 +65,9 @@ def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
 
 
 def brightness(drawn: Grid) -> Array:
-    """Return the factors of brightness of the nodes of a ground in a hillshade, shape (n, 1).
+    """Return the brightness of nodes in a hillshade, shape (n, 1); flat ground has `LEVEL`.
 
-    Light comes from the north-west. Heights are exaggerated so that gentle relief is visible: the
-    steep parts appear to slope by about 35 degrees. Flat ground has the factor `LEVEL`.
+    Heights are exaggerated so that the steep parts appear to slope by about 35 degrees.
     """
     slopes = np.gradient(drawn.z, *drawn.spacing)
     steep = float(np.percentile(np.hypot(*slopes), 95))
@@ -101,10 +100,7 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
 
 
 def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
-    """Draw the outlines of solids and of their faces in plan view, on axes with a ground.
-
-    Drawn is the part of each solid above the height of the ground where it begins.
-    """
+    """Draw the outlines of solids and of their faces above the ground, in plan view."""
     (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
     reach = float(np.hypot(east - west, north - south)) / 2
     middle = np.array([(west + east) / 2, (south + north) / 2])
@@ -126,10 +122,7 @@ def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
 
 
 def hatch(grid: Grid, nodes: Mask | None, window: Window, words: str, color: str, ax: Axes) -> Axes:
-    """Hatch the cells of a ground that touch marked nodes, with an entry for the legend.
-
-    ``nodes`` has the shape (n_x, n_y), such as ``grid.holes``; None marks no node.
-    """
+    """Hatch the cells that touch marked nodes, with an entry for the legend."""
     x, y = np.linspace(*window[:2], HEATMAP), np.linspace(*window[2:], HEATMAP)
     marked = grid.touches(nodes, x[:, None], y[None, :])
     if marked.any():
@@ -152,11 +145,7 @@ def around(run: Trajectory, grid: Grid, pad: float) -> Window:
 
 
 def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
-    """Return the window around positions, with the proportions of the map if possible [m].
-
-    The margin on each side is at least ``pad`` times the extent of the positions, within the map.
-    Raises ModelError if all positions are outside the map.
-    """
+    """Return the window around positions, with the proportions of the map if possible [m]."""
     west, east, south, north = whole(grid)
     sides = []
     for name, at, low, high in (("x", x, west, east), ("y", y, south, north)):
@@ -177,11 +166,7 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
 
 
 def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
-    """Return coordinates x, y and heights of a window, interpolated by bicubic splines [m].
-
-    The result has ``count`` nodes per side, the interpolation at most as many. Heights are NaN in
-    holes.
-    """
+    """Return x, y and heights of a window at ``count`` nodes per side, NaN in holes [m]."""
     kept, fine = [], []
     for axis, low, high in ((grid.x, *window[:2]), (grid.y, *window[2:])):
         last = min(int(np.searchsorted(axis, high)) + 3, axis.size)
@@ -196,10 +181,7 @@ def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
 
 
 def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
-    """Return the slope angle of a ground at map points, positive uphill along headings [rad].
-
-    Headings are measured from the x axis, counter-clockwise.
-    """
+    """Return the slope at map points along headings from the x axis, positive uphill [rad]."""
     at = ca.SX.sym("x"), ca.SX.sym("y")
     lookups = LookupTable()
     expressions = [ca.densify(ground.jet(*at, lookups).gradient)]
@@ -226,20 +208,16 @@ def _side(run: Trajectory, section: Profile) -> Figure:
     return figure
 
 
-def side_view(run: Trajectory, section: Profile, ax: Axes, count: int = POSES) -> Axes:
-    """Draw solids, paths of the wheels, and a planar vehicle at equal intervals of time.
-
-    The section is that of ground and solids, see `slipfree.terrain.solids.section_of`. The aspect
-    of the axes becomes equal.
-    """
+def side_view(run: Trajectory, section: Profile, ax: Axes) -> Axes:
+    """Draw solids, paths of the wheels, and a planar vehicle at equal intervals of time."""
     for solid in section.solids:
         ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
-    y, z, count = run["center_y"], run["center_z"], max(count, 2)
+    y, z = run["center_y"], run["center_z"]
     away = np.hypot(run["contact_y"] - y, run["contact_z"] - z)
     order = np.argsort(y[0])
     ax.plot(y, z, color="0.5", lw=0.6, zorder=2)
-    for number, k in enumerate(np.linspace(0, run.t.size - 1, count).astype(int)):
-        color = colormaps["viridis"](LATEST * number / (count - 1))
+    for number, k in enumerate(np.linspace(0, run.t.size - 1, POSES).astype(int)):
+        color = colormaps["viridis"](LATEST * number / (POSES - 1))
         ax.plot(y[k, order], z[k, order], "o-", color=color, lw=1.3, ms=2.6, mfc="white", zorder=3)
         for place in zip(y[k], z[k], np.nanmedian(away, axis=0), strict=True):
             ax.add_patch(Circle(place[:2], place[2], fc="none", ec=color, lw=0.9, zorder=3))

@@ -70,10 +70,7 @@ def warned(scene: Scene) -> str:
 
 
 def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable[str]) -> str:
-    """Return a page exported by viser with title, legend and further notes ``words`` added.
-
-    ``color`` is the name of the layer of the ground that is shown first.
-    """
+    """Return a page exported by viser with title, legend and notes; ``color`` names a layer."""
     runs = "".join(
         _switch(
             swatch(actor.color, actor.name, ghost=actor.ghost)
@@ -137,32 +134,15 @@ def _css(color: Color) -> str:
 
 
 class Report(NamedTuple):
-    """Contents of a page, in their order.
-
-    Attributes
-    ----------
-    title, lead : str
-        Title, and a sentence on the outcome of the motion.
-    good : bool
-        Whether the motion is complete.
-    tables : mapping of str to sequence of (str, ...)
-        Rows by heading; the first cell of a row is its name, indented if it is subordinate to the
-        row above.
-    figures : sequence of Plot
-        Figures to draw.
-    note : str
-        Reason why there are no figures; empty if there are figures.
-    texts : mapping of str to str
-        Preformatted texts by heading.
-    """
+    """Contents of a page, in their order."""
 
     title: str
-    lead: str
-    good: bool
-    tables: Mapping[str, Sequence[tuple[str, ...]]]
+    lead: str  # sentence on the outcome of the motion
+    good: bool  # whether the motion is complete
+    tables: Mapping[str, Sequence[tuple[str, ...]]]  # by heading; names may be indented
     figures: Sequence[Plot]
-    note: str
-    texts: Mapping[str, str]
+    note: str  # why there are no figures
+    texts: Mapping[str, str]  # preformatted, by heading
 
 
 def page(report: Report) -> str:

@@ -41,16 +41,7 @@ Post = Callable[[object], object]
 
 
 class Gate:
-    """Checks of requests to a page on this machine, with a count of the refused ones.
-
-    Parameters
-    ----------
-    command : str
-        Command that serves the page, for messages.
-    report : callable
-        Function called, from any thread, with warnings about refused requests: the first, and the
-        number of refused requests when it reaches a power of ten.
-    """
+    """Checks of requests to a page of ``command``; ``report`` gets warnings, from any thread."""
 
     def __init__(self, command: str, report: Callable[[str], None]) -> None:
         self._command, self._show, self._refused = command, report, 0
@@ -63,11 +54,7 @@ class Gate:
     def admit(
         self, path: str, hosts: Sequence[str], origins: Sequence[str], port: int
     ) -> tuple[str, str]:
-        """Return the path of a request without the secret, and the message of a refusal.
-
-        One of the two is empty: the path, from ``/``, of a refused request, or the message for the
-        client.
-        """
+        """Return the path of a request without the secret, or else the message of a refusal."""
         prefix, rest = path[: len(self._prefix)], path[len(self._prefix) :]
         prefix = f"{prefix.rstrip('/')}/"  # viser's page connects to its address without this slash
         has_secret = hmac.compare_digest(
@@ -94,15 +81,7 @@ class Gate:
 
 
 class Guard:
-    """Factory of viser servers that accept only requests and values from their own page.
-
-    Parameters
-    ----------
-    report : callable
-        Function called with each new warning, from any thread.
-    script : str
-        JavaScript to add to the page.
-    """
+    """Factory of viser servers that accept only requests and values from their own page."""
 
     def __init__(self, report: Callable[[str], None], script: str = "") -> None:
         self._show, self._shown, self._is_used = report, set[str](), False
@@ -110,11 +89,7 @@ class Guard:
         self._script = f"<script>{script}</script>".encode()
 
     def start(self, port: int) -> viser.ViserServer:
-        """Return a server on this machine; port zero selects a free port.
-
-        Raises ImportError without viser, and DataError if its version starts the server in a way
-        that cannot be guarded.
-        """
+        """Return a server on this machine; port zero selects a free port."""
         import viser
         from websockets.asyncio import server as web
 
@@ -259,13 +234,7 @@ Get = Callable[[], Content]
 
 
 class ConflictError(SlipfreeError):
-    """Refusal of a request that was made from another state than the present one.
-
-    Parameters
-    ----------
-    state : object
-        The present state, a JSON value.
-    """
+    """Refusal of a request that was made from another state than the present one, a JSON value."""
 
     def __init__(self, state: object) -> None:
         super().__init__("expected a request made from the present state, found an earlier one")
@@ -279,8 +248,7 @@ def start_server(
 
     Functions of ``get`` return the content of a path; those of ``post`` take the JSON value sent to
     a path and return one. Their `SlipfreeError` becomes a response with status 400, a
-    `ConflictError` one with status 409 and its state. Port zero selects a free one. Raises
-    DataError if the port is in use.
+    `ConflictError` one with status 409 and its state. Port zero selects a free one.
     """
 
     class Handler(BaseHTTPRequestHandler):
@@ -291,8 +259,8 @@ def start_server(
         def do_GET(self) -> None:
             if (path := self._admitted()) is None:
                 return
-            found = get.get(path)
-            self._send(200, found()) if found else self._send(404, _text("not found"))
+            content = get.get(path)
+            self._send(200, content()) if content else self._send(404, _text("not found"))
 
         def do_POST(self) -> None:
             if (path := self._admitted()) is None:
@@ -343,10 +311,15 @@ def start_server(
     try:
         server = _Server((HOST, port), Handler)
     except OSError as error:
-        raise DataError(
-            f"--port: expected a free port, found {port} in use; omit --port to choose a free port"
-        ) from error
+        raise taken(port) from error
     return server
+
+
+def taken(port: int) -> DataError:
+    """Return the error of a port in use."""
+    return DataError(
+        f"--port: expected a free port, found {port} in use; omit --port to choose a free port"
+    )
 
 
 class _Server(ThreadingHTTPServer):

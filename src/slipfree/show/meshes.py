@@ -51,10 +51,7 @@ def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: fl
 
 
 def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
-    """Return the mesh of a convex outline extruded along a vector, with closed ends.
-
-    The corners, shape (n, 3), are counter-clockwise when viewed from the end of the vector. [m]
-    """
+    """Return the mesh of a convex outline extruded along a vector, with closed ends [m]."""
     n = len(outline)
     side = sheet(np.stack([outline, outline + np.asarray(along)], axis=1), closed=(True, False))
     k = np.arange(1, n - 1)
@@ -84,15 +81,12 @@ def plate(half_width: float, rear: float, front: float, thickness: float) -> Mes
 def clipped(
     points: Sequence[tuple[float, float]], low: tuple[float, float], high: tuple[float, float]
 ) -> Array:
-    """Return the corners of the part of a convex polygon inside a box, shape (n, 2).
-
-    The result has no rows for a polygon outside the box.
-    """
-    found = np.array(points, dtype=float)
+    """Return the corners of the part of a convex polygon inside a box, shape (n, 2)."""
+    corners = np.array(points, dtype=float)
     for axis in (0, 1):
         for bound, sign in ((low[axis], 1.0), (high[axis], -1.0)):
-            found = _cut(found, axis, bound, sign)
-    return found
+            corners = _cut(corners, axis, bound, sign)
+    return corners
 
 
 def _cut(points: Array, axis: int, bound: float, sign: float) -> Array:
@@ -109,24 +103,12 @@ def _cut(points: Array, axis: int, bound: float, sign: float) -> Array:
 
 
 class Refined(NamedTuple):
-    """A grid with divided cells.
-
-    Attributes
-    ----------
-    grid : Grid
-        The grid.
-    near : ndarray of bool, shape (n_x - 1, n_y - 1)
-        Mask of the divided cells.
-    parts : int
-        Number of intervals on each side of a divided cell; 1 if no cell is divided.
-    terrain : Terrain
-        Ground that gives the heights inside divided cells.
-    """
+    """A grid with divided cells."""
 
     grid: Grid
-    near: npt.NDArray[np.bool_]
-    parts: int
-    terrain: Terrain
+    near: npt.NDArray[np.bool_]  # shape (n_x - 1, n_y - 1): mask of the divided cells
+    parts: int  # number of intervals on each side of a divided cell; 1 if no cell is divided
+    terrain: Terrain  # ground that gives the heights inside divided cells
 
     @property
     def spacing(self) -> float:
@@ -146,18 +128,11 @@ class Refined(NamedTuple):
         return joined(Mesh(whole.vertices, whole.faces[kept]), *map(sheet, tiles))
 
     def spread(self, colors: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """Return colours of all nodes of the mesh, interpolated from those of the grid.
-
-        Colours are red, green and blue, one row per node: first those of the grid, then those of
-        divided cells.
-        """
+        """Return colours of all nodes of the mesh, interpolated from those of the grid."""
         return np.asarray(np.rint(self.interpolated(colors.astype(float))), dtype=np.uint8)
 
     def interpolated(self, values: Array) -> Array:
-        """Return values at all nodes of the mesh, interpolated from those at nodes of the grid.
-
-        ``values`` have the shape (n_x n_y, k); the result is float, shape (n, k).
-        """
+        """Return values, shape (n, k), at all nodes, interpolated from those of the grid."""
         whole = values.reshape(*self.grid.z.shape, -1)
         i, j = np.nonzero(self.near)
         a, b = self._shares()
@@ -220,10 +195,7 @@ class Refined(NamedTuple):
         return a, b
 
     def _places(self) -> tuple[Array, Array]:
-        """Return x and y of the nodes of the n divided cells [m].
-
-        The arrays have shape (n, parts + 1, parts + 1).
-        """
+        """Return x and y of the divided cells' nodes, shape (n, parts + 1, parts + 1) [m]."""
         (i, j), (a, b), (h_x, h_y) = np.nonzero(self.near), self._shares(), self.grid.spacing
         return (self.grid.x[i][:, None, None] + a * h_x, self.grid.y[j][:, None, None] + b * h_y)
 
@@ -231,10 +203,9 @@ class Refined(NamedTuple):
 def refined(
     grid: Grid, terrain: Terrain, paths: Iterable[Array], margin: float, spacing: float
 ) -> Refined:
-    """Return a grid whose cells within a margin of paths are divided, to a desired spacing.
+    """Return a grid whose cells near paths are divided to a desired spacing.
 
-    Paths have the shape (n, 2), in map coordinates [m]. At most about 60 000 nodes are added: the
-    spacing becomes larger, or no cell is divided if there are too many near the paths.
+    At most about 60 000 nodes are added: the spacing becomes larger, or no cell is divided.
     """
     whole = Refined(grid, np.zeros((grid.x.size - 1, grid.y.size - 1), bool), 1, terrain)
     cell = float(max(grid.spacing))

@@ -105,10 +105,7 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
 
 
 def terrain(run: Trajectory, grid: Grid, ax: Any, prisms: Sequence[Prism] = ()) -> Any:
-    """Draw the ground around the path as a surface, with platform and contact tracks.
-
-    Heights of low relief are drawn enlarged; the label of the height axis contains the factor.
-    """
+    """Draw the ground around the path as a surface, with platform and contact tracks."""
     window = ground_drawing.around(run, grid, pad=0.4)
     x, y, z = ground_drawing.patch(grid, window, MESH)
     for prism in prisms:
@@ -166,10 +163,7 @@ def tilts(run: Trajectory, ax: Axes) -> Axes:
 
 
 def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
-    """Draw the paths of the platform's centre, the wheel centres and the contact points.
-
-    ``view`` names the axes of the view to the right and up; ``("x", "y")`` is the plan.
-    """
+    """Draw the paths of platform, wheel centres and contact points in a view, as ``("x", "y")``."""
     a, b = view
     broad, fine = {"lw": 2.6, "alpha": 0.4}, {"lw": 0.9}
     for what, words, more in (("contact", "contact", broad), ("center", "centre", fine)):
@@ -219,11 +213,7 @@ def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
 
 
 def check(run: Trajectory, name: str, ax: Axes) -> Axes:
-    """Draw a residual or margin of the solution over time.
-
-    Residuals and Newton steps are drawn on a logarithmic axis, with the tolerance of the
-    integrator. Margins are drawn with a line at zero; they must stay positive.
-    """
+    """Draw a residual with the tolerance, or a margin with zero, over time."""
     history(run, name, ax)
     ax.set_ylabel(textwrap.fill(ax.get_ylabel(), 22))
     if CHECKS.get(name) == "log":
@@ -240,15 +230,9 @@ def check(run: Trajectory, name: str, ax: Axes) -> Axes:
 
 
 def motion_plots(
-    run: Trajectory,
-    grid: Grid,
-    surface: Terrain | None = None,
-    prisms: tuple[Prism, ...] = (),
+    run: Trajectory, grid: Grid, surface: Terrain | None = None, prisms: tuple[Prism, ...] = ()
 ) -> tuple[Plot, ...]:
-    """Return the figures of `FIGURES` that have content, the most important first, not drawn yet.
-
-    The surface of the model is by default the bicubic spline through the grid.
-    """
+    """Return the figures of `FIGURES` that have content, the most important first."""
     drive = PlottedDrive(run, grid, surface or Bicubic(grid), prisms)
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
 
@@ -368,10 +352,7 @@ def _terrain(drive: PlottedDrive) -> Figure:
 
 
 def _filled(figure: Figure, ax: Any) -> Figure:
-    """Enlarge a 3D view to fill the space between legend and note.
-
-    The layout engines of Matplotlib cannot do this.
-    """
+    """Enlarge a 3D view to the space between legend and note, as no layout engine does."""
     for _ in range(3):
         figure.draw_without_rendering()
         width, height = figure.bbox.size

@@ -88,11 +88,11 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
     return ax
 
 
-def initial_routes(found: Sequence[Array], ax: Axes) -> Axes:
+def initial_routes(routes: Sequence[Array], ax: Axes) -> Axes:
     """Draw the routes of the initial guesses, shape (n, 2) each [m], with their lengths."""
-    for k, points in enumerate(found):
+    for k, points in enumerate(routes):
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-        name = f"initial route {k + 1}" if len(found) > 1 else "initial route"
+        name = f"initial route {k + 1}" if len(routes) > 1 else "initial route"
         ax.plot(
             *points.T,
             color=PLATFORM,
@@ -179,31 +179,10 @@ def plan_plots(
     bounds: Mapping[str, Range] | None = None,
     limits: Mapping[str, Range] | None = None,
 ) -> tuple[Plot, ...]:
-    """Return the figures of a plan, without drawing them: inputs and limits, and the map.
+    """Return the figures of a plan, not drawn yet: inputs and limits, and the map.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The simulated motion of the plan.
-    grid : Grid
-        The ground.
-    layers : Traversability
-        Traversability of the ground.
-    places : sequence of (str, float, float)
-        Name, x and y in map coordinates of start, way-points and goal. [m]
-    found : sequence of ndarray, shape (n, 2)
-        Points x, y of the routes of the initial guesses, in map coordinates. [m]
-    guess : ndarray, shape (n, 2)
-        Paths of the initial guesses in map coordinates, with NaN between them. [m]
-    bounds : mapping of str to (float, float)
-        Lower and upper bound of each input to draw, by name; infinite without a bound.
-    limits : mapping of str to (float, float)
-        Limits of quantities by name, or by name and wheel as in ``slip_along[front]``.
-
-    Returns
-    -------
-    tuple of Plot
-        ``plan``, unless it would have no panels, and ``traversability``.
+    ``places`` are names, x and y of start, way-points and goal; ``found`` and ``guess`` routes and
+    paths of the initial guesses, with NaN between paths, all in map coordinates [m].
     """
     panels = _panels(run, layers, bounds or {}, limits or {})
     caption = "Planned inputs, and quantities with their limits."
@@ -218,10 +197,7 @@ def plan_plots(
 def convergence_plots(
     run: Trajectory, searches: Mapping[int, Convergence], names: Sequence[str]
 ) -> tuple[Plot, ...]:
-    """Return the figure of the convergence of consecutive searches, or none without searches.
-
-    ``names`` are those of all searches; the searches are given by their index among them.
-    """
+    """Return the figure of the convergence of searches, given by index in ``names``."""
     if not searches:
         return ()
     panels = [Panel(partial(convergence, name, searches, names), 30) for name in CONVERGENCE]
@@ -232,10 +208,7 @@ def convergence_plots(
 def convergence(
     name: str, searches: Mapping[int, Convergence], names: Sequence[str], ax: Axes
 ) -> Axes:
-    """Draw a field of `Convergence` at every iterate of searches, which start at dotted lines.
-
-    On a logarithmic axis, values are at least `motion_figures.TINY`.
-    """
+    """Draw a field of `Convergence` at every iterate of searches, which start at dotted lines."""
     label, scale = CONVERGENCE[name]
     first, colors = 0, dict[str, int]()  # searches of the same name have the same colour
     for k, search in searches.items():
@@ -290,25 +263,22 @@ def _panels(
     limits: Mapping[str, Range],
 ) -> list[Panel]:
     """Return the panels for inputs, limited quantities, keep-out distances and slip of a plan."""
-    found: list[tuple[float, Callable[[Axes], Any]]] = []
+    drawings: list[tuple[float, Callable[[Axes], Any]]] = []
     if bounds:
         entries = sum(len(textwrap.wrap(style.words(name), WRAP)) for name in bounds)
-        found.append((max(1.0, (entries + 1) / ENTRIES), partial(inputs, run, bounds)))
-    found += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
+        drawings.append((max(1.0, (entries + 1) / ENTRIES), partial(inputs, run, bounds)))
+    drawings += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
     if layers.limits.keep_out:
-        found.append((1.0, partial(keep_out_distance, run, layers)))
-    found += [
+        drawings.append((1.0, partial(keep_out_distance, run, layers)))
+    drawings += [
         (1.0, partial(motion_figures.slip, run, direction))
         for direction in motion_figures.slipping_directions(run)
     ]
-    return [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in found]
+    return [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in drawings]
 
 
 def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
-    """Return a drawing function that adds a legend beside the panel.
-
-    Panels need separate legends since the meaning of the colours differs.
-    """
+    """Return a drawing function that adds a legend of its own colours beside the panel."""
 
     def drawn(ax: Axes) -> None:
         draw(ax)
@@ -341,10 +311,7 @@ def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> 
 
 
 def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
-    """Return the colours of blocked nodes, shape (n_x, n_y, 4).
-
-    Reasons that occur in the drawn part, a mask of shape (n_x, n_y), get a legend entry.
-    """
+    """Return the colours of blocked nodes, shape (n_x, n_y, 4), and label their reasons."""
     colors, masks = np.zeros((*layers.cost.shape, 4)), blocked_by(layers)
     left = np.isinf(layers.cost)
     for name, (color, words) in BLOCKED.items():

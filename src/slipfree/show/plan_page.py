@@ -21,45 +21,21 @@ PIXELS, DPI = 1600, 200  # length of the longer side of the map, and pixels per 
 
 
 class PlanMap(NamedTuple):
-    """Fixed contents of the page.
-
-    Attributes
-    ----------
-    title : str
-        Title of the problem.
-    file : Path
-        The problem file.
-    frame : {"paper", "rep103"}
-        Frame of the headings.
-    grid : Grid
-        The ground.
-    vehicle : Vehicle
-        The vehicle.
-    way_points : tuple of (str, float, float)
-        Name, x and y of way-points. [m]
-    """
+    """Fixed contents of the page."""
 
     title: str
     file: Path
-    frame: str
+    frame: str  # frame of the headings
     grid: Grid
     vehicle: Vehicle
-    way_points: tuple[tuple[str, float, float], ...] = ()
+    way_points: tuple[tuple[str, float, float], ...] = ()  # name, x and y of way-points [m]
 
 
 class PlanPage(NamedTuple):
-    """Page for planning by hand, and its map.
+    """Page for planning by hand, and its map."""
 
-    Attributes
-    ----------
-    identity : str
-        Text that differs between pages with different contents.
-    html, image : Content
-        The HTML page, and the map as PNG.
-    """
-
-    identity: str
-    html: Content
+    identity: str  # text that differs between pages with different contents
+    html: Content  # the HTML page, and the map as PNG
     image: Content
 
 

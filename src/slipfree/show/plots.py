@@ -31,67 +31,32 @@ MARGIN = 24.0  # height of legend, axis and note of a figure [mm]
 
 
 class Panel(NamedTuple):
-    """One of the axes in a figure.
-
-    Attributes
-    ----------
-    draw : callable
-        ``draw(ax)`` draws on the axes.
-    height : float
-        Height of the axes. [mm]
-    has_legend : bool
-        Whether its artists appear in the legend of the figure.
-    """
+    """One of the axes in a figure."""
 
     draw: Callable[[Axes], Any]
-    height: float = PANEL
-    has_legend: bool = True
+    height: float = PANEL  # height of the axes [mm]
+    has_legend: bool = True  # whether its artists appear in the legend of the figure
 
 
 class Plot(NamedTuple):
-    """A figure that has not been drawn yet.
+    """A figure that has not been drawn yet."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the figure and of its file, without ending.
-    caption : str
-        Caption of the figure.
-    make : callable
-        ``make()`` draws and returns the figure.
-    """
-
-    name: str
+    name: str  # also of its file, without ending
     caption: str
-    make: Callable[[], Figure]
+    make: Callable[[], Figure]  # draws and returns the figure
 
 
 class PlottedDrive(NamedTuple):
-    """Data for the figures of a motion over terrain.
-
-    Attributes
-    ----------
-    run : Trajectory
-        The motion.
-    grid : Grid
-        The ground.
-    surface : Terrain
-        Surface of the ground as used by the model.
-    prisms : tuple of Prism
-        Solids on the ground.
-    """
+    """Data for the figures of a motion over terrain."""
 
     run: Trajectory
     grid: Grid
-    surface: Terrain
+    surface: Terrain  # surface of the ground as used by the model
     prisms: tuple[Prism, ...] = ()
 
 
 def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float = PAGE) -> Figure:
-    """Return a figure of panels over a common axis, with one legend; the width is in inches.
-
-    A note below the figure also gives the reason of an early end of the motion.
-    """
+    """Return a figure of panels over one axis, with one legend and a note."""
     heights = [panel.height for panel in panels]
     figure = style.figure(width, (sum(heights) + MARGIN) * MM)
     axes = list(
@@ -117,24 +82,7 @@ def draw(plots: Iterable[Plot]) -> dict[str, Figure]:
 def save(
     plots: Iterable[Plot], folder: str | Path, formats: Sequence[str] = ("png",)
 ) -> list[Path]:
-    """Draw figures, write them to a folder, and return the paths of the files.
-
-    Parameters
-    ----------
-    plots : iterable of Plot
-        The figures, for files such as ``map.png``.
-    folder : str or Path
-        Folder for the files; it is created if it does not exist.
-    formats : sequence of str
-        Endings such as ``"png"`` (200 dpi), ``"pdf"`` or ``"svg"``.
-
-    Raises
-    ------
-    ModelError
-        If a format is unknown.
-    DataError
-        If the folder or a file cannot be written.
-    """
+    """Draw figures, write them to a folder in formats such as ``"png"``, and return their paths."""
     known = FigureCanvasBase.get_supported_filetypes()
     for name in formats:
         if name not in known:

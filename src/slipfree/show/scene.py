@@ -18,7 +18,6 @@ from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from slipfree.core.records import Array
-from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.geometry.mesh import Mesh
 from slipfree.show import style
 from slipfree.show.ground_drawing import Window
@@ -38,7 +37,6 @@ UNITS = {"slip": "m/s", "force": "N"}
 MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # different from the colours of runs
 FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
-PLAN, SECTION = (0, 1), (1, 2)  # indices of the coordinates drawn to the right and up
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
 LIFT = 0.01  # height of lines above the ground, so that it does not hide them [reach]
@@ -50,97 +48,47 @@ GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 
 
 class Layer(NamedTuple):
-    """A colouring of the ground.
+    """A colouring of the ground."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the quantity that determines the colour.
-    legend : str
-        Description of the range of values, with unit.
-    scale : tuple of 3-tuples
-        Colours of the scale from its lowest to its highest value.
-    colors : ndarray of uint8, shape (n, 3)
-        Red, green and blue of the vertices.
-    """
-
-    name: str
-    legend: str
-    scale: tuple[Color, ...]
-    colors: Colors
+    name: str  # name of the quantity that determines the colour
+    legend: str  # description of the range of values, with unit
+    scale: tuple[Color, ...]  # colours of the scale from its lowest to its highest value
+    colors: Colors  # shape (n, 3): red, green and blue of the vertices
 
 
 class Lines(NamedTuple):
-    """Lines on the ground of a scene.
+    """Lines on the ground of a scene."""
 
-    Attributes
-    ----------
-    name : str
-        Displayed name, such as ``"contours"``.
-    legend : str
-        Description of the lines, such as their distance.
-    color : tuple of 3 ints
-        Red, green and blue, from 0 to 255.
-    segments : ndarray, shape (n, 2, 3)
-        Starts and ends of straight pieces, in scene coordinates. [m]
-    labels : tuple of (str, ndarray)
-        Texts and their positions, shape (3,). [m]
-    """
-
-    name: str
-    legend: str
-    color: Color
-    segments: Array
-    labels: tuple[tuple[str, Array], ...] = ()
+    name: str  # displayed name, such as ``"contours"``
+    legend: str  # description of the lines, such as their distance
+    color: Color  # red, green and blue, from 0 to 255
+    segments: Array  # shape (n, 2, 3): starts and ends of straight pieces, in scene coordinates [m]
+    labels: tuple[tuple[str, Array], ...] = ()  # texts and their positions, shape (3,) [m]
 
 
 class SceneGround(NamedTuple):
-    """Ground of a scene.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        The surface.
-    layers : tuple of Layer
-        Colourings to choose from.
-    shade : ndarray, shape (n,), or None
-        Factor of the brightness of each vertex in a hillshade; None without a hillshade.
-    lines : tuple of Lines
-        Lines on the surface: contours, grid, arrow to the north.
-    """
+    """Ground of a scene."""
 
     mesh: Mesh
-    layers: tuple[Layer, ...]
-    shade: Array | None = None
-    lines: tuple[Lines, ...] = ()
+    layers: tuple[Layer, ...]  # colourings to choose from
+    shade: Array | None = None  # shape (n,): brightness of the vertices in a hillshade
+    lines: tuple[Lines, ...] = ()  # lines on the surface: contours, grid, arrow to the north
 
     def colors(self, name: str, *, shaded: bool) -> Colors:
         """Return the colours of the vertices in a layer, with or without hillshade."""
-        found = next(each.colors for each in self.layers if each.name == name)
+        colors = next(each.colors for each in self.layers if each.name == name)
         if self.shade is None or not shaded:
-            return found
-        return np.asarray(np.rint(found * self.shade[:, None]), dtype=np.uint8)
+            return colors
+        return np.asarray(np.rint(colors * self.shade[:, None]), dtype=np.uint8)
 
 
 class SceneBody(NamedTuple):
-    """A rigid body over time.
+    """A rigid body over time."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the part or the wheel.
-    meshes : tuple of (Mesh, color)
-        Meshes in the frame of the body, with their colours.
-    origins : ndarray, shape (n, 3)
-        Origin of the body's frame at each time, in scene coordinates. [m]
-    rotations : ndarray, shape (n, 3, 3)
-        Rotation matrix from the body's frame to the scene at each time.
-    """
-
-    name: str
-    meshes: tuple[tuple[Mesh, Color], ...]
-    origins: Array
-    rotations: Array
+    name: str  # name of the part or the wheel
+    meshes: tuple[tuple[Mesh, Color], ...]  # meshes in the frame of the body, with their colours
+    origins: Array  # shape (n, 3): origins of the body's frame in the scene [m]
+    rotations: Array  # shape (n, 3, 3): from the body's frame to the scene
 
     @property
     def quaternions(self) -> Array:
@@ -149,113 +97,46 @@ class SceneBody(NamedTuple):
 
 
 class Arrows(NamedTuple):
-    """Vectors at the contacts.
+    """Vectors at the contacts."""
 
-    Attributes
-    ----------
-    name : {"slip", "force"}
-        Velocity of the wheels' material points over the ground, or force of the ground on them.
-    starts : ndarray, shape (n, k, 3)
-        Starting points; NaN without contact. [m]
-    vectors : ndarray, shape (n, k, 3)
-        Components in scene axes. [m/s or N]
-    """
-
-    name: str
-    starts: Array
-    vectors: Array
+    name: str  # of wheels over the ground, or of the ground on wheels: "slip" or "force"
+    starts: Array  # shape (n, k, 3): starting points; NaN without contact [m]
+    vectors: Array  # shape (n, k, 3): components in scene axes [m/s or N]
 
 
 class Actor(NamedTuple):
-    """One motion of one vehicle.
-
-    Attributes
-    ----------
-    name : str
-        Displayed name.
-    color : tuple of 3 ints
-        Red, green and blue of the platform, from 0 to 255.
-    t : ndarray, shape (n,)
-        Times of the samples of bodies, contacts and arrows. [s]
-    bodies : tuple of SceneBody
-        Parts of the vehicle, the platform first, and wheels.
-    contacts : ndarray, shape (n, k, 3)
-        Contact points; NaN without contact. [m]
-    arrows : tuple of Arrows
-        Slip and forces, if the motion has them.
-    ghost : bool
-        Whether the motion is a plan, which is drawn as wireframe.
-    stop : str
-        Time and reason of an early stop, or outcome and reason of an incomplete plan; empty without
-        a stop.
-    """
+    """One motion of one vehicle."""
 
     name: str
-    color: Color
-    t: Array
-    bodies: tuple[SceneBody, ...]
-    contacts: Array
-    arrows: tuple[Arrows, ...]
-    ghost: bool = False
-    stop: str = ""
+    color: Color  # red, green and blue of the platform, from 0 to 255
+    t: Array  # shape (n,): times of the samples of bodies, contacts and arrows [s]
+    bodies: tuple[SceneBody, ...]  # parts of the vehicle, the platform first, and wheels
+    contacts: Array  # shape (n, k, 3): contact points; NaN without contact [m]
+    arrows: tuple[Arrows, ...]  # slip and forces, if the motion has them
+    ghost: bool = False  # whether the motion is a plan, which is drawn as wireframe
+    stop: str = ""  # time and reason of an early stop, or outcome of an incomplete plan
 
 
 class Backdrop(NamedTuple):
-    """Ground of a film: a plan or section with all paths, and the surroundings of a vehicle.
+    """Ground of a film: plan view with all paths, and the surroundings of a vehicle."""
 
-    Attributes
-    ----------
-    draw : callable
-        ``draw(ax)`` draws the ground on axes in map coordinates, in plan view or as a section.
-    axes : tuple of 2 ints
-        Indices of the coordinates on these axes: `PLAN` or `SECTION`.
-    near : callable
-        ``near(point, half)`` returns the faces of the ground around a point, each of shape (n, 3),
-        in scene coordinates; ``half`` is half the width of the surroundings. [m]
-    half : float
-        Half the width of the surroundings in the view of the vehicle. [m]
-    camera : tuple of 2 floats
-        Elevation and azimuth of the camera. [deg]
-    """
-
-    draw: Callable[[Axes], Any]
-    axes: tuple[int, int]
+    draw: Callable[[Axes], Any]  # draws the ground on axes in map coordinates
+    # ``near(point, half)`` returns the faces of the ground around a point, each of shape (n, 3) [m]
     near: Callable[[Array, float], Sequence[Array]]
-    half: float
-    camera: tuple[float, float]
+    half: float  # half the width of the surroundings in the view of the vehicle [m]
 
 
 class Scene(NamedTuple):
-    """Ground, motions and notes of a drawing.
-
-    Attributes
-    ----------
-    ground : SceneGround
-        The ground.
-    actors : tuple of Actor
-        The motions.
-    origin : ndarray, shape (3,)
-        Map coordinates of the scene's origin. [m]
-    reach : float
-        Radius of a circle around the largest vehicle. [m]
-    backdrop : Backdrop
-        The ground in films.
-    scales : dict of str to float
-        Length of an arrow per unit of its quantity, by name; zero without arrows. [m s/m, m/N]
-    notes : tuple of str
-        Notes on the drawing.
-    warnings : tuple of str
-        Notes that are always shown.
-    """
+    """Ground, motions and notes of a drawing."""
 
     ground: SceneGround
     actors: tuple[Actor, ...]
-    origin: Array
-    reach: float
-    backdrop: Backdrop
-    scales: dict[str, float]
+    origin: Array  # shape (3,): map coordinates of the scene's origin [m]
+    reach: float  # radius of a circle around the largest vehicle [m]
+    backdrop: Backdrop  # the ground in films
+    scales: dict[str, float]  # length of an arrow per unit; zero without [m s/m, m/N]
     notes: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # notes that are always shown
 
     @property
     def paths(self) -> Array:
@@ -290,16 +171,11 @@ def framed(
     least = {**LEAST, "slip": max(LEAST["slip"], NOTABLE * max(map(_top_speed, actors)))}
     scales = {name: _scale(name, actors, LONGEST * reach, least[name]) for name in LEAST}
     place = ", ".join(f"{value + 0.0:.10g}" for value in origin)  # no minus zero
-    found = [*notes, f"The origin of the scene is ({place}) m in map coordinates."]
+    all_notes = [*notes, f"The origin of the scene is ({place}) m in map coordinates."]
     for name, scale in scales.items():
         if not scale:
-            found.append(f"No {name} is drawn: {_reason_without_arrows(name, actors)}.")
-    return Scene(ground, actors, origin, reach, backdrop, scales, tuple(found), tuple(warnings))
-
-
-def stopped(run: Trajectory) -> str:
-    """Return the message of a stop, as in `Actor`; empty without a stop."""
-    return stop_words(run)
+            all_notes.append(f"No {name} is drawn: {_reason_without_arrows(name, actors)}.")
+    return Scene(ground, actors, origin, reach, backdrop, scales, tuple(all_notes), tuple(warnings))
 
 
 def color_of(k: int) -> Color:
@@ -322,24 +198,20 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
 
 
 def chassis(positions: Array, span: tuple[float, float], radius: float) -> Mesh:
-    """Return the plate of a part of a vehicle, in the part's frame, x right, y forward [m].
-
-    ``positions`` are those of all wheels' centres, shape (k, 3); ``span`` are the rear and the
-    front end of the plate.
-    """
+    """Return the plate of a part from rear to front, in the part's frame, x right [m]."""
     half = NARROW * float(np.abs(positions[:, 0]).max())
     return plate(half, *span, PLATE * radius)
 
 
 def _vector_lengths(name: str, actors: Iterable[Actor]) -> Array:
     """Return the finite lengths of all vectors of a quantity."""
-    found = [
+    lengths = [
         np.linalg.norm(each.vectors, axis=-1).ravel()
         for actor in actors
         for each in actor.arrows
         if each.name == name
     ]
-    sizes = np.concatenate([*found, np.zeros(0)])
+    sizes = np.concatenate([*lengths, np.zeros(0)])
     return np.asarray(sizes[np.isfinite(sizes)])
 
 
@@ -351,10 +223,7 @@ def _top_speed(actor: Actor) -> float:
 
 
 def _scale(name: str, actors: Iterable[Actor], longest: float, least: float) -> float:
-    """Return a round scale that keeps nearly all arrows below a length; zero without arrows.
-
-    Vectors of the size ``least`` have at most that length, even if all vectors are smaller.
-    """
+    """Return a round scale that keeps nearly all arrows below a length; zero without arrows."""
     sizes = _vector_lengths(name, actors)
     if not sizes.size or sizes.max() < LEAST[name]:
         return 0.0
@@ -380,18 +249,15 @@ def scale_words(scene: Scene, name: str) -> str:
 def map_lines(
     drawn: Grid, terrain: Terrain, window: Window, origin: Array, reach: float
 ) -> tuple[Lines, ...]:
-    """Return contours, grid and north arrow of the drawn ground, relative to the scene's origin.
-
-    ``reach`` is the radius of a circle around the vehicle. [m]
-    """
+    """Return contours, grid and north arrow of the ground within ``reach`` of the vehicle [m]."""
     above = origin - np.array([0.0, 0.0, LIFT * reach])
-    found = [contours(drawn), *_grid_and_north(drawn, terrain, window)]
+    lines = [contours(drawn), *_grid_and_north(drawn, terrain, window)]
     return tuple(
         each._replace(
             segments=each.segments - above,
             labels=tuple((words, place - above) for words, place in each.labels),
         )
-        for each in found
+        for each in lines
         if len(each.segments)
     )
 
@@ -459,5 +325,5 @@ def _coordinate(name: str, value: float) -> str:
 
 def _segments(line: Array) -> Array:
     """Return the segments between consecutive points, shape (n, 2, 3); NaN ends are omitted."""
-    found = np.stack([line[:-1], line[1:]], axis=1)
-    return np.asarray(found[np.isfinite(found).all(axis=(1, 2))])
+    segments = np.stack([line[:-1], line[1:]], axis=1)
+    return np.asarray(segments[np.isfinite(segments).all(axis=(1, 2))])

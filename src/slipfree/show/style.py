@@ -130,18 +130,8 @@ def ticks(count: int) -> MaxNLocator:
     return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
 
 
-def by_wheel(
-    run: Trajectory,
-    values: Array,
-    ax: Axes,
-    *,
-    zeros: bool = True,
-    **looks: Any,
-) -> Axes:
-    """Draw a line per wheel over time, with ``zeros`` also for values that are identically zero.
-
-    Values have the shape (n, n_wheels).
-    """
+def by_wheel(run: Trajectory, values: Array, ax: Axes, *, zeros: bool = True, **looks: Any) -> Axes:
+    """Draw a line per wheel over time, with ``zeros`` also for values that are identically zero."""
     for k, wheel in enumerate(run.wheels):
         if zeros or values[:, k].any():
             ax.plot(run.t, values[:, k], label=words(wheel), **look(k) | looks)

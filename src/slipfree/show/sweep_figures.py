@@ -17,11 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slipfree.core.errors import ModelError
-from slipfree.core.facts import Swept, Varied
 from slipfree.core.records import Array, Mask
 from slipfree.show import style
 from slipfree.show.plots import MARGIN, PANEL, Plot, save
 from slipfree.show.style import COLUMN, MM, PALETTE, STOPPED
+from slipfree.show.swept import Swept, Varied
 
 COLOURS = "viridis"
 NOTHING = "0.85"  # colour of cells without a run
@@ -52,10 +52,7 @@ def distribution(swept: Swept, ax: Axes) -> Axes:
 
 
 def curve(swept: Swept, ax: Axes) -> Axes:
-    """Draw mean and range over repetitions, and the value of every run, over one varied key.
-
-    Raises ModelError if not exactly one key was varied.
-    """
+    """Draw mean and range over repetitions, and the value of every run, over one varied key."""
     (varied,) = _axes(swept, 1)
     x, values = _positions(varied), swept.values
     order = np.argsort(x)
@@ -79,10 +76,7 @@ def curve(swept: Swept, ax: Axes) -> Axes:
 
 
 def heat_map(swept: Swept, ax: Axes) -> Axes:
-    """Draw a heat map of the mean over repetitions against two keys; cells without value are grey.
-
-    Raises ModelError if not exactly two keys were varied.
-    """
+    """Draw a heat map of the mean over repetitions against two keys, grey without value."""
     across, up = _axes(swept, 2)
     mean = _over(np.nanmean, swept.values)
     orders = [np.argsort(_positions(each)) for each in (across, up)]
@@ -101,10 +95,7 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
 
 
 def figure(swept: Swept) -> Figure:
-    """Return the figure of a metric over at most two varied keys.
-
-    Raises ModelError if more keys were varied, or no run has a value.
-    """
+    """Return the figure of a metric over at most two varied keys."""
     if not np.isfinite(swept.values).any():
         raise ModelError(
             f"{swept.name}: expected a value in at least one run, found none; choose another metric"
@@ -126,11 +117,7 @@ def figure(swept: Swept) -> Figure:
 def save_sweep_figures(
     quantities: Sequence[Swept], folder: str | Path, formats: Sequence[str] = ("png", "pdf")
 ) -> list[Path]:
-    """Write one figure per metric to a folder, and return the paths of the files.
-
-    Raises ModelError if more than two keys were varied, no run has a value, or a format is unknown,
-    and DataError if the folder or a file cannot be written.
-    """
+    """Write one figure per metric to a folder, and return the paths of the files."""
     return save(
         [Plot(each.name, "", partial(figure, each)) for each in quantities], folder, formats
     )
@@ -149,9 +136,9 @@ def _axes(swept: Swept, count: int) -> tuple[Varied, ...]:
 def _over(reduce: Any, values: Array) -> Array:
     """Return a reduction such as the mean over repetitions; NaN where no repetition has a value."""
     there = np.isfinite(values).any(axis=-1)
-    found = np.full(there.shape, np.nan)
-    found[there] = reduce(values[there], axis=-1)
-    return found
+    reduced = np.full(there.shape, np.nan)
+    reduced[there] = reduce(values[there], axis=-1)
+    return reduced
 
 
 def _positions(varied: Varied) -> Array:
@@ -198,35 +185,17 @@ def _labelled(name: str, unit: str) -> str:
 
 
 class DrawnFront(NamedTuple):
-    """Data for the figure of a Pareto front of n points.
+    """Data for the figure of a Pareto front of n points."""
 
-    Attributes
-    ----------
-    name, unit : str
-        Name and unit of the second objective.
-    bounds, second : ndarray, shape (n,)
-        Bound and value of the second objective, in its unit; the value is NaN for unsolved points.
-    objective, slopes : ndarray, shape (n,)
-        Minimised objective, and its derivative with respect to the bound. [m2/s, m2/s per unit of
-        the bound]
-    slip : ndarray, shape (n,)
-        Slip per wheel and metre of path. [m/m]
-    is_dominated : ndarray of bool, shape (n,)
-        Whether another point of the front dominates the point.
-    given : tuple of 3 floats
-        Second objective, first objective [m2/s] and slip [m/m] of the plan with the costs of the
-        problem.
-    """
-
-    name: str
+    name: str  # name and unit of the second objective
     unit: str
-    bounds: Array
-    second: Array
-    objective: Array
-    slopes: Array
-    slip: Array
-    is_dominated: Mask
-    given: tuple[float, float, float]
+    bounds: Array  # shape (n,), in the unit of the second objective
+    second: Array  # shape (n,): second objective, NaN for unsolved points
+    objective: Array  # shape (n,): minimised objective [m2/s]
+    slopes: Array  # shape (n,): its derivative with respect to the bound
+    slip: Array  # shape (n,): slip per wheel and metre of path [m/m]
+    is_dominated: Mask  # shape (n,): whether another point of the front dominates the point
+    given: tuple[float, float, float]  # both objectives and slip with the costs of the problem
 
 
 def front_figure(front: DrawnFront) -> Figure:
@@ -290,28 +259,13 @@ def _draw_tangents(front: DrawnFront, ax: Axes) -> None:
 
 
 class DrawnWheel(NamedTuple):
-    """Data for the figure of a single-wheel test.
+    """Data for the figure of a single-wheel test."""
 
-    Attributes
-    ----------
-    angle : ndarray, shape (n_angles,)
-        Slip angles. [rad]
-    slip : ndarray, shape (n_slips,)
-        Slip ratios. [1]
-    load : float
-        Vertical load of the curves. [N]
-    values : mapping of str and ndarray, shape (n_angles, n_slips)
-        Computed quantities by name.
-    measured : mapping of str and tuple of 4 ndarrays, shape (n,)
-        Slip ratios [1], slip angles [rad], loads [N] and values of measured points, by quantity.
-        Those at the load of the curves are circles, others are crosses.
-    """
-
-    angle: Array
-    slip: Array
-    load: float
-    values: Mapping[str, Array]
-    measured: Mapping[str, tuple[Array, Array, Array, Array]]
+    angle: Array  # shape (n_angles,): slip angles [rad]
+    slip: Array  # shape (n_slips,): slip ratios [1]
+    load: float  # vertical load of the curves [N]
+    values: Mapping[str, Array]  # shape (n_angles, n_slips): computed quantities by name
+    measured: Mapping[str, tuple[Array, Array, Array, Array]]  # by quantity
 
 
 def wheel_plot(name: str, test: DrawnWheel) -> Plot:

@@ -16,7 +16,7 @@ import numpy as np
 from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
 from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
-from slipfree.show.local_server import Guard, stop
+from slipfree.show.local_server import Guard, stop, taken
 from slipfree.show.scene import (
     ARROWS,
     Actor,
@@ -58,9 +58,7 @@ def serve(
 ) -> None:
     """Show a scene in a web page on this machine, until Ctrl-C; port zero selects a free one.
 
-    ``warn`` is called, from any thread, with warnings about refused requests and values, ``ready``
-    with the address when the page can be opened. Raises DataError if viser is not installed or has
-    an unsupported version, or if the port is in use.
+    ``warn`` is called, from any thread, with warnings, ``ready`` with the address of the page.
     """
     server, url = _server(port, warn)
     try:
@@ -77,10 +75,7 @@ def serve(
 
 
 def page(scene: Scene, title: str, color: str) -> str:
-    """Return a self-contained HTML page that plays a scene; ``color`` is the layer of the ground.
-
-    Raises DataError if viser is not installed or has an unsupported version.
-    """
+    """Return a self-contained HTML page that plays a scene, with an initial layer of the ground."""
     server, _ = _server(0)
     try:
         stage = Stage(server, scene, color, others=True)
@@ -102,10 +97,7 @@ def page(scene: Scene, title: str, color: str) -> str:
 def _server(
     port: int, warn: Callable[[str], None] = lambda _: None
 ) -> tuple[viser.ViserServer, str]:
-    """Return a guarded viser server on a port, and the address of its page.
-
-    Raises DataError if viser is missing or unsuitable, or if the port is in use.
-    """
+    """Return a guarded viser server on a port, and the address of its page."""
     guard = Guard(warn, page_script("viewer_keys.js"))
     try:
         server = guard.start(port)
@@ -113,26 +105,12 @@ def _server(
         raise DataError(f"show: {missing_package('viser', 'view')}") from error
     if port and server.get_port() != port:
         stop(server)
-        raise DataError(
-            f"--port: expected a free port, found {port} in use; omit --port to choose a free port"
-        )
+        raise taken(port)
     return server, guard.gate.url(server.get_port())
 
 
 class Stage:
-    """Nodes of a scene in viser, with methods to show them at a time.
-
-    Parameters
-    ----------
-    server : ViserServer
-        The server.
-    scene : Scene
-        The scene.
-    color : str
-        Name of the initial layer of the ground.
-    others : bool
-        Whether to add the other layers as hidden nodes, for a saved page.
-    """
+    """Nodes of a scene in viser, with methods to show them; ``others`` adds hidden layers."""
 
     def __init__(
         self, server: viser.ViserServer, scene: Scene, color: str, *, others: bool = False
@@ -158,10 +136,7 @@ class Stage:
         self.follow(scene.is_far)
 
     def spread(self, enabled: bool) -> None:
-        """Move the motions apart sideways, so that coincident vehicles are visible, or back.
-
-        A plan stays with the motion that simulates it.
-        """
+        """Move motions apart sideways, or back; a plan stays with its simulation."""
         first = self.scene.actors[0].bodies[0].origins
         along = (first[-1] - first[0])[:2]
         size = float(np.linalg.norm(along))
@@ -203,17 +178,7 @@ class Stage:
 
 
 class _RunNodes:
-    """Nodes of one motion in viser.
-
-    Parameters
-    ----------
-    server : ViserServer
-        The server.
-    scene : Scene
-        The scene.
-    k : int
-        Index of the motion in the scene.
-    """
+    """Nodes of the motion with index ``k`` of a scene in viser."""
 
     def __init__(self, server: viser.ViserServer, scene: Scene, k: int) -> None:
         actor, self.scales = scene.actors[k], scene.scales
@@ -295,10 +260,7 @@ class _RunNodes:
 
 
 def _lines(arrows: Arrows, k: int, scale: float, origin: Array) -> Array:
-    """Return starts and ends of the arrows at a sample relative to a position, shape (n, 2, 3) [m].
-
-    Arrows without contact or of zero length are omitted.
-    """
+    """Return starts and ends of arrows at a sample relative to a position, shape (n, 2, 3) [m]."""
     starts, vectors = arrows.starts[k] - origin, arrows.vectors[k] * scale
     kept = np.isfinite(starts).all(axis=-1) & (np.linalg.norm(vectors, axis=-1) > 0)
     return np.asarray(np.stack([starts, starts + vectors], axis=1)[kept], dtype=np.float32)
@@ -351,8 +313,8 @@ def _matt(tree: dict[str, Any]) -> None:
 def linear(colors: Colors) -> Colors:
     """Return sRGB colours converted to linear light (IEC 61966-2-1), shape (n, 3)."""
     parts = colors / 255
-    found = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.rint(255 * found), dtype=np.uint8)
+    light = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.rint(255 * light), dtype=np.uint8)
 
 
 def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arrows) -> Any:
@@ -369,11 +331,7 @@ def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arro
 
 
 def _add_tracks(server: viser.ViserServer, root: str, actor: Actor, lift: float) -> None:
-    """Add the tracks of all contact points of a motion, at a height above the ground [m].
-
-    Tracks at the height of the ground or of other tracks would flicker. Those of plans are dashed,
-    since they lie above the tracks of their simulations.
-    """
+    """Add the tracks of contact points, raised against flicker; those of plans are dashed."""
     every = max(1, actor.t.size // MOST)
     points = actor.contacts[::every] + np.array([0.0, 0.0, lift])
     lines = np.stack([points[:-1], points[1:]], axis=2)[:: 2 if actor.ghost else 1]

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slipfree.core.errors import DataError
-from slipfree.core.facts import Swept, Varied
 from slipfree.core.records import Array
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
 from slipfree.problem.load import verb_of
 from slipfree.problem.units import unit_of
+from slipfree.show.swept import Swept, Varied
 from slipfree.sweep.grid import Run, Sweep
 from slipfree.sweep.log import COMPLETE, FAILED, LOST, NAME, Rows, RunLog, RunRow, RunTask
 from slipfree.sweep.pools import Pool

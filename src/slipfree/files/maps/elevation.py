@@ -40,18 +40,10 @@ Facts = tuple[tuple[str, str], ...]
 
 
 class Frame(NamedTuple):
-    """Linear relation between ground and map file: file coordinates ``x0 + kx x, y0 + ky y``.
+    """Linear relation between ground and map file: file coordinates ``x0 + kx x, y0 + ky y``."""
 
-    Attributes
-    ----------
-    x0, y0 : float
-        Origin of the ground in coordinates of the file. [m] or [deg]
-    kx, ky : float
-        Units of the file per metre of the ground. [1] or [deg/m]
-    """
-
-    x0: float = 0.0
-    kx: float = 1.0
+    x0: float = 0.0  # origin of the ground in coordinates of the file [m] or [deg]
+    kx: float = 1.0  # units of the file per metre of the ground [1] or [deg/m]
     y0: float = 0.0
     ky: float = 1.0
 
@@ -145,9 +137,9 @@ def read_map(
                 refuse(f"no {key!r} for {kind}", f"{value!r}", remedy)
         check_ending(path, "map", _expected_endings(), _endings())
         with regular_file(path, "a map"):
-            found = _reader(ending).read(path, reading)
-        _check_degrees(found, local=geographic is not None)
-        return _mapped(found, geographic, fill)
+            heights = _reader(ending).read(path, reading)
+        _check_degrees(heights, local=geographic is not None)
+        return _mapped(heights, geographic, fill)
     except DataError as error:
         if str(error).startswith(f"{path}:"):
             raise
@@ -271,22 +263,10 @@ def local_frame(longitude: Array, latitude: Array) -> Frame:
 def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
     """Return a grid converted from degrees to metres; its south-western node is at (0, 0).
 
-    Parameters
-    ----------
-    longitude : ndarray, shape (n_x,)
-        Longitudes, increasing to the east. [deg]
-    latitude : ndarray, shape (n_y,)
-        Latitudes, increasing to the north. [deg]
-    z : ndarray, shape (n_x, n_y)
-        Heights at ``(longitude[i], latitude[j])``. [m]
-
-    Notes
-    -----
-    The projection is equirectangular: ``x = R cos(middle) (longitude - longitude[0])`` and
-    ``y = R (latitude - latitude[0])`` in radians, with the mean radius R = 6371008.8 m and the
-    ``middle`` of the first and the last latitude. Distances along x are exact at ``middle``; their
-    relative error elsewhere is ``tan(middle)`` times the angular distance from it: 0.2 % at 36
-    degrees north in a distance of 15 km.
+    The projection is equirectangular, ``x = R cos(middle) (longitude - longitude[0])`` with the
+    mean radius R = 6371008.8 m: distances along x are exact at the middle latitude; elsewhere their
+    relative error is ``tan(middle)`` times the angular distance from it, 0.2 % at 36 degrees north
+    in 15 km.
     """
     frame = local_frame(longitude, latitude)
     return Grid((longitude - frame.x0) / frame.kx, (latitude - frame.y0) / frame.ky, z)
@@ -339,21 +319,11 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
 
 
 class MapReader(NamedTuple):
-    """Reader of map files of one format.
+    """Reader of map files of one format."""
 
-    Attributes
-    ----------
-    endings : tuple of str
-        Endings of the names of such files, in lower case, with the dot.
-    read : callable
-        ``read(path, reading)`` returns the heights in a file.
-    keys : tuple of str
-        Fields of `Reading`, besides ``window``, that the format uses.
-    """
-
-    endings: tuple[str, ...]
-    read: Callable[[Path, Reading], Heights]
-    keys: tuple[str, ...] = ()
+    endings: tuple[str, ...]  # endings of the names of such files, in lower case, with the dot
+    read: Callable[[Path, Reading], Heights]  # ``read(path, reading)`` returns the heights
+    keys: tuple[str, ...] = ()  # fields of `Reading`, besides ``window``, that the format uses
 
 
 def _read_raster(path: Path, ask: Reading) -> Heights:

@@ -43,10 +43,9 @@ def check_values(
 ) -> None:
     """Raise DataError if heights contain markers of missing heights.
 
-    Heights are those of nodes, shape (n_x, n_y), or points, shape (n,), NaN where the file declares
-    none; ``metres`` is their unit [m]. ``place(index)`` returns the position of one as text,
-    ``remedy(marker, text)`` what to do with a marker whose value is ``text``. ``steps`` are the
-    distances of nodes [m], without which markers that were interpolated are not found.
+    ``place(index)`` returns the position of a height as text, ``remedy(marker, text)`` what to do
+    with a marker whose value is ``text``. Without ``steps``, the distances of nodes [m], markers
+    that were interpolated are not found.
     """
     z = np.where(np.isfinite(z), z, np.nan)
     if np.isnan(z).all():
@@ -145,10 +144,7 @@ def _is_named(value: float) -> bool:
 
 
 def _interpolated_marker(z: Array, metres: float, steps: tuple[float, float]) -> Marker | None:
-    """Return the extreme of values between markers and heights; None without steep steps.
-
-    Walls of buildings and mountains are as steep, but not as low or high.
-    """
+    """Return the extreme of values between markers and heights; None without steep steps."""
     lowest, highest = float(np.nanmin(z)), float(np.nanmax(z))
     if PLAUSIBLE[0] <= lowest * metres <= highest * metres <= PLAUSIBLE[1]:
         return None

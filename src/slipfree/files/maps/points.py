@@ -53,16 +53,9 @@ TO_METRIC_HEIGHTS = (
 
 
 def read_points(path: Path, ask: Reading) -> Heights:
-    """Return the height map interpolated from scattered points.
+    """Return the height map interpolated linearly from scattered points; holes outside their hull.
 
-    Heights are interpolated linearly on a Delaunay triangulation; nodes outside the convex hull of
-    the points are holes. The first node is at the smallest x and y of all points. The file has x, y
-    and z in each line, see `slipfree.files.tables.read_columns`; without these names, they are the
-    first three columns, and others, such as colours, are ignored [m].
-
-    DataError is raised if the file is not such a table, if a coordinate exceeds 1e12 m, if
-    ``spacing`` is None (the message suggests a value), too large or too small, if the window
-    contains too few nodes, or if the points lie on a line or have fewer than three positions.
+    The first node is at the smallest x and y of all points.
     """
     names = {name.lower() for name in read_names(path, "points")}
     geographic = any("longitude" in same and names & same for same in ALIASES)
@@ -139,8 +132,7 @@ def interpolate_points(
 ) -> Array:
     """Return heights at nodes, interpolated linearly; NaN outside the convex hull of the points.
 
-    The first node is at ``low``; ``part`` are the indices of the wanted nodes along x and y. Points
-    have the shape (n, 3), heights (n_x, n_y) [m]. Points on a line raise DataError.
+    The first node is at ``low``; ``part`` are the indices of the wanted nodes along x and y.
     """
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
     from scipy.spatial import QhullError
@@ -171,17 +163,10 @@ class _Cloud(NamedTuple):
 
 
 def read_point_cloud(path: Path, ask: Reading) -> Heights:
-    """Return the height map of a point cloud.
+    """Return the height map of a point cloud, with holes where cells have no points.
 
-    Points classified as ground are used if there are any, otherwise all points except noise and
-    withheld points. The points of a cell are averaged in x, y and z, and heights are interpolated
-    linearly between these averages: a plane is exact. Cells without points, and nodes outside the
-    convex hull, are holes.
-
-    Nodes are at multiples of ``spacing``, by default such that cells have 4 points on average [m].
-    DataError is raised if laspy, lazrs or pyproj is not installed, if the file is damaged or not in
-    metres, if its points are too few or too many or lie on a line, or if the window contains too
-    few nodes.
+    Points classified as ground are used if there are any. Those of a cell are averaged in x, y and
+    z, and heights are interpolated linearly between these averages: a plane is exact.
     """
     for name in ("laspy", "lazrs", "pyproj"):
         if find_spec(name) is None:
@@ -267,11 +252,11 @@ def _read(path: Path, near: Window | None) -> _Cloud:
                     remedy = "set spacing and window, or thin the points"
                     found_words = f"more, of {count} in the file"
                     refuse(f"at most {MAX_POINTS:g} points", found_words, remedy)
-            found = np.concatenate(points)
-            if not (np.abs(found) <= MAX_COORDINATE).all():
+            cloud = np.concatenate(points)
+            if not (np.abs(cloud) <= MAX_COORDINATE).all():
                 raise ValueError(f"coordinates that are not finite or exceed {MAX_COORDINATE:g}")
             version = str(file.header.version)
-            return _Cloud(found, np.concatenate(ground), version, *_system(file.header))
+            return _Cloud(cloud, np.concatenate(ground), version, *_system(file.header))
     except (DataError, OSError):
         raise
     except Exception as error:  # laspy, lazrs and pyproj raise many kinds for damaged files
@@ -361,11 +346,11 @@ def _gridded(
     # relative to the first node: sums of coordinates such as northings would lose digits
     means = [np.bincount(which, column) / count for column in (points[:, :2] - first).T]
     z = np.bincount(which, points[:, 2]) / count
-    found = interpolate_points(np.column_stack([*means, z]), np.zeros(2), x.step, part)
+    heights = interpolate_points(np.column_stack([*means, z]), np.zeros(2), x.step, part)
     rows, columns = (
         each - nodes.start for each, nodes in zip(np.divmod(cells, y.size), part, strict=True)
     )
-    inside = (rows >= 0) & (rows < found.shape[0]) & (columns >= 0) & (columns < found.shape[1])
-    occupied = np.zeros(found.shape, bool)
+    inside = (rows >= 0) & (rows < heights.shape[0]) & (columns >= 0) & (columns < heights.shape[1])
+    occupied = np.zeros(heights.shape, bool)
     occupied[rows[inside], columns[inside]] = True
-    return np.where(occupied, found, np.nan), int(occupied.sum())
+    return np.where(occupied, heights, np.nan), int(occupied.sum())

@@ -109,30 +109,15 @@ def _check_header(path: Path) -> None:
 
 
 class Reading(NamedTuple):
-    """Information that the user gives about a map file.
+    """Information that the user gives about a map file."""
 
-    Attributes
-    ----------
-    window : tuple of 4 floats or None
-        Part to read: x_min, x_max, y_min, y_max in coordinates of the file. [m] or [deg]
-    cell : float or None
-        Width of a cell of a raster without coordinates. [m]
-    registration : {"area", "point"} or None
-        Position of the values of a raster without coordinates. ``"area"``: at the centres of cells,
-        so that the border is half a cell outside the first node. ``"point"``: at nodes, so that the
-        border passes through the first node.
-    spacing : float or None
-        Distance between nodes for scattered points and point clouds. [m]
-    vertical_scale : float or None
-        Metres per unit of the heights, to recognize markers of missing heights; None if the heights
-        are metres, or unknown gray levels.
-    """
-
-    window: Window | None = None
-    cell: float | None = None
+    window: Window | None = None  # x_min, x_max, y_min, y_max of the part to read [m] or [deg]
+    cell: float | None = None  # width of a cell of a raster without coordinates [m]
+    # of a raster without coordinates: values at the centres of cells, so that the border is half a
+    # cell outside the first node (``"area"``), or at nodes (``"point"``)
     registration: Registration | None = None
-    spacing: float | None = None
-    vertical_scale: float | None = None
+    spacing: float | None = None  # distance between nodes for scattered points and point clouds [m]
+    vertical_scale: float | None = None  # metres per unit of the heights; None if gray or metres
 
 
 class _Place(NamedTuple):
@@ -150,13 +135,7 @@ class _Place(NamedTuple):
 
 
 def read_raster(path: Path, ask: Reading) -> Heights:
-    """Return the heights in a raster file of a format that GDAL reads from one file.
-
-    DataError is raised if the file is damaged, if it does not have one band of heights on a grid
-    along x and y in metres or degrees, if it has no coordinates and cell or registration is
-    missing, if it has coordinates and one of them is given, or if the window is empty or contains
-    too few or too many nodes.
-    """
+    """Return the heights in a raster file of a format that GDAL reads from one file."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
@@ -404,10 +383,7 @@ def _unit(file: Any) -> float:  # of the heights [m]
 
 
 def _is_picture(file: Any, is_placed: bool) -> bool:
-    """Return whether the values are gray levels of a picture.
-
-    Such values are unsigned, without scale and unit, and of 8 bits or without coordinates.
-    """
+    """Return whether the values are gray levels of a picture: unsigned, and 8 bits or unplaced."""
     kind = np.dtype(file.dtypes[0])
     if kind.kind != "u" or (file.scales[0], file.offsets[0]) != (1, 0) or file.units[0]:
         return False
@@ -440,10 +416,7 @@ def _check_band(file: Any) -> None:
 
 
 def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
-    """Return the positions of the nodes of a raster.
-
-    They follow from the coordinates in the file, else from ``ask.cell`` and ``ask.registration``.
-    """
+    """Return the node positions by the file, else by ``ask.cell`` and ``ask.registration``."""
     if file.gcps[0]:
         refuse(
             "a raster on a grid along x and y",

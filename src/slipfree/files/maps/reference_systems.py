@@ -36,12 +36,7 @@ def refuse(expected: str, found: str, remedy: str) -> NoReturn:
 
 
 def system_name(crs: Any, command: str, x: float, y: float) -> tuple[str, bool]:
-    """Return the name of a coordinate reference system, and whether its unit is the degree.
-
-    Arguments are those of `reprojection`, with None for an unknown system. DataError is raised for
-    a system that is neither projected, geographic nor local, or whose coordinates are neither
-    metres nor degrees on the earth.
-    """
+    """Return the name of a coordinate reference system, and whether its unit is the degree."""
     if crs is None:
         return "", False
     wkt, code = crs.to_wkt(), crs.to_epsg()
@@ -108,10 +103,7 @@ def _is_earth(crs: Any) -> bool:
 
 
 def _degrees(crs: Any, x: list[float], y: list[float]) -> Array:
-    """Return longitudes and latitudes on the ellipsoid of a system, NaN outside its domain [deg].
-
-    The result has the shape (2, n).
-    """
+    """Return longitudes and latitudes, shape (2, n), NaN outside the domain of the system [deg]."""
     from rasterio.crs import CRS
     from rasterio.warp import transform
 
@@ -124,10 +116,7 @@ def _degrees(crs: Any, x: list[float], y: list[float]) -> Array:
 
 
 def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, float]:
-    """Return a WGS 84 position [deg] in a reference system, given by EPSG code or WKT [m or deg].
-
-    The coordinates to the east and north are not finite outside the domain of the projection.
-    """
+    """Return a WGS 84 position [deg] in a reference system; not finite outside its domain."""
     from rasterio.crs import CRS
     from rasterio.warp import transform
 
@@ -139,11 +128,9 @@ def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, fl
 
 
 def scale_facts(crs: Any, x: float, y: float, command: str) -> tuple[tuple[str, str], ...]:
-    """Return the scale of a projected map as facts for summaries.
+    """Return the scale of a projected map as facts; refuse maps with an error of more than 1 %.
 
-    In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres. DataError
-    is raised if the scale at (x, y) [m] in any direction differs from 1 by more than 1 %, or if the
-    position is outside the domain of the projection. ``command`` is that of `reprojection`.
+    In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres.
     """
     if crs is None or not crs.is_projected:
         return ()

@@ -63,28 +63,13 @@ BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
 
 @dataclass(frozen=True)
 class Source:
-    """Text of a problem file, and the origin of its values.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the file.
-    text : str
-        Text of the file.
-    lines : mapping of tuple to int
-        Line number of every key and table. A key is a tuple of names, and of indices for elements
-        of arrays of tables.
-    settings : mapping of tuple to str
-        Settings ``key=value`` of the command line, by the keys that they set.
-    varied : frozenset of tuple
-        Keys of `settings` that the option ``--vary`` sets; the other keys are set by ``--set``.
-    """
+    """Text of a problem file, and the origin of its values."""
 
     path: Path
     text: str
-    lines: Mapping[Place, int]
-    settings: Mapping[Place, str] = field(default_factory=dict)
-    varied: frozenset[Place] = frozenset()
+    lines: Mapping[Place, int]  # line of every key, with indices of arrays of tables, and table
+    settings: Mapping[Place, str] = field(default_factory=dict)  # ``key=value`` by key
+    varied: frozenset[Place] = frozenset()  # keys that ``--vary`` sets; ``--set`` sets the others
 
     def where(self, place: Place) -> str:
         """Return the location ``file:line: key``, ``--set key`` or ``--vary key`` of a value."""
@@ -111,8 +96,8 @@ class Source:
 
 
 def _longest(place: Place, known: Mapping[Place, object]) -> Place | None:
-    parts = (place[:end] for end in range(len(place), 0, -1))
-    return next((part for part in parts if part in known), None)
+    beginnings = (place[:end] for end in range(len(place), 0, -1))
+    return next((part for part in beginnings if part in known), None)
 
 
 def spelled(place: Place) -> str:
@@ -121,13 +106,9 @@ def spelled(place: Place) -> str:
 
 
 def load_toml(text: str) -> dict[str, Any]:
-    """Return the values of a TOML text from a user.
-
-    ValueError is raised if the text is not TOML, is nested deeply, or contains an integer of
-    thousands of digits. The message may end with ``(at line L, column C)``.
-    """
-    if (found := LONG_KEY.search(text)) is not None:
-        line = text.count("\n", 0, found.start()) + 1
+    """Return the values of a TOML text; the ValueError may end with ``(at line L, column C)``."""
+    if (long_key := LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, long_key.start()) + 1
         raise ValueError(f"a key of more than 60 dotted parts (at line {line}, column 1)")
     try:
         values = tomllib.loads(text)
@@ -168,12 +149,8 @@ def key_path(text: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def key_lines(text: str) -> Mapping[Place, int]:
-    """Return the line of every key and table of a valid TOML text.
-
-    Keys inside an inline table or an array are not included; their line is that of the key to which
-    the table or array belongs.
-    """
-    found: dict[Place, int] = {}
+    """Return the line of every key and table of a TOML text, except keys inside inline values."""
+    lines: dict[Place, int] = {}
     counts: dict[Place, int] = {}
     table: Place = ()
     for line, statement in _statements(text):
@@ -187,13 +164,13 @@ def key_lines(text: str) -> Mapping[Place, int]:
             table = _resolved(key[: len(key) - (depth == 2)], counts)
             if depth == 2:
                 table = (*table, key[-1])
-                found.setdefault(table, line)
+                lines.setdefault(table, line)
                 counts[table] = counts.get(table, -1) + 1
                 table = (*table, counts[table])
         place = table if depth else (*table, *key)
         for end in range(1, len(place) + 1):
-            found.setdefault(place[:end], line)
-    return found
+            lines.setdefault(place[:end], line)
+    return lines
 
 
 def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
@@ -238,22 +215,12 @@ class ProblemError(DataError):
 
 
 class Fault(NamedTuple):
-    """One error in a TOML file.
+    """One error in a TOML file."""
 
-    Attributes
-    ----------
-    place : tuple of str or int
-        Location of the value: names of nested keys, and indices of array elements.
-    expected, found : str
-        Descriptions of the expected and the found value.
-    hint : str
-        Suggestion at the start of the message, such as a similar key; empty without one.
-    """
-
-    place: Place
-    expected: str
+    place: Place  # location of the value: names of nested keys, and indices of array elements
+    expected: str  # descriptions of the expected and the found value
     found: str
-    hint: str = ""
+    hint: str = ""  # suggestion at the start of the message, such as a similar key
 
     @property
     def message(self) -> str:
@@ -267,9 +234,9 @@ def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
     return ProblemError(*(f"{source.where(fault.place)}: {fault.message}" for fault in ordered))
 
 
-def name_errors(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
+def name_errors(place: Place, names: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
     """Yield an error for each unknown name, with the most similar known name."""
-    for name in given:
+    for name in names:
         if name not in known:
             yield _unknown((*place, name), known)
 
@@ -378,20 +345,7 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
 
 
 def read_text(path: Path, expected: str = "a problem file") -> str:
-    """Return the text of a TOML file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    expected : str
-        Description of the file in messages.
-
-    Raises
-    ------
-    ProblemError
-        If the file cannot be read, is not UTF-8, or is larger than 10 MB.
-    """
+    """Return the text of a TOML file; messages call it ``expected``."""
     return decode_text(path, read_raw(path, expected))
 
 
@@ -423,9 +377,9 @@ def decode_text(path: Path, raw: bytes) -> str:
 
 def _syntax(path: Path, text: str, message: str) -> str:
     """Return the message of an error of `load_toml`, with file, line and column if it has them."""
-    found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
-    if found is not None:
-        return f"{path}:{found[2]}: expected TOML, found an error in column {found[3]}: {found[1]}"
+    place = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
+    if place is not None:
+        return f"{path}:{place[2]}: expected TOML, found an error in column {place[3]}: {place[1]}"
     if message.endswith("(at end of document)"):
         last = len(text.splitlines()) or 1
         return f"{path}:{last}: expected TOML, found an error at the end: {message}"
@@ -435,29 +389,7 @@ def _syntax(path: Path, text: str, message: str) -> str:
 def replace_values(
     data: dict[str, Any], settings: Sequence[str], option: str = "--set"
 ) -> dict[Place, str]:
-    """Replace values in the tables of a file by settings; ``data`` is modified in place.
-
-    Parameters
-    ----------
-    data : dict
-        Contents of the file.
-    settings : sequence of str
-        Texts ``key=value`` with a dotted key and a value in TOML or a bare word; ``key=`` removes
-        the key.
-    option : str
-        Name of the command-line option in error messages.
-
-    Returns
-    -------
-    dict of tuple to str
-        The setting that changed, added or removed a value or table, by the keys of the value.
-
-    Raises
-    ------
-    ProblemError
-        If a setting is not UTF-8 or not ``key=value``, if it sets a key inside a value that is not
-        a table, or if it removes a key that does not exist.
-    """
+    """Replace values in ``data`` by texts ``key=value``; return the setting of each changed key."""
     places: dict[Place, str] = {}
     faults = []
     for setting in settings:

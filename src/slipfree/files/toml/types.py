@@ -46,10 +46,7 @@ class Record(BaseModel):
 
     @classmethod
     def schema_for(cls, data: Any) -> type[Record]:  # noqa: ARG003 - for records that depend on it
-        """Return the schema for a table with given contents, by default this one.
-
-        PydanticCustomError or ValidationError is raised if the contents belong to no schema.
-        """
+        """Return the schema for a table with given contents, by default this one."""
         return cls
 
     @classmethod
@@ -145,19 +142,7 @@ Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 def unit_faults(
     place: KeyPath, values: Mapping[str, Any], units: Mapping[str, str], *, bare: bool = False
 ) -> Iterator[Fault]:
-    """Yield an error for each value with a unit other than the expected one.
-
-    Parameters
-    ----------
-    place : tuple of str or int
-        Keys of the table in its file, for the location in messages.
-    values : mapping
-        Numbers, ranges, or piecewise constants by name of the key.
-    units : mapping of str to str
-        Expected units by name, as in ``rad s-1``; values without an entry are not checked.
-    bare : bool
-        Whether an angle of more than a full turn without a unit is an error too.
-    """
+    """Yield an error for each value with another unit, and if ``bare`` for angles above a turn."""
     for name, value in values.items():
         unit = units.get(name, "")
         for number in _numbers(value) if unit else ():
@@ -172,10 +157,7 @@ def unit_faults(
 
 
 def bare_words(value: float) -> str:
-    """Return the expected value, in words, for an angle that is probably given in degrees.
-
-    Such an angle has no unit and exceeds a full turn. The result is empty for other values.
-    """
+    """Return the expected value for an angle above a full turn without unit, in words; else ""."""
     if isinstance(value, WithUnit) or abs(value) <= FULL_TURN:
         return ""
     return f'radians (did you mean {value:.6g} degrees? write "{value:.6g} deg")'
@@ -202,17 +184,12 @@ def record_of(
     omitted: tuple[str, ...] = (),
     meaning: str = "",
 ) -> type[Any]:
-    """Return the record of a dataclass or function, with the keys of ``base`` before its own.
-
-    Bounds, units and descriptions are those of `slipfree.core.schema.keys_of`; keys whose names are
-    ``omitted`` are left out. The docstring is ``meaning``, by default the summary of ``kind``.
-    """
+    """Return the record of a dataclass or function, with the keys of ``base`` before its own."""
     keys: dict[str, Any] = {
         key.name: (
             _toml_type(key),
             Field(
-                default=... if key.default is MISSING else key.default,
-                description=key.description,
+                default=... if key.default is MISSING else key.default, description=key.description
             ),
         )
         for key in keys_of(kind)

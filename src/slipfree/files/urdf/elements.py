@@ -40,24 +40,7 @@ def read_tree(
     arguments: Mapping[str, str] = NOTHING,
     macros: frozenset[str] = frozenset(),
 ) -> Tree:
-    """Return the links and joints of a URDF file, checked to form a tree.
-
-    Parameters
-    ----------
-    data : bytes
-        Contents of the file.
-    file : str
-        Name of the file in messages.
-    arguments : mapping of str to str
-        Values of ``$(arg NAME)``, which override the defaults in the file.
-    macros : frozenset of str
-        Names of macros of the xacro from which the file was expanded.
-
-    Raises
-    ------
-    DataError
-        If the file is not XML; an `UnfitError` with all errors if its elements are not valid.
-    """
+    """Return the links and joints of a URDF file; an UnfitError has all errors of its elements."""
     robot, findings = parse_robot(data, file), Findings(file)
     check_macro_calls(robot, file, macros)
     notes = substitute(robot, arguments)
@@ -89,11 +72,7 @@ def read_tree(
 
 
 def _world(links: dict[str, Link], joints: dict[str, UrdfJoint], root: str) -> list[UrdfJoint]:
-    """Return the joints that move the whole robot, as a simulator's x-y-yaw base, root first.
-
-    Above the last of them are only links with one joint each, without a shape and almost without
-    mass.
-    """
+    """Return the joints that move the whole robot, as a simulator's x-y-yaw base, root first."""
     chain: list[UrdfJoint] = []
     most = DUMMY_MASS * sum(link.mass or 0.0 for link in links.values())
     while True:
@@ -152,11 +131,7 @@ def _link(element: Element, findings: Findings) -> Link:
 
 
 def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) -> Elements | None:
-    """Return the inertia tensor of an element in the axes of its link [kg m^2].
-
-    The result is None without the element ``inertia``, or for impossible moments: principal
-    moments that are not positive, or one of which exceeds the sum of the others.
-    """
+    """Return the inertia tensor of an element in link axes [kg m^2]; None if impossible."""
     element = inertial.first("inertia")
     if element is None:
         return None
@@ -269,12 +244,7 @@ def _joint(element: Element, findings: Findings) -> UrdfJoint:
 
 
 def _limits(element: Element, kind: str, findings: Findings, who: str) -> tuple[float, float]:
-    """Return the limits of a joint, infinite from an absolute value of 1000 [rad, m].
-
-    Both are infinite if the joint is of a type without limits, or has neither ``lower`` nor
-    ``upper``; one that is missing is zero, as in URDF. The values are checked later, since a
-    vehicle file may override them.
-    """
+    """Return the limits of a joint, infinite from an absolute value of 1000 [rad, m]."""
     limit = element.first("limit")
     has_limits = limit is not None and {"lower", "upper"} & set(limit.attributes)
     if kind not in ("revolute", "prismatic", "fixed") or limit is None or not has_limits:

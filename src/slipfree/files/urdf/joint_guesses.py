@@ -15,14 +15,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.roles import Roles
-from slipfree.files.urdf.tree import (
-    Link,
-    Mimic,
-    Shape,
-    Tree,
-    UrdfJoint,
-    lowest,
-)
+from slipfree.files.urdf.tree import Link, Mimic, Shape, Tree, UrdfJoint, lowest
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN
@@ -38,36 +31,20 @@ LATERAL = 0.9  # axes of opposite rockers have at least this component to the le
 
 
 class Caster(NamedTuple):
-    """A caster: links that belong together, of which one touches the ground.
+    """A caster: links that belong together, of which one touches the ground."""
 
-    Attributes
-    ----------
-    joint : str
-        Joint of the link that touches the ground.
-    parts : frozenset of str
-        Joints of all its links.
-    radius : float
-        Radius of the ball or wheel. [m]
-    is_ball : bool
-        Whether it slides freely as a ball; else it is a wheel that trails the axis of a swivel.
-    reason : str
-        Reason for the radius.
-    """
-
-    joint: str
-    parts: frozenset[str]
-    radius: float
-    is_ball: bool
-    reason: str
+    joint: str  # joint of the link that touches the ground
+    parts: frozenset[str]  # joints of all its links
+    radius: float  # radius of the ball or wheel [m]
+    is_ball: bool  # whether it slides freely as a ball; else its wheel trails a swivel
+    reason: str  # reason for the radius
 
 
 def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) -> Iterator[Caster]:
     """Yield the casters whose wheels do not turn about a level axis of a joint.
 
-    A caster is a joint with "caster" in a name, with the links below it; the lowest of them touches
-    the ground. A sphere that touches the ground of the wheels is one without a name. The URDF faces
-    forward along x; ``wheels`` are joints of wheels that roll, and ``excluded`` names of joints
-    that carry no wheel.
+    A caster is a joint with "caster" in a name, with the links below it, the lowest of which
+    touches the ground, or a sphere that touches the ground.
     """
     frames = tree.frames
     bottoms = [_bottom(tree.links[wheel.child].shapes, frames[wheel.child]) for wheel in wheels]
@@ -142,10 +119,7 @@ def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
 
 
 def with_separate_balls(tree: Tree) -> Tree:
-    """Return a URDF with links of their own for spheres of the chassis that touch the ground.
-
-    Simple robots have the ball of their caster in the link that carries the wheels.
-    """
+    """Return a URDF in which balls of casters that are part of the chassis have their own links."""
     frames, links, joints = tree.frames, dict(tree.links), dict(tree.joints)
     bottoms = {name: _bottom(link.shapes, frames[name]) for name, link in links.items()}
     moving = [joint for joint in tree.joints.values() if joint.moves]
@@ -342,8 +316,7 @@ class Joints:
         """Return the name of a rocker, and the opposite rocker that it follows; None without them.
 
         Two opposite rockers that carry all wheels leave the pitch of the platform free, unless a
-        differential joins them: relative to the platform they turn by opposite angles. The result
-        is None if they do.
+        differential joins them.
         """
         rockers = [
             joint

@@ -26,10 +26,7 @@ MAP = "map"  # frame of REP 105
 
 
 class Robot(NamedTuple):
-    """A URDF from which a vehicle was read, and the axis of its root link that points forward.
-
-    The URDF is completed by a vehicle file; ``forward`` is ``"x"``, ``"-x"``, ``"y"`` or ``"-y"``.
-    """
+    """The completed URDF of a vehicle, and the axis of its root link that points forward."""
 
     tree: Tree
     forward: str = "x"
@@ -59,16 +56,8 @@ def joint_values(
 ) -> dict[str, ca.SX]:
     """Return the values of moving joints and of wheels, by the name of their joint [rad, m].
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    robot : Robot or None
-        Its URDF, whose axes determine the signs of the joint values. Joints without effect on the
-        vehicle are at zero, or at the limit closest to zero. Without a URDF, angles of wheels are
-        positive forward.
-    values, angles : mapping of str to SX
-        Values of the coordinates, and angles of the wheels, by name. [rad or m]
+    Joints without effect on the vehicle are at zero, or at the limit closest to zero. Without a
+    URDF, whose axes determine signs, angles of wheels are positive forward.
     """
     own = {joint.name: evaluate(joint.value, values) for joint in vehicle.joints}
     released = {joint.name for joint in vehicle.joints if joint.coordinates}
@@ -124,10 +113,7 @@ def _wheel_signs(vehicle: Vehicle, robot: Robot) -> dict[str, float]:
 
 
 def to_rep103(poses: FramePoses) -> tuple[Array, Rotation]:
-    """Return origins [m] and rotations of frames with axes x forward, y left.
-
-    The rotations of all samples and frames are in one dimension.
-    """
+    """Return origins [m] and rotations of frames with axes x forward, y left."""
     right, forward, up = np.moveaxis(poses.rotations, -1, 0)
     turned = np.stack([forward, -right, up], axis=-1)
     return poses.origins, scipy.spatial.transform.Rotation.from_matrix(turned.reshape(-1, 3, 3))

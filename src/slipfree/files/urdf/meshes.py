@@ -40,16 +40,11 @@ FIT = 0.01  # largest error of a circle fitted to a rounded tread, in radii
 
 
 def mesh_shape(meshes: Sequence[MeshFile], axis: Array, files: MeshFiles) -> Shape | None:
-    """Return the body of revolution that encloses the meshes of a link, about an axis.
+    """Return the body of revolution that encloses the meshes of a link; None if they are not round.
 
-    The axis, a unit vector in the link's frame, goes through the link's origin. The radius is the
-    largest distance of a point from it. The centre is on the axis, in the middle of the tread. The
-    tube radius is that of a circle fitted to the outline of the tread; it is zero if the outline is
-    not such a circle, or if the circle is larger than the tread's width or the radius. The result
-    is None for meshes that are not round about the axis.
-
-    DataError is raised if a mesh cannot be read, if the package ``trimesh`` is not installed, or if
-    the radius is zero or too large.
+    The centre is on the axis, in the middle of the tread. The tube radius is that of a circle
+    fitted to the outline of the tread; it is zero if the outline is not such a circle, or if the
+    circle is larger than the tread's width or the radius.
     """
     points = np.vstack([files.triangles(mesh).vertices for mesh in meshes])
     along = points @ axis
@@ -75,10 +70,7 @@ def mesh_shape(meshes: Sequence[MeshFile], axis: Array, files: MeshFiles) -> Sha
 
 
 class MeshFiles:
-    """Files of meshes, read in one process with limits, since damaged files may hang or crash.
-
-    Their names are relative to the folder of the URDF.
-    """
+    """Files of meshes, read in one process with limits, since damaged files may hang or crash."""
 
     def __init__(self, meshes: Iterable[MeshFile], folder: Path) -> None:
         self._read: dict[str, Mesh | DataError] = {}
@@ -114,9 +106,6 @@ def unit_factor(radii: Array, centers: Array, axle: Array, own: int) -> float | 
     A radius is implausible if it exceeds the largest distance between wheels, if it is less than
     0.002 of this distance, or if the wheel overlaps another one in its plane, not larger than
     itself, by more than a tenth. The factor is that of a unit in `UNITS`, or 1 if none suits.
-
-    Radii have the shape (n,), zero if unknown, and centres (n, 3) [m]; ``axle`` is the unit vector
-    of the wheel with the index ``own``.
     """
     radius, offsets = float(radii[own]), centers - centers[own]
     extent = float(np.linalg.norm(centers[:, None] - centers, axis=2).max())
@@ -180,10 +169,7 @@ def _read_file(path: Path) -> Mesh:
 
 
 def find_mesh(name: str, folder: Path) -> Path:
-    """Return the file of a mesh, relative to the folder of its URDF or in a package.
-
-    A package, also that of ``model://``, is searched in the folders of `package_folders`.
-    """
+    """Return the file of a mesh, relative to the folder of its URDF or in a package."""
     scheme, separator, inside = name.partition("://")
     if separator and scheme not in (*PACKAGES, "file"):
         raise DataError(

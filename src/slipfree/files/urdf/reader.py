@@ -34,27 +34,11 @@ MAX_NAMES = 12  # more joints are not listed
 
 
 def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
-    """Return the vehicle of a URDF, in axes x right, y forward, z up.
+    """Return the vehicle of a URDF, in axes x right, y forward, z up, with its root as platform.
 
-    The platform is the root link. A joint carries a wheel if it has a wheel role, or if it is
-    continuous with a nearly level axis, no other joint moves below it, and its link has a cylinder,
-    a sphere or a round mesh about its axis. Joints that carry neither a wheel nor a mass are
-    omitted.
-
-    Parameters
-    ----------
-    tree : Tree
-        Result of `slipfree.files.urdf.elements.read_tree`.
-    roles : Roles
-        Information that completes the URDF.
-
-    Raises
-    ------
-    UnfitError
-        If a joint or a wheel is invalid or not completely described, or if there are too few wheels
-        or too many suspension coordinates.
-    ModelError
-        If a number in the URDF or the roles is out of range.
+    A joint carries a wheel if it has a wheel role, or if it is continuous with a nearly level axis,
+    no other joint moves below it, and its link has a cylinder, a sphere or a round mesh about its
+    axis. Joints that carry neither a wheel nor a mass are omitted.
     """
     findings = Findings(tree.file)
     draft = from_rep103(_draft(tree, roles, findings))
@@ -149,10 +133,7 @@ def _forward(tree: Tree, roles: Roles, findings: Findings) -> str:
 
 
 def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tuple[Tree, Roles]:
-    """Return a URDF whose opposite rockers have a differential, and the roles of other joints.
-
-    Add an error if they are coupled in another way, or if a wheel is coupled.
-    """
+    """Return a URDF whose opposite rockers have a differential, and the roles of other joints."""
     tree, couple = wheels.tree, dict(roles.couple)
     for name in {*couple} & {wheel.name for wheel in wheels.joints}:
         message = 'expected a joint without a wheel in "couple", found one that carries a wheel'
@@ -297,7 +278,7 @@ class _Coordinates:
     def _mimic(self, joint: UrdfJoint) -> Mimic | None:
         return None if joint.name in self._roles.joints or not joint.moves else joint.mimic
 
-    def _coordinate(self, joint: UrdfJoint, given: JointRole | None) -> str:
+    def _coordinate(self, joint: UrdfJoint, joint_role: JointRole | None) -> str:
         """Return the name of a joint's coordinate; create the coordinate if it is new."""
         name = re.sub(r"\W", "_", joint.name)
         name = name if name.isidentifier() else f"_{name}"
@@ -305,7 +286,7 @@ class _Coordinates:
             name += "_"
         if name in self.known:
             return name
-        role = given or JointRole("commanded")
+        role = joint_role or JointRole("commanded")
         if name != joint.name:
             self._findings.notes.append(f"joint {joint.name} is the coordinate {name}")
         for key in ("lower", "upper", "rest"):
@@ -321,19 +302,15 @@ class _Coordinates:
     def _restrict(
         self, name: str, joint: UrdfJoint, leader: UrdfJoint, multiplier: float, offset: float
     ) -> None:
-        """Restrict the stops and the rate of a coordinate to the limits of a joint that it moves.
-
-        Limits in the role of the leading joint take precedence. The value of the joint is
-        ``offset + multiplier * coordinate`` [rad or m].
-        """
+        """Restrict stops and rate of a coordinate to the limits of a joint that it moves."""
         c, role = self.known[name], self._roles.joints.get(leader.name)
-        given = {} if role is None else role.keywords
+        keywords = {} if role is None else role.keywords
         if multiplier == 0:
             return
         ends = {"lower": -math.inf, "upper": math.inf}
         sides = ("lower", "upper") if multiplier > 0 else ("upper", "lower")
         for key, side in zip(("lower", "upper"), sides, strict=True):
-            if side not in given:
+            if side not in keywords:
                 ends[side] = (self._limit(joint, key) - offset) / multiplier
         lower, upper = max(c.lower, ends["lower"]), min(c.upper, ends["upper"])
         if not lower < upper:
@@ -346,7 +323,9 @@ class _Coordinates:
             )
             return
         rate = (
-            c.max_rate if "max_rate" in given else min(c.max_rate, joint.max_rate / abs(multiplier))
+            c.max_rate
+            if "max_rate" in keywords
+            else min(c.max_rate, joint.max_rate / abs(multiplier))
         )
         self.known[name] = replace(c, lower=lower, upper=upper, max_rate=rate)
 

@@ -17,67 +17,29 @@ from slipfree.vehicle.wheel import ORIGIN
 
 
 class JointRole(NamedTuple):
-    """Properties of a joint that complete or override those in the URDF.
+    """Properties of a joint that complete or override those in the URDF."""
 
-    Attributes
-    ----------
-    kind : {"commanded", "passive", "suspension", "fixed"}
-        Kind of its coordinate; ``"fixed"`` for a joint that does not move.
-    keywords : mapping of str to Any
-        Keyword arguments of `slipfree.vehicle.tree.Coordinate`.
-    axis : tuple of 3 floats or None
-        Axis in the joint's frame; None for that of the URDF.
-    motion : {"turn", "slide"} or None
-        Motion of the joint; None for that of its type in the URDF.
-    carries : tuple of str
-        Joints that a new joint carries; empty for joints of the URDF.
-    at : tuple of 3 floats
-        Position of a new joint in the link that carried these joints. [m]
-    """
-
-    kind: Kind | Literal["fixed"]
-    keywords: Mapping[str, Any] = {}
-    axis: Vector | None = None
-    motion: Literal["turn", "slide"] | None = None
-    carries: tuple[str, ...] = ()
-    at: Vector = ORIGIN
+    kind: Kind | Literal["fixed"]  # kind of its coordinate; ``"fixed"`` if it does not move
+    keywords: Mapping[str, Any] = {}  # keyword arguments of `slipfree.vehicle.tree.Coordinate`
+    axis: Vector | None = None  # axis in the joint's frame; None for that of the URDF
+    motion: Literal["turn", "slide"] | None = None  # None for that of its type in the URDF
+    carries: tuple[str, ...] = ()  # joints that a new joint carries; empty for joints of the URDF
+    at: Vector = ORIGIN  # position of a new joint in the link that carried these joints [m]
 
 
 @dataclass(frozen=True)
 class WheelRole:
-    """Properties of a wheel that complete or override those in the URDF; None keeps them.
+    """Properties of a wheel that complete or override those in the URDF; None keeps them."""
 
-    Attributes
-    ----------
-    driven : bool or None
-        Whether the wheel is driven; None to derive it from the actuators in the URDF, or to guess
-        it if there are none.
-    radius, tube : float or None
-        Rolling radius and tube radius; None for those of the shape in the URDF, or of `Roles`. [m]
-    grip : float
-        Factor that multiplies the ground's coefficient of friction. [1]
-    rollers : bool or None
-        Whether the wheel has rollers (omnidirectional wheel); None for a guess.
-    mass : float or None
-        Mass. [kg]
-    inertia : tuple of 2 floats or None
-        Moments of inertia about the axle and across it. [kg m^2]
-    static_depth : float or None
-        Depth in the ground under an equal share of the weight; None for the default of
-        `slipfree.vehicle.wheel.Wheel`. [m]
-    drive : Drive
-        Drive of the wheel, for dynamics.
-    """
-
-    driven: bool | None = None
-    radius: float | None = None
-    tube: float | None = None
-    grip: float = 1.0
-    rollers: bool | None = None
+    driven: bool | None = None  # None to derive it from actuators of the URDF, or guess it
+    radius: float | None = None  # rolling radius; None for that of the shape, or `Roles` [m]
+    tube: float | None = None  # tube radius; None for that of the shape, or of `Roles` [m]
+    grip: float = 1.0  # factor that multiplies the ground's coefficient of friction [1]
+    rollers: bool | None = None  # whether it is an omnidirectional wheel; None for a guess
     mass: float | None = None
-    inertia: tuple[float, float] | None = None
-    static_depth: float | None = None
-    drive: Drive = RATE
+    inertia: tuple[float, float] | None = None  # moments about the axle and across it [kg m^2]
+    static_depth: float | None = None  # under an equal share of the weight; None: default [m]
+    drive: Drive = RATE  # for dynamics
 
 
 class LinkRole(NamedTuple):
@@ -90,36 +52,15 @@ class LinkRole(NamedTuple):
 
 @dataclass(frozen=True)
 class Roles:
-    """Information that completes or overrides a URDF.
+    """Information that completes or overrides a URDF."""
 
-    Attributes
-    ----------
-    joints : mapping of str to JointRole
-        Properties of joints by name. Without a role, a joint with an actuator is commanded, a
-        mimic follows its joint, and the kind of other joints is guessed.
-    wheels : mapping of str to WheelRole
-        Properties of wheels by name of their joint. These joints carry wheels even if the URDF has
-        no suitable shape.
-    links : mapping of str to LinkRole
-        Mass properties of links by name.
-    couple : mapping of str to float
-        Coefficients of the values of two joints, as of a differential: their sum with these
-        coefficients is zero. Empty for none.
-    tube : float
-        Tube radius of wheels whose shape is neither a sphere nor a rounded mesh. [m]
-    radius : float or None
-        Rolling radius of wheels whose shape is a mesh; None to measure or guess it. [m]
-    forward : {"x", "-x", "y", "-y"} or None
-        Axis of the root link that points forward; None for a guess.
-    """
-
-    joints: Mapping[str, JointRole] = field(default_factory=dict)
-    wheels: Mapping[str, WheelRole] = field(default_factory=dict)
+    joints: Mapping[str, JointRole] = field(default_factory=dict)  # by name
+    wheels: Mapping[str, WheelRole] = field(default_factory=dict)  # by joint
     links: Mapping[str, LinkRole] = field(default_factory=dict)
-    couple: Mapping[str, float] = field(default_factory=dict)
-    tube: float = 0.0
-    radius: float | None = None
-    forward: str | None = None
+    couple: Mapping[str, float] = field(default_factory=dict)  # of two joints, as a differential
+    tube: float = 0.0  # tube radius of wheels, if neither a sphere nor a rounded mesh [m]
+    radius: float | None = None  # rolling radius of wheels with meshes; None to measure it [m]
+    forward: str | None = None  # axis of the root link that points forward; None for a guess
 
 
 NO_ROLES = Roles()
@@ -185,10 +126,7 @@ def _with_role(joint: UrdfJoint, roles: Roles) -> UrdfJoint:
 
 
 def coupled(tree: Tree, couple: Mapping[str, float]) -> Tree:
-    """Return a URDF in which the second of two joints mimics the first.
-
-    The sum of the joints' values with the coefficients in ``couple`` is zero; it is empty for none.
-    """
+    """Return a URDF in which the second of two joints in ``couple`` mimics the first."""
     if not couple:
         return tree
     (first, ahead), (second, behind) = couple.items()

@@ -56,34 +56,16 @@ class MeshFile(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A link of a URDF.
-
-    Attributes
-    ----------
-    name : str
-        Name of the link.
-    mass : float or None
-        Mass; None if the URDF does not contain it. [kg]
-    center : tuple of 3 floats
-        Centre of mass in the frame of the link. [m]
-    shapes, meshes, boxes : tuple of Shape, MeshFile and Box
-        Cylinders and spheres, meshes, and boxes among the collision shapes; if there are none of
-        the kind, among the visual shapes.
-    inertia : tuple of 6 floats or None
-        ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre of mass, in the axes of the link; None if
-        they are missing, or impossible for a body. [kg m^2]
-    visuals : tuple of MeshFile
-        Meshes among the visual shapes.
-    """
+    """A link of a URDF."""
 
     name: str
-    mass: float | None = None
-    center: Vector = ORIGIN
-    shapes: tuple[Shape, ...] = ()
+    mass: float | None = None  # mass; None if the URDF does not contain it [kg]
+    center: Vector = ORIGIN  # centre of mass in the frame of the link [m]
+    shapes: tuple[Shape, ...] = ()  # collision shapes; visual ones if there are none
     meshes: tuple[MeshFile, ...] = ()
     boxes: tuple[Box, ...] = ()
-    inertia: Elements | None = None
-    visuals: tuple[MeshFile, ...] = ()
+    inertia: Elements | None = None  # ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre [kg m^2]
+    visuals: tuple[MeshFile, ...] = ()  # meshes among the visual shapes
 
 
 class Mimic(NamedTuple):
@@ -95,39 +77,19 @@ class Mimic(NamedTuple):
 
 
 class UrdfJoint(NamedTuple):
-    """A joint of a URDF.
-
-    Attributes
-    ----------
-    name, type : str
-        Name, and type as in the URDF.
-    parent, child : str
-        Names of the links that it connects.
-    at, turned : tuple of 3 floats
-        Position, and roll, pitch, yaw of its frame in the parent link. [m, rad]
-    axis : tuple of 3 floats
-        Axis in the joint's frame; zero for a fixed joint without axis. [1]
-    lower, upper : float
-        Limits of the value; infinite without limits. [rad or m]
-    max_rate : float
-        Largest rate; infinite without a limit. [rad/s or m/s]
-    mimic : Mimic or None
-        Dependence on another joint; None for an independent joint.
-    line : int
-        Line of the element in the file.
-    """
+    """A joint of a URDF."""
 
     name: str
     type: str
-    parent: str
+    parent: str  # names of the links that it connects
     child: str
-    at: Vector
-    turned: Vector = ORIGIN
-    axis: Vector = ORIGIN
-    lower: float = -math.inf
+    at: Vector  # position in the parent link [m]
+    turned: Vector = ORIGIN  # roll, pitch, yaw of its frame in the parent link [rad]
+    axis: Vector = ORIGIN  # axis in the joint's frame; zero for a fixed joint without axis [1]
+    lower: float = -math.inf  # limits of the value; infinite without limits [rad or m]
     upper: float = math.inf
-    max_rate: float = math.inf
-    mimic: Mimic | None = None
+    max_rate: float = math.inf  # largest rate; infinite without a limit [rad/s or m/s]
+    mimic: Mimic | None = None  # dependence on another joint; None for an independent joint
     line: int = 1
 
     @property
@@ -143,35 +105,17 @@ class UrdfJoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Tree:
-    """Links and joints of a URDF.
+    """Links and joints of a URDF."""
 
-    Attributes
-    ----------
-    file, name, root : str
-        Names of the file, the robot and the root link.
-    links : dict of str to Link
-        Links by name.
-    joints : dict of str to UrdfJoint
-        Joints by name, parents before children.
-    actuated : frozenset of str
-        Names of the joints with a transmission, a command interface or a drive of Gazebo.
-    omitted : tuple of str
-        Names of the omitted links: links with unexpanded xacro, and the links below them.
-    notes : tuple of str
-        Notes on values that replace expressions of xacro.
-    unknown : tuple of str
-        Elements of the robot that URDF does not have, with their lines.
-    """
-
-    file: str
+    file: str  # names of the file, the robot and the root link
     name: str
     root: str
     links: dict[str, Link]
-    joints: dict[str, UrdfJoint]
-    actuated: frozenset[str]
-    omitted: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    unknown: tuple[str, ...] = ()
+    joints: dict[str, UrdfJoint]  # joints by name, parents before children
+    actuated: frozenset[str]  # joints with a transmission, command interface or Gazebo drive
+    omitted: tuple[str, ...] = ()  # links with unexpanded xacro, and the links below them
+    notes: tuple[str, ...] = ()  # notes on values that replace expressions of xacro
+    unknown: tuple[str, ...] = ()  # elements of the robot that URDF does not have, with their lines
 
     @cached_property
     def frames(self) -> dict[str, tuple[Array, Array]]:
@@ -244,11 +188,9 @@ class Tree:
         return max((shape.radius for shape in self.links[joint.child].shapes), default=0.0)
 
     def mirror_image(self, joint: UrdfJoint, others: Iterable[UrdfJoint]) -> UrdfJoint | None:
-        """Return the joint whose link is at the mirror image of a joint's link, on the other side.
+        """Return the joint whose link is at the mirror image of a joint's link; None in the plane.
 
-        The root faces forward along x. The plane is midway between the outermost links that turn
-        about level axes. The result is None without such a joint, and for links in the plane; of
-        several joints it is the last.
+        The plane is midway between the outermost links that turn about level axes.
         """
         frames = self.frames
         turning = [j for j in self.joints.values() if j.type == "continuous" and self.is_level(j)]

@@ -13,13 +13,7 @@ from slipfree.core.records import Array
 from slipfree.files.urdf.joint_guesses import CASTER, PARALLEL, axle_of, caster_wheels, casters
 from slipfree.files.urdf.meshes import angles_to
 from slipfree.files.urdf.roles import Roles, WheelRole
-from slipfree.files.urdf.tree import (
-    WHEEL,
-    Shape,
-    Tree,
-    UrdfJoint,
-    is_about,
-)
+from slipfree.files.urdf.tree import WHEEL, Shape, Tree, UrdfJoint, is_about
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.geometry.frame import unit_vector
 from slipfree.vehicle.wheel import ORIGIN
@@ -82,11 +76,7 @@ def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
 def wheel_guesses(
     tree: Tree, wheels: Sequence[UrdfJoint], unread: Collection[str], roles: Roles
 ) -> Iterator[tuple[str, WheelGuess]]:
-    """Yield the wheels that joints probably carry, with the name of the joint.
-
-    The URDF faces forward along x; ``wheels`` are wheels by their shape, and ``unread`` the names
-    of joints whose meshes cannot be read.
-    """
+    """Yield the wheels that joints probably carry, with the name of the joint."""
     guesses = dict(_named_wheels(tree, wheels, roles))
     rolling = [*wheels, *(tree.joints[name] for name in guesses if tree.joints[name].moves)]
     for caster in casters(tree, rolling, roles.joints):
@@ -165,10 +155,7 @@ def _counterparts(
 
 
 def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, WheelGuess]]:
-    """Yield the wheels that nothing steers and that must slide along their axles.
-
-    They are all wheels with axles that are not parallel, and those of casters without a swivel.
-    """
+    """Yield the unsteered wheels that slide: axles not parallel, or casters without a swivel."""
     casters_, turned = caster_wheels(tree, wheels), tree.steered
     rolling = [
         wheel
@@ -213,24 +200,12 @@ class Evidence(NamedTuple):
 
 
 class Forward(NamedTuple):
-    """Forward direction of a URDF.
+    """Forward direction of a URDF."""
 
-    Attributes
-    ----------
-    direction : {"x", "-x", "y", "-y"}
-        Axis of the root link that probably points forward.
-    reason : str
-        Evidence for it, and against it; empty for evidence that only agrees with the convention.
-    other : str
-        Axis that the other choice would be.
-    is_open : bool
-        Whether the evidence is absent or contradictory, so that the direction must be given.
-    """
-
-    direction: str
-    reason: str
-    other: str
-    is_open: bool = False
+    direction: str  # axis of the root link that probably points forward
+    reason: str  # evidence for it, and against it; empty if it agrees with the convention
+    other: str  # axis that the other choice would be
+    is_open: bool = False  # if the evidence is absent or contradictory: must be given
 
 
 def _sides(name: str) -> set[str]:
@@ -240,10 +215,7 @@ def _sides(name: str) -> set[str]:
 
 
 def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Forward:
-    """Return the axis of the root link that probably points forward.
-
-    ``excluded`` are names of joints that carry no wheels.
-    """
+    """Return the axis of the root link that probably points forward."""
     tree, _ = with_fixed_rollers(tree)
     rolling = _turning(tree)
     excluded = {*excluded, *caster_wheels(tree, rolling)}
@@ -317,10 +289,7 @@ def _evidence(tree: Tree, wheels: Sequence[UrdfJoint], line: tuple[str, ...]) ->
 
 
 def _named_vectors(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Array, int]]:
-    """Yield the forward vectors by names of front and rear, left and right, with their weights.
-
-    They are names of wheels if there are any, else of all other joints, with a small weight.
-    """
+    """Yield the forward vectors by names of front and rear, left and right, with their weights."""
     rolling = [j for j in tree.joints.values() if WHEEL.search(j.names)]
     for first, second in (("front", "rear"), ("left", "right")):
         group, weight = [*wheels, *rolling], NAMES

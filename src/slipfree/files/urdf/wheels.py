@@ -110,10 +110,7 @@ class Wheels:
         return self._given.get(joint.name, WheelRole())
 
     def wheel(self, joint: UrdfJoint, part_of: Mapping[str, str]) -> Wheel | None:
-        """Return the wheel of a joint, in axes x forward, y left; None with an error if invalid.
-
-        ``part_of`` is the name of the vehicle's part for each link that belongs to one.
-        """
+        """Return the wheel of a joint, in axes x forward, y left; None with an error if invalid."""
         if joint.parent not in part_of:
             self._findings.wrong(
                 joint,
@@ -224,13 +221,13 @@ class Wheels:
 
     def _add_guess(self, joint: UrdfJoint, guess: WheelGuess) -> None:
         """Complete the given properties of a wheel by guessed ones, and record these."""
-        name, shape, role, given = joint.name, self._shape(joint), guess.role, self._role(joint)
-        if given.radius and role.tube is not None and role.tube == role.radius:
-            role = replace(role, tube=given.radius)
+        name, shape, role, stated = joint.name, self._shape(joint), guess.role, self._role(joint)
+        if stated.radius and role.tube is not None and role.tube == role.radius:
+            role = replace(role, tube=stated.radius)
         every = "radius", "tube", "driven", "rollers"
-        keys = [key for key in every if getattr(given, key) is None]
+        keys = [key for key in every if getattr(stated, key) is None]
         values = {key: getattr(role, key) for key in keys if getattr(role, key) is not None}
-        self._given[name] = replace(given, **values)
+        self._given[name] = replace(stated, **values)
         if shape is not None and "radius" in keys:
             values = {"radius": shape.radius, **values}
         if shape is not None and shape.tube and "tube" in keys:
@@ -308,10 +305,7 @@ class Wheels:
         )
 
     def _high(self, joints: Sequence[UrdfJoint]) -> list[str]:
-        """Return the names of joints whose round shapes are too high to touch the ground.
-
-        Such a shape ends above the lowest one by more than half of the largest radius.
-        """
+        """Return the joints whose round shapes end far above the lowest one."""
         lows: dict[str, float] = {}
         radius = 0.0
         for joint in joints:
@@ -323,11 +317,7 @@ class Wheels:
         return [name for name, low in lows.items() if low > most]
 
     def _shape(self, joint: UrdfJoint) -> Shape | None:
-        """Return the lowest round shape of a wheel's link; None if it has none.
-
-        Shapes about the axis of a moving joint take precedence. The width of cylinders is ignored,
-        since the wheel becomes a disc or torus at the centre of the cylinder.
-        """
+        """Return the lowest round shape of a wheel's link, if possible about a moving joint."""
         shapes, (rotation, _) = self.tree.links[joint.child].shapes, self.tree.frames[joint.child]
         if joint.moves:
             axis = unit_vector(joint.axis)
@@ -364,11 +354,11 @@ class Wheels:
         return radius, tube, shape.at
 
     def _mass(self, joint: UrdfJoint) -> tuple[float, tuple[float, float] | None]:
-        """Return the mass of a wheel and its moments of inertia about and across the axle.
+        """Return mass and moments about and across the axle of a wheel with the links fixed to it.
 
-        They include the links that are fixed to the wheel's link. The moments are sums of those
-        about the links' centres of mass, since these centres are moved to the centre of the wheel.
-        They are None if no link has a mass, or if a link has a mass without moments.
+        The moments are sums of those about the links' centres of mass, since these centres are
+        moved to the centre of the wheel. They are None if no link has a mass, or a mass has no
+        moments.
         """
         frames = self.tree.frames
         rotation, _ = frames[joint.child]
@@ -385,11 +375,7 @@ class Wheels:
         return mass, (axial, float(np.trace(total) - axial) / 2) if heavy else None
 
     def _is_driven(self, joint: UrdfJoint) -> bool:
-        """Return whether a wheel is driven, and record a guess if the URDF does not specify it.
-
-        If a wheel of the URDF has an actuator, the wheels with actuators are driven; otherwise all
-        wheels but casters and those with names such as "passive".
-        """
+        """Return whether a wheel is driven, and record a guess if the URDF does not specify it."""
         is_driven, reason = self._has_actuator(joint), "free: other wheels have an actuator"
         if is_driven:
             return True
@@ -409,11 +395,7 @@ class Wheels:
         return not self.tree.actuated.isdisjoint(turning | {joint.name})
 
     def _axle(self, joint: UrdfJoint) -> Vector:
-        """Return the axle of a wheel in its parent's frame, a unit vector that points to the right.
-
-        Add a note if the rate of the wheel has another sign than that of the joint, or if the wheel
-        rolls sideways.
-        """
+        """Return the axle of a wheel in its parent's frame, to the right; note unusual signs."""
         parent, _ = self.tree.frames[joint.parent]
         if not joint.moves or not self.tree.is_level(joint):
             return vector_of(parent.T @ self._lateral(joint))

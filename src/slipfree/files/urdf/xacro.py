@@ -48,11 +48,7 @@ MAX_SHOWN = 60  # characters of an attribute in a message
 
 
 def package_folders(package: str, folder: Path) -> Iterator[Path]:
-    """Yield the possible folders of a ROS package to which a file in ``folder`` refers.
-
-    They are in ``folder`` and the folders above it, and in those of the environment variables
-    AMENT_PREFIX_PATH and ROS_PACKAGE_PATH.
-    """
+    """Yield the possible folders of a ROS package to which a file in ``folder`` refers."""
     for above in (folder.resolve(), *folder.resolve().parents):
         if above.name == package:
             yield above
@@ -94,22 +90,7 @@ def ways(file: str) -> str:
 def expanded(path: Path, arguments: Mapping[str, str]) -> Expansion:
     """Return the URDF that a xacro file describes; the caller checks that the user trusts it.
 
-    Where ROS is not installed, packages in ``$(find ...)`` are searched in the folders of
-    `package_folders`. The expansion may take 6 s, 2 GB of memory, and 20 MB for the URDF; what it
-    prints is discarded.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    arguments : mapping of str to str
-        Values of its arguments, which override their defaults.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read or expanded within the limits, if a package in ``$(find ...)`` is
-        not found, or if the package ``xacro`` is not installed.
+    The expansion may take 6 s, 2 GB of memory, and 20 MB for the URDF; its output is discarded.
     """
     with regular_file(path, "xacro"):
         pass
@@ -261,10 +242,7 @@ def substitute(robot: Element, arguments: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def check_macro_calls(robot: Element, file: str, macros: frozenset[str] = frozenset()) -> None:
-    """Raise UnfitError for calls of macros without the prefix ``xacro:``, and for its absence.
-
-    ``macros`` are names of macros in addition to those that the robot defines.
-    """
+    """Raise UnfitError for calls of macros without the prefix ``xacro:``, and for its absence."""
     findings, parts = Findings(file), [*robot.everything()]
     own = {part.attributes.get("name", "") for part in parts if part.tag == "xacro:macro"}
     called = (own | macros) - KNOWN - PARTS

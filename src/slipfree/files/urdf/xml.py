@@ -91,11 +91,7 @@ class Element:
 
 
 def parse(data: bytes, name: str) -> Element:
-    """Return the root element of an XML file; ``name`` is its name in messages.
-
-    DataError is raised if the file is not XML, or declares a document type, which could define
-    entities.
-    """
+    """Return the root element of an XML file; document types, which define entities, are errors."""
     _check_contents(data, name)
     parser = expat.ParserCreate()
     top = Element("", {}, 0)

@@ -15,7 +15,7 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
-from slipfree.files.mcap_reader import JointCommands, is_mcap, read_joint_commands
+from slipfree.files.mcap import JointCommands, is_mcap, read_joint_commands
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.source import Fault, format_value
 from slipfree.files.toml.source import Place as KeyPath

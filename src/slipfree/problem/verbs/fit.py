@@ -15,7 +15,7 @@ from slipfree.core.errors import DataError, ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Frame
-from slipfree.files.mcap_reader import is_mcap, read_motion_log
+from slipfree.files.mcap import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
 from slipfree.files.tables import Columns, read_columns, split_unit
 from slipfree.files.toml.source import name_errors, problem_error

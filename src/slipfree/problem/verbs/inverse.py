@@ -16,7 +16,7 @@ from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.core.facts import Fact, starting_with
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.files.mcap_reader import is_mcap
+from slipfree.files.mcap import is_mcap
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.source import Fault, name_errors, problem_error

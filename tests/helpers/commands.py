@@ -1,0 +1,32 @@
+"""Commands of slipfree, run in the process of the tests."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+
+
+def invoke(*words: object, code: int | None = None) -> Any:
+    """Return the result of a command, which must end with an exit code if one is given."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    assert code is None or result.exit_code == code, result.output
+    return result
+
+
+def printed(*words: object, code: int = 0) -> str:
+    """Return what a command prints on stdout and stderr."""
+    return str(invoke(*words, code=code).output)
+
+
+def refused(*words: object) -> str:
+    """Return the errors of a command that must fail for bad input."""
+    return str(invoke(*words, code=2).stderr)
+
+
+def sets(*settings: str) -> list[str]:
+    """Return the words of the options ``--set``."""
+    return [word for setting in settings for word in ("--set", setting)]
