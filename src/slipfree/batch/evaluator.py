@@ -111,7 +111,7 @@ def evaluator_of(dae: Dae, *, compiled: bool = True, lanes: int | None = None) -
         If the model has no graphs; see `slipfree.batch.graph.graphs_of`.
     """
     graphs = graphs_of(dae)
-    every = (graphs.guess, graphs.place, graphs.motion, graphs.checked, graphs.outputs)
+    every = graphs.every
     if compiled and all(each.cells for graph in every for each in graph.lookups):
         source = _Source(every)
         if source.unknown is None and (loaded := _compiled(source, lanes)) is not None:
@@ -155,7 +155,7 @@ class _Compiled:
 
     def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
         count, states = states.shape[1], np.ascontiguousarray(states)
-        results = np.empty((graph.parts[-1].stop, count))
+        results = np.empty((graph.function.numel_out(0), count))
         self._functions[graph.name](
             ctypes.c_long(count),
             ctypes.c_void_p(states.ctypes.data),
@@ -209,12 +209,12 @@ class _Source:
             if_sloped = f"for (int k = 3; k < 18; k++) found[{row} + k] *= splat(slope);"
             lines.append(f"if (slope != 1.0) {if_sloped}")
             row += lookup.found.numel()
-        n_in, n_out = graph.function.numel_in(0), graph.parts[-1].stop
+        n_in, n_out = graph.function.numel_in(0), graph.function.numel_out(0)
         body = "\n    ".join(lines)
         return "\n".join(functions) + (
             f"\nvoid {graph.name}(long n, const double *in, long stride, double *out, "
             "const double *K, const Cells *cells, double slope) {\n"
-            f"  vd a[{n_in}], found[{max(1, row)}], q[3], r[{n_out}];\n"
+            f"  vd a[{n_in}], found[{max(1, row)}], q[3], r[{max(1, n_out)}];\n"
             "  for (long g = 0; g < n; g += LANES) {\n"
             f"    for (int k = 0; k < {n_in}; k++) a[k] = load(in + k * stride + g, n - g);\n"
             f"    {body}\n"

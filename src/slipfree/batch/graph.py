@@ -102,6 +102,8 @@ class Graphs(NamedTuple):
         Index of the limit to which each distance belongs.
     outputs : Graph
         Outputs of the model.
+    placing : Graph
+        Expressions on which the checks of samples depend, one result for each check.
     """
 
     dae: Dae
@@ -113,6 +115,12 @@ class Graphs(NamedTuple):
     checked: Graph
     bounds: tuple[int, ...]
     outputs: Graph
+    placing: Graph
+
+    @property
+    def every(self) -> tuple[Graph, ...]:
+        """All graphs."""
+        return self.guess, self.place, self.motion, self.checked, self.outputs, self.placing
 
 
 @lru_cache(maxsize=8)
@@ -170,6 +178,7 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("checked", *motion, checks[:n_f], checks[n_f], checks[n_f + 1 :]),
         bounds,
         graph("outputs", pack(dae.y)),
+        graph("placing", *(check.placing for check in dae.checks)),
     )
 
 

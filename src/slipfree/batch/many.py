@@ -170,7 +170,7 @@ def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Source]) -
     for k in np.flatnonzero(solved & ~inside):
         limit = _worst(graphs, distances[:, k])
         outcomes[k], reasons[k] = _limit_end(graphs, limit, states[:, k])
-    for index, margins in enumerate(_clearances(graphs, states[:, solved & inside])):
+    for index, margins in enumerate(_clearances(evaluate, states[:, solved & inside])):
         for k in np.flatnonzero(solved & inside)[~(margins >= 0)]:
             outcomes[k], reasons[k] = _check_end(graphs, index, states[:, k])
     states[:, ~solved] = np.nan
@@ -334,7 +334,7 @@ def _run(
         on_way = np.concatenate([motions.samples, motions.last[:, None]], axis=1)
         flat = on_way.reshape(len(states), -1)
         valid = np.isfinite(flat[0])
-        for margins in _clearances(graphs, np.compress(valid, flat, axis=1)):
+        for margins in _clearances(evaluate, np.compress(valid, flat, axis=1)):
             bad = np.zeros(valid.size, dtype=bool)
             bad[valid] = ~(margins >= 0)
             disputed |= bad.reshape(-1, count).any(axis=0)
@@ -372,12 +372,13 @@ def _columns(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
     return states[rows.x], z, states[rows.u]
 
 
-def _clearances(graphs: Graphs, states: Array) -> list[Array]:
+def _clearances(evaluate: Evaluator, states: Array) -> list[Array]:
     """Return the margins of all checks at states."""
-    if not states.shape[1]:
-        return [np.zeros(0) for _ in graphs.dae.checks]
-    x, z, _ = _columns(graphs, states)
-    return [check.margin(x, z) for check in graphs.dae.checks]
+    checks, graph = evaluate.graphs.dae.checks, evaluate.graphs.placing
+    if not checks or not states.shape[1]:
+        return [np.zeros(states.shape[1]) for _ in checks]
+    placed = evaluate(graph, states)
+    return [check.margin_at(placed[part]) for check, part in zip(checks, graph.parts, strict=True)]
 
 
 def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Source]:

@@ -32,7 +32,7 @@ AT_REST = 1e-11  # last step of the relaxation, of more than a second [size]
 MAX_STEPS = 1_000_000  # in an interval
 MAX_BISECTIONS = 60
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
-FORCE_CHANGE = 1e-5  # change of the forces that needs another step [typical size]
+FORCE_CHANGE = 3e-3  # change of the forces that needs another step: the error is its square
 RATES, ERROR, FORCES, FORCE_CHANGES, DISTANCES = 2, 4, 6, 7, 8  # parts of the graph "checked"
 COMPLETE, UNSOLVED, INVALID_START = -1, -2, -3  # ends without a limit
 
@@ -203,7 +203,7 @@ class _Run:
         """Return the lanes that reach the end of an interval, their states and last steps."""
         for k in range(count):
             states, solved = self.advance(self.evaluate, *start)
-            if not solved.all():
+            if limited and not solved.all():
                 self._end(lanes, states, start, solved, np.ones_like(solved))
                 lanes, states, start = _of(solved, lanes), _of(solved, states), start.of(solved)
             if k == count - 1 or not lanes.size:
@@ -218,9 +218,9 @@ class _Run:
 
     def _checked(self, states: Array, *, limited: bool) -> tuple[Array, Mask, Array, Mask]:
         """Return the results of `derivatives`, and which lanes are within all limits."""
-        if not limited:
+        if not limited:  # a bad motion gives a large estimate of the error
             rates, good, speed = derivatives(self.evaluate, states)
-            return rates, good, speed, np.ones_like(good)
+            return rates, np.ones_like(good), speed, np.ones_like(good)
         graph = self.evaluate.graphs.checked
         values = _iterated(self.evaluate, graph, states)
         result = _derivatives(self.evaluate, graph, values, states)

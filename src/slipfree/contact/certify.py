@@ -16,13 +16,17 @@ strict maxima. A function on a surface like a sphere with no saddle has one mini
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from slipfree.core.evaluation import evaluate
-from slipfree.core.records import Array, Label, Mask
+from slipfree.core.lookups import lookup_function
+from slipfree.core.records import Array, Label, Mask, pack
+from slipfree.geometry.frame import Pose
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.sections import arc_lengths
 from slipfree.vehicle.wheel import Wheel
@@ -41,13 +45,15 @@ class SecondContact:
     a twentieth of the rolling radius; a parabola refines each local minimum. Narrower obstacles may
     be missed. The clearance is a numeric check, not an expression, since the nearest point jumps.
     ``pose`` maps ``x`` and ``z`` to the centre of the wheel in local coordinates, its rotation
-    matrix (by columns) and the ground normal at its contact; ``size`` is the typical length of the
-    vehicle, the unit of `TOLERANCE` [m].
+    matrix (by columns) and the ground normal at its contact, one column of 15 rows; ``placing`` is
+    the same as an expression. ``size`` is the typical length of the vehicle, the unit of
+    `TOLERANCE` [m].
     """
 
     terrain: Terrain
     wheel: Wheel
     pose: ca.Function
+    placing: ca.SX
     size: float = 1.0
 
     @property
@@ -65,8 +71,12 @@ class SecondContact:
         A penetration below `TOLERANCE` does not make a clearance negative. Where the curvature of
         the ground excludes a second contact, the clearance is infinite.
         """
-        pose = evaluate(self.pose, x, z)
-        clearance = np.full(x.shape[1], np.inf)
+        return self.margin_at(evaluate(self.pose, x, z)[0])
+
+    def margin_at(self, placed: Array) -> Array:
+        """Return the clearances of wheels at n values of ``placing``, (15, n), as `margin`."""
+        pose = np.split(placed, (3, 12))
+        clearance = np.full(placed.shape[1], np.inf)
         open_ = np.flatnonzero(~self._has_single_contact(*pose[:2]))
         for k in range(0, open_.size, CHUNK):
             part = open_[k : k + CHUNK]
@@ -85,7 +95,8 @@ class SecondContact:
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message that locates the second contact, in map coordinates."""
-        spot = self._nearest(*evaluate(self.pose, x[:, None], z[:, None]))[1][0]
+        placed = evaluate(self.pose, x[:, None], z[:, None])[0]
+        spot = self._nearest(*np.split(placed, (3, 12)))[1][0]
         return (
             f"wheel {self.wheel.name} touches a second time at ({spot[0]:.3f}, {spot[1]:.3f}) m, "
             "apart from its contact point; fill hollows narrower than the wheel (terrain.rolled), "
@@ -132,6 +143,24 @@ class SecondContact:
         steps = np.linspace(-0.5, 0.5, 2 * half + 1) * lengths[-1] if half else np.zeros(1)
         at = np.interp(u_0, angles, lengths)[:, None] + steps
         return np.asarray(np.interp(at, lengths, angles))
+
+
+def second_contacts(
+    q: Any, x: Any, z: Any, poses: Sequence[Pose], size: float
+) -> tuple[SecondContact, ...]:
+    """Return the certificates of the wheels of a model at given poses.
+
+    ``q`` are its quantities: vehicle, ground, contacts and lookups. A vehicle with parameters has
+    no certificates.
+    """
+    if q.vehicle.nominal:
+        return ()
+    checks = list[SecondContact]()
+    for wheel, pose, contact in zip(q.vehicle.wheels, poses, q.contacts, strict=True):
+        placing = ca.densify(ca.vertcat(pose.origin, ca.vec(pose.rotation), contact.normal))
+        function = lookup_function(q.lookups.lookups, "wheel", [pack(x), pack(z)], [placing])
+        checks.append(SecondContact(q.terrain, wheel, function, placing, size))
+    return tuple(checks)
 
 
 def _second_minima(gap: Array) -> Mask:

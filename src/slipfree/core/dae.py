@@ -137,6 +137,13 @@ class SampledCheck(Protocol):
     def label(self) -> Label:
         """Name, unit and description of the margin."""
 
+    @property
+    def placing(self) -> ca.SX:
+        """Column of expressions of the model on which the margin depends."""
+
+    def margin_at(self, placed: Array) -> Array:
+        """Return the margins, shape (n,), at n columns of values of ``placing``."""
+
     def margin(self, x: Array, z: Array) -> Array:
         """Return the margins, shape (n,), of n states in the columns of ``x`` and ``z``.
 

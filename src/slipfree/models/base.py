@@ -10,8 +10,8 @@ import numpy as np
 
 from slipfree.contact.closure import ContactFrame, wheel_coordinates
 from slipfree.core.dae import Labels
-from slipfree.core.lookups import LookupTable, lookup_function
-from slipfree.core.records import Array, leaves, pack
+from slipfree.core.lookups import LookupTable
+from slipfree.core.records import Array, leaves
 from slipfree.geometry.frame import Pose, platform, quaternion
 from slipfree.models.records import (
     Configuration,
@@ -157,30 +157,6 @@ def slip_ratios(q: Quantities) -> tuple[ca.SX, ...]:
         fastest = ca.fmax(ca.fabs(rim), ca.fabs(rim + along))
         ratios.append(-along / ca.fmax(fastest, LEAST_SPEED))
     return tuple(ratios)
-
-
-def touch_function(
-    x: Any,
-    z: Any,
-    poses: Sequence[Pose],
-    contacts: Sequence[ContactFrame],
-    lookups: LookupTable,
-) -> list[ca.Function]:
-    """Return one function per wheel from ``(x, z)`` to its centre, rotation and ground normal.
-
-    Results are the centre (3, 1) [m], the rotation matrix by columns (9, 1), and the unit normal of
-    the ground (3, 1), in local coordinates.
-    """
-    inputs, table = [pack(x), pack(z)], lookups.lookups
-    return [
-        lookup_function(
-            table,
-            "wheel",
-            inputs,
-            [ca.densify(e) for e in (carrier.origin, ca.vec(carrier.rotation), contact.normal)],
-        )
-        for carrier, contact in zip(poses, contacts, strict=True)
-    ]
 
 
 def raised_poses(

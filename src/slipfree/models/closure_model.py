@@ -7,12 +7,9 @@ the platform.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import casadi as ca
 
-from slipfree.contact.certify import SecondContact
+from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import closure, contact_frame
 from slipfree.core.dae import Continuation, Dae, Labels, Limit
 from slipfree.core.lookups import LookupTable
@@ -30,7 +27,6 @@ from slipfree.models.base import (
     sizes,
     slip_ratios,
     spins,
-    touch_function,
 )
 from slipfree.models.friction_feasibility import (
     force_outputs,
@@ -106,7 +102,7 @@ def closure_dae(
         y=y._replace(slip_ratio=slip_ratios(q)) if labels.y.slip_ratio else y,
         labels=labels._replace(alg=(labels.alg[0], law.labels, labels.alg[2])),
         limits=(*limits_of(q), *limits),
-        checks=single_contacts(q, q.x, z, q.poses, size),
+        checks=second_contacts(q, q.x, z, q.poses, size),
         guess=_guess(q, labels),
         scale=scale,
         shift=shift,
@@ -117,22 +113,6 @@ def closure_dae(
         linear=law.linear,
         discs=discs,
         leading_rates=ca.vertcat(q.rates.z, q.rates.roll, q.rates.pitch, *q.rates.suspension),
-    )
-
-
-def single_contacts(
-    q: Quantities, x: Any, z: Algebraic, poses: Sequence[Pose], size: float
-) -> tuple[SecondContact, ...]:
-    """Return the certificates of a single contact for wheels at given poses.
-
-    There are none for a vehicle with parameters.
-    """
-    if q.vehicle.nominal:
-        return ()
-    touching = touch_function(x, z, poses, q.contacts, q.lookups)
-    return tuple(
-        SecondContact(q.terrain, wheel, pose, size)
-        for wheel, pose in zip(q.vehicle.wheels, touching, strict=True)
     )
 
 

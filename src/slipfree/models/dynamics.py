@@ -20,7 +20,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.certify import SecondContact
+from slipfree.contact.certify import SecondContact, second_contacts
 from slipfree.contact.closure import has_exact_closure, support_fault
 from slipfree.contact.touch import Touch, plane_of, search_function, solid_touch, touch
 from slipfree.core.dae import Dae, HeldTerms, Labels, Standing
@@ -30,7 +30,7 @@ from slipfree.core.records import leaves, pack, symbols
 from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.protocols import ContactLaw, WheelContact, check_law
-from slipfree.models.base import extent, raised_poses, sizes, touch_function
+from slipfree.models.base import extent, raised_poses, sizes
 from slipfree.models.dynamic_outputs import (
     Contact,
     DynamicDae,
@@ -150,9 +150,7 @@ def dynamics(
     checks: tuple[SecondContact, ...] = ()
     if not plane_of(terrain):  # a wheel touches a plane only once
         raised = raised_poses(q.poses, frames, tuple(-each.touch.gap for each in on_base))
-        wheels = touch_function(x, (), raised, frames, lookups)
-        pairs = zip(vehicle.wheels, wheels, strict=True)
-        checks = tuple(SecondContact(terrain, wheel, pose, size) for wheel, pose in pairs)
+        checks = second_contacts(q._replace(contacts=frames), x, (), raised, size)
     return Dae(
         ca.SX.sym("t"),
         x,

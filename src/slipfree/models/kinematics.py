@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import (
     ContactFrame,
     closure,
@@ -55,7 +56,7 @@ from slipfree.models.base import (
     sizes,
     spins,
 )
-from slipfree.models.closure_model import closure_dae, closure_quantities, single_contacts
+from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import (
     contact_force_residuals,
     force_outputs,
@@ -324,7 +325,7 @@ def _dae(
         ),
         labels=labels._replace(alg=(labels.alg[0], law.labels, ())),
         limits=limits_of(q),
-        checks=single_contacts(q, x, z, touching, size),
+        checks=second_contacts(q, x, z, touching, size),
         guess=_guess(q, labels),
         scale=scale,
         shift=shift,

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.certify import SecondContact
+from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import ContactFrame, check_exact_closure, contact_frame
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.core.dae import Dae, Labels, Limit
@@ -41,7 +41,6 @@ from slipfree.models.base import (
     outputs,
     sizes,
     spins,
-    touch_function,
 )
 from slipfree.models.friction_feasibility import (
     contact_force_residuals,
@@ -188,7 +187,6 @@ def montana_kinematics(
     q, rolls, q_dot = _quantities(vehicle, terrain, x, z, symbols(labels.u), kappa)
     law = slip_equations(slip, labels, q)
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
-    wheels = touch_function(x, z, q.poses, q.contacts, q.lookups)
     sampled = force_outputs(q, labels.y.forces)
     return Dae(
         ca.SX.sym("t"),
@@ -209,10 +207,7 @@ def montana_kinematics(
             *_drift_limits(vehicle, rolls),  # first, since other limits assume wheels without drift
             *limits_of(q),
         ),
-        checks=tuple(
-            SecondContact(terrain, wheel, pose, size)
-            for wheel, pose in zip(vehicle.wheels, wheels, strict=True)
-        ),
+        checks=second_contacts(q, x, z, q.poses, size),
         guess=at_rest(vehicle, labels.z),
         scale=scale,
         shift=shift,

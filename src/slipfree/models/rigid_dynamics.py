@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.certify import SecondContact
+from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import contact_frame
 from slipfree.contact.touch import Touch
 from slipfree.core.dae import Dae, Labels, Limit, Replay
@@ -47,7 +47,7 @@ from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts, check_law
-from slipfree.models.base import at_rest, extent, raised_poses, sizes, touch_function
+from slipfree.models.base import at_rest, extent, raised_poses, sizes
 from slipfree.models.dynamic_outputs import (
     Contact,
     DynamicOutputs,
@@ -183,12 +183,7 @@ def rigid_dynamics(
         y=_without_unknowns(y),
         labels=labels._replace(alg=(_nearest_labels(vehicle), reaction.equations.labels)),
         limits=(*limits_of(q, static=False), *own),
-        checks=tuple(
-            SecondContact(terrain, wheel, pose, size)
-            for wheel, pose in zip(
-                vehicle.wheels, touch_function(x, z, raised, frames, lookups), strict=True
-            )
-        ),
+        checks=second_contacts(q._replace(contacts=frames), x, z, raised, size),
         guess=_guess(vehicle, body, labels),
         scale=scale,
         shift=shift,
