@@ -224,7 +224,7 @@ def test_motions_end_at_the_limits_of_simulate(model):
 
 
 def test_a_second_contact_ends_a_motion_as_in_simulate():
-    """Lanes that a wheel's second contact may end are decided by `simulate`."""
+    """The clearance of a wheel ends a lane at the same time as in `simulate`."""
     axis = np.linspace(-4, 4, 161)
     ledge = 0.12 / (1 + np.exp(-(axis - 1.4) / 0.02))
     dae = direct_kinematics(catalog.three_wheeler(), Bicubic(_grid(axis, ledge)))

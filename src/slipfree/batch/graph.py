@@ -15,7 +15,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.core.dae import Dae
+from slipfree.core.dae import Dae, PlacedCheck
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import Lookup, found_column, needed_lookups
@@ -23,6 +23,7 @@ from slipfree.core.records import Array, leaves, pack
 
 SAMPLES = 12  # random states at which pivots are chosen
 MIN_PIVOT = 0.02  # smallest pivot, relative to the largest entry of its row
+GUESS_SPREAD = 0.1  # of unknowns other than rates [typical size]
 JOINT_SPREAD = 0.5  # standard deviation of the random joint angles [rad]
 Solve = Callable[[ca.SX, ca.SX], ca.SX]
 
@@ -102,6 +103,8 @@ class Graphs(NamedTuple):
         Index of the limit to which each distance belongs.
     outputs : Graph
         Outputs of the model.
+    checks : tuple of PlacedCheck
+        Checks of samples.
     placing : Graph
         Expressions on which the checks of samples depend, one result for each check.
     """
@@ -115,6 +118,7 @@ class Graphs(NamedTuple):
     checked: Graph
     bounds: tuple[int, ...]
     outputs: Graph
+    checks: tuple[PlacedCheck, ...]
     placing: Graph
 
     @property
@@ -134,7 +138,9 @@ def graphs_of(dae: Dae) -> Graphs:
     """
     _, z, u = dae.columns()
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
-    if dae.standing is not None or len(ends) < 4 or (dae.rest.numel() and dae.linear is None):
+    checks = [check for check in dae.checks if isinstance(check, PlacedCheck)]
+    relaxes = dae.rest.numel() and dae.linear is None
+    if dae.standing is not None or len(ends) < 4 or relaxes or len(checks) < len(dae.checks):
         raise ModelError(
             "batch: expected a model of kinematics with least slip, or of quasi-statics, found "
             "another one; use method='simulate'"
@@ -159,9 +165,9 @@ def graphs_of(dae: Dae) -> Graphs:
     if f.numel():
         forces = f - eliminate(ca.jacobian(dae.residuals[2], f), dae.residuals[2])
     shift = ca.norm_1((forces - f) / scale[ends[2] :]) if f.numel() else ca.SX(0)
-    checks = ca.vertcat(forces, shift, *_with(distances, f, forces))
-    (checks,) = _with([checks], w, moved[1])
-    derivatives, rates, error, speed, checks = _with([*moved, checks], p, new_p)
+    watched = ca.vertcat(forces, shift, *_with(distances, f, forces))
+    (watched,) = _with([watched], w, moved[1])
+    derivatives, rates, error, speed, watched = _with([*moved, watched], p, new_p)
     motion = derivatives, new_p, rates, change, error, speed
     n_f = f.numel()
 
@@ -175,10 +181,11 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("guess", *(dae.guess[a:b] for a, b in pairwise(ends)), dae.rest),
         graph("place", new_p, change),
         graph("motion", *motion),
-        graph("checked", *motion, checks[:n_f], checks[n_f], checks[n_f + 1 :]),
+        graph("checked", *motion, watched[:n_f], watched[n_f], watched[n_f + 1 :]),
         bounds,
         graph("outputs", pack(dae.y)),
-        graph("placing", *(check.placing for check in dae.checks)),
+        tuple(checks),
+        graph("placing", *(check.placing for check in checks)),
     )
 
 
@@ -287,16 +294,24 @@ def _elimination(dae: Dae, state: ca.SX, rows: Rows) -> Solve:
     )
     for k, each in enumerate(dae.p):
         samples[rows.c.start + k] = each.value
-    (first,) = evaluate(guess, samples[rows.x], samples[rows.c])
-    unknowns = np.split(first, np.cumsum([r.stop - r.start for r in rows.z[:2]]))
+    (guessed,) = evaluate(guess, samples[rows.x], samples[rows.c])
+    unknowns = np.split(guessed, np.cumsum([r.stop - r.start for r in rows.z[:2]]))
     samples[rows.p], samples[rows.f] = unknowns[0], unknowns[2]
-    samples[rows.w] += unknowns[1]  # moving, under load
+    # moving, under load: other unknowns than rates, such as depths, stay near their guess
+    spread = [
+        1.0 if label.unit.endswith("s-1") else GUESS_SPREAD * scale
+        for label, scale in zip(leaves(dae.labels.z), dae.scale, strict=True)
+    ]
+    first = rows.p.stop - rows.p.start
+    within = np.array(spread)[first : first + rows.w.stop - rows.w.start, None]
+    samples[rows.w] = unknowns[1] + within * samples[rows.w]
     samples[rows.lag] = np.abs(samples[rows.lag])
 
     def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
         (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)
         m, n = matrix.shape
-        return _eliminate(matrix, right, values.T.reshape(-1, n, m).transpose(0, 2, 1))
+        with np.errstate(all="ignore"):  # samples that are not finite choose no pivot
+            return _eliminate(matrix, right, values.T.reshape(-1, n, m).transpose(0, 2, 1))
 
     return solve
 

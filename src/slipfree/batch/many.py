@@ -12,10 +12,11 @@ from slipfree.batch.graph import Graphs
 from slipfree.batch.motion import (
     INVALID_START,
     UNSOLVED,
+    clearances,
     integrate_lanes,
+    margins,
     relax,
     solve_forces,
-    within_limits,
 )
 from slipfree.batch.poses import solve_positions
 from slipfree.core.dae import Dae
@@ -55,8 +56,8 @@ class LaneResults(NamedTuple):
     error : ndarray, shape (n,)
         Estimates of the errors of x and y at the last sample. [m]
     disputed : ndarray of bool, shape (n,)
-        Motions that `slipfree.simulate` must decide: Newton's method did not follow the contacts,
-        or a wheel may touch the ground a second time.
+        Motions that `slipfree.simulate` must decide, since Newton's method did not follow the
+        contacts.
     """
 
     columns: dict[str, Column]
@@ -164,15 +165,17 @@ def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Source]) -
     graphs = evaluate.graphs
     solved = stand(evaluate, states)
     distances = solve_forces(evaluate, states)
-    inside = within_limits(distances)
+    inside = margins(distances) >= 0
     outcomes = np.where(solved, "complete", FAILED).astype(object)
     reasons = np.where(solved, "", NO_POSE).astype(object)
     for k in np.flatnonzero(solved & ~inside):
         limit = _worst(graphs, distances[:, k])
         outcomes[k], reasons[k] = _limit_end(graphs, limit, states[:, k])
-    for index, margins in enumerate(_clearances(evaluate, states[:, solved & inside])):
-        for k in np.flatnonzero(solved & inside)[~(margins >= 0)]:
-            outcomes[k], reasons[k] = _check_end(graphs, index, states[:, k])
+    standing = solved & inside
+    clear = np.full((max(1, len(graphs.checks)), solved.size), np.inf)
+    clear[:, standing] = clearances(evaluate, states[:, standing])
+    for k in np.flatnonzero(~(clear.min(axis=0) >= 0)):
+        outcomes[k], reasons[k] = _check_end(graphs, int(clear[:, k].argmin()), states[:, k])
     states[:, ~solved] = np.nan
     values = _values(evaluate, sources, states[:, None, :])
     return _Poses({n: v[:, 0] for n, v in values.items()}, list(outcomes), list(reasons))
@@ -311,33 +314,31 @@ def _run(
     placed: bool,
 ) -> LaneResults:
     graphs = evaluate.graphs
-    count = states.shape[1]
-    found = np.ones(count, dtype=bool) if placed else stand(evaluate, states)
+    n = states.shape[1]
+    found = np.ones(n, dtype=bool) if placed else stand(evaluate, states)
     states[graphs.rows.p, ~found] = np.nan
     motions = integrate_lanes(evaluate, states, inputs, t, step, estimate=True)
-    outcomes, reasons = ["complete"] * count, [""] * count
+    outcomes, reasons = ["complete"] * n, [""] * n
     disputed = found & (motions.reason == UNSOLVED)
     for k in np.flatnonzero(~found):
         outcomes[k], reasons[k] = FAILED, NO_POSE
     for k in np.flatnonzero(found & (motions.reason == INVALID_START)):
-        limit = _worst(graphs, motions.distances[:, k])
-        words = _limit_end(graphs, limit, motions.beyond[:, k])[1]
+        distances, state = motions.distances[:, k], motions.beyond[:, k]
+        if margins(distances) >= 0:
+            failed = int(clearances(evaluate, state[:, None])[:, 0].argmin())
+            words = _check_end(graphs, failed, state)[1]
+        else:
+            words = _limit_end(graphs, _worst(graphs, distances), state)[1]
         outcomes[k] = FAILED
         reasons[k] = (
             "start: expected a sample within the limits of the model, found a violation: "
             f"{words}; choose another start or other inputs"
         )
+    count = len(graphs.dae.limits)
     for k in np.flatnonzero(motions.reason >= 0):
-        outcomes[k], reasons[k] = _limit_end(graphs, motions.reason[k], motions.beyond[:, k])
-    if graphs.dae.checks:
-        # at all samples at once, and at the end of each motion
-        on_way = np.concatenate([motions.samples, motions.last[:, None]], axis=1)
-        flat = on_way.reshape(len(states), -1)
-        valid = np.isfinite(flat[0])
-        for margins in _clearances(evaluate, np.compress(valid, flat, axis=1)):
-            bad = np.zeros(valid.size, dtype=bool)
-            bad[valid] = ~(margins >= 0)
-            disputed |= bad.reshape(-1, count).any(axis=0)
+        index, state = int(motions.reason[k]), motions.beyond[:, k]
+        message = _limit_end if index < count else _check_end
+        outcomes[k], reasons[k] = message(graphs, index % count, state)
     values = _values(evaluate, sources, motions.samples)
     columns = {name: Column(sources[name].label, each) for name, each in values.items()}
     end = np.where(found & (motions.reason != INVALID_START), motions.end, np.nan)
@@ -370,15 +371,6 @@ def _columns(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
     rows = graphs.rows
     z = np.concatenate([states[part] for part in rows.z])
     return states[rows.x], z, states[rows.u]
-
-
-def _clearances(evaluate: Evaluator, states: Array) -> list[Array]:
-    """Return the margins of all checks at states."""
-    checks, graph = evaluate.graphs.dae.checks, evaluate.graphs.placing
-    if not checks or not states.shape[1]:
-        return [np.zeros(states.shape[1]) for _ in checks]
-    placed = evaluate(graph, states)
-    return [check.margin_at(placed[part]) for check, part in zip(checks, graph.parts, strict=True)]
 
 
 def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Source]:

@@ -10,6 +10,7 @@ not depend on the other lanes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,8 @@ CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 FIRST_STEP, STEP_GROWTH, MAX_RELAXATIONS = 0.005, 1.3, 120  # of the relaxation to rest [s]
 AT_REST = 1e-11  # last step of the relaxation, of more than a second [size]
 MAX_STEPS = 1_000_000  # in an interval
-MAX_BISECTIONS = 60
+MAX_BISECTIONS = 90
+MIN_SHARE = 0.02  # of a bracket on either side of a secant
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
 FORCE_CHANGE = 3e-3  # change of the forces that needs another step: the error is its square
 RATES, ERROR, FORCES, FORCE_CHANGES, DISTANCES = 2, 4, 6, 7, 8  # parts of the graph "checked"
@@ -138,6 +140,14 @@ class _Step(NamedTuple):
         return _Step(*(_of(lanes, each) for each in self))
 
 
+class _Began(NamedTuple):
+    """Lanes at the beginning of an interval, their first steps, and numbers of steps."""
+
+    lanes: Indices
+    step: _Step
+    number: Indices
+
+
 class _Run:
     """Motions of lanes while they are integrated; ``counts`` are numbers of steps, (m - 1, n)."""
 
@@ -147,6 +157,7 @@ class _Run:
         count = states.shape[1]
         self.evaluate, self.rows, self.step = evaluate, evaluate.graphs.rows, step
         self.first, self.inputs, self.t = states, inputs, t
+        self.began: _Began | None = None
         self.advance = advance if evaluate.graphs.dae.lag is None else advance_relaxing
         self.counts = np.zeros((t.size - 1, count), dtype=int)
         self.samples = np.full((len(states), t.size, count), np.nan)
@@ -164,13 +175,18 @@ class _Run:
             if k < self.t.size - 1:
                 states[self.rows.u] = self.inputs[:, k, lanes]
             states[self.rows.t] = now
-            rates, good, speed, inside = self._checked(states, limited=limited)
+            rates, good, speed, margin = self._checked(states, limited=limited)
+            kept = good & (margin >= 0)
             if limited:
-                self._end(lanes, states, before, good, inside)
-            kept = good & inside
+                self._end(lanes, states, before, good, kept)
             lanes, states, rates, speed = (
                 _of(kept, each) for each in (lanes, states, rates, speed)
             )
+            if limited and (bad := ~(clearances(self.evaluate, states).min(axis=0) >= 0)).any():
+                self._end_at_checks(_of(bad, lanes), _of(bad, states))
+                lanes, states, rates, speed = (
+                    _of(~bad, each) for each in (lanes, states, rates, speed)
+                )
             self.samples[:, k, lanes] = states
             self.last[:, lanes] = states
             if k == self.t.size - 1:
@@ -187,6 +203,7 @@ class _Run:
                 self.counts[k, lanes] = number
             else:
                 number = counts[k, lanes]
+            self.began = _Began(lanes, _Step(states, rates, span / number), number)
             parts = []
             for count in np.unique(number):
                 chosen = number == count
@@ -204,23 +221,24 @@ class _Run:
         for k in range(count):
             states, solved = self.advance(self.evaluate, *start)
             if limited and not solved.all():
-                self._end(lanes, states, start, solved, np.ones_like(solved))
+                self._end(lanes, states, start, solved, solved)
                 lanes, states, start = _of(solved, lanes), _of(solved, states), start.of(solved)
             if k == count - 1 or not lanes.size:
                 break
-            rates, good, _, inside = self._checked(states, limited=limited)
+            rates, good, _, margin = self._checked(states, limited=limited)
             if limited:
-                self._end(lanes, states, start, good, inside)
-                good &= inside
+                kept = good & (margin >= 0)
+                self._end(lanes, states, start, good, kept)
+                good = kept
             lanes, states = _of(good, lanes), _of(good, states)
             start = _Step(states, _of(good, rates), _of(good, start.h))
         return lanes, states, *start
 
-    def _checked(self, states: Array, *, limited: bool) -> tuple[Array, Mask, Array, Mask]:
-        """Return the results of `derivatives`, and which lanes are within all limits."""
+    def _checked(self, states: Array, *, limited: bool) -> tuple[Array, Mask, Array, Array]:
+        """Return the results of `derivatives`, and the least distances to the limits."""
         if not limited:  # a bad motion gives a large estimate of the error
             rates, good, speed = derivatives(self.evaluate, states)
-            return rates, np.ones_like(good), speed, np.ones_like(good)
+            return rates, np.ones_like(good), speed, np.ones_like(speed)
         graph = self.evaluate.graphs.checked
         values = _iterated(self.evaluate, graph, states)
         result = _derivatives(self.evaluate, graph, values, states)
@@ -234,53 +252,111 @@ class _Run:
             more = self.evaluate(graph, some)
             values[:, rough] = more
             distances[:, rough] = more[graph.parts[DISTANCES]]
-        return *result, within_limits(distances)
+        return *result, margins(distances)
 
     def _end(
-        self, lanes: Indices, states: Array, before: _Step | None, good: Mask, inside: Mask
+        self, lanes: Indices, states: Array, before: _Step | None, good: Mask, kept: Mask
     ) -> None:
-        """End lanes that are not solved or beyond a limit; the last step is bisected."""
-        for ended, reason in ((~good, UNSOLVED), (good & ~inside, COMPLETE)):
-            if not ended.any():
-                continue
-            which = lanes[ended]
-            if before is None:
-                self.reason[which] = UNSOLVED if reason == UNSOLVED else INVALID_START
-                self.end[which], self.last[:, which] = self.t[0], states[:, ended]
-                self.beyond[:, which] = states[:, ended]
-                continue
-            step = before.of(ended)
-            if reason == UNSOLVED:
-                self.reason[which] = UNSOLVED
-                self.end[which], self.last[:, which] = step.states[self.rows.t][0], step.states
-                self.beyond[:, which] = step.states
-                continue
-            low, high, limit = self._bisect(step, _of(ended, states))
-            self.reason[which], self.end[which] = limit, low[self.rows.t][0]
-            self.last[:, which], self.beyond[:, which] = low, high
+        """End lanes that are not solved or beyond a limit, which is located in the last step."""
+        if kept.all():
+            return
+        unsolved, limited = ~good, good & ~kept
+        if before is None:
+            self.reason[lanes[unsolved]], self.reason[lanes[limited]] = UNSOLVED, INVALID_START
+            self._close(_of(~kept, lanes), _of(~kept, states), _of(~kept, states))
+            return
+        if unsolved.any():
+            which, step = _of(unsolved, lanes), before.of(unsolved)
+            self.reason[which] = UNSOLVED
+            self._close(which, step.states, step.states)
+        if limited.any():
+            which = _of(limited, lanes)
+            graph, bounds = self.evaluate.graphs.checked, np.array(self.evaluate.graphs.bounds)
+            low, high = self._locate(
+                before.of(limited), 1, _of(limited, states), lambda _, margin: margin
+            )
+            distances = self.evaluate(graph, high)[graph.parts[DISTANCES]]
+            self.reason[which] = bounds[_smallest(distances)]
+            self._close(which, low, high)
+            touching = ~(clearances(self.evaluate, low).min(axis=0) >= 0)
+            if touching.any():  # earlier than the limit
+                self._end_at_checks(_of(touching, which), _of(touching, low))
 
-    def _bisect(self, step: _Step, at: Array) -> tuple[Array, Array, Array]:
-        """Return the states before and beyond the limits, and the indices of the limits."""
+    def _end_at_checks(self, lanes: Indices, states: Array) -> None:
+        """End lanes that fail a check, which is located between the last sample and the states."""
+        began = self.began
+        if began is None:
+            self.reason[lanes] = INVALID_START
+            self._close(lanes, states, states)
+            return
+        place = np.zeros(self.end.size, dtype=int)
+        place[began.lanes] = np.arange(began.lanes.size)
+        number = began.number[place[lanes]]
+        for count in np.unique(number):
+            chosen = number == count
+            which = lanes[chosen]
+            first, rates, _ = (each[..., place[which]] for each in began.step)
+            h = (states[self.rows.t][0][chosen] - first[self.rows.t][0]) / count
+            step = _Step(first, rates, h)
+            low, high = self._locate(
+                step,
+                int(count),
+                _of(chosen, states),
+                lambda there, _: clearances(self.evaluate, there).min(axis=0),
+            )
+            failed = _smallest(clearances(self.evaluate, high))
+            self.reason[which] = len(self.evaluate.graphs.dae.limits) + failed
+            self._close(which, low, high)
+
+    def _close(self, lanes: Indices, last: Array, beyond: Array) -> None:
+        self.end[lanes] = last[self.rows.t]
+        self.last[:, lanes], self.beyond[:, lanes] = last, beyond
+
+    def _locate(
+        self, step: _Step, count: int, at: Array, margin: Callable[[Array, Array], Array]
+    ) -> tuple[Array, Array]:
+        """Return states just before and beyond the zero of a margin within some steps.
+
+        ``margin(states, distance)`` is negative beyond it; ``at`` are the states at the end. There
+        the inputs of the next interval may apply: if the margin is positive with those of the
+        steps, the motion ends there.
+        """
         low, high = np.zeros(step.h.size), np.ones(step.h.size)
+        at_low, at_high = np.full((2, step.h.size), np.nan)
         inside, beyond = step.states.copy(), at.copy()
         for k in range(MAX_BISECTIONS):
-            open_ = (high - low) * step.h > CROSSING_TOLERANCE
-            if not open_.any():
+            wide = (high - low) * step.h * count > CROSSING_TOLERANCE
+            if not wide.any():
                 break
-            # with the inputs of the step: at its end, those of the next interval may apply
-            middle = np.where(k == 0, high, (low + high) / 2)[open_]
-            part = step.of(open_)
-            states, solved = self.advance(self.evaluate, part.states, part.rates, part.h * middle)
-            _, good, _, within = self._checked(states, limited=True)
-            fine = solved & good & within
-            low[open_] = np.where(fine, middle, low[open_])
-            high[open_] = np.where(fine, high[open_], middle)
-            inside[:, open_] = np.where(fine, states, inside[:, open_])
-            beyond[:, open_] = np.where(fine | (k == 0), beyond[:, open_], states)
-        graph = self.evaluate.graphs.checked
-        distances = self.evaluate(graph, beyond)[graph.parts[DISTANCES]]
-        worst = np.where(np.isnan(distances), -np.inf, distances).argmin(axis=0)
-        return inside, beyond, np.array(self.evaluate.graphs.bounds)[worst]
+            secant = np.clip(at_low / (at_low - at_high), MIN_SHARE, 1 - MIN_SHARE)
+            share = np.where(np.isnan(secant) | (k % 3 == 0), 0.5, secant)
+            share = (low + (high - low) * (share if k else 1.0))[wide]
+            part = step.of(wide)
+            states, rates, h = part.states, part.rates, part.h * share
+            solved = np.ones(h.size, dtype=bool)
+            for _ in range(count):
+                states, good = self.advance(self.evaluate, states, rates, h)
+                rates, also_good, _, distance = self._checked(states, limited=True)
+                solved &= good & also_good
+            value = np.where(solved, margin(states, distance), np.nan)
+            fine = value >= 0  # not for NaN
+            shares = np.full(high.shape, 0.0)
+            shares[wide] = share
+            values = np.full(high.shape, np.nan)
+            values[wide] = value
+            good = np.zeros(high.shape, dtype=bool)
+            good[wide] = fine
+            low, at_low = np.where(good, shares, low), np.where(good, values, at_low)
+            bad = wide & ~good
+            high, at_high = np.where(bad, shares, high), np.where(bad, values, at_high)
+            inside[:, good] = states[:, fine]
+            beyond[:, bad] = states[:, ~fine] if k else beyond[:, bad]
+        return inside, beyond
+
+
+def _smallest(values: Array) -> Indices:
+    """Return the row of the smallest value of each column, or of one that is not a number."""
+    return np.asarray(np.where(np.isnan(values), -np.inf, values).argmin(axis=0))
 
 
 def _of(lanes: Mask, array: Any) -> Any:
@@ -302,9 +378,19 @@ def solve_forces(evaluate: Evaluator, states: Array) -> Array:
     return distances
 
 
-def within_limits(distances: Array) -> Mask:
-    """Return which lanes are within all limits, up to rounding; those with NaN are not."""
-    return np.asarray((distances >= -LIMIT_ROUNDING).all(axis=0))
+def margins(distances: Array) -> Array:
+    """Return the least distances to limits, of which rounding is no violation; NaN with NaN."""
+    return np.asarray(distances.min(axis=0, initial=np.inf) + LIMIT_ROUNDING)
+
+
+def clearances(evaluate: Evaluator, states: Array) -> Array:
+    """Return the margins of the checks, shape (n_checks, n); infinite without checks."""
+    checks, graph = evaluate.graphs.checks, evaluate.graphs.placing
+    if not checks or not states.shape[1]:
+        return np.full((1, states.shape[1]), np.inf)
+    placed = evaluate(graph, states)
+    pairs = zip(checks, graph.parts, strict=True)
+    return np.stack([check.margin_at(placed[part]) for check, part in pairs])
 
 
 def derivatives(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array]:

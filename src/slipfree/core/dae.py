@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Generic, NamedTuple, Protocol
+from typing import Any, Generic, NamedTuple, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -137,13 +137,6 @@ class SampledCheck(Protocol):
     def label(self) -> Label:
         """Name, unit and description of the margin."""
 
-    @property
-    def placing(self) -> ca.SX:
-        """Column of expressions of the model on which the margin depends."""
-
-    def margin_at(self, placed: Array) -> Array:
-        """Return the margins, shape (n,), at n columns of values of ``placing``."""
-
     def margin(self, x: Array, z: Array) -> Array:
         """Return the margins, shape (n,), of n states in the columns of ``x`` and ``z``.
 
@@ -152,6 +145,18 @@ class SampledCheck(Protocol):
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message about the violation in a state of shapes (n_x,) and (n_z,)."""
+
+
+@runtime_checkable
+class PlacedCheck(SampledCheck, Protocol):
+    """A check whose margin is a function of some expressions of the model."""
+
+    @property
+    def placing(self) -> ca.SX:
+        """Column of expressions of the model on which the margin depends."""
+
+    def margin_at(self, placed: Array) -> Array:
+        """Return the margins, shape (n,), at n columns of values of ``placing``."""
 
 
 class Standing(NamedTuple):
