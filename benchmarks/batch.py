@@ -48,7 +48,6 @@ from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.many import run_lanes, stand, start_states
 from slipfree.core.dae import Dae
 from slipfree.core.records import leaves
-from slipfree.laws.soils import known_soil
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.tree import Vehicle
 
@@ -75,7 +74,6 @@ CASES = {
     "rigid four-wheeler": Case(catalog.rigid_skid_steer(), steps=PRESSED),
     "rigid six-wheeler": Case(catalog.rigid_skid_steer(axles=3), steps=PRESSED),
     "Rocky 7, creep 1e-3 m/s": Case(ROCKY, partial(quasi_statics, law=Coulomb(creep=1e-3))),
-    "Rocky 7, dry sand": Case(ROCKY, partial(quasi_statics, law=known_soil("dry_sand"))),
 }
 ROUGH = {  # rms and shortest wave [m], cell [m], Hurst exponent: for poses and ends
     "3 cm, 0.8 m": (0.03, 0.8, 0.1, 0.9),

@@ -11,6 +11,7 @@ from slipfree import (
     Grid,
     ModelError,
     Rolling,
+    Soil,
     SolverOptions,
     catalog,
     direct_kinematics,
@@ -316,8 +317,10 @@ def test_models_and_inputs_that_the_batch_does_not_take_are_named(model):
     t = model.t
     with pytest.raises(ModelError, match="expected numbers for the method 'batch', found SX"):
         rollouts(model, {}, rates(1) | {"steer_rate": 0.1 * t}, T, method="batch")
-    with pytest.raises(ModelError, match="expected a model of kinematics with least slip"):
-        settle_many(dynamics(catalog.rigid_skid_steer(), hills()), x=0.0)
+    vehicle = catalog.three_wheeler(axle="fixed")
+    for other in (dynamics(vehicle, hills()), quasi_statics(vehicle, hills(), law=Soil())):
+        with pytest.raises(ModelError, match="expected a model of kinematics, or of quasi-statics"):
+            settle_many(other, x=0.0)
     with pytest.raises(ModelError, match="expected numbers or arrays of one shape"):
         settle_many(model, x=np.zeros(2), y=np.zeros(3))
     with pytest.raises(ModelError, match="unknown 'z'"):

@@ -139,11 +139,13 @@ def graphs_of(dae: Dae) -> Graphs:
     _, z, u = dae.columns()
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
     checks = [check for check in dae.checks if isinstance(check, PlacedCheck)]
+    other = dae.standing is not None or len(ends) < 4 or len(checks) < len(dae.checks)
     relaxes = dae.rest.numel() and dae.linear is None
-    if dae.standing is not None or len(ends) < 4 or relaxes or len(checks) < len(dae.checks):
+    continued = dae.continuation is not None and not dae.discs
+    if other or relaxes or continued:
         raise ModelError(
-            "batch: expected a model of kinematics with least slip, or of quasi-statics, found "
-            "another one; use method='simulate'"
+            "batch: expected a model of kinematics, or of quasi-statics with Coulomb friction, "
+            "found another one; use method='simulate'"
         )
     p, w, f = (z[a:b] for a, b in pairwise(ends))
     late = [ca.depends_on(rate, f) for rate in ca.vertsplit(dae.quad)] if dae.quad.numel() else []
@@ -310,8 +312,9 @@ def _elimination(dae: Dae, state: ca.SX, rows: Rows) -> Solve:
     def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
         (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)
         m, n = matrix.shape
-        with np.errstate(all="ignore"):  # samples that are not finite choose no pivot
-            return _eliminate(matrix, right, values.T.reshape(-1, n, m).transpose(0, 2, 1))
+        numbers = values.T[np.isfinite(values).all(axis=0)].reshape(-1, n, m)
+        with np.errstate(all="ignore"):
+            return _eliminate(matrix, right, numbers.transpose(0, 2, 1))
 
     return solve
 

@@ -88,12 +88,13 @@ def settle_many(
 ) -> xarray.Dataset:
     """Return the vehicle at rest at many positions.
 
-    Each pose equals that of `settle`: all wheels touch the ground.
+    Each pose equals that of `settle`. On ground that is more concave than a wheel there may be
+    several, of which both find one.
 
     Parameters
     ----------
     model : Dae
-        Model of a vehicle whose wheels can all touch a rigid ground.
+        Model of kinematics, or of quasi-statics with Coulomb friction.
     quantities : sequence of str, optional
         Names of the quantities to keep; by default the states and the other coordinates of the
         pose.
@@ -113,8 +114,7 @@ def settle_many(
     Raises
     ------
     ModelError
-        If a name is unknown, a value is not finite, shapes differ, or the model has pressed wheels
-        or inertia.
+        If a name is unknown, a value is not finite, shapes differ, or the model is another one.
     SlipfreeError
         If xarray is not installed.
 
