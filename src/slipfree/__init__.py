@@ -18,12 +18,12 @@ Model, a `Dae`
     contacts, for plans, with `LinearCreep` or `Coulomb`.
     `montana_kinematics`, a second formulation of the direct kinematics.
 Start
-    `settle`, the vehicle at rest on the ground.
+    `settle`, the vehicle at rest on the ground. `settle_many`, at many positions at once.
 Inputs
     ``model.inputs(...)``, values or expressions. `follow` a `Path`, or drive `straight`.
 Motion, a `Trajectory`
     `simulate`, with `SolverOptions`; the `Outcome` says whether the motion is complete. `rollouts`,
-    many motions of one model, in processes.
+    many motions of one model, in processes or side by side.
     `cross_check`, the difference between two formulations.
 Plan
     `plan`, the inputs that reach a goal with the least `Cost`. `replan`, a plan from the current

@@ -97,8 +97,8 @@ class Graphs(NamedTuple):
         new ``p``, new ``w``, the sum of the changes of ``p`` in typical sizes, that of the errors
         of ``w``, and the speed over the ground [m/s].
     checked : Graph
-        The results of ``motion``, then new ``f`` by one Newton step, the sum of its changes in
-        typical sizes, and the distances to the bounds of the limits in sizes of the quantities.
+        The results of ``motion``, then new ``f`` by one Newton step, a number that is positive if
+        another is needed, and the distances to the bounds of the limits in sizes of the quantities.
     bounds : tuple of int
         Index of the limit to which each distance belongs.
     outputs : Graph
@@ -166,8 +166,8 @@ def graphs_of(dae: Dae) -> Graphs:
     forces = f
     if f.numel():
         forces = f - eliminate(ca.jacobian(dae.residuals[2], f), dae.residuals[2])
-    shift = ca.norm_1((forces - f) / scale[ends[2] :]) if f.numel() else ca.SX(0)
-    watched = ca.vertcat(forces, shift, *_with(distances, f, forces))
+    doubt = _doubt(forces - f, ca.DM(dae.scale[ends[2] :]), distances, f)
+    watched = ca.vertcat(forces, *_with([doubt, *distances], f, forces))
     (watched,) = _with([watched], w, moved[1])
     derivatives, rates, error, speed, watched = _with([*moved, watched], p, new_p)
     motion = derivatives, new_p, rates, change, error, speed
@@ -259,6 +259,18 @@ def _distances(dae: Dae) -> tuple[list[ca.SX], tuple[int, ...]]:
                 distances.append(sign * (limit.expression - bound) / size)
                 index.append(k)
     return distances, tuple(index)
+
+
+def _doubt(step: ca.SX, scale: ca.DM, distances: list[ca.SX], f: ca.SX) -> ca.SX:
+    """Return a number that is positive if the forces need another Newton step.
+
+    What a step leaves is about its square, with forces in typical sizes. It matters if it exceeds
+    the distance to a limit of a force.
+    """
+    if not f.numel():
+        return ca.SX(-1)
+    near = [each / ca.mmax(scale) for each in distances if ca.depends_on(each, f)]
+    return ca.norm_1(step / scale) ** 2 - ca.mmin(ca.vertcat(*near, 1))
 
 
 def _with(expressions: list[ca.SX], symbols: ca.SX, values: ca.SX) -> list[ca.SX]:

@@ -177,7 +177,7 @@ def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Source]) -
     for k in np.flatnonzero(~(clear.min(axis=0) >= 0)):
         outcomes[k], reasons[k] = _check_end(graphs, int(clear[:, k].argmin()), states[:, k])
     states[:, ~solved] = np.nan
-    values = _values(evaluate, sources, states[:, None, :])
+    values = _values(evaluate, sources, states[None])
     return _Poses({n: v[:, 0] for n, v in values.items()}, list(outcomes), list(reasons))
 
 
@@ -414,14 +414,15 @@ def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Source]:
 def _values(
     evaluate: Evaluator, sources: Mapping[str, _Source], samples: Array
 ) -> dict[str, Array]:
-    """Return quantities at samples (n_rows, m, n), shape (n, m) or (n, m, n_wheels)."""
-    outputs = samples[:0]
+    """Return quantities at samples (m, n_rows, n), shape (n, m) or (n, m, n_wheels)."""
+    outputs = samples
     if any(source.is_output for source in sources.values()):
-        flat = samples.reshape(len(samples), -1)
-        outputs = evaluate(evaluate.graphs.outputs, flat).reshape(-1, *samples.shape[1:])
+        for states in samples:  # while driving, forces are only as exact as limits need them
+            solve_forces(evaluate, states)
+        outputs = np.stack([evaluate(evaluate.graphs.outputs, states) for states in samples])
     values = dict[str, Array]()
     for name, source in sources.items():
-        rows = (outputs if source.is_output else samples)[source.rows]
-        turned = (rows + source.shift[:, None, None]).transpose(2, 1, 0)
+        rows = (outputs if source.is_output else samples)[:, source.rows]
+        turned = (rows + source.shift[:, None]).transpose(2, 0, 1)
         values[name] = np.ascontiguousarray(turned if source.wheels else turned[..., 0])
     return values

@@ -11,6 +11,7 @@ not depend on the other lanes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,8 +35,7 @@ MAX_STEPS = 1_000_000  # in an interval
 MAX_BISECTIONS = 90
 MIN_SHARE = 0.02  # of a bracket on either side of a secant
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
-FORCE_CHANGE = 3e-3  # change of the forces that needs another step: the error is its square
-RATES, ERROR, FORCES, FORCE_CHANGES, DISTANCES = 2, 4, 6, 7, 8  # parts of the graph "checked"
+RATES, ERROR, FORCES, DOUBT, DISTANCES = 2, 4, 6, 7, 8  # parts of the graph "checked"
 COMPLETE, UNSOLVED, INVALID_START = -1, -2, -3  # ends without a limit
 
 
@@ -44,15 +44,13 @@ class Motions(NamedTuple):
 
     Attributes
     ----------
-    samples : ndarray, shape (n_rows, m, n)
+    samples : ndarray, shape (m, n_rows, n)
         States at the samples in local coordinates, NaN after the end of a lane.
     end : ndarray, shape (n,)
         Time of the end. [s]
     reason : ndarray of int, shape (n,)
         Index of the limit or, after the limits, of the check that ended the lane; `COMPLETE`, or
         `UNSOLVED` if corrections of the positions stay too large in short steps.
-    last : ndarray, shape (n_rows, n)
-        States at the end.
     beyond : ndarray, shape (n_rows, n)
         States just beyond the limit; the states at the end for other lanes.
     error : ndarray, shape (n,)
@@ -64,7 +62,6 @@ class Motions(NamedTuple):
     samples: Array
     end: Array
     reason: Array
-    last: Array
     beyond: Array
     error: Array
     distances: Array
@@ -112,20 +109,16 @@ def _integrate(
     fine.run(even=estimate)
     error = np.full(states.shape[1], np.nan)
     if estimate:
-        coarse = _Run(evaluate, states, inputs, t, step)
-        coarse.run(counts=fine.counts // 2)
         names = [label.full for label in leaves(evaluate.graphs.dae.labels.x)]
-        reached = np.maximum(np.isfinite(fine.samples[0]).sum(axis=0) - 1, 0)
+        place = [names.index("x"), names.index("y")]
+        coarse = _Run(evaluate, states, inputs, t, step, place)
+        coarse.run(counts=fine.counts // 2)
+        reached = np.maximum(np.isfinite(fine.samples[:, 0]).sum(axis=0) - 1, 0)
         lanes = np.arange(reached.size)
-        apart = [
-            (fine.samples[k] - coarse.samples[k])[reached, lanes]
-            for k in (names.index("x"), names.index("y"))
-        ]
+        apart = (fine.samples[:, place] - coarse.samples)[reached, :, lanes]
         order = ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER
-        error = np.hypot(*apart) / (2**order - 1)
-    return Motions(
-        fine.samples, fine.end, fine.reason, fine.last, fine.beyond, error, fine.distances
-    )
+        error = np.hypot(*apart.T) / (2**order - 1)
+    return Motions(fine.samples, fine.end, fine.reason, fine.beyond, error, fine.distances)
 
 
 class _Step(NamedTuple):
@@ -149,10 +142,19 @@ class _Began(NamedTuple):
 
 
 class _Run:
-    """Motions of lanes while they are integrated; ``counts`` are numbers of steps, (m - 1, n)."""
+    """Motions of lanes while they are integrated; ``counts`` are numbers of steps, (m - 1, n).
+
+    ``kept`` are the rows of the states that the samples have, by default all.
+    """
 
     def __init__(
-        self, evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float
+        self,
+        evaluate: Evaluator,
+        states: Array,
+        inputs: Array,
+        t: Array,
+        step: float,
+        kept: list[int] | None = None,
     ) -> None:
         count = states.shape[1]
         self.evaluate, self.rows, self.step = evaluate, evaluate.graphs.rows, step
@@ -160,9 +162,10 @@ class _Run:
         self.began: _Began | None = None
         self.advance = advance if evaluate.graphs.dae.lag is None else advance_relaxing
         self.counts = np.zeros((t.size - 1, count), dtype=int)
-        self.samples = np.full((len(states), t.size, count), np.nan)
+        self.kept = slice(None) if kept is None else kept
+        self.samples = np.full((t.size, *states[self.kept].shape), np.nan)
         self.end, self.reason = np.full(count, t[-1]), np.full(count, COMPLETE)
-        self.last, self.beyond = states.copy(), states.copy()
+        self.beyond = states.copy()
 
     def run(self, *, counts: Array | None = None, even: bool = False) -> None:
         """Integrate; with given numbers of steps, limits are not evaluated."""
@@ -187,8 +190,7 @@ class _Run:
                 lanes, states, rates, speed = (
                     _of(~bad, each) for each in (lanes, states, rates, speed)
                 )
-            self.samples[:, k, lanes] = states
-            self.last[:, lanes] = states
+            self.samples[k][:, lanes] = states[self.kept]
             if k == self.t.size - 1:
                 break
             if counts is not None:
@@ -245,7 +247,7 @@ class _Run:
         distances = values[graph.parts[DISTANCES]]
         for _ in range(FORCE_STEPS):
             states[self.rows.f] = values[graph.parts[FORCES]]
-            rough = values[graph.parts[FORCE_CHANGES]][0] > FORCE_CHANGE
+            rough = ~(values[graph.parts[DOUBT]][0] <= 0)
             if not rough.any():
                 break
             some = _of(rough, states)
@@ -291,26 +293,27 @@ class _Run:
             return
         place = np.zeros(self.end.size, dtype=int)
         place[began.lanes] = np.arange(began.lanes.size)
-        number = began.number[place[lanes]]
-        for count in np.unique(number):
-            chosen = number == count
+        number, failed = began.number[place[lanes]], _smallest(clearances(self.evaluate, states))
+        for count, check in np.unique(np.stack([number, failed]), axis=1).T:
+            chosen = (number == count) & (failed == check)
             which = lanes[chosen]
             first, rates, _ = (each[..., place[which]] for each in began.step)
             h = (states[self.rows.t][0][chosen] - first[self.rows.t][0]) / count
-            step = _Step(first, rates, h)
             low, high = self._locate(
-                step,
+                _Step(first, rates, h),
                 int(count),
                 _of(chosen, states),
-                lambda there, _: clearances(self.evaluate, there).min(axis=0),
+                partial(_clearance, self.evaluate, int(check)),
             )
-            failed = _smallest(clearances(self.evaluate, high))
-            self.reason[which] = len(self.evaluate.graphs.dae.limits) + failed
+            self.reason[which] = len(self.evaluate.graphs.dae.limits) + check
             self._close(which, low, high)
+            earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)
+            if earlier.any():  # of another wheel
+                self._end_at_checks(_of(earlier, which), _of(earlier, low))
 
     def _close(self, lanes: Indices, last: Array, beyond: Array) -> None:
         self.end[lanes] = last[self.rows.t]
-        self.last[:, lanes], self.beyond[:, lanes] = last, beyond
+        self.beyond[:, lanes] = beyond
 
     def _locate(
         self, step: _Step, count: int, at: Array, margin: Callable[[Array, Array], Array]
@@ -383,14 +386,17 @@ def margins(distances: Array) -> Array:
     return np.asarray(distances.min(axis=0, initial=np.inf) + LIMIT_ROUNDING)
 
 
-def clearances(evaluate: Evaluator, states: Array) -> Array:
-    """Return the margins of the checks, shape (n_checks, n); infinite without checks."""
+def clearances(evaluate: Evaluator, states: Array, only: int | None = None) -> Array:
+    """Return the margins of the checks, or of one, (n_checks, n); infinite without checks."""
     checks, graph = evaluate.graphs.checks, evaluate.graphs.placing
     if not checks or not states.shape[1]:
         return np.full((1, states.shape[1]), np.inf)
-    placed = evaluate(graph, states)
-    pairs = zip(checks, graph.parts, strict=True)
-    return np.stack([check.margin_at(placed[part]) for check, part in pairs])
+    placed, chosen = evaluate(graph, states), range(len(checks)) if only is None else [only]
+    return np.stack([checks[k].margin_at(placed[graph.parts[k]]) for k in chosen])
+
+
+def _clearance(evaluate: Evaluator, check: int, states: Array, _: Array) -> Array:
+    return np.asarray(clearances(evaluate, states, check)[0])
 
 
 def derivatives(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array]:
